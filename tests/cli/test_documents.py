@@ -55,7 +55,11 @@ def test_a_topic_shows_its_priority() -> None:
     [
         ("lane", "", "by the lane"),
         ("zenoh", "it is latched", "over zenoh, as it is latched"),
-        ("both", "a listener is not on the lane", "by the lane and over zenoh, as a listener is not on the lane"),
+        (
+            "both",
+            "a subscription is not on the lane",
+            "by the lane and over zenoh, as a subscription is not on the lane",
+        ),
         ("", "", ""),
     ],
 )

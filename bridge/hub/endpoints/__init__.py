@@ -1,1 +1,1 @@
-"""What a session makes on the hub: publishers, subscriptions, servers, clients and plain keys."""
+"""The endpoints of a session on the hub: publishers, subscriptions, servers, clients and plain keys."""

@@ -1,4 +1,4 @@
-"""Servers of calls that are zenoh queries on one key."""
+"""Servers for service calls, which are zenoh queries on one key."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Refuse = Callable[[zenoh.Query, bytes], None]
 
 
 def reply_error(query: zenoh.Query, error: CallError, refuse: Refuse | None = None) -> None:
-    """End a query with zenoh's error reply, after which ``refuse`` sends the reply of a refused call, if it has one."""
+    """End a query with a zenoh error reply, and for a refused call with the service's reply, which ``refuse`` sends."""
     refused = isinstance(error, UnsentCallError)
     try:
         with query:
@@ -31,7 +31,7 @@ def reply_error(query: zenoh.Query, error: CallError, refuse: Refuse | None = No
 
 
 class PendingRequest:
-    """One request that waits for its reply.
+    """A request that waits for its reply.
 
     Attributes:
         caller: GID of the service client; empty if unknown.
@@ -83,11 +83,11 @@ class CallServer:
         self._declared.append(answer(session, key, self._on_query, complete=complete, origin=reach))
 
     def _declare_additional(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:  # noqa: ARG002
-        """Declare additional endpoints, before the queryable, so that a client that sees the server can use them."""
+        """Declare additional endpoints; called before the queryable exists, so that its clients can use them."""
         return []
 
     def _is_call(self, query: zenoh.Query) -> bool:  # noqa: ARG002
-        """Whether a query is a call; other queries end without a reply."""
+        """Return whether a query is a call; other queries end without a reply."""
         return True
 
     def _pending(self, query: zenoh.Query) -> PendingRequest:
@@ -102,7 +102,7 @@ class CallServer:
         return None
 
     def _outgoing(self, query: zenoh.Query, reply: bytes) -> bytes | CallError:  # noqa: ARG002
-        """Return a reply in the form that the query's client reads."""
+        """Convert a reply to the form that the query's client expects."""
         return reply
 
     def _reply_key(self, query: zenoh.Query) -> str:  # noqa: ARG002
@@ -194,7 +194,7 @@ class CallServer:
             _log.debug("%s: the client no longer waits for the reply: %s", self.name, err)
 
     def _abandoned(self, pending: PendingRequest) -> None:
-        """Handle the cancellation by a client."""
+        """Handle a request that its client has canceled."""
         if self._remove(pending):
             pending.query.drop()  # type: ignore[no-untyped-call]
             self._abandon(pending)

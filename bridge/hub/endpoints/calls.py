@@ -1,6 +1,6 @@
-"""Service calls as zenoh queries on one key: what both ends share, and clients.
+"""Service calls as zenoh queries on one key: the client, and what it shares with the server.
 
-Each call ends once: with a reply, with zenoh's error reply, or because its server left.
+Each call ends exactly once: with a reply, with a zenoh error reply, or because its server left.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from bridge.hub.zenoh_compat import keep_thread_state, undeclare
 
 
 class CallError(Exception):
-    """A call without a reply; the text is the reason for the client."""
+    """A call failed; the text is the reason that the client receives."""
 
 
 class UnsentCallError(CallError):
-    """A call that was refused before any server received it.
+    """A call was refused before any server received it.
 
     ``reply`` is a reply of the service's type that means refusal, for clients of rmw_zenoh, which receive no errors;
     b"" if the type has none.
@@ -36,10 +36,10 @@ class UnsentCallError(CallError):
 
 
 Done = Callable[[bytes | CallError], None]
-"""Receives the result of a call, once, on any thread; must only append and wake, or send."""
+"""Receives the result of a call, once and on any thread; it may only append and wake, or send."""
 
 Abandon = Callable[[], None]
-"""Cancels a call whose client is gone. Safe to call twice, and after the end."""
+"""Cancels a call whose client has left. Safe to call twice, and after the call has ended."""
 
 Call = Callable[[bytes, Done], Abandon]
 """``call(request, done)``: starts a call and returns at once; there is no timeout."""
@@ -53,7 +53,7 @@ _log = logging.getLogger(__name__)
 
 LEFT = "the server of {name} left before it answered"
 PRIORITY = zenoh.Priority.INTERACTIVE_LOW
-"""Higher than topics, so that calls do not queue after images; replies inherit the priority of their query."""
+"""Higher than that of topics, so that calls do not wait for images; replies inherit the priority of their query."""
 
 MAX_ERROR = 4096
 """Maximum size of an error text, in bytes."""
@@ -61,13 +61,13 @@ MAX_ERROR = 4096
 _CLOSED = "the call of {name} was ended: its client was closed"
 _REFUSED = "; or an external listener between the machines refuses this call (hub.open.trusted)"
 _AT_ONCE = 0.2
-"""Seconds within which zenoh ends a query that no server received; a longer one did reach a server.
+"""Seconds within which zenoh ends a query that no server received; one that lasts longer did reach a server.
 
-A query that ends so soon may have reached a server too, which crashed or dropped it, so no call is ever repeated.
+A query that ends within this time may also have reached a server, which crashed or dropped it. So no call is repeated.
 """
 
 _LEAVING = 1.0
-"""Seconds within which a crashed server's queryable is gone; one that remains did not crash."""
+"""Seconds within which a crashed server's queryable disappears; a server whose queryable remains did not crash."""
 
 _NO_SERVER = "no server of {name} is on {where}"
 REFUSED_ENCODING = zenoh.Encoding("text/plain;refused")
@@ -78,7 +78,7 @@ _FOR_EVER = 1e9
 
 
 class _PendingCall:
-    """One call that waits for its reply."""
+    """A call that waits for its reply."""
 
     __slots__ = ("attached", "done", "number", "request", "sent", "token")
 
@@ -97,7 +97,7 @@ class CallClient:
     Args:
         limit: maximum size of a request or reply, in bytes.
         executor: runs operations that may block in zenoh.
-        ends: handles the ends of queries, see `bridge.hub.zenoh_compat`.
+        ends: handles the ends of queries; see `bridge.hub.zenoh_compat`.
         delays: makes delayed calls.
         target: which of several queryables receive the query.
         closed: called once with the client when it has closed.
@@ -200,7 +200,7 @@ class CallClient:
             )
         except (zenoh.ZError, RuntimeError) as err:  # the client is being closed
             self._end(pending.number, CallError(f"{self.name} cannot be called: {zenoh_reason(err)}"))
-        if not self._reachable:  # zenoh may never end a query without a server
+        if not self._reachable:  # zenoh may never end a query that has no server
             self._over(number, time.monotonic())
 
     def close(self) -> None:
@@ -254,7 +254,7 @@ class CallClient:
             self._fail(number)
 
     def _fail(self, number: int) -> None:
-        """End a call without a reply; if its server remains, an external listener may be the reason."""
+        """End a call that got no reply; if its server is still present, an external listener may be the reason."""
         text = LEFT.format(name=self.name)
         self._end(number, CallError(text + _REFUSED if self._reachable else text))
 
@@ -292,5 +292,5 @@ def _undeclare_querier(querier: zenoh.Querier) -> None:
 
 
 def _matching(status: object) -> bool:
-    # zenoh-python returns a MatchingStatus (always true) although its stubs declare bool
+    # zenoh-python returns a MatchingStatus (always truthy) although its stubs declare bool
     return bool(getattr(status, "matching", status))

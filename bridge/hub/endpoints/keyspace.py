@@ -1,7 +1,8 @@
-"""Plain zenoh keys beneath one prefix: values with their time, queries and liveliness tokens.
+"""Plain zenoh keys below one prefix: values with timestamps, queries and liveliness tokens.
 
-zenoh replaces the time of a sample that is more than half a second ahead of the receiver's clock (measured with zenoh
-1.10; its hybrid logical clock refuses to follow). Writers whose exact time matters send it in the attachment as well.
+zenoh replaces the timestamp of a sample that is more than half a second ahead of the receiver's clock (measured with
+zenoh 1.10; its hybrid logical clock refuses to follow). Writers whose exact time matters also send it in the
+attachment.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ class KeyItem:
 
     Attributes:
         body: the value; None if it was deleted.
-        ns: the time at which the value was written or deleted, nanoseconds since 1970; 0 if unknown.
-        writer: id of the clock that gave the time, up to 16 bytes in hexadecimal.
+        ns: the time at which the value was written or deleted, in nanoseconds since 1970; 0 if unknown.
+        writer: id of the clock from which the time comes, up to 16 bytes in hexadecimal.
     """
 
     key: str
@@ -44,7 +45,7 @@ class KeyQuery:
     """A pending query. The receiver must end it; any thread may do so.
 
     Attributes:
-        key: the requested key, beneath the prefix; it may have wildcards.
+        key: the requested key below the prefix; it may have wildcards.
     """
 
     def __init__(self, query: zenoh.Query, prefix: str) -> None:
@@ -53,11 +54,11 @@ class KeyQuery:
         self.body = b"" if query.payload is None else query.payload.to_bytes()
 
     def asks_for(self, key: str) -> bool:
-        """Return whether the query matches a key beneath the prefix."""
+        """Return whether the query matches a key below the prefix."""
         return bool(self._query.key_expr.intersects(zenoh.KeyExpr(f"{self._prefix}/{key}")))
 
     def reply(self, item: KeyItem) -> None:
-        """Send one of several values."""
+        """Send a value; a query may get several."""
         stamp = _timestamp(item)
         key, attached = f"{self._prefix}/{item.key}", item.attached or None
         prepare_to_send(len(item.body or b""))
@@ -86,13 +87,13 @@ class KeyQuery:
 
 
 class KeySpace:
-    """The keys beneath a prefix as one session sees and serves them. Safe to use from any thread.
+    """The keys below a prefix as one session sees and serves them. Safe to use from any thread.
 
     Callbacks run on zenoh's receiving thread, so they must only queue work and wake another thread. A session does not
     receive its own changes.
 
     Args:
-        limit: size limit of values in bytes; larger ones are dropped.
+        limit: maximum size of a value in bytes; larger values are dropped.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str, limit: int) -> None:
@@ -115,8 +116,8 @@ class KeySpace:
         }
         prepare_to_send(len(item.body or b""))
         try:
-            # Without source numbers zenoh's advanced subscriber compares time stamps, and drops a value that is older
-            # than the last one of the same writer, also under another key.
+            # Without source numbers zenoh's advanced subscriber compares timestamps, and drops a value that is older
+            # than the last value of the same writer, even under another key.
             with self._sending:
                 if self._infos is None:
                     self._infos = self._numbers()
@@ -134,7 +135,7 @@ class KeySpace:
         return source_infos(source)
 
     def subscribe(self, keys: str, callback: Callable[[KeyItem], None]) -> None:
-        """Call back for each value that is written or deleted, until the space is closed."""
+        """Call ``callback`` for each value that is written or deleted, until the space is closed."""
 
         def on_message(sample: zenoh.Sample) -> None:
             keep_thread_state()
@@ -145,9 +146,9 @@ class KeySpace:
         self._keep(subscribe(self._session, f"{self._prefix}/{keys}", on_message))
 
     def serve(self, keys: str, asked: Callable[[KeyQuery], None], *, complete: bool = False) -> None:
-        """Answer queries of some keys, which may have wildcards, until the space is closed.
+        """Answer queries for ``keys``, which may have wildcards, until the space is closed.
 
-        With ``complete``, zenoh may query only one of these servers, since each has all values.
+        With ``complete``, zenoh may query only one of several such servers, because each has all values.
         """
 
         def on_message(query: zenoh.Query) -> None:
@@ -160,7 +161,7 @@ class KeySpace:
         self._keep(answer(self._session, f"{self._prefix}/{keys}", on_message, complete=complete))
 
     def ask(self, keys: str, body: bytes = b"", seconds: float = 5.0) -> list[KeyItem]:
-        """Query all servers of some keys; return when all have replied, or after ``seconds``.
+        """Query all servers of ``keys``; return when all have replied, or after ``seconds``.
 
         Raises:
             HubError: a server replied with an error.
@@ -190,11 +191,11 @@ class KeySpace:
                 self._asking.discard(token)
 
     def announce(self, key: str) -> None:
-        """Declare a liveliness token, until the space is closed."""
+        """Declare a liveliness token, which exists until the space is closed."""
         self._keep(self._session.liveliness().declare_token(f"{self._prefix}/{key}"))
 
     def tokens(self, keys: str, seconds: float = 2.0) -> list[str]:
-        """Return the current tokens of keys that this session does not watch.
+        """Return the current tokens of keys; use it only for keys that this session does not watch.
 
         For watched keys, zenoh 1.10 lists only tokens that it has received, and sometimes misses the newest ones.
         """
@@ -202,7 +203,7 @@ class KeySpace:
         return [self._below(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None]
 
     def watch(self, keys: str, changed: Callable[[str, bool], None]) -> None:
-        """Call back for each present or new token (True) and each removed one (False), until the space is closed."""
+        """Call ``changed`` for each present or new token (True) or removed token (False), until the space closes."""
 
         def on_message(sample: zenoh.Sample) -> None:
             keep_thread_state()

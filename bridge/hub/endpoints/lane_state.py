@@ -1,4 +1,4 @@
-"""State of a subscription that switches between lane and zenoh: its lanes, and its subscriber on zenoh."""
+"""The state of a subscription that switches between lane and zenoh: its lanes, and its subscriber on zenoh."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from bridge.hub.lane.inlet import Inlet
 from bridge.hub.zenoh_compat import subscribe, undeclare
 
 QUIET_SECONDS = 1.0
-"""Seconds for which a lane that is being left waits for a message over zenoh: its publishers may be quiet."""
+"""Maximum seconds to wait for a message over zenoh before leaving a lane, whose publishers may be quiet."""
 
 CAUGHT_SECONDS = 10.0
-"""Seconds after a mark, after which a lane is used although its session does not respond over zenoh."""
+"""Seconds from a mark until a lane is used even if its session does not respond over zenoh."""
 
 _SPARED_MARKS = 64
 
@@ -35,12 +35,12 @@ class Joined:
 
 
 class LeavingStep(Enum):
-    """The steps until a lane is left, in their order."""
+    """The steps of leaving a lane, in order."""
 
     DECLARED = auto()
-    """The subscriber on zenoh is declared; the other session may not know it yet."""
+    """The subscriber on zenoh is declared, but the other session may not know it yet."""
     KNOWN = auto()
-    """The session knows the subscriber; its messages arrive over both."""
+    """The other session knows the subscriber, and its messages arrive over both transports."""
     FENCED = auto()
     """A fence was sent."""
     ENDED = auto()
@@ -49,20 +49,20 @@ class LeavingStep(Enum):
 
 @dataclass(slots=True)
 class Leaving:
-    """A lane that is being left, and when its step began."""
+    """How far the leaving of a lane is, and when the step began (monotonic seconds)."""
 
     step: LeavingStep = LeavingStep.DECLARED
     since: float = 0.0
 
 
 class Lanes:
-    """The lanes of one subscription. The subscription's lock guards them; only the choosing thread adds to ``inlets``.
+    """The lanes of one subscription, whose lock guards them. Only the thread that chooses adds to ``inlets``.
 
     Attributes:
-        inlets: each lane, with the time when it was last joined.
+        inlets: the lanes, each with the time when it was last joined (monotonic seconds).
         joined: the publishers that send on a lane, by GID.
         leaving: the lanes that are being left.
-        received: sessions whose messages have arrived over zenoh since a lane is being left.
+        received: sessions whose messages have arrived over zenoh while a lane was being left.
     """
 
     def __init__(self) -> None:
@@ -78,17 +78,17 @@ class Lanes:
             self.joined[gid] = Joined(inlet, sequence, time.monotonic())
 
     def leave(self, inlet: Inlet) -> LeavingStep:
-        """Begin to leave a lane, or return how far this is; one that has ended meanwhile is left."""
+        """Start leaving a lane; return the current step, which is `ENDED` for a lane whose connection has ended."""
         return self.leaving.setdefault(inlet, Leaving()).step if inlet in self.inlets else LeavingStep.ENDED
 
     def known(self, inlet: Inlet, now: float) -> None:
-        """Note that the session of a lane knows the subscriber on zenoh: wait for a message over zenoh."""
+        """Note that the session of a lane knows the subscriber on zenoh, and wait for a message over zenoh."""
         if inlet in self.leaving:
             self.leaving[inlet] = Leaving(LeavingStep.KNOWN, now)
             self.received.discard(inlet.zid)
 
     def fence(self, inlet: Inlet, now: float) -> bool:
-        """Return whether to send a fence now: a message has arrived over zenoh, or none for a second."""
+        """Return whether to send a fence now, because a message has arrived over zenoh, or none did for a second."""
         leaving = self.leaving.get(inlet)
         if leaving is None or leaving.step is not LeavingStep.KNOWN:
             return False
@@ -98,7 +98,7 @@ class Lanes:
         return due
 
     def fenced(self, inlet: Inlet) -> None:
-        """Note that the fence has returned. One of an earlier attempt to leave the lane does not count."""
+        """Note that the fence has returned; a fence from an earlier attempt to leave the lane is ignored."""
         leaving = self.leaving.get(inlet)
         if leaving is not None and leaving.step is LeavingStep.FENCED:
             leaving.step = LeavingStep.ENDED
@@ -110,7 +110,7 @@ class Lanes:
         self.joined = {gid: joined for gid, joined in self.joined.items() if joined.inlet is not inlet}
 
     def prune(self, present: Collection[bytes]) -> None:
-        """Drop the marks of publishers that left, once there are many; ``present`` are the others."""
+        """Drop the marks of publishers that are not in ``present``, if there are many marks."""
         if len(self.joined) > 2 * len(present) + _SPARED_MARKS:
             self.joined = {gid: joined for gid, joined in self.joined.items() if gid in present}
 
@@ -120,10 +120,10 @@ class Lanes:
         return joined is not None and joined.inlet in self.leaving
 
     def caught(self, gid: bytes, last: int | None, now: float, passed: Callable[[str, float], bool]) -> bool:
-        """Return whether all messages that a publisher sent only on zenoh have arrived, up to the number ``last``.
+        """Return whether all messages that a publisher sent only on zenoh have arrived; the last received is ``last``.
 
-        ``passed`` returns whether a session has replied to a query that was sent after a time. Its earlier messages,
-        which zenoh delivers before the reply, have arrived then, or were dropped.
+        ``passed`` returns whether a session has replied to a query that was sent after a given time. In that case its
+        earlier messages, which zenoh delivers before the reply, have arrived or were dropped.
         """
         joined = self.joined.get(gid)
         if joined is None:
@@ -138,10 +138,10 @@ class Lanes:
 
 
 class ZenohSubscriber:
-    """A subscriber on zenoh: everywhere, or only in its own session, which may have several nodes.
+    """A subscriber on zenoh, either for all sessions or only for its own session, which may have several nodes.
 
-    ``_switching`` serializes the changes. ``lock``, that of the subscription, guards ``everywhere``. A thread
-    that holds ``_switching`` may acquire ``lock``, but not the reverse.
+    ``_switching`` serializes the changes. ``lock``, the subscription's lock, guards ``everywhere``. A thread that holds
+    ``_switching`` may acquire ``lock``, but not the reverse.
 
     Attributes:
         everywhere: whether messages of other sessions may arrive.

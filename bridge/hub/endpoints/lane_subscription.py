@@ -1,8 +1,8 @@
-"""A subscription that receives small messages over the lanes of this daemon's other workers, otherwise over zenoh.
+"""A subscription that receives small messages over the lanes of this daemon's other workers, and others over zenoh.
 
-It chooses per topic: while all of the topic's publishers are workers of this daemon, it has no subscriber on zenoh, so
-that their puts cost little. During a switch, messages arrive over both transports: by the sequence numbers of rmw_zenoh
-it drops duplicates, and briefly holds messages that arrive too early.
+It chooses the transport per topic: while all of the topic's publishers are workers of this daemon, it has no subscriber
+on zenoh, so that their puts cost little. During a switch, messages arrive over both transports. According to
+rmw_zenoh's sequence numbers it then drops duplicates, and briefly holds messages that arrive too early.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ from bridge.hub.wire.keys import ANY_HASH, key_type
 from bridge.hub.wire.qos import History, Qos
 
 EARLY_SECONDS = 0.1
-"""Seconds for which a message is held for earlier ones on the other transport."""
+"""Seconds for which a message is held until earlier messages arrive on the other transport."""
 
 LEAVING_SECONDS = 5.0
-"""The same while a lane is being left: it still delivers all earlier messages, and ends with its fence."""
+"""The same while a lane is being left: it still delivers all earlier messages, the last of which its fence follows."""
 
 _UNANSWERED_SECONDS = 1.0
 
 
 class Sequencer:
-    """Merges the messages of a topic that arrive over two transports, by their numbers.
+    """Merges the messages of a topic that arrive over two transports, according to their sequence numbers.
 
     Duplicates are dropped, and a message that arrives early is held for a moment. Not thread-safe: the lock of the
-    subscription guards it, with the arguments.
+    subscription guards it, as well as the arguments.
 
     Args:
         both: returns whether the messages of a publisher (by GID) may arrive over either transport.
         leaves: returns whether the lane of a publisher is being left.
 
     Attributes:
-        early: since when messages of a publisher are held.
+        early: by publisher, the time since which messages are held (monotonic seconds).
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Sequencer:
         self.early: dict[bytes, float] = {}
 
     def accept(self, source: PublisherState, message: HubSample, first: int) -> list[HubSample]:
-        """Return the messages to deliver now; ``first`` earlier messages may arrive over the other transport."""
+        """Return the messages to deliver now; messages up to number ``first`` may arrive over the other transport."""
         number, last = message.sequence, source.sequence
         if last is not None and number == last + 1 and not source.held:
             source.sequence, source.time_ns = number, message.source_time_ns
@@ -122,7 +122,7 @@ class Sequencer:
         ready: list[HubSample] = []
         for gid in [gid for gid in self.early if self._due(gid) <= now]:
             source = self._sources.get(gid)
-            if source is None or not source.held:  # dropped, as there were too many publishers
+            if source is None or not source.held:  # dropped because there were too many publishers
                 del self.early[gid]
             else:
                 ready += self._up_to(source, gid, max(source.held))
@@ -130,11 +130,11 @@ class Sequencer:
 
 
 class LaneSubscription(HubSubscription):
-    """Receives one topic that is not latched.
+    """Receives one volatile topic.
 
-    Locks, in the order in which a thread may acquire them: ``_delivery`` is held while messages are put in order and
-    delivered, so that two transports deliver in order; ``_lock`` also guards the lanes and the sequencer. Only the
-    lane's thread chooses the transport.
+    Locks, in the order in which a thread may acquire them: ``_delivery`` is held while messages are ordered and
+    delivered, so that those of two transports are delivered in order; ``_lock`` also guards the lanes and the
+    sequencer. Only the lane's thread chooses the transport.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class LaneSubscription(HubSubscription):
     ) -> None:
         self.key = key
         self._lane, self._type_names = lane, key_type(key)
-        # the newest message of a topic of depth 1, such as velocity commands, never waits for a lane that is left
+        # with a depth of 1, as for velocity commands, the newest message never waits for a lane that is being left
         self._patient = qos.history is not History.KEEP_LAST or qos.depth > 1
         self._delivery = Lock()
         self._lanes = Lanes()
@@ -252,7 +252,7 @@ class LaneSubscription(HubSubscription):
     # -- lanes ---------------------------------------------------------------------------------------------------------
 
     def marked(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
-        """Handle a mark: the publisher sends messages after this number on the lane."""
+        """Handle a mark: the publisher sends all messages after this number on the lane."""
         with self._lock:
             self._lanes.mark(inlet, gid, sequence)
             source = self.sources.get(gid)
@@ -268,7 +268,7 @@ class LaneSubscription(HubSubscription):
         self._lane.wake(self)
 
     def grown(self) -> None:
-        """Handle a message that is too large for the lane."""
+        """Switch to zenoh after a message that is too large for the lane."""
         if not self._large:
             self._large = True
             self._lane.wake(self)
@@ -353,7 +353,7 @@ class LaneSubscription(HubSubscription):
                 self._lane.connections.refuse(late, "it does not respond on its lane")
             elif publisher.gid not in lanes.joined and now - lanes.inlets.get(late, now) > _UNANSWERED_SECONDS:
                 lanes.inlets[late] = now
-                late.join(self)  # once more, for another mark
+                late.join(self)  # again, to receive another mark
         return True
 
     def _caught(self, gid: bytes, now: float) -> bool:

@@ -1,11 +1,11 @@
-"""Latched topics: publishers that cache their last samples, and subscriptions that request these.
+"""Latched topics: publishers that cache their last samples, and subscriptions that request these samples.
 
 The publishers are zenoh's advanced publishers, declared like those of rmw_zenoh: each has a token at
-``<key>/@adv/pub/<zid>/<entity>/...``, answers queries there with its cached samples, and publishes there, half a second
-after a change, the number of its last sample.
+``<key>/@adv/pub/<zid>/<entity>/...``, answers queries on that key with its cached samples, and publishes on it the
+number of its last sample, half a second after a change.
 
-zenoh's own advanced subscriber queries each publisher twice at the start, and if the answers cross, it leaves out the
-older part of a history of more than one sample. Here each publisher is queried once, and the live samples of its
+zenoh's own advanced subscriber queries each publisher twice at the start, and if the two answers interleave, it drops
+the older part of a history of more than one sample. Here each publisher is queried once, and the live samples of its
 session are held back until the answer is complete.
 """
 
@@ -24,17 +24,17 @@ from bridge.hub.opening import prepare_to_send
 from bridge.hub.zenoh_compat import BEHIND, SOURCE_NUMBERS, follow_tokens, subscribe, undeclare
 
 HEARTBEAT = 0.5
-"""Seconds after which a latched publisher publishes its last sample's number, as rmw_zenoh's do."""
+"""Seconds after which a latched publisher publishes its last sample's number, as those of rmw_zenoh do."""
 
 
 class LatchedPublisher:
     """zenoh's advanced publisher.
 
     Sample miss detection makes zenoh number the samples per publisher and attach the session's id; without it only the
-    time would distinguish the caches of several publishers in one session. Midspan publishes the heartbeats, with the
-    key and bytes that zenoh uses (seen on the wire, 1.10). A heartbeat blocks on a congested link, as it must not be
-    lost. zenoh would send it on the one thread that runs all tasks of a session: while one waits there, for up to five
-    seconds, no latched publisher can be closed.
+    time would distinguish the caches of several publishers in one session. Midspan itself publishes the heartbeats,
+    with the key and bytes that zenoh uses (observed on the wire, 1.10). A heartbeat blocks on a congested link, because
+    it must not be lost. zenoh would send it on the only thread that runs all tasks of a session: while one waits there,
+    for up to five seconds, no latched publisher can be closed.
 
     Args:
         heartbeats: publishes the last sample's number; None if lost samples are not recovered.
@@ -73,7 +73,7 @@ class LatchedPublisher:
         self._closed = False
 
     def put(self, payload: bytes | zenoh.ZBytes, attachment: bytes | None = None) -> None:
-        """Publish; one at a time. Raises `zenoh.ZError` if the session is closed."""
+        """Publish; not thread-safe. Raises `zenoh.ZError` if the session is closed."""
         prepare_to_send(len(payload))
         self._publisher.put(payload, attachment=attachment)
         self._put += 1
@@ -100,21 +100,21 @@ class LatchedPublisher:
 
 
 ANSWER_SECONDS = 10.0
-"""Time limit for a publisher's answer, and for holding back the live samples of its session."""
+"""Time limit in seconds for a publisher's answer, and for holding back the live samples of its session."""
 
 AGAIN_SECONDS = (1.0, 3.0, 9.0)
-"""Delays of further queries to a publisher of which nothing has arrived. A session that is joining, or a link that is
-being made again, may have shown the publisher's token while no query reached it yet."""
+"""Delays in seconds of further queries to a publisher from which nothing has arrived. While its session joins, or a
+link is restored, the publisher's token may already be visible although no query can reach it yet."""
 
 _PUBLISHERS = "/@adv/pub/"
 _MAX_PUBLISHERS = 4096
 
 
 class HistoryListener(Protocol):
-    """Receives the history; called on zenoh's threads."""
+    """Receives the cached samples; called on zenoh's threads."""
 
     def on_query(self, zid: str) -> None:
-        """A session's publishers are being queried: hold back its live samples."""
+        """A session's publishers are being queried, so its live samples have to be held back."""
 
     def on_stored(self, sample: zenoh.Sample) -> None:
         """A cached sample arrived."""
@@ -124,14 +124,14 @@ class HistoryListener(Protocol):
 
 
 class LatchedHistory:
-    """Queries all publishers of one key, present and late, once `open` was called.
+    """Queries all publishers of one key, present or later, after `open` was called.
 
-    With ``recovers`` it queries a publisher again if its last sample did not arrive. ``depth`` is how many samples it
-    requests of each publisher; it may be changed later. ``delays`` makes the queries of `AGAIN_SECONDS`.
+    With ``recovers`` it queries a publisher again if its last sample did not arrive. ``depth`` is the number of samples
+    that it requests from each publisher; it may be changed later. ``delays`` makes the queries of `AGAIN_SECONDS`.
 
-    Queries run on ``executor``: a query blocks on a congested link, and zenoh's receiving thread, which reports the
-    publishers, must continue to read. Two peers that each waited for the other to read would block for five seconds,
-    and then lose their link.
+    Queries run on ``executor``, because a query blocks on a congested link, and zenoh's receiving thread, which reports
+    the publishers, must continue to read. Two peers that wait for each other to read would block for five seconds, and
+    then lose their link.
     """
 
     def __init__(
@@ -154,11 +154,11 @@ class LatchedHistory:
         self._closed = False
         self._lock = Lock()
         self._numbers: dict[tuple[str, str], int] = {}
-        self._silent: dict[tuple[str, str], int] = {}  # further queries to those of which nothing has arrived
+        self._silent: dict[tuple[str, str], int] = {}  # number of queries to silent publishers
         self._subscribers: list[zenoh.Subscriber[None]] = []
 
     def open(self) -> None:
-        """Start; the subscription to live samples must exist."""
+        """Start following the publishers; the subscription to live samples must already exist."""
         space = f"{self._key}{_PUBLISHERS}**"
         self._subscribers = [follow_tokens(self._session, space, self._on_token)]
         if self._recovers:
@@ -178,7 +178,7 @@ class LatchedHistory:
                 self._numbers[publisher] = info.source_sn
 
     def ask(self, publishers: str, zid: str) -> None:
-        """Query the publishers at a key for their cached samples. The caller holds no lock that the listener needs."""
+        """Query the publishers at a key for their cached samples; the caller must not hold a lock of the listener."""
         self._listener.on_query(zid)
         self._executor.submit(partial(self._ask, publishers, zid))
 
@@ -237,7 +237,7 @@ class LatchedHistory:
             self.ask(str(sample.key_expr), publisher[0])
 
     def _on_reply(self, publishers: str, reply: zenoh.Reply) -> None:
-        # the query is not on the samples' key: a server could reply with samples of any key that it may write
+        # the query is not on the samples' key, so a server could reply with samples of any key
         if reply.ok is not None and self._samples.includes(reply.ok.key_expr):
             with self._lock:
                 self._silent.pop(_identity(publishers), None)
@@ -261,12 +261,12 @@ class LatchedHistory:
 
 
 def is_newer(number: int, seen: int | None) -> bool:
-    """Return whether one source number directly follows another; the numbers wrap."""
+    """Return whether one source number is later than another; the numbers wrap."""
     return seen is None or 0 < (number - seen) % SOURCE_NUMBERS < SOURCE_NUMBERS // 2
 
 
 def _publisher(sample: zenoh.Sample) -> tuple[str, str] | None:
-    """Return session and entity of a token's or a heartbeat's publisher, None of another key."""
+    """Return session and entity of a token's or a heartbeat's publisher, None for other keys."""
     identity = _identity(str(sample.key_expr))
     return identity if identity[1] else None
 

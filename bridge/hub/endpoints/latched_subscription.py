@@ -1,4 +1,4 @@
-"""A subscription to a latched topic: it also requests the samples that the topic's publishers cache."""
+"""A subscription to a latched topic, which also requests the samples that the topic's publishers cache."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from bridge.hub.wire.qos import Qos, Reliability
 from bridge.messages.unchanged import same
 
 _MAX_HELD = 1000
-"""Maximum number of held samples of one publisher, beyond its history."""
+"""Maximum number of held samples of one publisher, in addition to its history."""
 
 
 class _OtherHistory:
-    """Passes a history on whose samples are of another version of the type."""
+    """Converts and passes on a history whose samples are of another version of the type."""
 
     def __init__(self, subscription: LatchedHubSubscription, convert: Convert) -> None:
         self._convert, self._on_other, self._receive = convert, subscription._on_other, subscription.on_stored
@@ -33,10 +33,10 @@ class _OtherHistory:
 class LatchedHubSubscription(HubSubscription):
     """Receives one latched topic.
 
-    While a session is queried for its cached samples, its live samples are held, so that the history comes first. A
-    reliable subscription also queries a session after a gap in its samples.
+    While a session is queried for its cached samples, its live samples are held, so that the history is delivered
+    first. A reliable subscription also queries a session after a gap in its samples.
 
-    ``_lock`` also guards the counts of unfinished queries, and is held during the callback, which keeps the order.
+    ``_lock`` also guards the counts of unfinished queries. It is held during the callback, to preserve the order.
     """
 
     why = "a latched topic"
@@ -102,7 +102,7 @@ class LatchedHubSubscription(HubSubscription):
             zid, gap = source.zid, source.gap(message)
             if gap is None:
                 return
-            # of a publisher with a history of one, only the newest sample counts
+            # with a history of one, only the newest sample matters
             deep = self._depth > 1 and len(source.held) < self._depth + _MAX_HELD
             # a live sample may arrive before its publisher's token, which triggers the query
             past = gap > 0 if source.sequence is not None else message.sequence > 1
@@ -128,12 +128,12 @@ class LatchedHubSubscription(HubSubscription):
         self._ask(zid)
 
     def on_query(self, zid: str) -> None:
-        """Handle the start of a query for the samples that a session's publishers store; see `LatchedHistory`."""
+        """Handle the start of a query for the samples that a session's publishers cache; see `LatchedHistory`."""
         with self._lock:
             self._asked[zid] += 1
 
     def on_stored(self, sample: zenoh.Sample | ConvertedSample) -> None:
-        """Handle one of the samples that a publisher stores; see `LatchedHistory`."""
+        """Handle one of the samples that a publisher caches; see `LatchedHistory`."""
         message = self._read(sample)
         if message is None:
             return

@@ -38,7 +38,7 @@ KEEP_ALL_CACHE = 1000
 MAX_CACHE = 10_000
 
 LARGE = POOL
-"""Bytes; a larger message does not fit the shared memory, and crosses a link in hundreds of packets."""
+"""Size in bytes; a larger message does not fit into the shared memory, and needs hundreds of packets on a link."""
 
 
 _log = logging.getLogger(__name__)
@@ -47,22 +47,22 @@ _pack = ATTACHMENT.pack
 NO_LANE = "this worker has no lane"
 
 QUEUE = 1000
-"""Messages, other than commands, that wait at most for a lane's reader that is full."""
+"""Maximum number of messages, other than commands, that wait for a lane's reader whose buffer is full."""
 
 
 @dataclass(frozen=True, slots=True)
 class EndpointContext:
-    """What the endpoints of one node share.
+    """The objects and settings that the endpoints of one node share.
 
     Attributes:
-        reach: other sessions only, or also the other nodes of a shared session.
-        own: GIDs of the node's endpoints, whose messages its subscriptions and servers ignore; it changes.
-        limit: bytes of the largest message.
+        reach: which endpoints are reached: those of other sessions, or also the other nodes of a shared session.
+        own: GIDs of the node's endpoints, whose messages its subscriptions and servers ignore; the set changes.
+        limit: maximum size of a message in bytes.
         executor: runs calls that may wait for zenoh.
-        ends: handles the ends of queries, see `bridge.hub.zenoh_compat`.
+        ends: handles the ends of queries; see `bridge.hub.zenoh_compat`.
         asking: runs queries for the samples that latched publishers cache.
         delays: makes delayed calls, for example for the heartbeats of latched publishers.
-        variants: gives the endpoints their further keys.
+        variants: assigns additional keys to the endpoints.
         closed: called with each endpoint that has closed.
         lane: the transport to this daemon's other workers; None if the session has no lane.
     """
@@ -91,7 +91,7 @@ class SamplePriority(Enum):
 
 class _Sink(Protocol):
     keeps: ClassVar[bool]
-    """Whether it caches samples for late subscriptions."""
+    """Whether it caches samples for late joiners."""
 
     def send(self, payload: bytes, attached: bytes) -> None: ...
     def matched(self) -> bool: ...
@@ -99,7 +99,7 @@ class _Sink(Protocol):
 
 
 def _matching(publisher: zenoh.Publisher) -> bool:
-    # an object that is always true, although the wheel's stubs promise a bool
+    # an object that is always truthy, although the wheel's stubs declare a bool
     status: Any = publisher.matching_status
     return bool(status.matching)
 
@@ -107,10 +107,11 @@ def _matching(publisher: zenoh.Publisher) -> bool:
 class _Matching:
     """Whether another session subscribes to a publisher's key.
 
-    A put that reaches no one costs a worker 14 us, and a query 7, mostly because their memory has left the caches. So a
-    listener follows the changes. zenoh may call it after answering queries that a new subscriber sent later (measured:
-    1 in 100), whereas a query is as recent as the routes. So an absence is queried again: in `now` always, in `reaches`
-    once after each change of the graph, as the token that announces a subscriber follows its declaration.
+    A put without a subscriber costs a worker 14 us, and a query of the matching status 7 us, mostly because their
+    memory has left the caches. So a listener follows the changes. zenoh may call it after answering queries that a new
+    subscriber sent later (measured: 1 in 100), whereas the status is as recent as zenoh's routes. So if the listener
+    reports no subscriber, the status is queried too: in `now` always, and in `reaches` once after each change of the
+    graph, because the token that announces a subscriber follows its declaration.
     """
 
     def __init__(self, publisher: zenoh.Publisher, graph: HubGraph) -> None:
@@ -136,7 +137,7 @@ class _Matching:
             self._listener = self._publisher.declare_matching_listener(
                 zenoh.handlers.Callback(self._changed, indirect=False)
             )
-            # one step of CPython, so that this older state does not replace a change reported meanwhile
+            # atomic in CPython, so that this older state does not replace a change reported meanwhile
             self._told.setdefault("", _matching(self._publisher))
         if self._told[""]:
             return True
@@ -146,7 +147,7 @@ class _Matching:
         return False
 
     def _changed(self, status: Any) -> None:
-        """Runs on a zenoh thread."""
+        """Store a reported change; runs on a zenoh thread."""
         keep_thread_state()
         self._told[""] = bool(status.matching)
 
@@ -156,18 +157,18 @@ class _Matching:
 
 
 class _Version:
-    """The messages of one key in its version of the type."""
+    """Converts messages to the version of the type that one key stands for."""
 
     def __init__(self, key: str, convert: Convert) -> None:
         self._key, self._convert = key, convert
         self._level = logging.WARNING
 
     def __call__(self, payload: bytes) -> bytes | None:
-        """Return the converted message; None if it has a value that the version cannot hold, which is logged once."""
+        """Return the converted message; None if the version cannot represent a value, which is logged once."""
         try:
             return self._convert(payload)
         except ConversionError as err:
-            text = "%s: a message is not published in another version of its type: %s; further ones are not logged"
+            text = "%s: a message is not published in another version of its type: %s; further messages are not logged"
             _log.log(self._level, text, self._key, err)
             self._level = logging.DEBUG
             return None
@@ -233,7 +234,7 @@ class _LatchedSink:
         self._convert = None if convert is None else _Version(key, convert)
         reliable = qos.reliability is Reliability.RELIABLE
         depth = cache_depth(qos)
-        # zenoh's own buffers, which its cache shares, for keys that are added later
+        # zenoh's buffers, which its cache shares; they are published on keys that are added later
         self.stored: deque[tuple[zenoh.ZBytes, bytes]] = deque(maxlen=depth)
         self._publisher = LatchedPublisher(
             context.session,
@@ -279,10 +280,10 @@ def _encoding(convert: Convert | None) -> zenoh.Encoding | None:
 
 
 class PublisherOptions:
-    """How zenoh carries a publisher's samples.
+    """How zenoh transports a publisher's samples.
 
-    As in rmw_zenoh, samples are dropped on a congested link, and only RELIABLE with KEEP_ALL blocks: one slow peer must
-    not delay the others. A latched subscription recovers dropped samples from the publisher's cache.
+    As in rmw_zenoh, samples are dropped on a congested link, and only RELIABLE with KEEP_ALL blocks, because one slow
+    peer must not delay the others. A latched subscription recovers dropped samples from the publisher's cache.
     """
 
     def __init__(self, qos: Qos, priority: str, express: bool | None, queue: int | None = None) -> None:
@@ -299,14 +300,14 @@ def cache_depth(qos: Qos) -> int:
 
 
 class HubPublisher:
-    """Publishes one topic on the hub; made by `bridge.hub.session.Hub.publisher`. Safe to use from any thread.
+    """Publishes one topic on the hub; created by `bridge.hub.session.Hub.publisher`. Safe to use from any thread.
 
-    Each sample goes to all its keys (`bridge.hub.endpoints.variants`) with the same number, so that a subscription that
-    receives it under two of them delivers it once.
+    Each sample is published with the same number on all of the publisher's keys (`bridge.hub.endpoints.variants`), so
+    that a subscription that receives it on two of them delivers it only once.
 
     Attributes:
-        gid: the 16 bytes that name the publisher in its samples.
-        by_lane: messages sent on at least one lane.
+        gid: the 16 bytes that identify the publisher in its samples.
+        by_lane: number of messages sent on at least one lane.
     """
 
     def __init__(
@@ -334,7 +335,7 @@ class HubPublisher:
             self._latched = partial(_LatchedSink, context, options=options, qos=qos)
             self._base: _Sink = (stored := self._latched(key))
             self._stored = stored
-            self._why = "it is kept for late joiners"
+            self._why = "messages are stored for late joiners"
         else:
             self._base = self._plain(key)
             if context.lane is not None and not options.blocks:
@@ -343,7 +344,7 @@ class HubPublisher:
         self._more: dict[str, _Sink] = {}  # by type hash
         self._sinks: tuple[_Sink, ...] = (self._base,)
         """The sinks of all keys; empty once the publisher is closed."""
-        # both before the token announces the publisher
+        # register with both before the token announces the publisher
         self._variants = context.variants
         self._variants.add(self, token)
         if self._writer is not None:
@@ -351,10 +352,10 @@ class HubPublisher:
         self._withdraw = context.graph.announce(token)
 
     def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
-        """Publish CDR bytes, encapsulation header first.
+        """Publish CDR bytes, which begin with the encapsulation header.
 
-        ``source_time_ns`` is the system time of its source, by default now. Raises `HubClosedError` if the publisher or
-        its session is closed, and `HubError` if the message is larger than the hub's limit.
+        ``source_time_ns`` is the message's source timestamp (system time), by default now. Raises `HubClosedError` if
+        the publisher or its session is closed, and `HubError` if the message is larger than the hub's limit.
         """
         size = len(payload)
         if size > self._limit:
@@ -379,10 +380,10 @@ class HubPublisher:
                 raise HubClosedError(f"cannot publish on {self.topic}: {zenoh_reason(err)}") from None
 
     def pass_over(self) -> bool:
-        """Number a message without encoding it, if no subscription exists; return False if it has to be `put`.
+        """Count a message without encoding it, if no subscription exists; return False if it has to be `put`.
 
-        Messages of a volatile publisher without subscriptions reach no one. Later subscriptions see the same numbers as
-        if it had been put. Raises `HubClosedError` if the publisher is closed.
+        Nothing receives the messages of a volatile publisher without subscriptions. Later subscriptions see the same
+        sequence numbers as if the message had been put. Raises `HubClosedError` if the publisher is closed.
         """
         with self._lock:
             if not self._sinks:
@@ -398,7 +399,7 @@ class HubPublisher:
             return bool(self._sinks) and (bool(self._outlets) or self._any_matched())
 
     def _any_matched(self) -> bool:
-        # on each message; a generator would cost several times as much for one sink
+        # called for each message; a generator would cost several times as much for one sink
         for sink in self._sinks:  # noqa: SIM110
             if sink.matched():
                 return True
@@ -414,12 +415,12 @@ class HubPublisher:
             other = self._any_matched()
         if lane or self._writer is not None:
             return {(True, False): "lane", (True, True): "both", (False, True): "zenoh"}.get((lane, other), ""), (
-                "a listener is not on the lane" if other else ""
+                "a subscription is not on the lane" if other else ""
             )
         return ("zenoh" if other else ""), self._why
 
     def attach(self, outlet: Outlet) -> None:
-        """Send all further messages on a lane too, and first the number of the last message before."""
+        """Send the number of the last message on a lane, and from now on all messages as well."""
         with self._lock:
             outlet.command = outlet.command or self._command
             outlet.depth = max(outlet.depth, self._queue)
@@ -433,7 +434,7 @@ class HubPublisher:
             self._outlets = tuple(other for other in self._outlets if other is not outlet)
 
     def follow_variants(self, variants: Variants) -> None:
-        """Publish under the other hashes that subscriptions announce, to latched ones with the cached samples."""
+        """Publish also under the other hashes that subscriptions announce, with the cached samples for latched ones."""
         for type_hash, latched in variants.items():
             latched = latched and self._stored is not None
             sink = self._more.get(type_hash)
@@ -450,7 +451,7 @@ class HubPublisher:
         stored = None if self._stored is None else self._stored.stored
         restored: set[bytes] = set()
         if stored is not None and isinstance(sink, _LatchedSink):
-            # most of it without the lock: a congested link must not delay the messages on the other keys
+            # restore most samples without the lock: a congested link must not delay the messages on the other keys
             with self._lock:
                 samples = tuple(stored)
             restored.update(attached for _, attached in samples)

@@ -1,17 +1,17 @@
 """Servers and clients of services on the hub, in rmw_zenoh's format, including the three services of an action.
 
-A server is a queryable, a call is a query on the same key (`bridge.hub.wire.keys.topic_key` with the service's type and
-hash): a CDR request with an attachment, whose number and GID the reply repeats (rmw_zenoh_cpp, rmw_service_data.cpp and
-rmw_client_data.cpp). Midspan adds two extensions, which rmw_zenoh's programs ignore:
+A server is a queryable, and a call is a query on the same key (`bridge.hub.wire.keys.topic_key` with the service's type
+and hash), with a CDR request and an attachment whose number and GID the reply repeats (rmw_zenoh_cpp,
+rmw_service_data.cpp and rmw_client_data.cpp). Midspan adds two extensions, which rmw_zenoh's programs ignore:
 
-- A failed call gets zenoh's error reply with the reason as text. An rmw_zenoh client logs it and continues to wait, as
-  it cannot report it to its program.
-- zenoh does not notify a server when a client leaves. Midspan's clients publish that on ``<key>/@abandon``, with the
-  call's attachment; any other client has left when its liveliness token disappears.
+- A failed call gets a zenoh error reply with the reason as text. An rmw_zenoh client logs the error and continues to
+  wait, because it cannot report it to its program.
+- zenoh does not notify a server when a client leaves. So Midspan's clients publish the call's attachment on
+  ``<key>/@abandon``; other clients are known to have left when their liveliness tokens disappear.
 
-A server also answers calls under the hashes of the other known versions of its type, and without a hash, as Humble's
-clients make them. These queryables always exist: a client may call as soon as it sees the server's token, before the
-server sees the client's, and a lost query is not repeated.
+A server also answers calls under the hashes of the other known versions of its type, and calls without a hash, as
+Humble's clients make them. These queryables always exist, because a client may call as soon as it sees the server's
+token, before the server sees the client's token, and a lost query is not repeated.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MAX_CALLERS = 10_000
 
 
 class _HubRequest(PendingRequest):
-    """One request, and its client."""
+    """A pending request and its client."""
 
     number: int | None = None
     seen = False
@@ -103,7 +103,7 @@ class HubServer(CallServer):
 
     @override
     def _is_call(self, query: zenoh.Query) -> bool:
-        """Return whether to accept a call: not if it comes from the node itself."""
+        """Return whether to accept a call: the node's own calls are ignored."""
         attached = query.attachment
         return attached is None or attached.to_bytes()[-GID_SIZE:] not in self._own
 
@@ -158,7 +158,7 @@ class HubServer(CallServer):
             self._abandoned(request)
 
     def _look_for_callers(self) -> None:
-        """After a change of the graph, abandon the calls of clients whose tokens have disappeared."""
+        """Abandon the calls of clients whose tokens have disappeared; called after changes of the graph."""
         with self._lock:
             waiting = [
                 request for request in self._waiting if isinstance(request, _HubRequest) and request.number is not None
@@ -171,16 +171,16 @@ class HubServer(CallServer):
 
 
 class _VariantClient(CallClient):
-    """The calls of a client under another type hash, with the client's GID and numbers.
+    """Makes the calls of a client under another type hash, with the client's GID and numbers.
 
     Midspan's servers also answer under other hashes, and distinguish calls by GID and number.
 
     Args:
-        key: of the calls.
-        client: which of whose calls these are.
-        context: of the client's node.
-        changed: as of the client.
-        converters: of requests to the other version, and of replies from it.
+        key: key of the calls.
+        client: the client that makes the calls.
+        context: context of the client's node.
+        changed: called as for the client.
+        converters: convert requests to the other version, and replies from it.
     """
 
     def __init__(
@@ -225,8 +225,8 @@ class _VariantClient(CallClient):
 class HubClient(CallClient):
     """Calls one service on the hub; created by `bridge.hub.session.Hub.client`. Safe to use from any thread.
 
-    If several servers reply, the first reply counts. Servers that announce another type hash are called only while
-    there is none with the client's hash.
+    If several servers reply, the first reply is used. Servers that announce another type hash are called only while
+    there is no server with the client's hash.
 
     Attributes:
         gid: the client's 16-byte id in its requests.
@@ -260,7 +260,7 @@ class HubClient(CallClient):
         self._withdraw = context.graph.announce(token)
 
     def follow_variants(self, variants: Variants) -> None:
-        """Call under the other hashes that servers announce; the clients for these hashes end with this client."""
+        """Prepare calls under the other hashes that servers announce; the clients for them close with this client."""
         for type_hash in variants.keys() - self._more.keys():
             (name, own), convert = key_type(self._key), self._context.variants.converter
             converters = convert(name, own, type_hash, REQUEST), convert(name, type_hash, own, RESPONSE)
@@ -292,7 +292,7 @@ class HubClient(CallClient):
     @property
     @override
     def ready(self) -> bool:
-        """Return whether there is a server, other than one of the node itself."""
+        """Whether there is a server that does not belong to the node itself."""
         return self._reachable or any(variant.ready for variant in tuple(self._more.values()))
 
     @property

@@ -1,4 +1,4 @@
-"""The further keys of a subscription on zenoh, and the token that announces it."""
+"""The additional keys of a subscription on zenoh, and the token that announces the subscription."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from bridge.hub.wire.buffers import BUFFER_TYPES, CPU_BACKEND, group_key
 from bridge.hub.wire.keys import key_type, key_variant
 
 End = Callable[[], None]
-"""Ends what was declared on zenoh."""
+"""Ends a declaration on zenoh."""
 
 
 class SubscribedKeys:
     """The keys of a subscription that follow the graph: those of other hashes, and the topic's CPU group.
 
     Args:
-        declare: subscribes to the key of another hash, with the conversion of its messages.
+        declare: subscribes to the key of another hash, given the conversion of its messages.
         declare_group: subscribes to the key of the CPU group.
     """
 
@@ -39,15 +39,15 @@ class SubscribedKeys:
         self._end_group = declare_group(group_key(key)) if self._type_name in BUFFER_TYPES else None
 
     def announce(self) -> None:
-        """Announce the subscription, in the CPU group if it is in it, instead of as before."""
+        """Announce the subscription, as a member of the CPU group if it is one; replaces an earlier announcement."""
         if self._withdraw is not None:
-            # the old token goes first: releases before Lyrical do not distinguish the two
+            # withdraw the old token first, because releases before Lyrical do not distinguish the two
             self._withdraw()
         token = self._token if self._end_group is None else f"{self._token}/{CPU_BACKEND}"
         self._withdraw = self._context.graph.announce(token)
 
     def follow_variants(self, variants: Variants) -> None:
-        """Subscribe under the other hashes that publishers announce, and in the CPU group if one has buffers."""
+        """Subscribe under the other hashes that publishers announce, and to the CPU group if one has buffers."""
         if self._end_group is None and self._context.graph.has_buffers(self._topic, self._type_name):
             self._end_group = self._declare_group(group_key(self._key))
             if self._withdraw is not None:

@@ -24,17 +24,17 @@ from bridge.resources import LARGE_MESSAGES
 _log = logging.getLogger(__name__)
 _MAX_SOURCES = 4096
 _SPARED = 64
-"""Maximum number of publishers that are remembered although they are not on the graph."""
+"""Maximum number of remembered publishers that are not in the graph."""
 _MAX_GAP = 1_000_000
 
 MAX_HELD_BYTES = 256 << 20
-"""Maximum bytes of one subscription's held samples, with `OVERHEAD` for each of them."""
+"""Maximum size in bytes of one subscription's held samples, including `OVERHEAD` for each sample."""
 
 OVERHEAD = 256
 """Bytes that a held sample uses in addition to its payload."""
 
 _CURE = (
-    "limit the topic's rate by a rule, or where the messages are large raise, in hub.zenoh of the sender's machine,"
+    "limit the topic's rate by a rule, or if the messages are large raise, in hub.zenoh of the sender's machine,"
     " transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments (docs/sides/hub.md, Congestion)"
 )
 
@@ -43,12 +43,12 @@ Refused = Callable[[str, str], None]
 
 
 class HubSample:
-    """One received message.
+    """A received message.
 
     Attributes:
-        payload: zenoh's bytes, not copied yet; from a lane the bytes.
+        payload: zenoh's buffer, which is not copied yet, or the bytes from a lane.
         gid: the publisher's 16-byte id.
-        zid: its session, "" if it is unknown.
+        zid: the publisher's session, "" if it is unknown.
     """
 
     __slots__ = ("gid", "payload", "sequence", "source_time_ns", "zid")
@@ -67,11 +67,11 @@ class HubSample:
 
 
 class PublisherState:
-    """A subscription's state of one publisher.
+    """The state that a subscription stores for one publisher.
 
     Attributes:
-        paired: it is ours, and may send over both transports at once.
-        sparse: it counts samples that it sends to others, so that gaps are no losses.
+        paired: the publisher belongs to a worker of this daemon, and may use both transports at the same time.
+        sparse: the publisher's numbers also count samples that it sends to other keys, so that gaps are not losses.
     """
 
     __slots__ = ("held", "paired", "sequence", "sparse", "time_ns", "zid")
@@ -84,7 +84,7 @@ class PublisherState:
         self.held: dict[int, HubSample] = {}
 
     def accept(self, sample: HubSample) -> int | None:
-        """Mark a sample as delivered; return the result of `gap`, None if it must not be delivered."""
+        """Mark a sample as delivered unless it already was; return the result of `gap`."""
         last, number = self.sequence, sample.sequence
         missing = 0 if last is not None and number == last + 1 else self.gap(sample)
         if missing is not None:
@@ -92,12 +92,12 @@ class PublisherState:
         return missing
 
     def gap(self, sample: HubSample) -> int | None:
-        """Return the number of samples missing before this sample, None if it was delivered already."""
+        """Return the number of samples missing before this sample, None if it was already delivered."""
         last = self.sequence
         if last is None:
             return 0
         if sample.sequence <= last:
-            # a publisher that keeps its GID restarted its numbers, unless the sample is older or the last one again
+            # unless the sample is older or repeats the last one, its publisher restarted its numbers with the same GID
             again = sample.sequence == last and sample.source_time_ns == self.time_ns
             return None if again or 0 < sample.source_time_ns <= self.time_ns else 0
         missing = sample.sequence - last - 1
@@ -105,12 +105,12 @@ class PublisherState:
 
 
 class PublisherStates(dict[bytes, PublisherState]):
-    """A subscription's state of each publisher, by GID; of publishers that have left, only the newest are stored.
+    """A subscription's state for each publisher, by GID; of publishers that have left, only the newest are stored.
 
     Not thread-safe: the lock of the subscription guards it, with the states and the held samples.
 
     Attributes:
-        held_bytes: bytes of all held samples, with `OVERHEAD` for each of them.
+        held_bytes: size of all held samples in bytes, including `OVERHEAD` for each sample.
     """
 
     def __init__(self, graph: HubGraph) -> None:
@@ -120,7 +120,7 @@ class PublisherStates(dict[bytes, PublisherState]):
         self.held_bytes = 0
 
     def of(self, message: HubSample, sample: zenoh.Sample | ConvertedSample) -> PublisherState:
-        """Return the state of a sample's publisher; set the session of both."""
+        """Return the state of a sample's publisher; set the session of the state and of the message."""
         source = self.get(message.gid) or self.add(message.gid)
         if not source.zid:
             info = sample.source_info
@@ -129,14 +129,14 @@ class PublisherStates(dict[bytes, PublisherState]):
         return source
 
     def add(self, gid: bytes, zid: str = "") -> PublisherState:
-        """Return the state of a new publisher."""
+        """Create and return the state of a new publisher."""
         if len(self) >= self._room:
             self._make_room()
         source = self[gid] = PublisherState(zid)
         return source
 
     def _make_room(self) -> None:
-        """Drop publishers that have left; some participants (zenoh-ros2-sdk) were never on the graph."""
+        """Drop publishers that have left, but not the newest: some (zenoh-ros2-sdk) were never in the graph."""
         departed = [gid for gid, source in self.items() if not source.held and not self._graph.zid_of(gid)]
         for gid in departed[:-_SPARED]:
             del self[gid]
@@ -145,7 +145,7 @@ class PublisherStates(dict[bytes, PublisherState]):
         self._room = min(2 * (len(self) + _SPARED), _MAX_SOURCES)
 
     def hold(self, source: PublisherState, message: HubSample) -> bool:
-        """Hold a sample; return False if the limits are reached."""
+        """Hold a sample; return False if the limit is reached."""
         if message.sequence in source.held:
             return True
         if self.held_bytes + len(message.payload) + OVERHEAD > MAX_HELD_BYTES:
@@ -154,7 +154,7 @@ class PublisherStates(dict[bytes, PublisherState]):
         return True
 
     def hold_anyway(self, source: PublisherState, message: HubSample) -> None:
-        """Hold a sample beyond the limits, for a moment."""
+        """Hold a sample for a moment, regardless of the limit."""
         source.held[message.sequence] = message
         self.held_bytes += len(message.payload) + OVERHEAD
 
@@ -170,7 +170,7 @@ class PublisherStates(dict[bytes, PublisherState]):
 
 
 class Losses:
-    """Counts the samples that were numbered but never arrived, by publisher and session.
+    """Counts by publisher and session the samples that were numbered but never arrived.
 
     Not thread-safe: the lock of the subscription guards it.
     """
@@ -180,7 +180,7 @@ class Losses:
         self._sources: Counter[tuple[bytes, str]] = Counter()
 
     def add(self, count: int, message: HubSample) -> None:
-        """Count the samples missing before one that has arrived."""
+        """Count the samples that are missing before one that has arrived."""
         self.count += count
         self._sources[message.gid, message.zid] += count
         while len(self._sources) > _SPARED:
@@ -197,10 +197,10 @@ class SampleReader:
     Any number of threads may read at once. Only `close` uses the lock, so it never waits for a callback.
 
     Attributes:
-        limit: bytes of the largest message.
-        originals: whether it leaves out samples that their publisher converted to another version of the type.
-        refused: number of samples without a valid attachment, or too large.
-        closed: whether it reads no samples any longer.
+        limit: maximum size of a message in bytes.
+        originals: whether it ignores samples that their publisher converted to another version of the type.
+        refused: number of samples that are too large or lack a valid attachment.
+        closed: whether it has stopped reading samples.
     """
 
     def __init__(self, topic: str, own: Collection[bytes], limit: int, on_refused: Refused | None) -> None:
@@ -211,13 +211,13 @@ class SampleReader:
         self._closing = Lock()
 
     def close(self) -> bool:
-        """Read no further samples; return whether this is the first call."""
+        """Stop reading samples; return whether this is the first call."""
         with self._closing:
             before, self.closed = self.closed, True
         return not before
 
     def read(self, sample: zenoh.Sample | ConvertedSample) -> HubSample | None:
-        """Return a sample, still without its session; None if it must not be delivered."""
+        """Return a sample, whose session is not set yet; None if it must not be delivered."""
         keep_thread_state()
         if self.closed or (self.originals and sample.encoding == CONVERTED):
             return None
@@ -251,16 +251,16 @@ class SampleReader:
 
 
 class HubSubscription:
-    """Receives one topic; made by `bridge.hub.session.Hub.subscription`. This class is for volatile topics.
+    """Receives one topic; created by `bridge.hub.session.Hub.subscription`. This class is for volatile topics.
 
-    Locks: ``_lock`` guards ``sources`` and the losses. `close` never acquires it: its caller may hold a lock that the
-    callback waits for.
+    Locks: ``_lock`` guards ``sources`` and the losses. `close` never acquires it, because the caller of `close` may
+    hold a lock for which the callback waits.
 
     Attributes:
         sources: the state of each publisher.
-        way: ``lane`` or ``zenoh``.
-        why: the reason if it is not the lane, otherwise "".
-        by_lane: samples that arrived over the lane.
+        way: the transport, ``lane`` or ``zenoh``.
+        why: the reason for using zenoh, "" for the lane.
+        by_lane: number of samples that arrived over the lane.
     """
 
     way = "zenoh"
@@ -294,14 +294,15 @@ class HubSubscription:
         self._keys.announce()
 
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
-        """Subscribe on zenoh; return a function that ends it.
+        """Subscribe on zenoh; return a function that ends the subscription.
 
-        The callback is direct, without a thread per subscription: zenoh's receiving thread only appends and wakes.
+        zenoh's receiving thread runs the callback directly, without a thread per subscription: it only appends and
+        wakes.
         """
         return partial(undeclare, subscribe(context.session, key, self._on_sample, context.reach))
 
     def _declare_group(self, context: EndpointContext, key: str) -> Callable[[], None]:
-        """Subscribe to the topic's CPU group on zenoh; return a function that ends it."""
+        """Subscribe to the topic's CPU group on zenoh; return a function that ends the subscription."""
         return partial(undeclare, subscribe(context.session, key, self._on_grouped, context.reach))
 
     def _on_grouped(self, sample: zenoh.Sample) -> None:
@@ -314,7 +315,7 @@ class HubSubscription:
         self._on_sample(sample)
 
     def _declare_more(self, context: EndpointContext, key: str, convert: Convert) -> Callable[[], None]:
-        """Subscribe to a further key on zenoh; return a function that ends it."""
+        """Subscribe to an additional key on zenoh; return a function that ends the subscription."""
         receive = self._on_sample if convert is same else partial(self._on_other, convert, self._on_sample)
         return partial(undeclare, subscribe(context.session, key, receive, context.reach))
 
@@ -339,9 +340,9 @@ class HubSubscription:
             self._on_close(self)
 
     def request_again(self, gid: bytes, zid: str, forget: Callable[[], None]) -> None:
-        """Deliver the samples that a latched publisher of a session caches again; other publishers cache none.
+        """Deliver again the samples that a latched publisher of a session caches; other publishers cache none.
 
-        ``forget`` forgets the samples of the publisher that the callback has received; none arrives meanwhile.
+        ``forget`` is called to drop the publisher's samples that the callback has received; none arrives meanwhile.
         """
 
     def _on_sample(self, sample: zenoh.Sample | ConvertedSample) -> None:
@@ -363,16 +364,16 @@ class HubSubscription:
 
     @property
     def refused(self) -> int:
-        """Samples that were left out: without a valid attachment, or too large."""
+        """Number of samples that were not delivered because they are too large or lack a valid attachment."""
         return self._reader.refused
 
     @property
     def lost(self) -> int:
-        """Samples that publishers numbered and that never arrived."""
+        """Number of samples that publishers numbered but that never arrived."""
         return self._losses.count
 
     def losses(self) -> str:
-        """Return why messages were lost and what to do, "" if none were."""
+        """Return why messages were lost and how to avoid that, "" if none were lost."""
         with self._lock:
             lost = self._losses.sources()
         if not lost:

@@ -1,10 +1,10 @@
-"""Key variants: additional keys of endpoints, one for each other type hash that peers on the same topic announce.
+"""Key variants: additional keys of an endpoint, one for each other type hash that peers on the same topic announce.
 
 A key ends with the hash of its type (`bridge.hub.wire.keys`), which differs between releases of ROS 2. An endpoint uses
 the key with its own hash, and the keys with the other hashes of its counterparts: subscriptions for a publisher,
-publishers for a subscription, servers for a client. It converts the messages of the other keys (`TypeVersions`); those
-of `NO_HASH` (Humble) usually need no conversion. A publisher or subscription uses a variant while the graph has such a
-counterpart. Subscriptions also have the key of the CPU group (`bridge.hub.wire.buffers`).
+publishers for a subscription, servers for a client. It converts the messages on the other keys (`TypeVersions`); those
+of `NO_HASH` (Humble) usually need no conversion. A publisher or subscription uses a variant while the graph has a
+counterpart with that hash. Subscriptions also use the key of the CPU group (`bridge.hub.wire.buffers`).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ Convert = Callable[[bytes], bytes]
 """Converts a message to another version of its type; raises `bridge.messages.errors.ConversionError`."""
 
 Variants = Mapping[str, bool]
-"""The other hashes that the counterparts of an endpoint announce, and whether any of these is latched."""
+"""The other hashes that an endpoint's counterparts announce, each with whether such a counterpart is latched."""
 
 CONVERTED = zenoh.Encoding("application/cdr;converted")
-"""Encoding of a sample that a publisher converted from its own version of the type; others have none."""
+"""Encoding of a sample that a publisher converted from its own version of the type; other samples have none."""
 
 REQUEST, RESPONSE = "Request", "Response"
 
@@ -51,10 +51,10 @@ class TypeVersions(Protocol):
         """Return the hashes of all known versions of a type."""
 
     def here(self, type_name: str, type_hash: str) -> str:
-        """Return the hash that this machine uses for a type announced with a hash; the same if it is unknown."""
+        """Return the hash that this machine uses for a type announced with a hash; the same one if it is unknown."""
 
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
-        """Return the converter between two versions of a type, or of a service's request or response; None: unknown."""
+        """Return the converter between two versions of a type, or of part of a service; None if one is unknown."""
 
     def losses(
         self, type_name: str, source: str, target: str, part: str = ""
@@ -62,11 +62,11 @@ class TypeVersions(Protocol):
         """Return the fields that are left out between two versions, and those that may be rounded or refused."""
 
     def release(self, type_name: str, type_hash: str) -> str:
-        """Return the first release or folder that has a version, "" if none has it."""
+        """Return the first release or folder that contains a version, "" if none does."""
 
 
 class OneVersion(TypeVersions):
-    """The versions for a node without definitions: every peer without a hash has the node's version."""
+    """The versions for a node without definitions, which assumes that peers without a hash have the same version."""
 
     @override
     def hashes(self, type_name: str) -> Collection[str]:
@@ -95,12 +95,12 @@ class VariedEndpoint(Protocol):
     """An endpoint with key variants."""
 
     def follow_variants(self, variants: Variants) -> None:
-        """Add and remove keys; called by one thread at a time, also after the endpoint has closed. It may block."""
+        """Add and remove keys; called by one thread at a time, possibly after the endpoint was closed. May block."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Followed:
-    """An endpoint's counterpart, None if its key covers all hashes, and the lock that serializes its updates."""
+    """An endpoint's ``counterpart``, None if the key covers all hashes, and the lock that serializes the updates."""
 
     topic: str
     type_hash: str
@@ -112,8 +112,8 @@ class _Followed:
 class KeyVariants:
     """Updates the key variants of one node's endpoints when the graph changes. Safe to use from any thread.
 
-    The updates run on the executor, since zenoh's thread, which reports the tokens, must not block. No lock is held
-    for all endpoints meanwhile: an update may wait for a congested link, and new endpoints must not wait for it.
+    The updates run on the executor, because zenoh's thread, which reports the tokens, must not block. No common lock is
+    held meanwhile, because an update may wait for a congested link, and new endpoints must not wait for the update.
 
     Attributes:
         versions: the known versions of types, set before the endpoints exist.
@@ -128,7 +128,7 @@ class KeyVariants:
         self.close: Callable[[], None] = graph.watch(self._graph_changed)
 
     def add(self, endpoint: VariedEndpoint, token: str, *, exact: bool = False) -> None:
-        """Add an endpoint's key variants, before its token announces it; then follow the graph.
+        """Add an endpoint's key variants, and follow the graph; call this before the endpoint's token is announced.
 
         An ``exact`` endpoint has only the variant of `NO_HASH`.
         """
@@ -142,12 +142,12 @@ class KeyVariants:
         self._update(endpoint, followed)
 
     def remove(self, endpoint: VariedEndpoint) -> None:
-        """Stop updating an endpoint; does not wait for an update of it."""
+        """Stop updating an endpoint, without waiting for an update in progress."""
         with self._lock:
             self._endpoints.pop(endpoint, None)
 
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert:
-        """Return the converter between two versions that a variant is for."""
+        """Return the converter between the two versions of a variant."""
         return self.versions.converter(type_name, source, target, part) or same
 
     def _graph_changed(self) -> None:
@@ -162,7 +162,7 @@ class KeyVariants:
         for endpoint, followed in endpoints:
             try:
                 self._update(endpoint, followed)
-            except Exception as err:  # the next change of the graph repeats it
+            except Exception as err:  # the next change of the graph repeats the update
                 _log.warning("%s: cannot update the keys for other releases: %s", followed.topic, err)
 
     def _update(self, endpoint: VariedEndpoint, followed: _Followed) -> None:
@@ -194,5 +194,5 @@ class ConvertedSample:
     def __init__(self, sample: zenoh.Sample, convert: Convert) -> None:
         self.attachment, self.kind, self.source_info = sample.attachment, sample.kind, sample.source_info
         self.key_expr, self.encoding, payload = sample.key_expr, sample.encoding, sample.payload
-        # an empty sample of a cache that was cleared stays empty
+        # an empty sample, from a cache that was cleared, stays empty
         self.payload = zenoh.ZBytes(convert(payload.to_bytes())) if len(payload) else payload

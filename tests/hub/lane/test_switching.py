@@ -86,7 +86,7 @@ def test_foreign_publishers_are_received_again(network: HubNetwork, reader: Hub,
         strange.put(b"from afar")
         ours.put(b"from here")
         subscriber.expect("from afar", "from here")
-        until(lambda: ours.way() == ("zenoh", "a listener is not on the lane"), "the publisher knows")
+        until(lambda: ours.way() == ("zenoh", "a subscription is not on the lane"), "the publisher knows")
 
 
 def test_other_subscribers_receive_lane_messages(network: HubNetwork, reader: Hub, writer: Hub) -> None:
