@@ -1,1 +1,1 @@
-"""Other machines: the external listener that they connect to, their certificates, and what they may do."""
+"""Access of other machines: the external listener, certificates, and access rules."""

@@ -1,11 +1,11 @@
 """Access rights of other machines on the hub: zenoh's access rules for the external listener.
 
-A machine with a trusted name may do everything. Any other machine with a certificate may subscribe, query stored values
-and states, reply, and publish everything except commands (`bridge.config.rules`).
+A machine with a trusted name may do everything. Any other machine with a certificate (a guest) may subscribe, query
+stored values and states, reply, and publish everything except commands (`bridge.config.rules`).
 
-zenoh denies a key if the rule's expression includes it, not if the two intersect: ``**`` would pass a rule that denies
-``*/cmd_vel/**``, and a put on ``**`` reaches every subscription. So these rules only allow. A guest may publish on
-expressions that do not intersect any command's key: types whose endings differ from those of commands.
+zenoh denies a key if the rule's expression includes it, but not if they only intersect: ``**`` would pass a rule that
+denies ``*/cmd_vel/**``, and a put on ``**`` reaches every subscription. So these rules only allow. A guest may publish
+on expressions that do not intersect any command's key, because their types end differently from those of commands.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bridge.hub.graph.tokens import ADMIN_SPACE, MIDSPAN_SPACE
 from bridge.hub.wire.keys import NO_HASH, dds_type_name, hash_chunk
 
 ANYBODY = "*"
-"""Entry of the list of trusted names that means every machine that may join."""
+"""The entry in the list of trusted names that stands for every machine that may join."""
 
 _CACHES = "**/@adv/**"
 _STORE = "midspan/store"
@@ -33,7 +33,7 @@ _LISTENING = ("declare_subscriber", "liveliness_token", "liveliness_query", "dec
 _EVERYTHING = ("put", "delete", "query", "reply", "declare_queryable", *_LISTENING)
 
 _HASHES = ("RIHS01_$*", hash_chunk(NO_HASH))
-"""Last parts of keys: a type's hash, or Humble's word for none."""
+"""Last parts of keys: a type's hash, or Humble's text for a missing hash."""
 
 _GOAL = "Goal_"
 """Endings of goal and cancel types: MoveBaseActionGoal_, NavigateToPose_SendGoal_, CancelGoal_."""
@@ -45,10 +45,10 @@ QUESTIONS = (
 """Services that change nothing."""
 
 _READING = (f"{_STORE}/**", f"{_STORE}/*/@sync/digest/**", f"{_STORE}/*/@sync/fetch/**")
-"""Stored values (`bridge.stores`): every machine that may join reads them, only trusted ones change them."""
+"""Stored values (`bridge.stores`): every machine that may join can read them, but only trusted ones can change them."""
 
 _ANSWERS = tuple(f"*/**/$*::{middle}::dds_::$*/{end}" for middle in ("srv", "action") for end in _HASHES)
-"""A server may reply to its clients, also to goal requests."""
+"""Keys on which a server may reply to its clients, including replies to goal requests."""
 
 _TYPE_LETTERS = string.ascii_letters + string.digits + "_:"
 _NAME_LETTERS = string.ascii_letters + string.digits + "_-."
@@ -57,8 +57,8 @@ _NAME_LETTERS = string.ascii_letters + string.digits + "_-."
 def access_control(section: OpenSection, routing: RoutingSection, loopback: Sequence[str]) -> dict[str, Any]:
     """Return the ``access_control`` of the external listener's zenoh configuration.
 
-    The routing rules name commands in addition to the usual ones. ``loopback`` has this machine's loopback interfaces,
-    which are used only without TLS.
+    The routing rules may define additional commands. ``loopback`` lists this machine's loopback interfaces, which are
+    used only without TLS.
     """
     local = {"interfaces": list(loopback)} if section.insecure else {"link_protocols": ["tcp", "unixsock-stream"]}
     others: dict[str, Any] = {} if section.insecure else {"link_protocols": ["tls", "quic"]}
@@ -94,9 +94,9 @@ def access_control(section: OpenSection, routing: RoutingSection, loopback: Sequ
 
 
 def harmless_keys(commanding: Mapping[str, Iterable[str]]) -> list[str]:
-    """Return key expressions that cover all samples except commands, provided that types are spelled as in ROS.
+    """Return key expressions that cover all samples except commands, for types that are spelled as in ROS.
 
-    ``commanding`` has the types of commands, with the last parts of their topics' names (words, maybe ending in ``*``).
+    ``commanding`` maps the types of commands to the last parts of their topics' names (words that may end in ``*``).
     """
     types = {type_name: dds_type_name(type_name) for type_name in commanding}
     endings = {_GOAL, *(f":{name.rpartition(':')[2]}" for name in types.values())}
@@ -108,7 +108,7 @@ def harmless_keys(commanding: Mapping[str, Iterable[str]]) -> list[str]:
 
 
 def not_ending(tail: str, endings: Iterable[str]) -> Iterator[str]:
-    """Yield expressions for the chunks that end with ``tail`` but with none of the (longer) endings."""
+    """Yield expressions for the chunks that end with ``tail``, but not with any of the (longer) endings."""
     longer = {ending for ending in endings if ending.endswith(tail)}
     if tail in longer:
         return
@@ -119,7 +119,7 @@ def not_ending(tail: str, endings: Iterable[str]) -> Iterator[str]:
 
 
 def not_beginning(head: str, words: Iterable[str]) -> Iterator[str]:
-    """Yield expressions for the chunks that begin with ``head`` but match none of the words (some end in ``*``)."""
+    """Yield expressions for the chunks that begin with ``head``, but match none of the words (some end in ``*``)."""
     longer = {text for text in words if text.startswith(head)}
     if f"{head}*" in longer:
         return

@@ -1,8 +1,8 @@
-"""Certificates that identify machines: one authority for the fleet, and one certificate per machine.
+"""Certificates that identify machines, issued by one authority for the whole fleet.
 
-The authority is ``ca.pem`` and ``ca.key`` in a folder, a machine's files are ``<name>.pem`` and ``<name>.key``. The
-machine's name is its certificate's common name, which ``hub.open.trusted`` lists. The names and addresses that others
-connect by are in its subjectAltName; TLS compares only those.
+The authority's files are ``ca.pem`` and ``ca.key`` in a folder; a machine's files are ``<name>.pem`` and
+``<name>.key``. The machine's name is its certificate's common name, which ``hub.open.trusted`` lists. The names and
+addresses under which others connect are in its subjectAltName; TLS compares only those.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _HOST = re.compile(
     r"(?=.{1,253}$)[A-Za-z0-9_](?:[A-Za-z0-9_-]*[A-Za-z0-9_])?(?:\.[A-Za-z0-9_](?:[A-Za-z0-9_-]*[A-Za-z0-9_])?)*"
 )
 _EARLIER = timedelta(days=1)
-"""Certificates are valid from the day before, for machines whose clocks run late."""
+"""Certificates are valid from the day before, for machines whose clocks are slow."""
 
 
 class CertificateError(Exception):
-    """A certificate cannot be made or read; the text has the reason."""
+    """A certificate cannot be created or read; the text is the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,8 @@ class Certificate:
     """The content of a certificate.
 
     Attributes:
-        names: names and addresses that others connect by.
-        authority: whether it signs others.
+        names: names and addresses under which others connect.
+        authority: whether it may sign other certificates.
     """
 
     file: Path
@@ -59,33 +59,36 @@ class Certificate:
     authority: bool
 
     def days_left(self) -> int:
-        """Return the days until it expires; negative if it has expired."""
+        """Return the number of days until it expires; negative if it has expired."""
         return (self.until - datetime.now(UTC)).days
 
     def begins_later(self) -> bool:
-        """Whether it is not valid yet by this machine's clock."""
+        """Return whether it is not valid yet according to this machine's clock."""
         return self.since > datetime.now(UTC)
 
 
 class Authority:
-    """The authority in a folder.
+    """The authority whose files are in a folder.
 
     Attributes:
-        folder: of its files, and of those that it makes.
+        folder: contains the authority's files and those of the machines.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def exists(self) -> bool:
-        """Whether its files exist."""
+        """Return whether any of its files exists."""
         return (self.folder / f"{AUTHORITY}.pem").exists() or (self.folder / f"{AUTHORITY}.key").exists()
 
     def make(self, days: int = AUTHORITY_DAYS) -> Certificate:
-        """Make the authority; raises `CertificateError` if it exists: a second one would sign in vain."""
+        """Create the authority.
+
+        Raises `CertificateError` if it exists: machines would not accept certificates of a second authority.
+        """
         if self.exists():
             raise CertificateError(
-                f"there is an authority in {self.folder} already; every machine's certificate depends on it"
+                f"there is already an authority in {self.folder}; every machine's certificate depends on it"
             )
         key = ec.generate_private_key(ec.SECP256R1())
         name = _x509_name("midspan authority")
@@ -100,21 +103,21 @@ class Authority:
     def issue(
         self, name: str, names: Sequence[str] = (), days: int = MACHINE_DAYS, *, replace: bool = False
     ) -> Certificate:
-        """Make a machine's key and certificate.
+        """Create a machine's key and certificate.
 
         Args:
-            name: the machine's; the certificate is valid for it and for ``<name>.local`` too.
-            names: further host names and IP addresses that others connect to it by.
-            days: of validity, at most as long as the authority is valid.
+            name: the machine's name; the certificate is valid for it and for ``<name>.local``.
+            names: further host names and IP addresses under which others connect to the machine.
+            days: days of validity, limited by the authority's validity.
             replace: replace an existing certificate.
 
         Raises:
-            CertificateError: it exists already, a name is invalid, or the authority cannot be used.
+            CertificateError: the certificate already exists, a name is invalid, or the authority cannot be used.
         """
         wanted = general_names(name, names)
         existing = [file for file in (self.folder / f"{name}{end}" for end in (".pem", ".key")) if file.exists()]
         if existing and not replace:
-            raise CertificateError(f"{existing[0]} is there already; --replace makes a new one in its place")
+            raise CertificateError(f"{existing[0]} already exists; --replace creates a new one in its place")
         signer, signer_key = self._load()
         key = ec.generate_private_key(ec.SECP256R1())
         certificate = (
@@ -139,10 +142,10 @@ class Authority:
         except (OSError, ValueError, TypeError) as err:
             raise CertificateError(f"the authority's key cannot be used: {err}") from None
         if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
-            raise CertificateError(f"{file} is not the key of {AUTHORITY}.pem beside it")
+            raise CertificateError(f"{file} is not the key of {AUTHORITY}.pem in the same folder")
         if certificate.not_valid_after_utc < datetime.now(UTC):
             raise CertificateError(
-                f"the authority in {self.folder} has expired; make a new one in another folder, and new certificates"
+                f"the authority in {self.folder} has expired; create a new one in another folder, and new certificates"
             )
         return certificate, key
 
@@ -161,7 +164,7 @@ class Authority:
 
 
 def read_certificate(file: Path) -> Certificate:
-    """The content of a certificate file; raises `CertificateError`."""
+    """Return the content of a certificate file; raises `CertificateError`."""
     certificate = _load(file)
     try:
         alternatives = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
@@ -179,7 +182,7 @@ def read_certificate(file: Path) -> Certificate:
 
 
 def signed_by(file: Path, authority: Path) -> bool:
-    """Whether an authority signed a certificate; raises `CertificateError` if one cannot be read."""
+    """Return whether an authority signed a certificate; raises `CertificateError` if a file cannot be read."""
     try:
         _load(file).verify_directly_issued_by(_load(authority))
     except (InvalidSignature, ValueError, TypeError):
@@ -188,7 +191,7 @@ def signed_by(file: Path, authority: Path) -> bool:
 
 
 def trouble(files: KeyFiles) -> str:
-    """Return why no machine accepts this certificate now, "" if they do."""
+    """Return why no machine accepts this certificate now, "" if no reason is known."""
     try:
         files.check()
         certificate, signed = read_certificate(files.certificate), signed_by(files.certificate, files.ca)
@@ -254,7 +257,7 @@ def _common_name(name: x509.Name) -> str:
 
 
 def general_names(name: str, names: Sequence[str] = ()) -> list[x509.GeneralName]:
-    """Return the host names and addresses of a machine's certificate; raises `CertificateError` if one is invalid."""
+    """Return the host names and addresses for a machine's certificate; raises `CertificateError` if one is invalid."""
     if not _NAME.fullmatch(name) or name == AUTHORITY:
         raise CertificateError(
             f"{name!r} is not a machine's name: letters, digits, '_', '.' and '-', not {AUTHORITY!r}"
@@ -275,7 +278,7 @@ def _general_name(name: str) -> x509.GeneralName:
 
 
 def write_private(file: Path, content: bytes) -> None:
-    """Write a file that only its owner can read, completely or not at all."""
+    """Write a file that only its owner can read, either completely or not at all."""
     new = file.with_name(file.name + ".new")
     new.unlink(missing_ok=True)
     handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

@@ -1,8 +1,8 @@
-"""The state of each endpoint of ``hub.open``, with the reason if other machines are not connected by it.
+"""The state of each endpoint of ``hub.open``, with the reason if it connects no other machine.
 
-zenoh reports links, so an endpoint with a link is connected. Why one has none comes from a test connection
-(`bridge.hub.security.handshake`) at a bounded rate, and for protocols that cannot be tested from zenoh's log. Why a
-listener refuses a machine is only in zenoh's log (`bridge.hub.security.zenoh_log`).
+An endpoint is connected if zenoh reports a link for it. Why it has no link is found by test connections
+(`bridge.hub.security.handshake`) at a limited rate, or in zenoh's log for protocols that cannot be tested. Why a
+listener refuses a machine can be found only in zenoh's log (`bridge.hub.security.zenoh_log`).
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ _log = logging.getLogger(__name__)
 
 POLL_SECONDS = 1.0
 FIRST_SECONDS = 2.0
-"""Time without a link before the first test; zenoh connects within this time if nothing is wrong."""
+"""Seconds without a link before the first test; zenoh connects within this time if nothing is wrong."""
 
 TEST_SECONDS = 10.0
-"""Time between two tests of one endpoint."""
+"""Seconds between two tests of one endpoint."""
 
 REFUSAL_SECONDS = 15.0
-"""A listener counts as refusing for this time after its last refusal; zenoh retries a connection at least every 4 s."""
+"""Seconds for which a listener counts as refusing after its last refusal; zenoh retries at least every 4 s."""
 
 _ADDRESS_SECONDS = 3.0
-"""How long to search for the refused machine's address before the refusal is reported without it."""
+"""Seconds to search for the refused machine's address before the refusal is reported without it."""
 
 _PASSES = 2
-"""Successful tests without a link before the endpoint counts as one that opens no session: zenoh may be connecting."""
+"""Number of successful tests without a link before the state is "no session": after one, zenoh may be connecting."""
 
 _TROUBLE_SECONDS = 60.0
-"""Time between two checks whether this machine's certificate has expired."""
+"""Seconds between two checks of whether this machine's certificate has expired."""
 
 _THREADS = 4
 _MOST_CAUSES, _MOST_CALLERS, _MOST_LOGGED = 8, 5, 1000
@@ -63,11 +63,11 @@ class ZenohLink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class EndpointStatus:
-    """One endpoint as the router's status document has it.
+    """One endpoint as reported in the router's status document.
 
     Attributes:
         way: ``connect`` or ``listen``.
-        machine: the name in the other machine's certificate, "" if it is not known; "" of a listener.
+        machine: the name in the other machine's certificate; "" if it is unknown or the endpoint is a listener.
         since: system time at which the state began, in s.
     """
 
@@ -81,12 +81,12 @@ class EndpointStatus:
 
     @property
     def good(self) -> bool:
-        """Whether nothing needs to be done."""
+        """Whether the state requires no action."""
         return EndpointState(self.state).good
 
     @override
     def __str__(self) -> str:
-        """For people, without the time."""
+        """Return the status for people, without the time."""
         text = f"hub.open.{self.way} {self.endpoint}: {self.state}"
         if self.reason:
             return f"{text}: {self.reason}"
@@ -94,7 +94,7 @@ class EndpointStatus:
 
 
 def closed_endpoints(listen: Sequence[str], connect: Sequence[str], reason: str, since: float) -> list[EndpointStatus]:
-    """Return the endpoints of a router that could not open them."""
+    """Return the statuses of a router's endpoints that it could not open."""
     places = [(place, "listen") for place in listen] + [(place, "connect") for place in connect]
     return [
         EndpointStatus(place, direction, EndpointState.CLOSED, reason, "", "", since) for place, direction in places
@@ -114,7 +114,7 @@ class _Endpoint:
         return self.place is not None and self.place.protocol in ("tls", "quic")
 
     def set(self, reason: Reason, machine: str = "") -> bool:
-        """Enter a state, or give it another reason; return False if nothing has changed."""
+        """Set the state and its reason; return False if nothing has changed."""
         before = self.status
         since = before.since if reason.state == before.state else time.time()
         self.status = EndpointStatus(
@@ -124,7 +124,7 @@ class _Endpoint:
 
 
 class _Connect(_Endpoint):
-    """An endpoint that the router connects to."""
+    """An endpoint to which the router connects."""
 
     def __init__(self, endpoint: str, identity: Identity | None) -> None:
         super().__init__(endpoint, "connect", EndpointState.CONNECTING)
@@ -137,7 +137,7 @@ class _Connect(_Endpoint):
         self._reported = ""
 
     def poll(self, links: Collection[ZenohLink], pool: WorkerPool, zenoh_log: ZenohLog | None, now: float) -> None:
-        """Compare the endpoint with the links, and test it if it has had none for a while."""
+        """Compare the endpoint with the links, and test it if it has had no link for a while."""
         if self.place is None:
             return
         if self._test is not None and self._test.done():
@@ -160,7 +160,7 @@ class _Connect(_Endpoint):
             self._start_test(pool, now)
 
     def _link(self, links: Collection[ZenohLink]) -> ZenohLink | None:
-        """Return the link of an endpoint, or another link to the same machine: zenoh makes one in each direction."""
+        """Return the endpoint's link, or another link to the same machine: zenoh opens one in each direction."""
         matching = (link for link in links if re.split(r"[?#]", link.dst)[0] in self._addresses)
         others = (link for link in links if self._machine and link.auth_identifier == self._machine)
         return next(matching, None) or next(others, None)
@@ -175,7 +175,7 @@ class _Connect(_Endpoint):
         self._due = self._unlinked + FIRST_SECONDS if now < self._unlinked + FIRST_SECONDS else now + TEST_SECONDS
 
     def _judge(self, result: Attempt, links: Collection[ZenohLink], zenoh_log: ZenohLog | None, now: float) -> None:
-        """Enter the state that a test shows."""
+        """Enter the state that follows from a test."""
         assert self.place is not None
         if result.reason.state is not EndpointState.CONNECTING:
             self._passes = 0
@@ -214,12 +214,12 @@ class _Refusals:
     callers: set[str] = field(default_factory=set)
 
     def reason(self) -> Reason | None:
-        """Return the cause with the callers' addresses."""
+        """Return the cause, with the addresses of the refused machines."""
         return refusal_in_log(self.error, ", ".join(sorted(self.callers)))
 
 
 class _Listen(_Endpoint):
-    """An endpoint that other machines connect to."""
+    """An endpoint to which other machines connect."""
 
     def __init__(self, endpoint: str) -> None:
         super().__init__(endpoint, "listen", EndpointState.LISTENING)
@@ -230,7 +230,7 @@ class _Listen(_Endpoint):
         self._logged: set[str] = set()
 
     def poll(self, zenoh_log: ZenohLog | None, own_trouble: Reason | None, now: float) -> None:
-        """Read the refusals since the last call."""
+        """Read the refusals since the last call from zenoh's log."""
         protocol = self.place.protocol if self.place is not None else ""
         errors = set()
         for refusal in zenoh_log.refusals(self._read) if zenoh_log is not None else ():
@@ -250,7 +250,7 @@ class _Listen(_Endpoint):
         self._enter([own_trouble] if own_trouble else [reason for entry in due if (reason := entry.reason())])
 
     def _log_refusals(self, refusals: _Refusals) -> None:
-        """Log a cause once, and again for each further machine that is refused for it."""
+        """Log a cause once, and again for each additional machine that is refused for it."""
         key, reason = f"{refusals.error} {sorted(refusals.callers)[1:]}", refusals.reason()
         if reason is not None and key not in self._logged:
             if len(self._logged) >= _MOST_LOGGED:
@@ -269,7 +269,7 @@ class _Listen(_Endpoint):
             self._closed = None
 
     def _note_callers(self, active: Sequence[_Refusals]) -> None:
-        """Find who was refused: zenoh does not log it, but the system remembers connections that this end closed."""
+        """Find which machines were refused: zenoh does not log them, but the system lists connections closed here."""
         closed, before = self._closed_connections(), self._closed
         self._closed = closed
         if before is None or len(active) != 1:
@@ -301,7 +301,7 @@ class EndpointMonitor:
         session: the `zenoh.Session`, asked for its links.
         identity: the certificate and key for TLS connections.
         zenoh_log: zenoh's log, None if this process does not capture it.
-        own_trouble: returns why no machine accepts this machine's certificate, "" if they do.
+        own_trouble: returns why no machine accepts this machine's certificate, "" if other machines may accept it.
     """
 
     def __init__(
@@ -323,11 +323,11 @@ class EndpointMonitor:
         return [endpoint.status for endpoint in (*self._listen, *self._connect)]
 
     def refused(self) -> int:
-        """Return how many connections the listeners refused because of a certificate."""
+        """Return the number of connections that the listeners refused because of a certificate."""
         return sum(endpoint.refused for endpoint in self._listen)
 
     def close(self) -> None:
-        """End the thread; a test that is under way ends by itself."""
+        """End the thread; a running test ends by itself."""
         self._end.set()
         self._pool.close()
         self._thread.join(2.0)
@@ -337,7 +337,7 @@ class EndpointMonitor:
             try:
                 self._poll(time.monotonic())
             except Exception:
-                if not self._end.is_set():  # closing the session ends its answers first
+                if not self._end.is_set():  # a session that is being closed stops answering before this thread ends
                     _log.exception("hub.open: cannot check the endpoints")
             self._end.wait(POLL_SECONDS)
 

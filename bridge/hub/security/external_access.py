@@ -18,11 +18,11 @@ from bridge.hub.security.zenoh_log import ZenohLog
 _log = logging.getLogger(__name__)
 _RETRY_SECONDS = 5.0
 _REOPEN_SECONDS = 0.3
-"""zenoh's routers check their neighbors every 0.1 s; one that replaces another sooner gets no subscriptions."""
+"""zenoh's routers check their neighbors every 0.1 s; a router that replaces another sooner gets no subscriptions."""
 
 
 class ExternalAccess:
-    """The access of other machines by ``hub.open``; without it, all methods do nothing.
+    """The access of other machines through ``hub.open``; if that is not set, all methods do nothing.
 
     Attributes:
         router: the router, None while it cannot be opened.
@@ -37,7 +37,7 @@ class ExternalAccess:
         self._since = self._retry_at = 0.0
 
     def open(self, config: Config) -> None:
-        """Open the router; if that fails, log the reason once, and let `check` try again."""
+        """Open the router; if that fails, log the reason once, and retry in `check`."""
         if not config.hub.open.opened:
             return
         try:
@@ -57,7 +57,7 @@ class ExternalAccess:
             )
 
     def check(self, config: Config) -> None:
-        """Try again to open the router, or open a new one if there are new certificates; called every second."""
+        """Retry opening the router, or open a new one if there are new certificates; called every second."""
         if self.router is None and time.monotonic() > self._retry_at:
             self.open(config)
         elif self._keys is not None and self._keys.renewed():
@@ -80,7 +80,7 @@ class ExternalAccess:
             router.close()
 
     def text(self) -> str:
-        """Return the part of the worker's state about other machines, "" without ``hub.open``."""
+        """Return the part of the worker's status text about other machines, "" without ``hub.open``."""
         if self.trouble:
             return f"; closed to other machines: {self.trouble}"
         if self.router is None:
@@ -89,7 +89,7 @@ class ExternalAccess:
         return f"; {len(self.router.machines())} other machines{''.join(bad)}"
 
     def status(self, config: Config) -> dict[str, Any]:
-        """Return the other machines, the endpoints by which they join, and the commands that need ``trusted``."""
+        """Return the other machines, the endpoints through which they join, and the commands that need ``trusted``."""
         if self.router is None:
             section = config.hub.open
             closed = closed_endpoints(section.listen, section.connect, self.trouble, self._since)

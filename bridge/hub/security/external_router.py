@@ -1,8 +1,8 @@
-"""The router for other machines (``hub.open``), separate from the one for this machine's programs.
+"""The router for other machines (``hub.open``), which is separate from that for this machine's programs.
 
-Its access rules apply to every session that joins by it. This machine's programs do not discover it: zenoh's gossip
-would make them connect to programs of other machines directly, and bypass the rules. zenoh reads certificates only when
-it opens a session; `bridge.hub.security.external_access` opens a new one for new files.
+Its access rules apply to every session that joins through it. Its gossip is disabled, so that this machine's programs
+do not discover it: they would connect directly to programs on other machines, and bypass the rules. zenoh reads
+certificates only when it opens a session, so `bridge.hub.security.external_access` opens a new session for new files.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ KEYS = Path("/etc/midspan/keys")
 """Default folder of this machine's certificate, its key and the authority's certificate."""
 
 _TIMEOUT_MS = 3000
-"""Limit for opening a connection; then zenoh tries again."""
+"""Time limit for opening a connection, after which zenoh tries again."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConnectedMachine:
-    """Another machine that is connected.
+    """A connected machine.
 
     Attributes:
-        name: in its certificate, "" if it showed none.
-        zid: the zenoh session of its link: its router's, or its program's.
-        address: its address and port, as zenoh writes them.
+        name: the name in its certificate, "" if it presented none.
+        zid: the zenoh session at the other end of the link, of its router or a program.
+        address: its address and port, in zenoh's format.
         trusted: whether its commands are accepted.
     """
 
@@ -54,10 +54,10 @@ class ConnectedMachine:
 
 
 class ExternalRouter:
-    """The router that other machines connect to, and that connects to them.
+    """The router to which other machines connect, and which connects to other machines.
 
     Raises:
-        HubError: it cannot be opened; the text has a plain reason.
+        HubError: it cannot be opened; the text is a plain reason.
     """
 
     def __init__(self, config: Config, zenoh_log: ZenohLog | None = None) -> None:
@@ -87,7 +87,7 @@ class ExternalRouter:
         return str(self._session.zid())
 
     def machines(self) -> list[ConnectedMachine]:
-        """Return the machines that are connected."""
+        """Return the connected machines."""
         links = self._session.info.links()
         identities = {(str(link.auth_identifier or ""), str(link.zid), str(link.dst)) for link in links}
         return [
@@ -101,7 +101,7 @@ class ExternalRouter:
         return self._endpoints.statuses()
 
     def refused(self) -> int:
-        """Return how many connections were refused because of a certificate."""
+        """Return the number of connections that were refused because of a certificate."""
         return self._endpoints.refused()
 
     def close(self) -> None:
@@ -122,13 +122,13 @@ def key_files(config: Config) -> KeyFiles:
 
 
 def _trouble(files: KeyFiles) -> str:
-    from bridge.hub.security.certificates import trouble  # with the library that reads certificates, for TLS only
+    from bridge.hub.security.certificates import trouble  # imports a library that only TLS needs
 
     return trouble(files)
 
 
 def has_tls(section: OpenSection) -> bool:
-    """Whether any endpoint of ``hub.open`` has TLS."""
+    """Return whether any endpoint of ``hub.open`` uses TLS."""
     return any(place.startswith(("tls/", "quic/")) for place in (*section.listen, *section.connect))
 
 
@@ -142,7 +142,7 @@ def external_tree(config: Config) -> dict[str, Any]:
         "exit_on_failure": False,
         "retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
     }
-    # programs of different machines connect only through their routers
+    # programs on different machines must connect only through their routers
     tree["scouting"]["gossip"] = {"enabled": False}
     tree["transport"]["unicast"] = {"open_timeout": _TIMEOUT_MS, "accept_timeout": _TIMEOUT_MS}
     if has_tls(section):
@@ -162,7 +162,7 @@ def external_tree(config: Config) -> dict[str, Any]:
 
 
 def check_closed(config: zenoh.Config) -> None:
-    """Raise `HubConfigError` if a router's final configuration joins other machines."""
+    """Raise `HubConfigError` if a router's final configuration listens for or connects to other machines."""
     for part in ("listen", "connect"):
         value = json.loads(config.get_json(f"{part}/endpoints"))  # a list, or a list for each mode
         lists = value.values() if isinstance(value, dict) else [value]

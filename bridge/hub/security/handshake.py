@@ -1,9 +1,10 @@
-"""A connection to an endpoint of ``hub.open`` as a test: TCP, then TLS with this machine's certificate.
+"""Test connections to an endpoint of ``hub.open``: TCP, then TLS with this machine's certificate.
 
-zenoh reports the links that it has, never why one fails, so this asks the endpoint. The handshake runs to its end and
-the connection is closed in order: zenoh's listener then logs nothing above its debug level. In TLS 1.3 a listener
-refuses a client's certificate only after the client considers the handshake complete (RFC 8446, 4.4.2.4 and 6.2), so
-the test reads once before it closes. zenoh accepts one handshake at a time: each step has a short limit.
+zenoh reports its links, but not why a link fails, so this module tests the endpoint. It completes the handshake and
+closes the connection in an orderly way, so that zenoh's listener logs nothing above its debug level. In TLS 1.3 a
+listener refuses a client's certificate only after the client considers the handshake complete (RFC 8446, 4.4.2.4 and
+6.2), so the test reads once before it closes. Each step has a short time limit, because zenoh accepts only one
+handshake at a time.
 """
 
 from __future__ import annotations
@@ -24,17 +25,17 @@ from bridge.hub.security.reasons import EndpointState, Reason, refused_by_other,
 _CONNECT_SECONDS = 3.0
 _HANDSHAKE_SECONDS = 3.0
 _ALERT_SECONDS = 0.7
-"""Time for the other machine's alert to arrive; zenoh's listener waits for the first message meanwhile."""
+"""Seconds for the other machine's alert to arrive; zenoh's listener waits for the first message meanwhile."""
 
 _MOST_ADDRESSES = 4
-"""Addresses of one host name that are tried."""
+"""Maximum number of addresses of one host name that are tried."""
 
 _SAYS_NOTHING = "the program there accepts connections, but opens no zenoh session"
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What TLS connects with: the authority's certificate, and this machine's certificate and key."""
+    """The files for TLS: the authority's certificate, and this machine's certificate and key."""
 
     ca: Path
     certificate: Path | None
@@ -43,7 +44,7 @@ class Identity:
 
     @classmethod
     def of(cls, config: zenoh.Config) -> Identity | None:
-        """Return the identity in zenoh's final configuration; None if it has no files for TLS."""
+        """Return the identity from zenoh's final configuration; None if it has no files for TLS."""
         tls = json.loads(config.get_json("transport/link/tls"))
         ca, certificate, key = (
             tls.get(name) for name in ("root_ca_certificate", "connect_certificate", "connect_private_key")
@@ -59,7 +60,7 @@ class Identity:
         )
 
     def context(self) -> ssl.SSLContext:
-        """Make a context that verifies the other machine; raises `OSError` for files that cannot be used."""
+        """Create a context that verifies the other machine; raises `OSError` for files that cannot be used."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.check_hostname = self.verify_name
         context.load_verify_locations(self.ca)
@@ -73,9 +74,9 @@ class Attempt:
     """The result of one test connection.
 
     Attributes:
-        reason: of the state; ``connecting`` if TCP and TLS succeeded.
-        machine: the name in the other machine's certificate, "" if it is not known.
-        addresses: addresses of the endpoint, as zenoh writes them (``tls/192.168.1.20:7448``).
+        reason: the state with its reason; the state is ``connecting`` if TCP and TLS succeeded.
+        machine: the name in the other machine's certificate, "" if it is unknown.
+        addresses: addresses of the endpoint in zenoh's format (``tls/192.168.1.20:7448``).
     """
 
     reason: Reason
@@ -93,7 +94,7 @@ class HostPort:
 
     @override
     def __str__(self) -> str:
-        """``host:port``, with IPv6 addresses in brackets."""
+        """Return ``host:port``, with IPv6 addresses in brackets."""
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
     @classmethod
@@ -107,12 +108,12 @@ class HostPort:
 
     @property
     def can_be_tested(self) -> bool:
-        """Whether `attempt` can connect to it: QUIC and UDP have no connection that this module could make."""
+        """Whether `attempt` can connect to it; this module cannot open QUIC connections, and UDP has none."""
         return self.protocol in ("tls", "tcp")
 
 
 def resolve(place: HostPort) -> list[HostPort]:
-    """Return the place by each of its addresses; raises `OSError` if its name cannot be resolved."""
+    """Return the place once for each of its addresses; raises `OSError` if its name cannot be resolved."""
     try:
         results = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)
     except UnicodeError as err:
@@ -122,7 +123,7 @@ def resolve(place: HostPort) -> list[HostPort]:
 
 
 def resolved(place: HostPort) -> Attempt:
-    """Return only the addresses of a place, without a connection to it."""
+    """Return only the addresses of a place, without connecting to it."""
     try:
         places = resolve(place)
     except OSError as err:
@@ -132,9 +133,9 @@ def resolved(place: HostPort) -> Attempt:
 
 
 def attempt(place: HostPort, identity: Identity | None, name: str = "") -> Attempt:
-    """Connect to a place once and close the connection again; takes at most some 10 s for each of its addresses.
+    """Connect to a place once, and close the connection again; takes at most about 10 s for each of its addresses.
 
-    ``name`` is the name to verify in the other's certificate, by default the place's host.
+    ``name`` is the name to verify in the other machine's certificate, by default the place's host.
     """
     try:
         places = resolve(place)
@@ -157,9 +158,9 @@ def attempt(place: HostPort, identity: Identity | None, name: str = "") -> Attem
 
 
 def refusal(endpoint: str, config: zenoh.Config) -> Reason | None:
-    """Return why one end of a TLS connection to an endpoint refuses the other's certificate; None if neither does.
+    """Return why one end of a TLS connection to an endpoint refuses the other end's certificate; None if neither does.
 
-    ``config`` is that of the session. Other protocols than ``tls`` are not tested. See `attempt` for the time it takes.
+    ``config`` is the session's configuration. Only the protocol ``tls`` is tested. It takes as long as `attempt`.
     """
     place, identity = HostPort.of(endpoint), Identity.of(config)
     if place is None or place.protocol != "tls" or identity is None:
@@ -173,10 +174,10 @@ def _connect(place: HostPort) -> socket.socket:
 
 
 def _handshake(place: HostPort, identity: Identity, name: str) -> tuple[Reason, str]:
-    """Return the reason and the other's name; raises `OSError` if not even TCP connects."""
+    """Return the reason and the other machine's name; raises `OSError` if not even TCP connects."""
     try:
         context = identity.context()
-    except OSError as err:  # ssl.SSLError is one
+    except OSError as err:  # this includes ssl.SSLError
         text = f"this machine's certificate files cannot be used: {err}"
         return Reason(EndpointState.REFUSED, text, "'midspan doctor --only keys' names the file"), ""
     with _connect(place) as plain:
@@ -195,7 +196,7 @@ def _handshake(place: HostPort, identity: Identity, name: str) -> tuple[Reason, 
 
 
 def _after_handshake(tls: ssl.SSLSocket, place: HostPort) -> Reason:
-    """Read once, for the alert of a listener that does not accept this machine's certificate."""
+    """Read once, to receive the alert of a listener that does not accept this machine's certificate."""
     tls.settimeout(_ALERT_SECONDS)
     try:
         tls.recv(1)
@@ -209,7 +210,7 @@ def _after_handshake(tls: ssl.SSLSocket, place: HostPort) -> Reason:
 
 
 def _broken(err: OSError, place: HostPort) -> Reason:
-    """Return the reason of a handshake that the other end broke off."""
+    """Return the reason why the other end broke off a handshake."""
     if isinstance(err, ssl.SSLError) and "ALERT" in (err.reason or ""):
         return refused_by_other(str(err.reason))
     if isinstance(err, TimeoutError):
@@ -225,9 +226,9 @@ def _broken(err: OSError, place: HostPort) -> Reason:
 
 
 def _details(place: HostPort, identity: Identity, name: str, refusal: str) -> tuple[Reason, str]:
-    """Ask for the refused certificate once more without verifying it, to report its names and dates.
+    """Request the refused certificate again without verifying it, to report its names and dates.
 
-    Nothing is sent over this connection. It shows as well whether the other machine refuses ours.
+    Nothing is sent over this connection. It also shows whether the other machine refuses our certificate.
     """
     context = identity.context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
@@ -247,7 +248,7 @@ def _details(place: HostPort, identity: Identity, name: str, refusal: str) -> tu
 
 
 def _described(certificate: bytes, refusal: str) -> tuple[str, str]:
-    """Return what of a certificate explains its refusal, and its common name."""
+    """Return the detail of a certificate that explains its refusal, and its common name."""
     from cryptography import x509
 
     try:

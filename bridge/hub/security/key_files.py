@@ -1,6 +1,6 @@
 """The files of a machine's identity, and a watch for new ones.
 
-This module does not import what reads certificates, which the router's process does not need.
+This module does not import the library that reads certificates, which the router's process does not need.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ class KeyFiles:
     key: Path
 
     def check(self) -> None:
-        """Raise `HubConfigError` if one is missing or cannot be read."""
+        """Raise `HubConfigError` if a file is missing or cannot be read."""
         for file in (self.ca, self.certificate, self.key):
             if not file.exists():
                 raise HubConfigError(
-                    f"there is no {file}; 'midspan keys make' makes it, and prints which files to copy here"
+                    f"there is no {file}; 'midspan keys make' creates it, and prints which files to copy here"
                 )
             if not os.access(file, os.R_OK):
                 raise HubConfigError(f"{file} cannot be read by this process's user; give it to that user (chown)")
 
 
 class KeyWatch:
-    """Notices that a machine's key files were replaced since it was made."""
+    """Detects that a machine's key files were replaced since this object was created."""
 
     def __init__(self, files: KeyFiles) -> None:
         self._files = files
         self._used = self._seen = self._stamp()
 
     def renewed(self) -> bool:
-        """Whether there are new files that can be used: all are written, and the key fits its certificate."""
+        """Return whether there are new, usable files: they are complete, and the key matches its certificate."""
         stamp, before = self._stamp(), self._seen
         self._seen = stamp
         if stamp == self._used or stamp != before:  # unchanged, or still being copied
@@ -71,6 +71,6 @@ class KeyWatch:
         try:
             context.load_verify_locations(self._files.ca)
             context.load_cert_chain(self._files.certificate, self._files.key, password="")
-        except (OSError, ssl.SSLError) as err:  # includes a key that does not fit its certificate
+        except (OSError, ssl.SSLError) as err:  # includes a key that does not match its certificate
             return f"{self._files.certificate}: {err}"
         return ""

@@ -1,4 +1,4 @@
-"""Why two machines do not connect, in plain words with the cure, from the errors of OpenSSL, rustls and the system."""
+"""Explains errors of OpenSSL, rustls and the system when two machines do not connect, and how to fix them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class EndpointState(StrEnum):
 
     @property
     def good(self) -> bool:
-        """Whether nothing needs to be done."""
+        """Whether the state requires no action."""
         return self in (EndpointState.CONNECTED, EndpointState.CONNECTING, EndpointState.LISTENING)
 
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """The state of an endpoint, why, and what to do about it ("" if nothing)."""
+    """The state of an endpoint, its reason, and how to fix it ("" if nothing has to be done)."""
 
     state: EndpointState
     text: str = ""
@@ -39,10 +39,10 @@ class Reason:
 _SAME_FOLDER = "copy ca.pem and each machine's certificate from the same folder of 'midspan keys'"
 _RENEW = "'midspan keys make NAME --replace' renews it, then copy the files"
 _CLOCKS = "compare the clocks of both machines"
-_NAMES = "'midspan keys make NAME ADDRESS --replace' with every name and address that others connect by"
+_NAMES = "'midspan keys make NAME ADDRESS --replace' with every name and address under which others connect"
 
 _CAUSES: tuple[tuple[tuple[str, ...], str, str], ...] = (
-    # BadCertificate and CertificateUnknown say only that something is wrong; rustls sends the former for a wrong name
+    # BadCertificate and CertificateUnknown do not name the problem; rustls sends the former for a wrong name
     (("notvalidyet",), "is not valid yet", _CLOCKS),
     (("expired",), "has expired", _RENEW),
     (
@@ -61,7 +61,7 @@ _ALERT = re.compile(r"alert|error_code|ConnectionClosed", re.IGNORECASE)
 
 
 def refused_certificate(error: str, detail: str = "") -> Reason:
-    """Return why this machine does not accept the other's certificate; ``detail`` is its names, authority or dates."""
+    """Return why this machine does not accept the other's certificate; ``detail``: its names, authority or dates."""
     wrong, cure = _cause(error)
     return Reason(EndpointState.REFUSED, f"the other machine's certificate {wrong}{detail}", cure)
 
@@ -77,7 +77,7 @@ def refused_by_other(error: str) -> Reason:
 
 
 def refusal_in_log(error: str, caller: str = "") -> Reason | None:
-    """Return why a listener refused a connection, from zenoh's log; None for what is not about a certificate."""
+    """Return why a listener refused a connection, from zenoh's log; None if the entry is not about a certificate."""
     peer = f"a machine at {caller}" if caller else "a machine"
     if _has(error, _MISSING):
         return Reason(EndpointState.REFUSED, f"{peer} connects without a certificate", _SAME_FOLDER)
@@ -92,7 +92,7 @@ def refusal_in_log(error: str, caller: str = "") -> Reason | None:
 
 
 def unreachable(err: OSError, place: str) -> Reason:
-    """Return why no connection was made to ``place`` (host:port)."""
+    """Return why a connection to ``place`` (host:port) failed."""
     host = place.rpartition(":")[0]
     match err:
         case socket.gaierror():

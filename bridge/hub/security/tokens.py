@@ -1,4 +1,4 @@
-"""Tokens by which people and programs get in to the console: random, and kept as hashes alone."""
+"""Access tokens of people and programs for the console: random, and stored only as hashes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import secrets
 
 
 def new_token() -> tuple[str, str]:
-    """A token of 256 random bits, and its SHA-256 for the configuration."""
+    """Return a token of 256 random bits, and its SHA-256 hash for the configuration."""
     token = secrets.token_urlsafe(32)
     return token, token_hash(token)
 
 
 def token_hash(token: str) -> str:
-    """What the configuration has of a token."""
+    """Return the hash of a token, which the configuration contains."""
     return hashlib.sha256(token.encode(errors="replace")).hexdigest()

@@ -1,9 +1,9 @@
-"""zenoh's own log in the router's process, the only source for the reason of a failed connection.
+"""Reads zenoh's log in the router's process, the only source for the reason why a connection failed.
 
-zenoh (1.10) writes its log to the standard output, and only there. So the router's process, which has no other use for
-its standard output, puts a pipe in that place and reads it. `zenoh_link_tls` logs each connection that its listener
-refuses (without the caller's address), the orchestrator each failed attempt to connect. A user's ``RUST_LOG`` replaces
-the filter, and then every line goes on to stderr.
+zenoh (1.10) writes its log only to standard output. So the router's process, which has no other use for its standard
+output, replaces it by a pipe and reads that. `zenoh_link_tls` logs each connection that its listener refuses (without
+the other machine's address), and the orchestrator logs each failed attempt to connect. If the user sets ``RUST_LOG``,
+it replaces the filter, and every line is passed on to stderr.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ class ZenohLog:
 
     @classmethod
     def capture(cls) -> ZenohLog:
-        """Take over this process's standard output; call it before the first session opens.
+        """Redirect this process's standard output; call it before the first session is opened.
 
         A second call replaces the first.
         """
         log = cls()
-        if sys.platform == "win32":  # its pipes cannot be written without waiting
+        if sys.platform == "win32":  # pipes on Windows cannot be written without blocking
             return log
         output, to_log = os.pipe()
-        os.set_blocking(to_log, False)  # a full pipe must not stop zenoh's acceptor: it drops the line
+        os.set_blocking(to_log, False)  # a full pipe must not block zenoh's acceptor, which drops the line instead
         os.dup2(to_log, 1)
         os.close(to_log)
         threading.Thread(target=log._run, args=(output,), name="hub-zenoh-log", daemon=True).start()
@@ -68,7 +68,7 @@ class ZenohLog:
 
     @staticmethod
     def release() -> None:
-        """Give the standard output back, as another name of stderr; the thread ends."""
+        """Redirect standard output to stderr, which ends the thread."""
         os.dup2(2, 1)
 
     def feed(self, line: str) -> None:
@@ -88,7 +88,7 @@ class ZenohLog:
             return [refusal for refusal in self._refusals if refusal.at > since]
 
     def failure(self, endpoint: str, since: float) -> str:
-        """Return zenoh's reason why it could not connect to an endpoint after a time, or ""."""
+        """Return zenoh's reason for failing to connect to an endpoint after a time (monotonic), or ""."""
         with self._lock:
             at, reason = self._failures.get(endpoint, (float("-inf"), ""))
         return reason if at > since else ""
