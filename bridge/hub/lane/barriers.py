@@ -1,7 +1,7 @@
-"""Barriers: whether another session has all declarations that this session had sent by a given time.
+"""Barriers, which show whether another session has all declarations that this session had sent by a given time.
 
-zenoh delivers in order, so a session that replies to a query has received everything declared before the query, and
-everything that it had published before has arrived with the reply.
+zenoh delivers in order. So a session that replies to a query has received everything declared before the query, and
+everything that it published before the reply has arrived by then.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ _AGAIN_SECONDS = 1.0
 """Seconds after which a session that has not replied is queried again: the query may have been lost with a link."""
 
 _REPLY_SECONDS = 10.0
-"""Time limit for a reply: on a busy machine a session may need seconds, each time."""
+"""Time limit for a reply in seconds: on a busy machine a session may need seconds for each."""
 
 
 class LaneBarriers:
     """The barriers of one session. Safe to use from any thread.
 
     Args:
-        renew: called before the reply to another session's barrier: it has declared subscribers.
+        renew: called before the reply to another session's barrier, because that session has declared subscribers.
     """
 
     def __init__(self, zid: str, session: zenoh.Session, domain: int, renew: Callable[[], None]) -> None:
         self._session = session
         self._lock = Lock()
         self._times: dict[str, tuple[float, float]] = {}
-        """By session: when it was last queried, and the newest query that it answered."""
+        """By session: when it was last queried, and when the newest query that it answered was sent."""
 
         self._closed = False
         self._asking = SerialExecutor("hub-lane-asks")
@@ -45,7 +45,7 @@ class LaneBarriers:
         self._answering = answer(session, self._key + zid, partial(_reply, renew))
 
     def passed(self, zid: str, since: float) -> bool:
-        """Return whether a session knows all declarations of this session before ``since``; query it if unknown."""
+        """Return whether a session has all declarations from this session before ``since``; query it if unknown."""
         with self._lock:
             requested, confirmed = self._times.get(zid, (0.0, 0.0))
             if confirmed >= since:
@@ -57,12 +57,12 @@ class LaneBarriers:
         return False
 
     def forget(self, zid: str) -> None:
-        """Forget a session whose lane has ended."""
+        """Drop what is known about a session whose lane has ended."""
         with self._lock:
             self._times.pop(zid, None)
 
     def close(self) -> None:
-        """Neither query nor answer any longer."""
+        """Stop querying and answering."""
         self._closed = True
         undeclare(self._answering)
         self._asking.close()

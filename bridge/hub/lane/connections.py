@@ -1,4 +1,4 @@
-"""The reading ends of one session's lanes: a connection to each session that it receives from."""
+"""The reading ends of one session's lanes: a connection to each session from which it receives."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bridge.hub.lane import folder
 from bridge.hub.lane.inlet import Inlet
 
 AGAIN_SECONDS = 2.0
-"""Seconds until a session without a lane is tried again."""
+"""Seconds until a connection to a session that has no lane is tried again."""
 
 _MAX_REFUSED = 1000
 
@@ -35,7 +35,7 @@ class LaneConnections:
         self._refused: dict[str, tuple[float, str]] = {}
 
     def inlet(self, zid: str) -> Inlet | str:
-        """Return the connection to a session, or why they are not connected."""
+        """Return the connection to a session, which is opened if necessary, or why there is none."""
         with self._lock:
             inlet = self._inlets.get(zid)
             if inlet is not None and inlet.alive:
@@ -59,7 +59,7 @@ class LaneConnections:
         return inlet
 
     def refuse(self, inlet: Inlet, why: str) -> None:
-        """Close an unusable connection, and connect again later."""
+        """Close an unusable connection; it is opened again later."""
         self._refuse(inlet.zid, why)
         inlet.close()
 

@@ -1,4 +1,4 @@
-"""The sockets of the lanes in the state folder: one of each session, named after its id."""
+"""The sockets of the lanes in the state folder: one for each session, named after the session's id."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bridge.hub.lane.wire import VERSION
 
 _CREDENTIALS = struct.Struct("3i")
 _SEND_BUFFER = 1 << 20
-"""Maximum bytes in the kernel's buffer for a reader, which commands cannot overtake."""
+"""Maximum number of bytes in the kernel's buffer for a reader, which commands cannot overtake."""
 
 _BACKLOG = 64
 _UNREADY = ".new"
@@ -29,12 +29,12 @@ def possible() -> bool:
 
 
 def listen(folder: Path, zid: str) -> socket.socket:
-    """Listen under the session's name; raises `OSError`."""
+    """Listen on the session's socket; raises `OSError`."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     sock = _socket()
     try:
         with _short(folder, _name(zid)) as path:
-            unready = Path(f"{path}{_UNREADY}")  # renamed once it accepts readers: `clean` removes sockets that do not
+            unready = Path(f"{path}{_UNREADY}")  # renamed when it accepts readers: `clean` removes others
             sock.bind(str(unready))
             unready.chmod(0o600)
             sock.listen(_BACKLOG)
@@ -47,7 +47,7 @@ def listen(folder: Path, zid: str) -> socket.socket:
 
 def connect(folder: Path, zid: str) -> socket.socket:
     """Connect to a session; raises `OSError` if it has no lane, or belongs to another user."""
-    if not zid.isalnum():  # untrusted: any participant can put it on the graph
+    if not zid.isalnum():  # the id is untrusted: any participant can announce it in the graph
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
     return _connect(folder, _name(zid))
 
@@ -74,7 +74,7 @@ def check_peer(sock: socket.socket) -> None:
 
 
 def other_version(folder: Path, zid: str) -> str:
-    """Return a text if a session's lane has another version, else ""."""
+    """Return a text if a session's lane has a different version, else ""."""
     path = next(folder.glob(f"{zid}.*"), None) if zid.isalnum() else None
     return f"its lane has version {path.suffix[1:]}, ours {VERSION}; zenoh is used instead" if path else ""
 
@@ -86,7 +86,7 @@ def remove(folder: Path, zid: str) -> None:
 
 
 def clean(folder: Path) -> None:
-    """Remove the sockets of sessions that died, including those of other versions."""
+    """Remove the sockets of sessions that have died, including those of other versions."""
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
             if path.suffix == _UNREADY:

@@ -37,20 +37,20 @@ class LaneReader(Protocol):
     key: str
 
     def heard(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
-        """Handle a message: number, source time, publisher; CDR."""
+        """Handle a message; ``attached`` is its number, source time and publisher (GID), ``payload`` is CDR."""
 
     def marked(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
-        """Handle a mark: the publisher sends the messages after this number here."""
+        """Handle a mark: the publisher sends all messages after this number on this lane."""
 
     def fenced(self, inlet: Inlet) -> None:
-        """Handle a fence: everything sent here before `Inlet.fence` was called has arrived."""
+        """Handle a fence: everything that was sent on this lane before the call of `Inlet.fence` has arrived."""
 
     def grown(self) -> None:
-        """Handle a message that is too large for the lane."""
+        """Handle the first part of a message that is too large for the lane."""
 
 
 class _Key:
-    """A key with its subscriptions."""
+    """A key on one lane, with its subscriptions and incomplete messages."""
 
     __slots__ = ("number", "parts", "readers")
 
@@ -64,10 +64,10 @@ class Inlet:
     """A connection to one writing session. Safe to use from any thread; `lost` is called when it ends.
 
     Attributes:
-        zid: the session.
-        since: time of the connection (monotonic seconds).
+        zid: the writing session.
+        since: time at which the connection was opened (monotonic seconds).
         alive: whether the connection is open.
-        answered: whether anything was received yet.
+        answered: whether a mark, fence or part was received yet.
     """
 
     def __init__(self, sock: socket.socket, zid: str, lost: Callable[[Inlet], None]) -> None:
@@ -84,7 +84,7 @@ class Inlet:
         self._thread.start()
 
     def join(self, reader: LaneReader) -> None:
-        """Request the messages of the reader's key, and a mark of each publisher."""
+        """Request the messages on the reader's key, and a mark from each publisher."""
         with self._lock:
             key = self._keys.get(reader.key)
             if key is None:
@@ -104,7 +104,7 @@ class Inlet:
                 self._send(HEAD.pack(FENCE, key.number) + TOKEN.pack(self._next))
 
     def leave(self, reader: LaneReader) -> None:
-        """Stop delivery to the reader."""
+        """Stop delivering to the reader."""
         with self._lock:
             key = self._keys.get(reader.key)
             if key is None:
@@ -123,7 +123,7 @@ class Inlet:
     def _send(self, record: bytes) -> None:
         try:
             self._sock.send(record, socket.MSG_DONTWAIT)
-        except OSError as err:  # the writer died, or does not read
+        except OSError as err:  # the writer has exited, or does not read
             _log.debug("the lane from %s ends: %s", self.zid, err)
             self.close()
 
@@ -147,7 +147,7 @@ class Inlet:
             self._lost(self)
 
     def _messages(self, record: bytes) -> None:
-        """Hand over the messages of a record."""
+        """Deliver the messages in a record."""
         end, whole, keys = 0, len(record), self._numbers
         while end < whole:
             begin = end + SAMPLE.size
@@ -190,7 +190,7 @@ class Inlet:
             for reader in key.readers:
                 reader.grown()
         number, data = key.parts.get(gid, (0, bytearray()))
-        if number != sequence or len(data) != at:  # its beginning was dropped
+        if number != sequence or len(data) != at:  # the beginning was dropped
             return
         data += piece
         if len(data) >= whole:

@@ -1,7 +1,7 @@
-"""Joins the small messages that a thread reads in one go into one record for each reader of a lane.
+"""Joins the small messages that a thread reads together into one record for each reader of a lane.
 
-Without a timer: a thread that reads connections sends what it has joined before it waits again. So a message waits only
-while messages are processed that were there before it could be sent, at most `MAX_JOINED` of them.
+This needs no timer, because a thread that reads connections sends the joined messages before it waits again. So a
+message waits only while other messages that have already arrived are processed, at most `MAX_JOINED` of them.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ import threading
 from typing import Protocol
 
 MAX_JOINED = 8
-"""Most messages in one record."""
+"""Maximum number of messages in one record."""
 
 MAX_JOINED_BYTES = 4096
-"""Largest payload that is joined with others."""
+"""Maximum size in bytes of a payload that is joined with others."""
 
 
 class JoinedLink(Protocol):
@@ -31,7 +31,7 @@ _thread = _Thread()
 
 
 def send_later(link: JoinedLink) -> bool:
-    """Let this thread send the link's joined messages later; return False if it does not join messages."""
+    """Have this thread send the link's joined messages later; return False if the thread does not join messages."""
     links = _thread.links
     if links is None:
         return False
@@ -40,14 +40,14 @@ def send_later(link: JoinedLink) -> bool:
 
 
 def flush_joined() -> None:
-    """Send what this thread has joined, before it may wait for something."""
+    """Send this thread's joined messages; called before the thread may have to wait."""
     links = _thread.links
     while links:
         links.popitem()[0].send_joined()
 
 
 class Joining:
-    """Joins the messages of the thread that makes it, which calls `flush` each time before it waits, until `end`."""
+    """Joins the messages of the thread that creates it, which calls `flush` each time before it waits, until `end`."""
 
     def __init__(self) -> None:
         self._links: dict[JoinedLink, None] = {}

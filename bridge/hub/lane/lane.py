@@ -1,4 +1,4 @@
-"""The lanes of one session: its writing end, its connections to others, and the transport of each subscription."""
+"""The lanes of one session: its writing end, its connections to others, and the choice of subscriptions' transports."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from bridge.hub.lane.writer import LaneWriter
 _log = logging.getLogger(__name__)
 
 _POLL_SECONDS, _LONGEST_POLL_SECONDS = 0.02, 0.5
-"""Seconds between two checks of a subscription that is switching transports; longer while nothing changes."""
+"""Seconds between two checks of a subscription that is switching transports; the time grows while nothing changes."""
 
 _SETTLE_SECONDS = 0.02
 _SHARE = 4
-"""The pause after a check is this multiple of its cost, as the graph changes often while hundreds of topics start."""
+"""The pause after a check is this multiple of its cost, because the graph changes often while many topics start."""
 
 
 class Choosing(Protocol):
-    """A subscription that chooses between its lane and zenoh."""
+    """A subscription that chooses between lanes and zenoh."""
 
     def settle(self) -> bool:
         """Continue the switch to the wanted transport; return whether to check again soon."""
@@ -39,16 +39,16 @@ class Choosing(Protocol):
 
 
 class Lane:
-    """The writing end is None if this session cannot have one.
+    """The lanes of one session.
 
     Args:
-        renew: called before the reply to a barrier: another session has declared subscribers.
+        renew: called before the reply to a barrier, because another session has declared subscribers.
 
     Attributes:
-        barriers: show whether another session has this session's declarations.
-        calls: makes delayed calls of the subscriptions.
-        connections: to the sessions that this session receives from.
-        writer: sends this session's publications to other sessions.
+        barriers: show whether another session has received this session's declarations.
+        calls: makes delayed calls for the subscriptions.
+        connections: the connections to the sessions from which this session receives.
+        writer: sends this session's publications to other sessions; None if that is impossible.
         why: why this session cannot publish on the lane, else "".
     """
 
@@ -59,7 +59,7 @@ class Lane:
         self._wake, self._closing = Event(), Event()
         self.writer: LaneWriter | None = None
         self.why = ""
-        folder.clean(path)  # before this one listens, since the check of a socket counts as a reader there
+        folder.clean(path)  # before the writer listens, because it would count the check of its socket as a reader
         try:
             self.writer = LaneWriter(path, zid)
         except OSError as err:
@@ -72,7 +72,7 @@ class Lane:
         self._thread.start()
 
     def add(self, chooser: Choosing) -> None:
-        """Add a subscription, which chooses now and after each change of the graph."""
+        """Add a subscription, which chooses its transport now and after each change of the graph."""
         with self._lock:
             self._choosing[chooser] = None
         self.wake(chooser)
@@ -84,13 +84,13 @@ class Lane:
             self._looking.pop(chooser, None)
 
     def wake(self, chooser: Choosing) -> None:
-        """Let a subscription check soon."""
+        """Let a subscription choose again soon."""
         with self._lock:
             self._looking[chooser] = None
         self._wake.set()
 
     def graph_changed(self) -> None:
-        """Let all subscriptions check soon."""
+        """Let all subscriptions choose again soon."""
         with self._lock:
             self._looking.update(self._choosing)
         self._wake.set()

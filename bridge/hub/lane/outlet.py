@@ -18,11 +18,11 @@ _size = SIZE.pack
 _NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM)
 
 MAX_WAITING = 32 << 20
-"""Maximum bytes queued for one reader, without the newest message."""
+"""Maximum number of bytes queued for one reader, not counting the newest message."""
 
 
 class LaneMessage:
-    """A queued message; ``at``: number of its bytes that were already sent in parts."""
+    """A queued message; ``at`` is the number of its bytes that were already sent in parts."""
 
     __slots__ = ("at", "attached", "fence", "payload")
 
@@ -32,14 +32,14 @@ class LaneMessage:
 
 
 class Outlet:
-    """One key for one reader; the publishers of that key share it.
+    """The lane of one key to one reader, which the publishers of that key share.
 
     Attributes:
         command: whether its messages are sent before all others.
         depth: maximum number of queued messages.
         dropped: number of dropped messages.
         fences: number of fences among the queued messages.
-        head: what precedes each of its messages in a record.
+        head: the beginning of each of its messages' records.
         send: sends, joins (`bridge.hub.lane.joining`) or queues a message, given attachment and payload; never blocks.
     """
 
@@ -52,15 +52,15 @@ class Outlet:
         self.send: Callable[[bytes, bytes], None] = partial(link.send, self)
 
     def record(self, attached: bytes, payload: bytes) -> bytes:
-        """Return a message as it is in a record."""
+        """Return the record of a message."""
         return b"".join((self.head, _size(len(payload)), attached, payload))
 
     def mark(self, gid: bytes, sequence: int) -> None:
-        """Send a mark: the publisher's messages after this number are sent here."""
+        """Send a mark, which announces that the publisher's messages after this number are sent on this lane."""
         self.link.note(HEAD.pack(MARK, self.number) + pack_attachment(sequence, 0, gid))
 
     def fence(self, token: bytes) -> None:
-        """Return a token after everything that was sent before."""
+        """Return a fence's token to the reader, after everything that was sent before."""
         self.link.fence(self, HEAD.pack(FENCE, self.number) + token[: TOKEN.size])
 
 
@@ -68,9 +68,9 @@ class ReaderLink:
     """A reader's connection. Safe to use from any thread; never blocks.
 
     Args:
-        sock: connected, not blocking.
-        watch: called with whether data is queued, or the link has ended; `flush` must be called once the socket is
-            writable again.
+        sock: a connected, non-blocking socket.
+        watch: called with True if data is queued or the link has ended, otherwise with False; after True, `flush` must
+            be called when the socket is writable again.
     """
 
     def __init__(self, sock: socket.socket, watch: Callable[[bool], None]) -> None:
@@ -86,7 +86,7 @@ class ReaderLink:
         self._closed = False
 
     def send(self, outlet: Outlet, attached: bytes, payload: bytes) -> None:
-        """See `Outlet.send`."""
+        """Send a message; see `Outlet.send`."""
         size = len(payload)
         with self._lock:
             if self._closed:
@@ -131,7 +131,7 @@ class ReaderLink:
                 self._watch(True)
 
     def fence(self, outlet: Outlet, record: bytes) -> None:
-        """See `Outlet.fence`."""
+        """Send a fence; see `Outlet.fence`."""
         with self._lock:
             if self._joined:
                 self._send_joined()

@@ -1,10 +1,11 @@
 """Records on a lane, each a packet of a Unix SEQPACKET socket.
 
 A record begins with its kind and the number that the reader assigned to the key. A ``DATA`` record has one or several
-messages, each with kind, number, size of the payload, attachment of the zenoh sample, payload. ``PART`` is a fragment
-of a message that is too large for one record: attachment, total size, offset of the fragment, the fragment. ``MARK``:
-the publisher of its attachment sends the messages after this number here. The reader requests a key with ``ON`` and its
-UTF-8, and releases it with ``OFF``; the writer returns a ``FENCE`` after everything that it sent before.
+messages, each with kind, number, size of the payload, attachment of the zenoh sample, payload. A ``PART`` record is a
+fragment of a message that is too large for one record: attachment, total size, offset of the fragment, the fragment. A
+``MARK`` record has an attachment, whose publisher sends all messages after the attachment's number on this lane. The
+reader requests a key with ``ON`` and the key in UTF-8, and releases it with ``OFF``. It sends a ``FENCE``, which
+the writer returns after everything that it sent before.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ VERSION = 2
 """Part of a socket's name, so that workers of different versions do not connect."""
 
 BOUND = 64 * 1024
-"""Bytes of the largest payload in one record; topics with larger ones stay on zenoh."""
+"""Maximum size in bytes of a payload in one record; topics with larger messages use zenoh."""
 
 DATA, PART, MARK, FENCE, ON, OFF = range(1, 7)
 
@@ -26,14 +27,14 @@ PIECE = struct.Struct("<II")
 TOKEN = struct.Struct("<Q")
 SIZE = struct.Struct("<I")
 SAMPLE = struct.Struct(f"<BIIqqx{GID_SIZE}s")
-"""What precedes the payload of a message in a ``DATA`` record: a head, the size of the payload, and the attachment:
-number, time and GID, whose length is skipped (`bridge.hub.wire.keys`)."""
+"""The bytes before the payload of a message in a ``DATA`` record: head, size of the payload, and the attachment with
+number, time and GID, whose length byte is skipped (`bridge.hub.wire.keys`)."""
 
 BODY = HEAD.size + ATTACHMENT_SIZE
-"""Offset of what follows the attachment in other records."""
+"""Offset of the data after the attachment in other records."""
 
 ROOM = BODY + PIECE.size + BOUND
-"""Bytes of the largest record."""
+"""Maximum size of a record in bytes."""
 
 MAX_KEYS = 100_000
 MAX_KEY = 4096

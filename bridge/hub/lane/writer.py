@@ -1,4 +1,4 @@
-"""The listener of a session's lanes, and the publishers that each reader requests."""
+"""The writing end of a session's lanes: its listener, its readers, and the publishers that they request."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class LanePublisher(Protocol):
     key: str
 
     def attach(self, outlet: Outlet) -> None:
-        """Send a mark with the last number, and each message from now on, to the outlet."""
+        """Send a mark with the last number to the outlet, and then each message."""
 
     def detach(self, outlet: Outlet) -> None:
         """Stop sending to the outlet."""
 
 
 class LaneWriter:
-    """The writing end of a session's lanes: accepts readers' connections, and flushes their queues.
+    """Accepts the connections of a session's readers, attaches publishers to them, and flushes their queues.
 
     Raises `OSError` if it cannot listen.
     """
@@ -57,7 +57,7 @@ class LaneWriter:
         self._thread.start()
 
     def add(self, publisher: LanePublisher) -> None:
-        """Add a publisher, which sends to the readers of its key."""
+        """Add a publisher, and attach it to the readers of its key."""
         with self._lock:
             self._publishers[publisher] = None
             for link in tuple(self._links.values()):
@@ -125,7 +125,7 @@ class LaneWriter:
             sock, _ = self._listener.accept()
         except BlockingIOError:
             return
-        except OSError as err:  # no free descriptor: readers stay on zenoh
+        except OSError as err:  # no free descriptor: further readers stay on zenoh
             _log.debug("cannot accept another reader of the lane: %s", err)
             self._poll.unregister(self._listener)
             self._listens = False
@@ -143,7 +143,7 @@ class LaneWriter:
         self._poll.register(number, select.EPOLLIN)
 
     def _watch(self, number: int, waits: bool) -> None:
-        with contextlib.suppress(OSError, ValueError):  # it has just ended
+        with contextlib.suppress(OSError, ValueError):  # the link has just ended
             self._poll.modify(number, select.EPOLLIN | select.EPOLLOUT if waits else select.EPOLLIN)
 
     def _read(self, number: int, link: ReaderLink) -> None:

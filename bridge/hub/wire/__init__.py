@@ -1,1 +1,1 @@
-"""The bytes and names of rmw_zenoh: keys, attachments and quality of service."""
+"""The wire format of rmw_zenoh: keys, attachments and quality of service."""

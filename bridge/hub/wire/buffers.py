@@ -1,9 +1,10 @@
-"""Buffers of rmw_zenoh since 0.10.5 (Lyrical): the token's part, the key, and the types that have them.
+"""Buffers of rmw_zenoh since 0.10.5 (Lyrical): their part of the token, their key, and the types that have them.
 
 A volatile publisher of such a type no longer publishes on its topic's key. Subscriptions that announce the CPU as their
-only backend share one key, the CPU group; each other subscription, also one that announces no backend, has a separate
-key ``<key>/_buf/<GID>`` (rmw_zenoh_cpp 0.10.5, rmw_publisher_data.cpp, ``on_subscriber_discovered``). A subscription of
-Jazzy's form therefore receives nothing. Serialized messages, as ``ros2 bag play`` publishes them, stay on the key.
+only backend share one key, the CPU group. Every other subscription, even one that announces no backend, has a separate
+key ``<key>/_buf/<GID>`` (rmw_zenoh_cpp 0.10.5, rmw_publisher_data.cpp, ``on_subscriber_discovered``). A subscription as
+in Jazzy therefore receives nothing. Serialized messages, as ``ros2 bag play`` publishes them, are still published on
+the topic's key.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ BUFFER_TYPES = frozenset({
     "visualization_msgs/msg/InteractiveMarkerUpdate", "visualization_msgs/msg/Marker",
     "visualization_msgs/msg/MarkerArray", "visualization_msgs/msg/MeshFile",
 })  # fmt: skip
-"""The standard types with buffers: those that have, or nest, an unbounded sequence of uint8
-(rosidl_typesupport_fastrtps_cpp, msg__type_support_impl.hpp.em). The tokens of publishers reveal others."""
+"""The standard types with buffers, which contain an unbounded sequence of uint8, possibly in a nested type
+(rosidl_typesupport_fastrtps_cpp, msg__type_support_impl.hpp.em). The tokens of publishers reveal other types."""
 
 
 def group_key(key: str) -> str:
@@ -34,5 +35,5 @@ def group_key(key: str) -> str:
 
 
 def announces_backends(part: str) -> bool:
-    """Return whether a part of a token announces the backends of buffers."""
+    """Return whether a part of a token announces buffer backends."""
     return part.startswith(_BACKENDS)

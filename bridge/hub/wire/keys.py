@@ -1,11 +1,11 @@
-"""Names on the hub, the zenoh keys that carry them, and the attachment of each sample.
+"""Names on the hub, the zenoh keys that contain them, and the attachment of each sample.
 
-A topic's key is ``<domain>/<topic without outer slashes>/<DDS type name>/<RIHS01 hash>``; in liveliness tokens a name
-is one chunk of the key, so that its slashes become ``%`` (rmw_zenoh, docs/design.md). Humble's types have no hash: its
+A topic's key is ``<domain>/<topic without outer slashes>/<DDS type name>/<RIHS01 hash>``. In liveliness tokens a name
+is one chunk of the key, with ``%`` for its slashes (rmw_zenoh, docs/design.md). Humble's types have no hash, so its
 rmw_zenoh writes ``TypeHashNotSupported`` in tokens and keys (rmw_zenoh_cpp 0.1.9, rmw_publisher_data.cpp).
 
 The attachment has 33 bytes since Jazzy's 0.2.4: the sequence number and the source time (int64, little endian), then
-the GID as zenoh's serialization writes an array: its length (16) in one byte, and the bytes (rmw_zenoh_cpp,
+the GID as an array in zenoh's serialization: its length (16) in one byte, then the bytes (rmw_zenoh_cpp,
 attachment_helpers.cpp).
 """
 
@@ -17,10 +17,10 @@ import struct
 from bridge.hub.errors import HubWireError
 
 ANY_HASH = "*"
-"""In place of a type hash: whatever hash the publisher has."""
+"""In place of a type hash: any hash that the publisher has."""
 
 NO_HASH = ""
-"""In place of a type hash: the endpoint's release has none (Humble)."""
+"""In place of a type hash: the endpoint's release has no hashes (Humble)."""
 
 _NO_HASH_CHUNK = "TypeHashNotSupported"
 
@@ -32,16 +32,16 @@ _MAX_NAME = 1024
 
 
 def check_topic(topic: str) -> str:
-    """Return an absolute topic name that can be a part of a zenoh key, or raise `HubWireError`."""
+    """Return the topic name if it is absolute and can be part of a zenoh key, else raise `HubWireError`."""
     if len(topic) > _MAX_NAME or not _TOPIC.fullmatch(topic):
         raise HubWireError(
-            f"topic name {topic[:80]!r} must be absolute, without empty parts, blanks and any of * $ ? # %"
+            f"topic name {topic[:80]!r} must be absolute, without empty parts, blanks or any of * $ ? # %"
         )
     return topic
 
 
 def dds_type_name(type_name: str) -> str:
-    """``std_msgs/msg/String`` -> ``std_msgs::msg::dds_::String_``."""
+    """Convert ``std_msgs/msg/String`` to ``std_msgs::msg::dds_::String_``; raises `HubWireError`."""
     match = _TYPE.fullmatch(type_name)
     if match is None:
         raise HubWireError(f"type name {type_name[:80]!r} is not of the form package/msg/Name")
@@ -49,7 +49,7 @@ def dds_type_name(type_name: str) -> str:
 
 
 def ros_type_name(dds_name: str) -> str:
-    """``std_msgs::msg::dds_::String_`` -> ``std_msgs/msg/String``."""
+    """Convert ``std_msgs::msg::dds_::String_`` to ``std_msgs/msg/String``; raises `HubWireError`."""
     match = _DDS_TYPE.fullmatch(dds_name)
     if match is None:
         raise HubWireError(f"type {dds_name[:80]!r} is not of the form package::msg::dds_::Name_")
@@ -57,7 +57,7 @@ def ros_type_name(dds_name: str) -> str:
 
 
 def check_hash(type_hash: str) -> str:
-    """Return a type hash as ROS 2 writes it (``RIHS01_`` and 64 hex digits), or raise `HubWireError`."""
+    """Return a type hash if it has ROS 2's form (``RIHS01_`` and hex digits), else raise `HubWireError`."""
     if not _HASH.fullmatch(type_hash):
         raise HubWireError(f"type hash {type_hash[:80]!r} is not of the form RIHS01_<hex digits>")
     return type_hash
@@ -69,12 +69,12 @@ def hash_chunk(type_hash: str) -> str:
 
 
 def parse_hash_chunk(chunk: str) -> str:
-    """Return the hash in a chunk of a token, or `NO_HASH`; a hash is not checked."""
+    """Return the hash in a chunk of a token, or `NO_HASH`; the hash is not checked."""
     return NO_HASH if chunk == _NO_HASH_CHUNK else chunk
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """The key that a publisher's samples travel on; the hash may be `NO_HASH`."""
+    """Return the key on which a publisher's samples are sent; the hash may be `NO_HASH`."""
     return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/{hash_chunk(type_hash)}"
 
 
@@ -84,25 +84,25 @@ def key_variant(key: str, type_hash: str) -> str:
 
 
 def key_type(key: str) -> tuple[str, str]:
-    """Return the type and the hash of the key of a topic or service; the hash may be `NO_HASH` or `ANY_HASH`."""
+    """Return the type and the hash in the key of a topic or service; the hash may be `NO_HASH` or `ANY_HASH`."""
     *_, dds_name, chunk = key.split("/")
     return ros_type_name(dds_name), parse_hash_chunk(chunk)
 
 
 def subscription_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """The key of a subscription; the hash may be `ANY_HASH` or `NO_HASH`."""
+    """Return the key of a subscription; the hash may be `ANY_HASH` or `NO_HASH`."""
     if type_hash != ANY_HASH:
         return topic_key(domain, topic, type_name, type_hash)
     return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/*"
 
 
 def mangle(name: str) -> str:
-    """A name as one chunk of a key: ``/`` becomes ``%``, and so does the empty name."""
+    """Return a name as one chunk of a key: ``/`` and the empty name become ``%``."""
     return name.replace("/", "%") if name else "%"
 
 
 def demangle(chunk: str) -> str:
-    """The name in a chunk of a token."""
+    """Return the name in a chunk of a token."""
     return chunk.replace("%", "/")
 
 
@@ -112,20 +112,20 @@ ATTACHMENT_SIZE = ATTACHMENT.size
 
 
 def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
-    """The attachment's bytes."""
+    """Return the bytes of a sample's attachment."""
     return ATTACHMENT.pack(sequence, source_time_ns, GID_SIZE, gid)
 
 
 def unpack_attachment(data: bytes) -> tuple[int, int, bytes]:
-    """Read an attachment; raises `HubWireError` if it has another format than rmw_zenoh.
+    """Parse an attachment; raises `HubWireError` if it does not have rmw_zenoh's format.
 
     Returns:
-        The sample's number (per publisher, 1 for its first), the system time of its source in nanoseconds since 1970,
-        and the 16 bytes that name its publisher.
+        The sample's number (per publisher, starting at 1), its source timestamp (system time in nanoseconds since
+        1970), and the 16-byte GID of its publisher.
     """
     if len(data) != ATTACHMENT_SIZE:
         raise HubWireError(
-            f"attachment of {len(data)} bytes instead of {ATTACHMENT_SIZE}: rmw_zenoh before 0.2.4 wrote another form"
+            f"attachment of {len(data)} bytes instead of {ATTACHMENT_SIZE}: rmw_zenoh before 0.2.4 uses another format"
         )
     sequence, time_ns, size, gid = ATTACHMENT.unpack(data)
     if size != GID_SIZE:

@@ -1,6 +1,6 @@
-"""Quality of service of an endpoint, and its text in rmw_zenoh's liveliness tokens.
+"""The quality of service of an endpoint, and its text form in rmw_zenoh's liveliness tokens.
 
-The enumerations carry rmw's own numbers (rmw/types.h). The text is
+The enumerations have rmw's numbers (rmw/types.h). The text is
 ``<reliability>:<durability>:<history>,<depth>:<deadline s>,<ns>:<lifespan s>,<ns>:<liveliness>,<s>,<ns>``;
 a field equal to rmw_zenoh's default profile is left empty.
 """
@@ -20,7 +20,7 @@ DEFAULT_DEPTH = 42
 _NS = 1_000_000_000
 _INFINITE = (9_223_372_036, 854_775_807)
 BEST_AVAILABLE_NS = _INFINITE[0] * _NS + _INFINITE[1] - 1
-"""The deadline that stands for BEST_AVAILABLE (rmw/types.h, ``RMW_QOS_DEADLINE_BEST_AVAILABLE``)."""
+"""The deadline that means BEST_AVAILABLE (rmw/types.h, ``RMW_QOS_DEADLINE_BEST_AVAILABLE``)."""
 
 _LIVELINESS = frozenset({1, 2, 3, 5})
 """rmw's liveliness policies: automatic, manual by node, manual by topic, best available."""
@@ -30,25 +30,25 @@ _Policy = TypeVar("_Policy", bound=IntEnum)
 
 
 class Reliability(IntEnum):
-    """Whether samples are sent again when lost."""
+    """Whether lost samples are sent again."""
 
     RELIABLE = 1
     BEST_EFFORT = 2
     BEST_AVAILABLE = 4
-    """Only in what an endpoint announces; the graph resolves it (`bridge.hub.graph.best_available`)."""
+    """Occurs only in announcements; the graph resolves it (`bridge.hub.graph.best_available`)."""
 
 
 class Durability(IntEnum):
-    """Whether a late joiner is given past samples."""
+    """Whether late joiners receive past samples."""
 
     TRANSIENT_LOCAL = 1
     VOLATILE = 2
     BEST_AVAILABLE = 4
-    """Only in what an endpoint announces, as `Reliability.BEST_AVAILABLE`."""
+    """Occurs only in announcements, like `Reliability.BEST_AVAILABLE`."""
 
 
 class History(IntEnum):
-    """Which samples are kept."""
+    """Which samples are stored."""
 
     KEEP_LAST = 1
     KEEP_ALL = 2
@@ -56,7 +56,7 @@ class History(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """Quality of service of one endpoint; deadlines and lifespans are in nanoseconds, None is infinite."""
+    """The quality of service of one endpoint; deadlines and lifespans are in nanoseconds, None for infinite."""
 
     reliability: Reliability = Reliability.RELIABLE
     durability: Durability = Durability.VOLATILE
@@ -67,12 +67,12 @@ class Qos:
 
     @property
     def latched(self) -> bool:
-        """Whether late joiners get past samples (ROS 1 calls it latching)."""
+        """Whether late joiners receive past samples (in ROS 1: latching)."""
         return self.durability is Durability.TRANSIENT_LOCAL
 
     @property
     def best_available(self) -> bool:
-        """Whether a policy is open, to be resolved against the endpoints that match."""
+        """Whether a policy is open, so that it has to be resolved against the matching endpoints."""
         return (
             self.reliability is Reliability.BEST_AVAILABLE
             or self.durability is Durability.BEST_AVAILABLE
@@ -81,11 +81,11 @@ class Qos:
 
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-"""What ROS 1 calls latched: late joiners get the last sample."""
+"""The QoS that ROS 1 calls latched: late joiners receive the last sample."""
 
 
 def encode_qos(qos: Qos) -> str:
-    """Return the text of a quality of service in a liveliness token."""
+    """Return the text form of a quality of service in a liveliness token."""
     reliability = "" if qos.reliability is Reliability.RELIABLE else str(int(qos.reliability))
     durability = "" if qos.durability is Durability.VOLATILE else str(int(qos.durability))
     history = "" if qos.history is History.KEEP_LAST else str(int(qos.history))
@@ -95,11 +95,11 @@ def encode_qos(qos: Qos) -> str:
 
 
 def decode_qos(text: str) -> Qos:
-    """Read the text of a token; raises `HubWireError` if it is malformed.
+    """Parse the QoS text of a token; raises `HubWireError` if it is malformed.
 
     A policy that rmw leaves to the middleware (0, system default) or does not define (`unknown_policies`) becomes
-    rmw_zenoh's default. A deadline or lifespan of zero is unspecified in rmw, thus infinite. The liveliness policy is
-    not stored: the token's own life shows it.
+    rmw_zenoh's default. A deadline or lifespan of zero is unspecified in rmw, and therefore infinite. The liveliness
+    policy is not stored, because the token's existence shows liveliness.
     """
     fields = _fields(text)
     depth = fields.history[1]
@@ -118,7 +118,7 @@ def decode_qos(text: str) -> Qos:
 
 
 def unknown_policies(text: str) -> list[str]:
-    """Describe the policies in the text of a token that rmw does not define; raises `HubWireError` if malformed."""
+    """Describe the policies in the QoS text of a token that rmw does not define; raises `HubWireError` if malformed."""
     fields = _fields(text)
     policies: tuple[tuple[str, int | None, Container[int], str], ...] = (
         ("reliability", fields.reliability, set(Reliability), "reliable"),
@@ -134,7 +134,7 @@ def unknown_policies(text: str) -> list[str]:
 
 
 class _Fields(NamedTuple):
-    """The numbers in the text of a token; None for an empty one."""
+    """The numbers in the QoS text of a token; None for an empty field."""
 
     reliability: int | None
     durability: int | None

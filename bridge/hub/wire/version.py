@@ -1,7 +1,7 @@
 """The version of the protocol between Midspan processes on the hub: graph, control plane, store, election.
 
-``<major>.<minor>``: additions of a newer minor version are ignored, another major version is incompatible and refused.
-Releases that do not announce a version use 1.0.
+The form is ``<major>.<minor>``: additions of a newer minor version are ignored, and a different major version is
+incompatible and refused. Releases that do not announce a version use 1.0.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _VERSION = re.compile(r"([0-9]{1,5})\.[0-9]{1,5}")
 
 
 def refusal(version: object) -> str:
-    """Return why a peer is refused, "" if it is compatible, as is one that announces no version (None)."""
+    """Return why a peer's version is refused, "" if it is compatible; None (no version) is compatible."""
     if version is None:
         return ""
     match = _VERSION.fullmatch(version) if isinstance(version, str) else None
