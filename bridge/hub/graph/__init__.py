@@ -1,4 +1,4 @@
-"""The participants of the hub: nodes, endpoints and origins, from the liveliness tokens of all sessions."""
+"""The participants on the hub: nodes, endpoints and origins, from the liveliness tokens of all sessions."""
 
 from bridge.hub.graph.endpoints import HubEndpoint, HubNode, origin_side
 from bridge.hub.graph.view import HubGraph

@@ -1,4 +1,4 @@
-"""What Midspan's sessions announce about themselves: their origin, their network's members, velocities, versions."""
+"""The announcements of Midspan's sessions: their origin, their network's members, velocities and versions."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ _log = logging.getLogger(__name__)
 
 
 class SessionAnnouncements:
-    """The announcements of Midspan's sessions on one graph, whose lock guards them.
+    """The announcements of Midspan's sessions in one graph. Not thread-safe: the lock of the graph guards them.
 
     Args:
-        max_tokens: the maximum number of each kind.
+        max_tokens: the maximum number of tokens of each kind.
         settle: called with the session (zid) whose origin may have changed.
 
     Attributes:
-        spaces: the keys of their tokens.
+        spaces: key expressions of the tokens.
         origins: the origin of each session that announces one, by zid.
-        velocities: session (zid), hub topic and type of each topic of velocities that a side's own nodes subscribe to.
+        velocities: session (zid), hub topic and type of each velocity topic to which a side's own nodes subscribe.
     """
 
     def __init__(self, domain: int, max_tokens: int, settle: Callable[[str], None]) -> None:
@@ -38,11 +38,11 @@ class SessionAnnouncements:
         self._strangers: set[str] = set()
 
     def members(self) -> dict[str, frozenset[str]]:
-        """The members of the foreign network of each session that carries messages, by zid."""
+        """Return by zid the members of the foreign network that each active worker's session announces."""
         return {zid: frozenset(members) for zid, members in self._members.items()}
 
     def put(self, key: str) -> bool:
-        """Add a token; return whether anything changed. Raises `HubWireError` if it is malformed, or one too many."""
+        """Add a token; return whether anything changed. Raises `HubWireError` if it is malformed or one too many."""
         if key.startswith(self._member_space):
             return self._put_member(*parse_member(key))
         if key.startswith(self._velocity_space):
@@ -56,7 +56,7 @@ class SessionAnnouncements:
         if token.zid not in self._tokens:
             self._check_room(len(self._tokens), "origins")
         tokens = self._tokens.setdefault(token.zid, {})
-        # the newest of a session's origins is valid; the token that it replaces is removed right after
+        # the newest of a session's origins is valid; the token that it replaces is removed immediately afterwards
         tokens.pop(key, None)
         tokens[key] = token.origin
         self._settle(token.zid)
@@ -97,13 +97,13 @@ class SessionAnnouncements:
         return True
 
     def _put_wire(self, zid: str, version: str, release: str) -> bool:
-        """Handle a session's version: the origin of endpoints with an incompatible one stays unknown."""
+        """Handle a session's version: if it is incompatible, the origin of the session's endpoints stays unknown."""
         reason = refusal(version)
         if not reason or zid in self._strangers:
             return False
         self._check_room(len(self._strangers), "versions")
         self._strangers.add(zid)
-        _log.warning("a Midspan %.40s on the hub is refused, session %s: %s", release, zid, reason)
+        _log.warning("Midspan %.40s on the hub is refused, session %s: %s", release, zid, reason)
         self._settle(zid)
         return True
 

@@ -1,9 +1,9 @@
-"""Resolution of the policies that an endpoint leaves open (BEST_AVAILABLE) against the endpoints that it matches.
+"""Resolves the policies that an endpoint leaves open (BEST_AVAILABLE) against the endpoints that it matches.
 
 rmw_zenoh writes such policies into the token as they are (rmw_zenoh_cpp 0.2.10, qos.cpp, ``best_available_qos``), so
 each reader of the graph resolves them. The rules are those of rmw_dds_common (Jazzy, qos.cpp; from ros2/rmw #320): the
-strongest policy that matches all endpoints of the topic. A DDS endpoint keeps the policy of its creation; here the
-policy follows the graph, because rmw_zenoh delivers under any combination of policies.
+strongest policy that matches all endpoints of the topic. The policy of a DDS endpoint is fixed when it is created; here
+the policy follows the graph, because rmw_zenoh delivers under any combination of policies.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from bridge.messages.velocities import VELOCITIES
 
 
 class GraphEndpoint(Protocol):
-    """What the resolution reads of an endpoint on the graph."""
+    """The properties of an endpoint that its resolution needs."""
 
     @property
     def kind(self) -> EndpointKind:
@@ -30,25 +30,25 @@ class GraphEndpoint(Protocol):
 
     @property
     def qos(self) -> Qos:
-        """The QoS, with its open policies as they were resolved last."""
+        """The QoS, with open policies as they were last resolved."""
 
 
 class BestAvailable:
-    """The open policies on one graph. It resolves them when the graph is read, since tokens come by the thousand."""
+    """The open policies in one graph, which are resolved only when the graph is read: tokens arrive by the thousand."""
 
     def __init__(self) -> None:
         self._announced: dict[str, Qos] = {}
         self._changed: set[str] = set()
 
     def added(self, key: str, topic: str, qos: Qos) -> None:
-        """Note an endpoint, by its token, that announced this QoS."""
+        """Add an endpoint, identified by its token, with the QoS that it announced."""
         if qos.best_available:
             self._announced[key] = qos
         if self._announced:
             self._changed.add(topic)
 
     def removed(self, key: str, topic: str, *, last: bool) -> None:
-        """Forget an endpoint; ``last``: the topic has no other one."""
+        """Remove an endpoint; ``last``: whether the topic has no other endpoint."""
         if last:
             self._changed.discard(topic)
         elif self._announced:
@@ -69,9 +69,9 @@ class BestAvailable:
 
 
 def resolve(type_name: str, announced: Mapping[str, tuple[EndpointKind, Qos]]) -> dict[str, Qos]:
-    """Return the QoS of each endpoint of one topic and type, by the same keys, without any open policy.
+    """Return the QoS of each endpoint of one topic and type, by the same keys, with all open policies resolved.
 
-    Publishers are resolved first: a subscription compares itself with the result.
+    Publishers are resolved first, because those of subscriptions depend on the result.
     """
     requested = [qos for kind, qos in announced.values() if kind is EndpointKind.SUBSCRIPTION]
     finite = (qos.deadline_ns for qos in requested if qos.deadline_ns != BEST_AVAILABLE_NS)
@@ -90,7 +90,7 @@ def resolve(type_name: str, announced: Mapping[str, tuple[EndpointKind, Qos]]) -
 
 
 def _strongest(offered: Iterable[Qos]) -> Qos:
-    """Return the strongest policies that all of these publishers offer; without any publisher, the strongest at all."""
+    """Return the strongest policies that all of these publishers offer; without publishers, the strongest possible."""
     offers = list(offered)
     reliable = all(qos.reliability is Reliability.RELIABLE for qos in offers)
     durable = all(qos.durability is Durability.TRANSIENT_LOCAL for qos in offers)
@@ -103,7 +103,7 @@ def _strongest(offered: Iterable[Qos]) -> Qos:
 
 
 def _filled(qos: Qos, best: Qos) -> Qos:
-    """Return ``qos`` with its open policies taken from ``best``."""
+    """Return ``qos`` with its open policies set to those of ``best``."""
     if not qos.best_available:
         return qos
     return replace(

@@ -1,4 +1,4 @@
-"""The nodes and endpoints of one graph, by their liveliness tokens."""
+"""The nodes and endpoints of one graph, according to their liveliness tokens."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bridge.hub.wire.qos import Qos, unknown_policies
 _log = logging.getLogger(__name__)
 
 _MAX_UNKNOWN = 100
-"""Unknown QoS policies that one graph reports, each once."""
+"""Maximum number of unknown QoS policies that one graph reports, each once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +44,15 @@ class HubEndpoint:
     """An endpoint on the hub.
 
     Attributes:
-        type_name: as ROS 2 spells it, ``std_msgs/msg/String``.
-        type_hash: of an endpoint that announces none, the hash that others of its kind, topic and type announce, or
-            `NO_HASH`; it changes with these.
-        qos: with open policies (BEST_AVAILABLE) resolved against the topic's endpoints; it changes with these.
-        gid: the 16 bytes that rmw_zenoh derives from the token; a publisher's samples carry them.
+        type_name: the type's name as in ROS 2, ``std_msgs/msg/String``.
+        type_hash: the announced type hash. If the endpoint announces none, the hash that others of its kind, topic and
+            type announce, or `NO_HASH`; this changes with those endpoints.
+        qos: the QoS, with open policies (BEST_AVAILABLE) resolved against the topic's endpoints; it changes with these.
+        gid: the 16 bytes that rmw_zenoh derives from the token; a publisher's samples contain them.
         origin: the foreign network of the session, None if the endpoint is native or the origin is not known yet.
-        buffers: it announces backends of buffers; see `bridge.hub.wire.buffers`.
-        hashless: it announces no type hash.
-        pending: a bridge made it, and its origin is not known (yet): nothing of it may cross.
+        buffers: whether it announces buffer backends; see `bridge.hub.wire.buffers`.
+        hashless: whether it announces no type hash.
+        pending: a bridge created it, and its origin is not known yet, so nothing from it may be bridged.
     """
 
     zid: str
@@ -72,17 +72,17 @@ class HubEndpoint:
 
 
 def origin_side(endpoint: HubEndpoint) -> str:
-    """The side that a hub publisher's messages come from, ``zenoh`` for a native participant of the hub."""
+    """Return the side from which a hub publisher's messages come, ``zenoh`` for a native participant on the hub."""
     return "zenoh" if endpoint.origin is None else endpoint.origin.side
 
 
 class EndpointTable:
-    """The nodes and endpoints of one graph, whose lock guards them.
+    """The nodes and endpoints of one graph. Not thread-safe: the lock of the graph guards them.
 
     Args:
         zid: the session that reads the graph.
         max_tokens: the maximum number of nodes and endpoints.
-        origins: the origin of each session that announces one, by zid; it changes.
+        origins: the origin of each session that announces one, by zid; the mapping changes.
     """
 
     def __init__(self, zid: str, domain: int, max_tokens: int, origins: Mapping[str, Origin]) -> None:
@@ -101,23 +101,23 @@ class EndpointTable:
 
     @property
     def variants_version(self) -> int:
-        """A number that changes with each change of `other_hashes`, and each new publisher with buffers."""
+        """A number that changes when `other_hashes` changes, or a new publisher with buffers appears."""
         return self._hashes.version + self._buffered
 
     @property
     def has_buffers(self) -> bool:
-        """Whether any publisher of another session has announced backends of buffers."""
+        """Whether any publisher of another session has announced buffer backends."""
         return bool(self._buffered)
 
     def nodes(self) -> list[HubNode]:
-        """All nodes, this session's own among them."""
+        """Return all nodes, including those of this session."""
         return [
             HubNode(token.zid, token.node, token.namespace, self._origins.get(token.zid), token.zid == self._zid)
             for token in self._nodes.values()
         ]
 
     def endpoints(self, topic: str | None = None) -> list[HubEndpoint]:
-        """All endpoints, or those of one topic or service, this session's own among them."""
+        """Return all endpoints, or those of one topic or service, including those of this session."""
         self._resolve()
         known = self._endpoints if topic is None else self._topics.get(topic, {})
         return list(known.values())
@@ -131,7 +131,7 @@ class EndpointTable:
         return self._hashes.foreign(wanted, self._topics.get(wanted[1], {}))
 
     def add(self, key: str, token: NodeToken | EndpointToken) -> bool:
-        """Add a node or an endpoint; return False if it is known. Raises `HubWireError` if there are too many."""
+        """Add a node or an endpoint; return False if it is known already. Raises `HubWireError` for one too many."""
         owner = token if isinstance(token, NodeToken) else token.owner
         if owner.domain != self._domain or key in self._nodes or key in self._endpoints:
             return False
@@ -179,7 +179,7 @@ class EndpointTable:
         return True
 
     def settle(self, zid: str) -> None:
-        """Give a session's endpoints its new origin."""
+        """Set the origin of a session's endpoints to the session's new origin."""
         for key in self._sessions.get(zid, ()):
             endpoint = self._endpoints.get(key)
             if endpoint is not None:
@@ -198,7 +198,7 @@ class EndpointTable:
             self._endpoints[key] = self._topics[name][key] = replace(self._endpoints[key], type_hash=type_hash)
 
     def _warn_of_unknown(self, key: str, endpoint: HubEndpoint) -> None:
-        """Report each unknown policy once, however many endpoints have it."""
+        """Report each unknown policy once, regardless of how many endpoints have it."""
         for policy in unknown_policies(qos_text(key)):
             if policy not in self._unknown and len(self._unknown) < _MAX_UNKNOWN:
                 self._unknown.add(policy)

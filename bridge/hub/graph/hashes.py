@@ -1,4 +1,4 @@
-"""The type hashes of one graph's endpoints: topics with several, and endpoints that announce none.
+"""The type hashes of one graph's endpoints, for topics with several hashes and endpoints that announce none.
 
 An endpoint without a hash, such as those of Humble, may use any version of its type, so the graph assumes the version
 that other endpoints of its kind announce. Otherwise the hash remains `NO_HASH`, and readers of the graph use the
@@ -49,11 +49,11 @@ KindOfEndpoint = tuple[EndpointKind, str, str]
 
 
 class TypeHashes:
-    """The hashes on one graph, whose lock guards it.
+    """The type hashes in one graph. Not thread-safe: the lock of the graph guards them.
 
     Attributes:
-        version: changes whenever an endpoint of another session without a hash appears or leaves, or any endpoint of a
-            topic and type with several hashes does.
+        version: a number that changes when another session's endpoint without a hash, or any endpoint of a topic and
+            type with several hashes, appears or leaves.
     """
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class TypeHashes:
         self._changed: set[str] = set()
 
     def added(self, key: str, endpoint: HashedEndpoint) -> None:
-        """Add an endpoint, by its token."""
+        """Add an endpoint, identified by its token."""
         type_hash = endpoint.type_hash
         if type_hash == NO_HASH:
             self._keys.add(key)
@@ -75,7 +75,7 @@ class TypeHashes:
             self._changed.add(endpoint.topic)
 
     def removed(self, key: str, endpoint: HashedEndpoint, *, last: bool) -> None:
-        """Remove an endpoint; ``last``: no endpoint is left on its topic."""
+        """Remove an endpoint; ``last``: whether the topic has no other endpoint."""
         type_hash = self.announced(key, endpoint)
         self._keys.discard(key)
         name = endpoint.topic, endpoint.type_name
@@ -109,11 +109,11 @@ class TypeHashes:
         return min((end.type_hash for end in others if end.type_hash != UNKNOWN_HASH), default=NO_HASH)
 
     def announced(self, key: str, endpoint: HashedEndpoint) -> str:
-        """Return the hash in an endpoint's token, or `NO_HASH`."""
+        """Return the hash that an endpoint's token announces, or `NO_HASH`."""
         return NO_HASH if key in self._keys else endpoint.type_hash
 
     def foreign(self, wanted: KindOfEndpoint, topic: Mapping[str, HashedEndpoint]) -> dict[str, bool]:
-        """Return the hashes that other sessions announce for a kind of endpoint, and whether one of each is latched."""
+        """Return the hashes that other sessions announce for a kind of endpoint, each with whether any is latched."""
         hashes: dict[str, bool] = {}
         for key, end in topic.items():
             type_hash = self.announced(key, end)

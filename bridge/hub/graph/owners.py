@@ -1,4 +1,4 @@
-"""The owner of a hub endpoint, as far as the hub knows it."""
+"""The owner of a hub endpoint, as far as it is known on the hub."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from bridge.sides import label
 
 
 def owner(endpoint: HubEndpoint) -> str:
-    """Return the node of a native endpoint, and the side of one that a worker of Midspan bridges.
+    """Return the node of a native endpoint, or the side of an endpoint that a Midspan worker bridges.
 
-    A bridged endpoint carries the node of the worker; the hub does not know the nodes on the side.
+    A bridged endpoint announces the worker's node; the nodes on the side are not known on the hub.
     """
     if endpoint.origin is not None:
         return f"a node on {label(endpoint.origin.side) or endpoint.origin.side}"

@@ -1,4 +1,4 @@
-"""The ROS 2 releases of the hub's native nodes, by their tokens.
+"""The ROS 2 releases of the hub's native nodes, as far as their tokens show them.
 
 The forms of tokens differ between the releases of rmw_zenoh: see `bridge.hub.graph.hashes` for Humble and
 `bridge.hub.wire.buffers` for Lyrical. rmw_zenoh was not released for Iron.
@@ -42,7 +42,7 @@ def endpoint_releases(endpoint: HubEndpoint) -> Releases:
         return releases.WITHOUT_HASHES
     if endpoint.buffers:
         return _WITH_BUFFERS
-    if endpoint.type_hash == UNKNOWN_HASH:  # it accepts any
+    if endpoint.type_hash == UNKNOWN_HASH:  # the subscription accepts any hash
         return releases.ALL
     admitted = releases.by_hash(endpoint.type_name, endpoint.type_hash) & _RMW_ZENOH
     plain = endpoint.type_name in BUFFER_TYPES and endpoint.kind in _TOPIC_ENDS and not endpoint.qos.latched

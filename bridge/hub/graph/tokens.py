@@ -1,17 +1,17 @@
-"""Liveliness tokens: how each participant of the hub announces itself.
+"""Liveliness tokens, with which each participant on the hub announces itself.
 
 A node's token is ``@ros2_lv/<domain>/<zid>/<node id>/<id>/NN/<enclave>/<namespace>/<node>``, an endpoint's token
 has ``MP``, ``MS``, ``SS`` or ``SC`` instead of ``NN``, followed by ``/<name>/<type>/<hash>/<qos>`` (rmw_zenoh_cpp,
 liveliness_utils.cpp). Later releases append parts: since rmw_zenoh_cpp 0.10.5 (Lyrical), ``/backends:cpu:`` for a
-volatile endpoint whose type has buffers (`bridge.hub.wire.buffers`). Midspan ignores other parts, except that they
-enter the GID: the 128-bit XXH3 of the whole key, low half first.
+volatile endpoint whose type has buffers (`bridge.hub.wire.buffers`). Midspan ignores other parts, except that they are
+included in the GID, which is the 128-bit XXH3 of the whole key, low half first.
 
-Midspan's workers also announce the foreign network that they bridge, their origin:
-``@midspan/<domain>/origin/<zid>/<side>/<network>/<daemon>``, one per session, declared before any endpoint. An endpoint
-declared while its session has an origin carries the enclave ``/midspan``, so that a participant that sees the endpoint
-first knows that an origin will follow. A worker that carries messages also announces the workers on its network, itself
-included, with one token per worker: ``@midspan/<domain>/member/<zid>/<zid of the worker>``. From these tokens, two hubs
-see that they share a network. For each topic of velocities that its side's own nodes subscribe to, it announces
+Each of Midspan's workers also announces the foreign network that it bridges, its origin, with one token per session:
+``@midspan/<domain>/origin/<zid>/<side>/<network>/<daemon>``, declared before any endpoint. An endpoint that is declared
+while its session has an origin has the enclave ``/midspan``, so that a participant that sees the endpoint first knows
+that an origin will follow. An active worker also announces the workers on its network, including itself, with one token
+per worker: ``@midspan/<domain>/member/<zid>/<zid of the worker>``. These tokens show that two hubs share a network. For
+each velocity topic to which its side's own nodes subscribe, it announces
 ``@midspan/<domain>/velocity/<zid>/<topic on the hub>/<type>``. Before anything else, each Midspan session announces its
 protocol version: ``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>`` (`bridge.hub.wire.version`).
 """
@@ -45,14 +45,13 @@ from bridge.hub.wire.version import WIRE
 class Origin:
     """The foreign network that a worker's hub session bridges.
 
-    A hub session without an origin token is a native participant of the hub (an rmw_zenoh node, a zenoh program).
+    A hub session without an origin token is a native participant on the hub (an rmw_zenoh node or a zenoh program).
 
     Attributes:
         side: ``ros1``, ``ros2``, ``yarp``, or a dialect of the zenoh adapter: ``zenoh_ros2dds``, ``zenoh_ros1``,
             ``zenoh_json``.
         network: identity of the network: the master's run id on ROS 1, the participant's marked GUID prefix (24 hex
-            digits) on ROS 2, the dialect session's id on zenoh. The side's adapter compares it with the
-            adapter's own network.
+            digits) on ROS 2, the dialect session's id on zenoh. The side's adapter compares it with its own network.
         daemon: identity of the daemon (its machine and name), for people.
     """
 
@@ -64,7 +63,7 @@ class Origin:
 ADMIN_SPACE = "@ros2_lv"
 MIDSPAN_SPACE = "@midspan"
 TAPS = "/_midspan/"
-"""Prefix of hub topics that show an unbridged topic of a side on request; no side receives them."""
+"""Prefix of hub topics on which an unbridged topic of a side is published on request; no side receives them."""
 
 BRIDGE_ENCLAVE = "/midspan"
 UNKNOWN_HASH = "RIHS01_" + "0" * 64
@@ -96,7 +95,7 @@ _KINDS = {letters: kind for kind, letters in _LETTERS.items()}
 
 @dataclass(frozen=True, slots=True)
 class NodeToken:
-    """A node of a session."""
+    """The token of a node."""
 
     domain: int
     zid: str
@@ -108,7 +107,7 @@ class NodeToken:
 
 @dataclass(frozen=True, slots=True)
 class EndpointToken:
-    """An endpoint of a node; ``id`` is unique within its session, ``type_hash`` may be `NO_HASH`."""
+    """The token of an endpoint; ``id`` is unique within the session, and ``type_hash`` may be `NO_HASH`."""
 
     owner: NodeToken
     id: str
@@ -121,7 +120,7 @@ class EndpointToken:
 
 @dataclass(frozen=True, slots=True)
 class OriginToken:
-    """The origin of a session."""
+    """The token of a session's origin."""
 
     domain: int
     zid: str
@@ -150,7 +149,7 @@ def origin_key(token: OriginToken) -> str:
 
 
 def parse_token(key: str) -> NodeToken | EndpointToken:
-    """Read a token of the ROS 2 graph; raises `HubWireError`."""
+    """Parse a token of the ROS 2 graph; raises `HubWireError`."""
     parts = _split(key, ADMIN_SPACE)
     if len(parts) < _NODE_PARTS:
         raise HubWireError(f"token has {len(parts)} parts instead of {_NODE_PARTS} or more")
@@ -169,17 +168,17 @@ def parse_token(key: str) -> NodeToken | EndpointToken:
 
 
 def has_buffers(key: str) -> bool:
-    """Return whether an endpoint's token that `parse_token` accepts announces backends of buffers (Lyrical)."""
+    """Return whether an endpoint's token, which `parse_token` accepts, announces buffer backends (Lyrical)."""
     return any(map(announces_backends, key.split("/")[_ENDPOINT_PARTS:]))
 
 
 def qos_text(key: str) -> str:
-    """Return the QoS part of an endpoint's token that `parse_token` accepts."""
+    """Return the QoS part of an endpoint's token, which `parse_token` accepts."""
     return key.split("/", _ENDPOINT_PARTS)[_ENDPOINT_PARTS - 1]
 
 
 def parse_origin(key: str) -> OriginToken:
-    """Read an origin's token; raises `HubWireError`."""
+    """Parse an origin's token; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) != 7 or parts[2] != "origin":
         raise HubWireError("not an origin token")
@@ -188,12 +187,12 @@ def parse_origin(key: str) -> OriginToken:
 
 
 def member_key(domain: int, zid: str, member: str) -> str:
-    """Return the key of the token by which a session announces that another session's worker is on the same network."""
+    """Return the key of the token with which a session announces that ``member``'s worker is on the same network."""
     return f"{MIDSPAN_SPACE}/{domain}/member/{zid}/{_quote(member)}"
 
 
 def parse_member(key: str) -> tuple[str, str]:
-    """Read a member's token: the session that announces, and the one that it announces; raises `HubWireError`."""
+    """Parse a member's token: the announcing session, and the member's session; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) != 5 or parts[2] != "member":
         raise HubWireError("not a member token")
@@ -201,27 +200,27 @@ def parse_member(key: str) -> tuple[str, str]:
 
 
 def velocity_key(domain: int, zid: str, topic: str, type_name: str) -> str:
-    """Return the key of the token by which a session announces that its side subscribes to a topic of velocities."""
+    """Return the key of the token with which a session announces that its side subscribes to a velocity topic."""
     return f"{MIDSPAN_SPACE}/{domain}/velocity/{zid}/{_quote(topic)}/{_quote(type_name)}"
 
 
 def parse_velocity(key: str) -> tuple[str, str, str]:
-    """Read a velocity's token: the session that announces it, the topic and its type; raises `HubWireError`."""
+    """Parse a velocity's token: the announcing session, the topic and its type; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) != 6 or parts[2] != "velocity":
         raise HubWireError("not a velocity token")
     topic, type_name = check_topic(_unquote(parts[4])), _unquote(parts[5])
-    dds_type_name(type_name)  # it raises
+    dds_type_name(type_name)  # raises HubWireError for an invalid name
     return parts[3], topic, type_name
 
 
 def wire_key(domain: int, zid: str) -> str:
-    """Return the key of the token by which a session announces its protocol version."""
+    """Return the key of the token with which a session announces its protocol version."""
     return f"{MIDSPAN_SPACE}/{domain}/wire/{zid}/{WIRE}/{_quote(__version__)}"
 
 
 def parse_wire(key: str) -> tuple[str, str, str]:
-    """Read a version's token: session, version and release, ignoring later additions; raises `HubWireError`."""
+    """Parse a version's token: session, version and release, ignoring later additions; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
     if len(parts) < 6 or parts[2] != "wire":
         raise HubWireError("not a version token")
@@ -229,7 +228,7 @@ def parse_wire(key: str) -> tuple[str, str, str]:
 
 
 def gid_of(key: str) -> bytes:
-    """Return the GID of the endpoint whose token has this key: 16 bytes."""
+    """Return the GID (16 bytes) of the endpoint whose token has this key."""
     value = xxhash.xxh3_128_intdigest(key.encode())
     return (value & (2**64 - 1)).to_bytes(8, "little") + (value >> 64).to_bytes(8, "little")
 

@@ -30,9 +30,9 @@ class HubGraph:
     """Nodes, endpoints and origins. Safe to use from any thread.
 
     Attributes:
-        epoch: another object after each token that appears or disappears.
-        refused: number of tokens left out because they are malformed or too many.
-        trouble: the reason for the last of them.
+        epoch: an object that is replaced after each token that appears or disappears.
+        refused: number of tokens that were ignored because they are malformed or too many.
+        trouble: the reason why the last of these was ignored.
     """
 
     def __init__(self, session: zenoh.Session, domain: int, max_tokens: int) -> None:
@@ -52,7 +52,7 @@ class HubGraph:
         self._subscribers = [follow_tokens(session, space, self._on_sample) for space in spaces]
 
     def endpoints(self) -> list[HubEndpoint]:
-        """All endpoints, this session's own among them."""
+        """Return all endpoints, including those of this session."""
         with self._lock:
             return self._table.endpoints()
 
@@ -61,33 +61,33 @@ class HubGraph:
         return next((endpoint for endpoint in self.endpoints() if endpoint.gid == gid), None)
 
     def publishers(self, topic: str | None = None) -> list[HubEndpoint]:
-        """All publishers, or those of one topic."""
+        """Return all publishers, or those of one topic."""
         return self._of_kind(EndpointKind.PUBLISHER, topic)
 
     def subscriptions(self, topic: str | None = None) -> list[HubEndpoint]:
-        """All subscriptions, or those of one topic."""
+        """Return all subscriptions, or those of one topic."""
         return self._of_kind(EndpointKind.SUBSCRIPTION, topic)
 
     def servers(self, name: str | None = None) -> list[HubEndpoint]:
-        """All servers, or those of one service."""
+        """Return all servers, or those of one service."""
         return self._of_kind(EndpointKind.SERVER, name)
 
     def clients(self, name: str | None = None) -> list[HubEndpoint]:
-        """All clients, or those of one service."""
+        """Return all clients, or those of one service."""
         return self._of_kind(EndpointKind.CLIENT, name)
 
     def nodes(self) -> list[HubNode]:
-        """All nodes, this session's own among them."""
+        """Return all nodes, including those of this session."""
         with self._lock:
             return self._table.nodes()
 
     def origins(self) -> dict[str, Origin]:
-        """The origin of each session that announces one, by zid."""
+        """Return by zid the origin of each session that announces one."""
         with self._lock:
             return dict(self._origins)
 
     def members(self) -> dict[str, frozenset[str]]:
-        """The members of the foreign network of each session that carries messages, as it announces them; by zid."""
+        """Return by zid the members of the foreign network that each active worker's session announces."""
         with self._lock:
             return self._announced.members()
 
@@ -96,7 +96,7 @@ class HubGraph:
         return self.announce(member_key(self._domain, self._zid, member))
 
     def velocities(self) -> list[tuple[str, str, str]]:
-        """Session (zid), hub topic and type of each topic of velocities that a side's own nodes subscribe to."""
+        """Return session (zid), hub topic and type of each velocity topic to which a side's own nodes subscribe."""
         with self._lock:
             return sorted(self._announced.velocities)
 
@@ -106,11 +106,11 @@ class HubGraph:
 
     @property
     def variants_version(self) -> int:
-        """A number that changes with each change of `other_hashes`, and each new publisher with buffers."""
+        """A number that changes when `other_hashes` changes, or a new publisher with buffers appears."""
         return self._table.variants_version
 
     def has_buffers(self, topic: str, type_name: str) -> bool:
-        """Return whether another session's publisher of this topic and type announces backends of buffers."""
+        """Return whether another session's publisher of this topic and type announces buffer backends."""
         publishers = self.publishers(topic) if self._table.has_buffers else ()
         return any(end.buffers and end.type_name == type_name and not end.own for end in publishers)
 
@@ -133,7 +133,7 @@ class HubGraph:
     def watch(self, callback: Callable[[], None]) -> Callable[[], None]:
         """Call ``callback`` after each change, until the returned function is called.
 
-        It runs on zenoh's thread, so it must only set a flag and wake another thread.
+        The callback runs on zenoh's thread, so it must only set a flag and wake another thread.
         """
         watch = object()
         self._watches[watch] = callback
@@ -146,8 +146,8 @@ class HubGraph:
     def catch_up(self, seconds: float) -> None:
         """Wait, in a zenoh client, until the router has sent all tokens that it had at the time of the call.
 
-        The router answers in order. The key asked for does not exist, and this session does not watch it, because
-        zenoh would answer for a watched one itself.
+        This works because the router answers in order. The requested key does not exist, and this session does not
+        watch it, because zenoh itself would answer for a watched key.
         """
         for _ in self._liveliness.get(f"{MIDSPAN_SPACE}/{self._domain}/told/{self._zid}", timeout=seconds):
             pass
@@ -163,7 +163,7 @@ class HubGraph:
             return [endpoint for endpoint in self._table.endpoints(topic) if endpoint.kind is kind]
 
     def announce(self, key: str) -> Callable[[], None]:
-        """Declare a token of this session's own, until the returned function is called."""
+        """Declare a token of this session, which exists until the returned function is called."""
         self._own[key] = self._liveliness.declare_token(key)
         # not read back from zenoh, which drops a client's tokens when it loses its router
         with self._lock:
@@ -205,10 +205,10 @@ class HubGraph:
         level = logging.DEBUG if self.refused else logging.WARNING
         self.refused += 1
         self.trouble = f"{why}: {key:.100}"
-        _log.log(level, "liveliness token left out, %s: %.200s", why, key)
+        _log.log(level, "liveliness token ignored, %s: %.200s", why, key)
 
     def renew(self) -> None:
-        """Begin a new epoch: another session may have declared subscribers."""
+        """Begin a new epoch, because another session may have declared subscribers."""
         self.epoch = object()
 
     def _notify(self, changed: bool) -> None:

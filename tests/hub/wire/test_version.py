@@ -62,7 +62,7 @@ def test_endpoints_of_another_major_version_have_no_origin(
             strange = tokens.declare_token(f"{version}/{NEXT}/9.9")
             until(lambda: seen() == [(None, True)], "it is refused: nothing of unknown origin crosses")
         (log_line,) = (line for line in caplog.messages if zid in line)
-        assert log_line == f"a Midspan 9.9 on the hub is refused, session {zid}: {refusal(NEXT)}"
+        assert log_line == f"Midspan 9.9 on the hub is refused, session {zid}: {refusal(NEXT)}"
         assert (
             f"it uses version {NEXT} of Midspan's protocol, and this Midspan {WIRE}; install the same release"
             in log_line
