@@ -1,6 +1,6 @@
-"""The hub: a ROS 2 graph spoken over zenoh in rmw_zenoh's Jazzy wire format.
+"""The hub: a ROS 2 graph over zenoh in the wire format of Jazzy's rmw_zenoh.
 
-A node with a publisher, whose messages are bytes (CDR); `bridge.client` and `bridge.modules` use Python values::
+Example: a node with a publisher of serialized messages (CDR); `bridge.client` and `bridge.modules` use Python values::
 
     from bridge.hub.session import Hub, HubSettings
     from bridge.hub.wire.qos import Qos

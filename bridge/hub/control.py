@@ -1,8 +1,8 @@
-"""The control plane: questions and answers in JSON between Midspan's own programs, as zenoh queries.
+"""The control plane: questions and answers in JSON between Midspan's programs, as zenoh queries.
 
 A worker answers on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The answer is ``{"value": ...}`` or
-``{"error": "..."}``, with ``wire``, the version of `bridge.hub.wire.version`, and ``daemon``, its daemon's identity
-(`bridge.hub.daemons`). Subscribers of ``**`` do not receive keys that start with ``@``.
+``{"error": "..."}``, with ``wire``, the version of `bridge.hub.wire.version`, and ``daemon``, the identity of the
+worker's daemon (`bridge.hub.daemons`). Subscribers to ``**`` do not receive keys that start with ``@``.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _log = logging.getLogger(__name__)
 Handler = Callable[[dict[str, Any]], Any]
 
 RECORDED = {"recorded": True}
-"""What a recorder answers to ``halt``: it moves nothing, and keeps what led to the halt."""
+"""A recorder's answer to ``halt``: it moves nothing, and saves what led to the halt."""
 
 WHO = {"who": True}
-"""Parameters for which the answer to any verb has only the daemon's identity."""
+"""Parameters with which any verb is answered only with the daemon's identity."""
 
 _MAX_PENDING = 64
 _MAX_QUESTION = 1 << 20
@@ -45,7 +45,7 @@ _THREADS = 2
 class WorkerAnswer:
     """One worker's answer; ``error`` is "" if ``value`` is valid.
 
-    ``session`` is the id of the worker's session, ``identity`` that of its daemon, None from an earlier release.
+    ``session`` is the id of the worker's session; ``identity`` identifies its daemon, None for an earlier release.
     """
 
     daemon: str
@@ -57,7 +57,7 @@ class WorkerAnswer:
 
 
 class Control:
-    """Answers queries to one worker. Handlers run on separate threads, never on zenoh's threads."""
+    """Answers the queries to one worker. Handlers run on separate threads, never on zenoh's threads."""
 
     def __init__(
         self, session: zenoh.Session, domain: int, daemon: str, worker: str, identity: DaemonIdentity | None = None
@@ -73,9 +73,9 @@ class Control:
         self._serving: list[zenoh.Queryable[None]] = []
 
     def serve(self, verb: str, handler: Handler) -> Callable[[], None]:
-        """Answer a verb until the returned function is called, or this is closed.
+        """Answer a verb until the returned function or `close` is called.
 
-        The handler takes the parameters and returns what JSON can carry.
+        The handler receives the parameters, and returns a value that JSON can represent.
         """
         key = f"{self._space}/{self._me}/{verb}"
 
@@ -91,7 +91,7 @@ class Control:
         return partial(self._withdraw, serving)
 
     def close(self) -> None:
-        """Stop answering, and end the threads. Safe to call twice."""
+        """Stop answering and end the threads. Safe to call twice."""
         undeclare(*self._serving)
         self._pool.close(1.0)
 
@@ -125,7 +125,7 @@ class Control:
 def ask(
     session: zenoh.Session, domain: int, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float
 ) -> list[WorkerAnswer]:
-    """Ask all who answer a verb; returns when all did, or after ``timeout`` seconds."""
+    """Query all workers that serve a verb; return when all have answered, or after ``timeout`` seconds."""
     replies = session.get(
         f"{MIDSPAN_SPACE}/{domain}/{daemon}/{worker}/{verb}",
         target=zenoh.QueryTarget.ALL,
@@ -155,7 +155,7 @@ def _params(query: zenoh.Query) -> dict[str, Any]:
     except (ValueError, RecursionError):
         params = None
     if not isinstance(params, dict):
-        raise HubError("a question's parameters are a JSON object")
+        raise HubError("a question's parameters must be a JSON object")
     return params
 
 
@@ -165,7 +165,7 @@ def _reply(query: zenoh.Query, key: str, answer: bytes) -> None:
         with query:
             query.reply(key, answer)
     except zenoh.ZError as err:
-        _log.debug("the asker of %s has gone: %s", key, err)
+        _log.debug("the client of %s has left: %s", key, err)
 
 
 def _read(sample: zenoh.Sample) -> WorkerAnswer:

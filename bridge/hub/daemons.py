@@ -17,12 +17,12 @@ _MAX_TEXT = 200
 
 @dataclass(frozen=True, slots=True)
 class DaemonIdentity:
-    """A daemon, as its workers and its router describe it in their answers.
+    """The identity of a daemon, which its workers and its router include in their answers.
 
     Attributes:
-        instance: identity of its state folder; only one daemon of this name can use it.
-        machine: host name.
-        folder: its state folder.
+        instance: identity of its state folder, which only one daemon of this name can use.
+        machine: its host name.
+        folder: path of its state folder.
     """
 
     instance: str
@@ -35,7 +35,7 @@ class DaemonIdentity:
         return f"state folder {self.folder} on {self.machine}"
 
     def as_dict(self) -> dict[str, str]:
-        """Return the object in an answer."""
+        """Return the identity as a JSON object for an answer."""
         return asdict(self)
 
 
@@ -54,7 +54,7 @@ def identity_of(config: Config) -> DaemonIdentity | None:
 
 
 def read_identity(value: Any) -> DaemonIdentity | None:
-    """Return the identity in an answer; None without a valid one, as from an earlier release."""
+    """Return the identity in an answer; None if it has no valid one, as from an earlier release."""
     if not isinstance(value, dict):
         return None
     texts = [text[:_MAX_TEXT] for text in map(value.get, ("instance", "machine", "folder")) if isinstance(text, str)]

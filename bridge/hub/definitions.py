@@ -1,4 +1,4 @@
-"""Requests for message definitions: workers and tools get definitions that they lack from other workers."""
+"""Requests for message definitions, with which workers and tools get missing definitions from other workers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MAX_DEFINITION = 1024 * 1024
 
 
 def definition_among(answers: Iterable[WorkerAnswer], type_hash: str = "") -> str | None:
-    """Return the first received definition, with this hash unless it is ""; None if no worker has it."""
+    """Return the first definition in the answers, with ``type_hash`` unless that is ""; None if no worker has it."""
     for answer in answers:
         value = answer.value if isinstance(answer.value, dict) else {}
         definition = value.get("definition")

@@ -1,4 +1,4 @@
-"""``/diagnostics`` on the hub, for rqt_robot_monitor and the Foxglove app: names, and whether it has subscribers."""
+"""``/diagnostics`` on the hub, for rqt_robot_monitor and the Foxglove app: names, and whether there are subscribers."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from bridge.messages.registry import Registry
 TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 HEARD = "/_midspan/diagnostics"
-"""A side's worker subscribes to this topic while a program of its side subscribes to `TOPIC`.
+"""A side's worker subscribes to this topic while a program on its side subscribes to `TOPIC`.
 
-The route's own subscription on the hub does not show that, as it exists even without subscribers on the side.
+The route's own subscription on the hub does not show that, because it exists even without subscribers on the side.
 """
 
 

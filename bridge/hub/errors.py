@@ -24,7 +24,7 @@ class HubConfigError(HubError):
 
 
 class HubClosedError(HubError):
-    """The hub session, or the endpoint, is closed."""
+    """The hub session or the endpoint is closed."""
 
 
 class HubWireError(HubError):
@@ -32,5 +32,5 @@ class HubWireError(HubError):
 
 
 def zenoh_reason(err: Exception) -> str:
-    """The reason that zenoh gives, without the places in its source."""
+    """Return the reason that zenoh reports, without source locations."""
     return _RUST_PLACE.sub("", str(err))

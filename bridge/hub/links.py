@@ -1,20 +1,20 @@
-"""The links of zenoh sessions: restores missing ones between programs of this machine, and closes dead ones to others.
+"""Restores missing links between zenoh sessions on this machine, and closes dead links to other machines.
 
 Peers discover each other when one of them joins the router (zenoh calls it gossip), and then link directly. zenoh does
-not restore a link that has ended, and its routers do not forward between two peers (zenoh 1.10: ``closed_session`` of
+not restore a link that has ended, and its routers do not forward between two peers (zenoh 1.10: ``closed_session`` in
 ``orchestrator.rs`` reconnects only to configured endpoints; ``peers_failover_brokering`` no longer has an effect). A
-process that is suspended for about the lease of 3 s loses some of its links and keeps others. If it keeps the router's,
-it and a lost peer receive nothing from each other until one of them is restarted. A worker that was repeatedly stopped
-for 3 s showed this the fourth time. When a session joins, the router and all peers are announced again, so a session
-that has lost a peer which is still at the router briefly opens another session (`Mesh`).
+process that is suspended for about the lease of 3 s loses some of its links and keeps others. If it keeps the link to
+the router, it and a lost peer receive nothing from each other until one of them is restarted. A worker that was
+repeatedly stopped for 3 s showed this the fourth time. When a session joins, the router and all peers are announced
+again. So if a session has lost a peer that is still at the router, it briefly opens another session (`Mesh`).
 
-A first attempt to link may fail as well: when 13 nodes of rmw_zenoh joined at once on a busy machine, one of them had
-no link to some workers, and they did not see its topics. So a session also compares its links with the router's peers.
+A first attempt to link may also fail: when 13 rmw_zenoh nodes joined at once on a busy machine, one of them had no link
+to some workers, which did not see its topics. So a session also compares its links with the router's peers.
 
-zenoh (1.10) ends a link that was silent for its lease. Over TLS it first waits for a packet that is being written. On a
-cut link with outgoing data such a packet is not accepted until TCP gives up, up to a quarter of an hour later, and all
-sessions behind the link count as present until then. A time limit makes TCP give up in time (RFC 5482; only Linux has
-it, as ``TCP_USER_TIMEOUT``), see `LinkLimits`.
+zenoh (1.10) ends a link that was silent for its lease. Over TLS it first waits until a packet has been written. If a
+link with outgoing data is cut, that ends only when TCP gives up, up to a quarter of an hour later, and until then all
+sessions at the other end of the link count as present. A time limit makes TCP give up in time (RFC 5482; only Linux has
+it, as ``TCP_USER_TIMEOUT``); see `LinkLimits`.
 """
 
 from __future__ import annotations
@@ -47,36 +47,36 @@ MEMBERS = "members"
 """The verb to which Midspan's router responds with its sessions."""
 
 _MARK = "d0c0ffee"
-"""Prefix of the zenoh ids of the sessions that introduce others; their ends are not losses."""
+"""Prefix of the zenoh ids of sessions that introduce others; that such a session ends is not a loss."""
 
 _FIRST_SECONDS = 1.5
-"""Longer than the other sessions and the router take to detect a loss. Otherwise a suspended process would be
-announced, and failing attempts to reach it would still run when it continues."""
+"""Seconds before a lost session is introduced: longer than the other sessions and the router take to detect a loss.
+Otherwise a suspended process would be announced, and failing attempts to reach it would still run when it continues."""
 
 _SOON_SECONDS = 0.2
 _TOGETHER_SECONDS = 1.0
-"""A session that lost its router within this time of its peers was suspended itself, and need not wait."""
+"""A session that lost its router within this many seconds of its peers was itself suspended, and need not wait."""
 
 _LONGEST_SECONDS = 4.0
 _INTRODUCTION_SECONDS = 2.0
 _REMEMBERED_SECONDS = 60.0
-"""Time for which a lost session is searched; one that is not at the router may return to it."""
+"""Seconds for which a lost session is searched for, because it may return to the router."""
 
 _COMPARE_SECONDS = 5.0
-"""Time between two comparisons with the router's peers. One that is missing in two of them has no link."""
+"""Seconds between comparisons with the router's peers. A peer that is missing in two successive ones has no link."""
 
 _POLL_SECONDS = 0.4
 _MOST_EVENTS = 1000
-"""Maximum number of unread events of links."""
+"""Maximum number of unread link events."""
 
 Members = Callable[[], set[str] | None]
 
 
 class Mesh:
-    """Watches the direct links of a session.
+    """Watches the direct links of a session, and restores missing ones.
 
     Args:
-        config: returns a configuration with which another session joins the same hub.
+        config: returns a configuration for another session on the same hub.
         members: returns the zenoh ids of all sessions at this session's routers, None if no router answers.
         peers: the same for peers only.
 
@@ -89,13 +89,13 @@ class Mesh:
     ) -> None:
         self._session, self._config, self._members, self._peers = session, config, members, peers
         self._lost: dict[str, float] = {}
-        self._unlinked: set[str] = set()  # by the last comparison
+        self._unlinked: set[str] = set()  # according to the last comparison
         self._unreachable: frozenset[str] = frozenset()
         self._compare_at = time.monotonic() + _COMPARE_SECONDS
         self._adrift = float("-inf")
         self._closed = Event()
         self.mended = 0
-        # Not a callback: it would block zenoh's thread, which opens and closes links, on the GIL
+        # not a callback, which would block zenoh's thread that opens and closes links on the GIL
         channel: Any = zenoh.handlers.RingChannel(_MOST_EVENTS)
         self._listener: Any = session.info.declare_transport_events_listener(channel)
         self._events: Any = self._listener.handler
@@ -115,7 +115,7 @@ class Mesh:
         return frozenset(self._lost)
 
     def _run(self) -> None:
-        while not self._closed.wait(_POLL_SECONDS):  # zenoh's own wait for an event polls ten times a second
+        while not self._closed.wait(_POLL_SECONDS):  # zenoh's own wait for events polls ten times a second
             try:
                 self._take_all()
                 self._compare()
@@ -128,7 +128,7 @@ class Mesh:
             self._on_event(event)
 
     def _search(self) -> None:
-        """Introduce the lost sessions until all of them are linked or given up."""
+        """Introduce the lost sessions until each of them is linked or given up."""
         pause = _SOON_SECONDS
         while self._lost and not self._closed.wait(pause):
             try:
@@ -136,7 +136,7 @@ class Mesh:
                 self._compare()
                 self._mend()
             except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
-                _log.debug("lost links are not mended: %s", zenoh_reason(err))
+                _log.debug("cannot restore lost links: %s", zenoh_reason(err))
             self._give_up(time.monotonic() - _REMEMBERED_SECONDS)
             pause = min(2 * pause, _LONGEST_SECONDS)
 
@@ -151,7 +151,7 @@ class Mesh:
         return bool(json.loads(self._config().get_json("mode")) == "client")
 
     def _compare(self) -> None:
-        """Count the router's peers without a link as lost; a client needs no links."""
+        """Count the router's peers without a link to this session as lost; in client mode none are needed."""
         now = time.monotonic()
         if now < self._compare_at:
             return
@@ -160,7 +160,7 @@ class Mesh:
         if peers is None:
             self._unlinked, self._unreachable = set(), frozenset()
             return
-        self._unreachable &= peers  # one that has left may return
+        self._unreachable &= peers  # a session that has left may return
         linked = self._here() | self._unreachable | {str(self._session.zid())}
         unlinked = {zid for zid in peers - linked if not zid.startswith(_MARK)}
         for zid in unlinked & self._unlinked:
@@ -178,7 +178,7 @@ class Mesh:
             self._lost[zid] = now
 
     def _mend(self) -> None:
-        """Introduce the missing sessions; does nothing while no router reports its sessions."""
+        """Introduce the missing sessions; do nothing while no router reports its sessions."""
         if not self._session.info.routers_zid():  # when the router returns, all peers are announced
             return
         members = self._members()
@@ -196,7 +196,7 @@ class Mesh:
         return {str(zid) for zid in self._session.info.peers_zid()}
 
     def _introduce(self, missing: Collection[str]) -> None:
-        """Open another session until the missing ones are linked: it makes the router announce all peers."""
+        """Open another session, which makes the router announce all peers, until the missing sessions are linked."""
         config = self._config()
         config.insert_json5("id", json.dumps(_MARK + secrets.token_hex(12)))
         session = zenoh.open(config)
@@ -220,7 +220,7 @@ def _far(address: str) -> bool:
 
 
 def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> None:
-    """Set the limit on all of this process's connections to other machines."""
+    """Set the time limit on all connections of a process (this one) to other machines."""
     if _OPTION is None:
         return
     import psutil  # only needed with an external listener
@@ -232,7 +232,7 @@ def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> N
 
 
 def _limit(descriptor: int, option: int) -> None:
-    copy = os.dup(descriptor)  # zenoh may close its own meanwhile, and its number may be reused
+    copy = os.dup(descriptor)  # zenoh may close its descriptor meanwhile, and the number may be reused
     try:
         link = socket.socket(fileno=copy)
     except OSError:
@@ -243,7 +243,7 @@ def _limit(descriptor: int, option: int) -> None:
 
 
 class LinkLimits:
-    """Sets the limit on new connections, on a separate thread."""
+    """Sets the time limit on new connections, on a separate thread."""
 
     def __init__(self) -> None:
         self._end = threading.Event()

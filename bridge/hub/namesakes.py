@@ -1,4 +1,4 @@
-"""Several daemons on one hub with one name, so that their keys are the same."""
+"""Detects and distinguishes daemons on one hub that have the same name, and therefore the same keys."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _log = logging.getLogger(__name__)
 _EVERY = 10.0
 _ANSWER_SECONDS = 1.0
 _WHO_SECONDS = 0.5
-"""Shorter, as a worker that hangs must not delay the router's heartbeat."""
+"""Shorter, because a worker that hangs must not delay the router's heartbeat."""
 
 Routers = dict[str, frozenset[str]]
-"""The sessions that are linked with each router, by the router's id."""
+"""The sessions that are linked to each router, by the router's id."""
 
 
 class Namesakes:
     """Searches the hub for other daemons with this daemon's name.
 
     Attributes:
-        warning: the daemons found, with the cure; "" without any.
+        warning: the other daemons and how to fix that; "" if there are none.
     """
 
     def __init__(self, session: zenoh.Session, domain: int, daemon: str, own: DaemonIdentity | None) -> None:
@@ -37,7 +37,7 @@ class Namesakes:
         self.warning = ""
 
     def check(self) -> None:
-        """Search every 10 s; the log gets changes."""
+        """Search at most every 10 s, and log changes."""
         now = time.monotonic()
         if now < self._due:
             return
@@ -51,7 +51,7 @@ class Namesakes:
         self.warning = warning
 
     def _others(self) -> set[str]:
-        """Return the machines with a router of this name, and the state folders of daemons at this router."""
+        """Return the machines of other routers with this daemon name, and the state folders of others at this one."""
         own = str(self._session.zid())
         answers = ask(self._session, self._domain, MEMBERS, {}, self._daemon, "router", _ANSWER_SECONDS)
         values = [answer.value for answer in answers if isinstance(answer.value, dict)]
@@ -65,22 +65,23 @@ class Namesakes:
 
 
 def namesake_warning(others: str, daemon: str) -> str:
-    """Return the text on other daemons with a daemon's name."""
+    """Return the warning that ``others`` are daemons with the same name."""
     return (
-        f"another daemon on this hub is named {daemon!r}, too ({others}): commands for one reach both; set another"
+        f"another daemon on this hub is also named {daemon!r} ({others}): commands for one reach both; set another"
         " 'name' in one of the configurations"
     )
 
 
 class DaemonNames:
-    """Distinct names of the daemons on a hub: answers of two with one name get different ones.
+    """Gives daemons on a hub that have the same name distinct names in their answers.
 
-    The own daemon keeps its name. Another one has in addition its router's id or, at the same router, its state folder.
+    The own daemon keeps its name. To that of another daemon, its router's id is added or, at the same router, its state
+    folder.
 
     Args:
         status: answers to ``status``, at least those of the routers.
         own_session: a session at the own router.
-        own: instances that the own daemon may have, the likeliest first.
+        own: instance ids that the own daemon may have, most likely first.
     """
 
     def __init__(self, status: Sequence[WorkerAnswer], own_session: str, own: Sequence[str] = ()) -> None:
@@ -89,12 +90,12 @@ class DaemonNames:
         self._add(status)
 
     def apply(self, answers: Sequence[WorkerAnswer]) -> list[WorkerAnswer]:
-        """Return the answers with distinct names of their daemons."""
+        """Return the answers with distinct daemon names."""
         self._add(answers)
         return [self._named(answer) for answer in answers]
 
     def several(self) -> dict[str, list[str]]:
-        """Return the names that several daemons have, each with the places of these daemons."""
+        """Return the names that several daemons share, each with the locations of these daemons."""
         places: dict[str, set[str]] = {}
         for name in self._routers.keys() | self._here.keys():
             routers, here = self._routers.get(name, {}), self._here.get(name, {})
@@ -103,13 +104,13 @@ class DaemonNames:
         return {name: sorted(found) for name, found in sorted(places.items()) if found}
 
     def _add(self, answers: Iterable[WorkerAnswer]) -> None:
-        """Note the daemons, except those at other routers that have a daemon of their name."""
+        """Note the daemons that the router's id does not already distinguish."""
         for answer in answers:
             if answer.identity is not None and not self._router(answer):
                 self._here.setdefault(answer.daemon, {})[answer.identity.instance] = answer.identity
 
     def _router(self, answer: WorkerAnswer) -> str:
-        """Return the router of a daemon of the same name that the own session is not at; "" for other answers."""
+        """Return the router that distinguishes the answer's daemon from the own router's; "" if none does."""
         routers = self._routers.get(answer.daemon, {})
         if len(routers) > 1:
             for zid, sessions in routers.items():
@@ -128,7 +129,7 @@ class DaemonNames:
 
 
 def own_answers(answers: Sequence[WorkerAnswer], own_session: str, own: DaemonIdentity | None) -> list[WorkerAnswer]:
-    """Return the replies to ``status``, without those of other daemons with this daemon's name."""
+    """Return the answers to ``status``, without those of other daemons with this daemon's name."""
     names = DaemonNames(answers, own_session, [own.instance] if own else ())
     return [
         answer
@@ -139,7 +140,7 @@ def own_answers(answers: Sequence[WorkerAnswer], own_session: str, own: DaemonId
 
 
 def _routers(answers: Iterable[WorkerAnswer]) -> dict[str, Routers]:
-    """Return the routers by the names of their daemons, from their answers to ``status`` or ``members``."""
+    """Return the routers by the name of their daemon, from their answers to ``status`` or ``members``."""
     routers: dict[str, Routers] = {}
     for answer in answers:
         if answer.worker == "router" and isinstance(answer.value, dict) and answer.value.get("zid"):

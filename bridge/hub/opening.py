@@ -1,13 +1,13 @@
-"""Opens zenoh sessions, without shared memory if this machine has no room for it.
+"""Opens zenoh sessions, without shared memory if this machine lacks room for it.
 
 zenoh 1.10 locks its shared memory into RAM. A session with shared memory does not open if ``/dev/shm`` is full. If a
-session's pool finds no room later, zenoh continues on the network link and never tries again: the pool's file keeps its
-full size, but has almost no memory, which `check_pool` reports. But if the pool exists and its book-keeping finds no
-room, each large message raises a Rust panic. So `prepare_to_send` creates the book-keeping before the pool: if that
-fails, the pool has no room either. A receiver needs neither, but one that may not lock a sender's pool
+session's pool does not fit later, zenoh continues on the network link and never tries again: the pool's file keeps its
+full size, but has almost no memory, which `check_pool` reports. But if the pool exists and zenoh's book-keeping does
+not fit, each large message raises a Rust panic. So `prepare_to_send` creates the book-keeping before the pool: if that
+fails, the pool does not fit either. A receiver needs neither, but one that is not allowed to lock a sender's pool
 (``RLIMIT_MEMLOCK``) loses messages silently, and must not offer shared memory (all observed with 1.10.2).
 
-The book-keeping takes 11 MB of each process that sends or receives a large message, so it is not created earlier.
+The book-keeping takes 11 MB in each process that sends or receives a large message, so it is not created earlier.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ _OPTIMIZATION = "transport/shared_memory/transport_optimization"
 
 _BLOCK = 512
 _BOOKS = 2 << 20
-"""Bytes of ``/dev/shm`` for zenoh's book-keeping in each process (1.3 MB), and for the small files of a session."""
+"""Bytes in ``/dev/shm`` for zenoh's book-keeping in each process (1.3 MB), and for a session's small files."""
 
 _CHECK_SECONDS = 10.0
-"""Time between two checks of the pool; two must agree, as zenoh may be creating it during one."""
+"""Seconds between two checks of the pool; two must agree, because zenoh may be creating it during one."""
 
 _lock = threading.Lock()
 _books = _noted = False
 _needs_books = sys.maxsize
-"""Bytes of the smallest message that needs the book-keeping to be created first."""
+"""Size in bytes of the smallest message before which the book-keeping has to be created."""
 _trouble = ""
 _pool = POOL
 _check_due = 0.0
@@ -72,7 +72,7 @@ def _open(config: zenoh.Config, *, prepares: bool) -> zenoh.Session:
     size = _pool + _BOOKS
     reason = room_trouble(size)
     if not reason and (lock := lock_trouble(size)):
-        _note(lock, logging.INFO)  # the default of many systems, and no trouble of this one
+        _note(lock, logging.INFO)  # the default on many systems, not a problem of this one
         return zenoh.open(without_shared_memory(config))
     if not reason and not prepares:
         reason = _books_trouble()
@@ -99,7 +99,7 @@ def prepare_to_send(size: int) -> None:
 
 
 def trouble() -> str:
-    """Return why sessions of this process have no room for their shared memory, and the cure; "" if they have."""
+    """Return why the shared memory of this process does not fit, and how to fix that; "" if it fits."""
     return _trouble
 
 
@@ -119,7 +119,7 @@ def check_pool() -> None:
 
 
 def _is_empty(file: Path) -> bool:
-    """Whether a file has the size of a pool, but not the memory."""
+    """Return whether a file has the size of a pool, but not the memory."""
     try:
         status = file.stat()
     except OSError:
@@ -128,7 +128,7 @@ def _is_empty(file: Path) -> bool:
 
 
 def _note(reason: str, level: int) -> None:
-    """Log the reason once, and keep it as `trouble` if the level is that of a warning."""
+    """Log only the first reason; store the reason for `trouble` if the level is at least a warning."""
     global _noted, _trouble
     text = f"large messages go over the network link instead of shared memory: {reason}; then restart this worker"
     with _lock:
@@ -140,7 +140,7 @@ def _note(reason: str, level: int) -> None:
 
 
 def room_trouble(size: int, folder: Path = FOLDER) -> str:
-    """Return why the system's shared memory has no room for ``size`` bytes, with the cure, or ""."""
+    """Return why ``size`` bytes do not fit into the system's shared memory, and how to fix that, or ""."""
     if sys.platform != "linux":  # other systems do not expose it as a folder
         return ""
     try:
@@ -156,7 +156,7 @@ def room_trouble(size: int, folder: Path = FOLDER) -> str:
 
 
 def lock_trouble(size: int) -> str:
-    """Return why this process may not lock ``size`` bytes into RAM, with the cure, or ""."""
+    """Return why this process may not lock ``size`` bytes into RAM, and how to fix that, or ""."""
     if sys.platform != "linux":
         return ""
     import resource
@@ -176,7 +176,7 @@ def lock_trouble(size: int) -> str:
 
 
 def _books_trouble() -> str:
-    """Create zenoh's book-keeping in this process; returns the reason if that fails, once."""
+    """Create zenoh's book-keeping in this process unless it exists; if that fails, return the reason, else ""."""
     global _books, _needs_books
     with _lock:
         if _books or sys.platform != "linux":
@@ -197,7 +197,7 @@ def _books_trouble() -> str:
 
 
 def _mapped_files() -> list[Path]:
-    """Return zenoh's files of shared memory that this process has mapped."""
+    """Return zenoh's shared-memory files that this process has mapped."""
     try:
         maps = Path("/proc/self/maps").read_text(encoding="utf-8")
     except OSError:
@@ -206,7 +206,7 @@ def _mapped_files() -> list[Path]:
 
 
 def _remove(files: list[Path]) -> None:
-    """Remove the book-keeping, which zenoh leaves at the end of a Python process."""
+    """Remove the book-keeping's files, which zenoh leaves in place when a Python process exits."""
     for file in files:
         with contextlib.suppress(OSError):
             file.unlink(missing_ok=True)

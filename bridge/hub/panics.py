@@ -1,11 +1,11 @@
-"""Detects that zenoh has failed in this process: a thread of it has panicked.
+"""Detects that zenoh has failed in this process, because one of its threads has panicked.
 
-Rust marks a mutex as poisoned if a thread panics while it holds it. In zenoh 1.10 this happens to the mutex of a
-session's declarations: ``disable_data_routes`` (``hat/mod.rs``) expects that every matching resource still exists. It
-was seen in a worker and in several other sessions on a machine that was too busy to keep its links; `#2624
-<https://github.com/eclipse-zenoh/zenoh/issues/2624>`_ has the same expectation elsewhere, and many sessions that
-declare and undeclare at once. From then on every declaration, every new link and every end of a link panics, while
-messages still pass on the existing routes. A process cannot repair this, so its worker has to start again.
+Rust marks a mutex as poisoned if a thread panics while holding it. In zenoh 1.10 this happens to the mutex of a
+session's declarations, because ``disable_data_routes`` (``hat/mod.rs``) expects that every matching resource still
+exists. This was observed in a worker and in several other sessions on a machine that was too busy to keep its links;
+`#2624 <https://github.com/eclipse-zenoh/zenoh/issues/2624>`_ reports the same expectation elsewhere, with many sessions
+that declare and undeclare at once. From then on, every declaration, every new link and every end of a link panics,
+while messages are still delivered on the existing routes. A process cannot repair this, so its worker has to restart.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ _sessions: list[zenoh.Session] = []
 
 
 def is_panic(err: BaseException) -> bool:
-    """Whether Rust panicked in a call; Python has no name for this class, which is not an `Exception`."""
+    """Return whether Rust panicked in a call; its exception class is not an `Exception`, and cannot be imported."""
     return type(err).__name__ == "PanicException"
 
 
 def watched(session: zenoh.Session) -> zenoh.Session:
-    """Return the session; `failure` checks it until it is closed."""
+    """Register a session, which `failure` checks until it is closed; return the session."""
     with _lock:
         _sessions[:] = [*_open_sessions(), session]
     return session
 
 
 def failure() -> str:
-    """Return why this process must end, "" if its sessions can declare; takes 0.03 ms per session."""
+    """Return why this process must exit, "" if its sessions can still declare; takes 0.03 ms per session."""
     with _lock:
         _sessions[:] = sessions = _open_sessions()
     return "" if all(map(_declares, sessions)) else FAILED

@@ -1,7 +1,7 @@
-"""The hub's router, by which sessions of this machine and of others discover each other.
+"""The hub's router, through which sessions on this machine and on others discover each other.
 
 Any zenoh router works; this one makes an installation of zenohd unnecessary. The workers' data goes over direct links,
-not through it.
+not through the router.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from bridge.worker import Health, StatusHead, Worker
 _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 1.0
 _MAX_MEMBERS = 1000
-"""Largest number of sessions in the status document."""
+"""Maximum number of sessions in the status document."""
 
 _ROUTERS = {"router", "zenohd", "rmw_zenohd"}
 """Words in the command lines of routers: Midspan's (`midspan worker router`) and those of others."""
@@ -50,9 +50,9 @@ class RouterInfo:
     """The program that answers at a router's endpoint.
 
     Attributes:
-        mode: ``router``, or ``peer`` if a zenoh program listens there that routes nothing.
-        daemon: name of the Midspan daemon that runs it, "" if it is another program's (zenohd, rmw_zenohd).
-        pid: its process on its machine, 0 if it is another program's.
+        mode: ``router``, or ``peer`` if a zenoh program that is not a router listens there.
+        daemon: name of the Midspan daemon that runs the router, "" for other routers (zenohd, rmw_zenohd).
+        pid: id of the router's process on its machine, 0 for routers that are not Midspan's.
     """
 
     endpoint: str
@@ -73,7 +73,7 @@ def probe_router(
 ) -> RouterInfo | None:
     """Return the program that routes at an endpoint (``tcp/127.0.0.1:7447``); None if no zenoh program answers.
 
-    ``zenoh_config`` is the workers' own, for TLS.
+    ``zenoh_config`` is the workers' configuration, which is needed for TLS.
     """
     endpoint = connect_endpoint(endpoint)
     config = client_session_config(endpoint, zenoh_config, seconds)
@@ -100,7 +100,7 @@ def port_held(endpoint: str) -> bool:
 
 
 def port_holder(endpoint: str) -> psutil.Process | None:
-    """Return the process that listens on an endpoint's TCP port, None if this user may not see it."""
+    """Return the process that listens on an endpoint's TCP port, None if there is none or this user may not see it."""
     port = connect_endpoint(endpoint).partition("?")[0].rpartition(":")[2]
     try:
         for connection in psutil.net_connections("tcp"):
@@ -113,9 +113,9 @@ def port_holder(endpoint: str) -> psutil.Process | None:
 
 
 def may_be_slow(endpoint: str) -> bool:
-    """Whether a router that has not answered may do so later: its port accepts connections.
+    """Return whether a router that has not answered may still do so, because its port accepts connections.
 
-    A visible process that is no router, by its command line, never answers.
+    If the listening process is visible, its command line must be that of a router.
     """
     if not port_held(endpoint):
         return False
@@ -129,16 +129,16 @@ def may_be_slow(endpoint: str) -> bool:
 
 
 def create_router() -> RouterWorker:
-    """Make the worker of a process that runs nothing else, so that zenoh's log may use its standard output."""
+    """Create the worker for a process that runs nothing else, so that zenoh's log can use its standard output."""
     return RouterWorker(ZenohLog.capture())
 
 
 class RouterWorker(Worker):
     """Runs a router at ``hub.listen``.
 
-    With ``hub.router: auto`` and another router at that address, it stands by and takes over when the other one exits.
-    With ``hub.open`` it also runs the router for other machines (`ExternalAccess`). If that one cannot be opened, this
-    machine's programs keep their router, and the worker tries again.
+    With ``hub.router: auto`` and another router at that address, it stands by, and takes over when the other router
+    exits. With ``hub.open`` it also runs a second router, for other machines (`ExternalAccess`). If the second router
+    cannot be opened, this machine's programs keep the first, and the worker tries again.
     """
 
     def __init__(self, zenoh_log: ZenohLog | None = None) -> None:
@@ -148,12 +148,12 @@ class RouterWorker(Worker):
         self._session: zenoh.Session | None = None
         self._control: Control | None = None
         self._namesakes: Namesakes | None = None
-        self._watch: zenoh.Session | None = None  # in standby, at the router that is used
+        self._watch: zenoh.Session | None = None  # connected to the other router, in standby
         self._other = ""
 
     @override
     def start(self, config: Config) -> None:
-        """Listen; raises `RuntimeError` if another program holds the port and cannot be shared."""
+        """Listen; raises `RuntimeError` if another program holds the port and cannot be used instead."""
         self._config = config
         hub = config.hub
         try:
@@ -171,12 +171,12 @@ class RouterWorker(Worker):
                     f"{hub.listen} is held by {holder_name}; set hub.listen to a free port{cure}"
                 ) from None
             self._other = holder_name
-            _log.info("%s is at %s already and is used", holder_name, hub.listen)
+            _log.info("%s is already at %s: using it", holder_name, hub.listen)
         self._external.open(config)
 
     @override
     def reload(self, config: Config) -> bool:
-        """Apply a new configuration; while the process runs, only the router for other machines can change."""
+        """Apply a new configuration; without a restart, only the router for other machines can change."""
         old = self._config
         if old is None or config.name != old.name or config.hub.without_open != old.hub.without_open:
             return False
@@ -187,7 +187,7 @@ class RouterWorker(Worker):
 
     @override
     def health(self) -> Health:
-        """Query the router itself over zenoh."""
+        """Query the router over zenoh, and take over from another router that has exited."""
         assert self._config is not None
         self._external.check(self._config)
         session = self._session
@@ -229,7 +229,7 @@ class RouterWorker(Worker):
         return self._session
 
     def _standby_warning(self, config: Config) -> str:
-        """Return the warning about other daemons of this name at the router in use, to append to the state's text."""
+        """Return a warning about other daemons of the same name at the router in use, to append to the state's text."""
         if self._watch is None:
             try:
                 self._watch = zenoh.open(client_session_config(config.hub.listen, config.hub.zenoh, _ANSWER_SECONDS))
@@ -298,7 +298,7 @@ class RouterWorker(Worker):
 
 
 def _members(session: zenoh.Session, *, peers: bool = False) -> list[str]:
-    """Return the ids of the sessions that are linked with a router; only peers if wanted."""
+    """Return the ids of the sessions that are linked to a router, with ``peers`` only those of peers."""
     transports = session.info.transports()
     return [str(transport.zid) for transport in transports if not peers or transport.whatami == zenoh.WhatAmI.PEER]
 

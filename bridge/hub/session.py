@@ -66,16 +66,16 @@ class HubSettings:
     Attributes:
         domain: ROS domain id, the first part of each key.
         router: zenoh endpoint of the router, None if ``zenoh`` has all endpoints.
-        zenoh: zenoh configuration laid over Midspan's, inline or the path of a JSON5 or YAML file.
-        shared_memory: whether large messages go through shared memory between sessions of one machine.
-        node: node name on the hub's graph.
+        zenoh: zenoh configuration that overrides Midspan's, inline or as the path of a JSON5 or YAML file.
+        shared_memory: whether large messages between sessions on one machine go through shared memory.
+        node: node name in the hub's graph.
         namespace: the node's namespace.
         daemon: name of the daemon on the control plane.
-        worker: name of the worker there.
-        max_payload: bytes of the largest message.
-        max_tokens: endpoints and nodes that the graph holds at most.
+        worker: name of the worker on the control plane.
+        max_payload: maximum size of a message in bytes.
+        max_tokens: maximum number of endpoints and nodes in the graph.
         lane: folder of the sockets for small messages to other sessions with the same folder; None: zenoh only.
-        identity: the daemon that the worker belongs to, None for a program outside of a daemon.
+        identity: the daemon to which the worker belongs, None for a program that does not belong to a daemon.
     """
 
     domain: int = 0
@@ -92,7 +92,7 @@ class HubSettings:
     identity: DaemonIdentity | None = None
 
     def __post_init__(self) -> None:
-        """Refuse names that a key cannot contain."""
+        """Raise `HubConfigError` for names that a key cannot contain."""
         for name, value, form in (
             ("daemon", self.daemon, _NAME),
             ("worker", self.worker, _NAME),
@@ -104,35 +104,35 @@ class HubSettings:
 
 
 def _config(settings: HubSettings) -> zenoh.Config:
-    # Messages above the limit must arrive to be counted: a link drops them silently.
+    # Allow messages above the limit: they must arrive to be counted, because a link drops them silently.
     room = max(settings.max_payload, MAX_PAYLOAD)
     tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=room)
     return make_config(tree, settings.zenoh)
 
 
 def _rules_messages(config: zenoh.Config) -> bool:
-    """Whether zenoh has to refuse or drop some messages, which is impossible on the lane."""
+    """Return whether zenoh is configured to refuse or drop some messages, which is impossible on the lane."""
     tree = json.loads(str(config))
     ruled = tree.get("access_control") or {}
     return bool(ruled.get("enabled") or tree.get("downsampling") or tree.get("low_pass_filter"))
 
 
 class HubSession:
-    """One zenoh session on the hub, with its graph and its links, for one node or several of a process (`Hub.on`).
+    """A zenoh session on the hub, with its graph and its links, for one or several nodes of a process (`Hub.on`).
 
-    Opening does not wait for the router: the session joins as soon as the router answers, also after a cut. Only in
-    zenoh's client mode the router must run at the start.
+    Opening does not wait for the router: the session joins as soon as the router answers, also after a lost connection.
+    Only zenoh's client mode requires that the router runs at the start.
 
     Attributes:
-        zenoh: the session.
-        zid: its id.
+        zenoh: the zenoh session.
+        zid: id of the zenoh session.
         settings: how it joined.
-        shared: whether it has several nodes; otherwise it closes with its only node.
-        reach: the receivers of its nodes' endpoints: other sessions, or each other too.
+        shared: whether it may have several nodes; otherwise it closes with its only node.
+        reach: which sessions its nodes' endpoints reach: only others, or also this one.
         graph: all participants as this session sees them.
-        mesh: its direct links to other programs of this machine.
-        lane: the local transport of small messages to this daemon's other workers, None without one.
-        ids: numbers of its nodes and their endpoints, as rmw_zenoh gives them.
+        mesh: its direct links to other programs on this machine.
+        lane: the local transport for small messages to this daemon's other workers, None without one.
+        ids: source of the numbers of its nodes and their endpoints, assigned as in rmw_zenoh.
         nodes: the open nodes.
     """
 
@@ -156,7 +156,7 @@ class HubSession:
 
     @classmethod
     def open(cls, settings: HubSettings, *, shared: bool) -> HubSession:
-        """Open a session; raises `HubError` if zenoh cannot."""
+        """Open a session; raises `HubError` if zenoh fails to."""
         config = _config(settings)
         if settings.lane is not None and _rules_messages(config):
             _log.info("no lane: zenoh's configuration restricts messages")
@@ -183,7 +183,7 @@ class HubSession:
         return ask(self.zenoh, self.settings.domain, verb, params, daemon, worker, timeout)
 
     def close(self) -> None:
-        """Close its nodes and the session. Safe to call twice."""
+        """Close the session and its nodes. Safe to call twice."""
         with self._lock:
             if self._closed:
                 return
@@ -198,11 +198,11 @@ class HubSession:
         self.zenoh.close()  # type: ignore[no-untyped-call]
 
     def _members(self) -> set[str] | None:
-        """Return the sessions that are linked with this session's routers, None if no router answers."""
+        """Return the sessions that are linked to this session's routers, None if no router answers."""
         return self._at_routers("members")
 
     def _peers(self) -> set[str] | None:
-        """Return the sessions among them that are peers."""
+        """Return which of the sessions of `_members` are peers."""
         return self._at_routers("peers")
 
     def _at_routers(self, kind: str) -> set[str] | None:
@@ -219,9 +219,9 @@ class Hub:
     Safe to use from any thread.
 
     Attributes:
-        max_payload: bytes of the largest message in either direction.
-        graph: all participants as its session sees them.
-        mesh: its session's direct links to other programs of this machine.
+        max_payload: maximum size in bytes of a message in either direction.
+        graph: all participants as the node's session sees them.
+        mesh: the session's direct links to other programs on this machine.
     """
 
     def __init__(self, session: HubSession, settings: HubSettings) -> None:
@@ -248,7 +248,7 @@ class Hub:
 
     @classmethod
     def open(cls, settings: HubSettings) -> Hub:
-        """Open a session for one node; raises `HubError` if zenoh cannot."""
+        """Open a session for one node; raises `HubError` if zenoh fails to."""
         session = HubSession.open(settings, shared=False)
         try:
             return cls(session, settings)
@@ -258,7 +258,7 @@ class Hub:
 
     @classmethod
     def on(cls, session: HubSession, node: str, worker: str) -> Hub:
-        """Add a node to a shared session; ``worker`` is its name on the control plane.
+        """Add a node to a shared session; ``worker`` is the node's name on the control plane.
 
         The nodes of the session receive each other's messages. Raises `HubClosedError`.
         """
@@ -281,7 +281,7 @@ class Hub:
 
     @property
     def versions(self) -> TypeVersions:
-        """The known versions of types, for peers of other releases; set it before creating endpoints."""
+        """The known versions of types, for peers with other releases; set it before creating endpoints."""
         return self._context.variants.versions
 
     @versions.setter
@@ -299,7 +299,7 @@ class Hub:
         return bool(info.routers_zid() or info.peers_zid())
 
     def neighbors(self) -> set[str]:
-        """Return the sessions with a direct link to this session; they belong to programs of this machine."""
+        """Return the sessions with a direct link to this session; they belong to programs on this machine."""
         self._check_open()
         return {str(zid) for zid in self._session.info.peers_zid()}
 
@@ -316,8 +316,9 @@ class Hub:
     ) -> HubPublisher:
         """Create a publisher; it exists until it or the session is closed.
 
-        The priority is ``command``, ``state`` or ``stream``. With ``express`` each sample has its own packet; by
-        default only commands do, as a burst of samples in shared packets is as fast, and survives on a busy machine.
+        The priority is ``command``, ``state`` or ``stream``. With ``express`` each sample has its own packet. By
+        default only commands do, because a burst of samples in shared packets is as fast, and is not lost on a busy
+        machine.
         """
         with self._lock:
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
@@ -336,12 +337,12 @@ class Hub:
         *,
         exact: bool = False,
     ) -> HubSubscription:
-        """Create a subscription, to any type hash if that is ``*``; it exists until it or the session is closed.
+        """Create a subscription, which exists until it or the session is closed; ``*`` stands for any type hash.
 
-        It receives the messages of other known versions of the type, converted, unless it is ``exact``. A latched one
-        receives the cached samples of each latched publisher, present or late. The node's own samples
-        are not delivered. ``callback``, and ``refused`` for each sample that is left out, run on zenoh's receiving
-        thread, or the thread of another node of this session that publishes: they only append and wake.
+        Unless it is ``exact``, it also receives the messages of other known versions of the type, converted. A latched
+        subscription receives the cached samples of each latched publisher, present or later. The node's own samples
+        are not delivered. ``callback``, and ``refused`` for each sample that is not delivered, run on zenoh's receiving
+        thread, or on the thread of another node of this session that publishes, so they may only append and wake.
         """
         with self._lock:
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
@@ -360,9 +361,9 @@ class Hub:
     def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
         """Serve a service; the server exists until it or the session is closed.
 
-        ``call`` receives each request's CDR on zenoh's receiving thread, or the thread of another node of this session
-        that calls; it starts the call and returns. The node's own calls are not delivered. The name of an action's
-        service has its ``/_action/`` part.
+        ``call`` receives each request's CDR on zenoh's receiving thread, or on the thread of another node of this
+        session that calls; it starts the call and returns. The node's own calls are not delivered. The name of an
+        action's service includes the ``/_action/`` part.
         """
         with self._lock:
             token = self._token(EndpointKind.SERVER, name, type_name, type_hash, _SERVICE_QOS)
@@ -370,9 +371,10 @@ class Hub:
             return self._keep(HubServer(self._context, token, key, name, call))
 
     def client(self, name: str, type_name: str, type_hash: str, changed: Callable[[], None] | None = None) -> HubClient:
-        """Create a client of a service; it exists until it or the session is closed.
+        """Create a client of a service, which exists until it or the session is closed.
 
-        ``changed`` is called on a thread of zenoh when the first server appears or the last one leaves; it only wakes.
+        ``changed`` is called on a thread of zenoh when the first server appears or the last one leaves, and may only
+        wake other threads.
         """
         with self._lock:
             token = self._token(EndpointKind.CLIENT, name, type_name, type_hash, _SERVICE_QOS)
@@ -380,7 +382,7 @@ class Hub:
             return self._keep(HubClient(self._context, token, key, name, changed))
 
     def keyspace(self, prefix: str) -> KeySpace:
-        """Return plain zenoh keys below a prefix; they close with the session at the latest."""
+        """Return access to plain zenoh keys below a prefix; it closes with the node at the latest."""
         with self._lock:
             self._check_open()
             space = KeySpace(self._session, prefix, self.max_payload)
@@ -406,7 +408,7 @@ class Hub:
             if self._closed:
                 return
             self._closed = True
-        # the endpoints leave the graph before the origin and the node do
+        # the endpoints must leave the graph before the origin and the node do
         for endpoint in tuple(self._endpoints):
             endpoint.close()
         for space in self._spaces:
@@ -451,7 +453,7 @@ class Hub:
 
 
 def follow_clock(clock: RunClock, hub: Hub) -> None:
-    """Feed a simulated clock with the times that other nodes publish on ``/clock``; the system's clock needs none."""
+    """Feed a simulated clock with the times that other nodes publish on ``/clock``; do nothing for the system clock."""
     if clock.simulated:
         qos = Qos(Reliability.BEST_EFFORT, depth=1)
         hub.subscription(CLOCK_TOPIC, CLOCK_TYPE, ANY_HASH, qos, lambda sample: clock.receive(sample.data()))

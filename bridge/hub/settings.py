@@ -14,5 +14,5 @@ def router_enabled(config: Config) -> Enabled:
 
 
 def router_uses(config: Config) -> dict[str, Any]:
-    """Return the section ``hub``, and the rules if other machines can join, as their access depends on them."""
+    """Return the section ``hub``, and if other machines can join, the rules, on which their access depends."""
     return {"hub": config.hub, **({"routing": config.rules} if config.hub.open.opened else {})}

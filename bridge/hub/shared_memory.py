@@ -1,9 +1,9 @@
-"""The shared memory that killed zenoh sessions leave in ``/dev/shm``.
+"""Cleans up the shared memory that killed zenoh sessions leave in ``/dev/shm``.
 
 zenoh 1.10 keeps a session's shared memory in files ``<number>.zenoh``. Each process that uses such a file holds a lock
-on it (flock). `clean` removes the unlocked ones, as zenoh does when it uses shared memory itself. But a session that
-received messages from another one keeps the sender's pool until it closes itself, even if the sender was killed (zenoh
-1.10). So each killed sender would cost another pool, until the memory is full.
+on it (flock). `clean` removes the unlocked files, as zenoh itself does when it uses shared memory. But a session that
+received messages from another session holds the sender's pool until the receiving session closes, even if the sender
+was killed (zenoh 1.10). So each killed sender costs another pool, until the memory is full; see `orphans`.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from bridge.hub.zenoh_config import POOL
 
 FOLDER = Path("/dev/shm")  # noqa: S108 - the system's folder for POSIX shared memory
 YOUNG_SECONDS = 5.0
-"""A younger file may not be locked yet."""
+"""A file younger than this may not be locked yet."""
 
 NAME = re.compile(r"\d+\.zenoh")
 _LOCK = re.compile(r"FLOCK\s+\S+\s+\S+\s+(\d+) ([0-9a-f]+):([0-9a-f]+):(\d+) ")
 
 
 class _Inode(NamedTuple):
-    """A file, by its device and its number there."""
+    """A file, identified by its device and its inode number."""
 
     major: int
     minor: int
@@ -34,7 +34,7 @@ class _Inode(NamedTuple):
 
 
 def clean(folder: Path = FOLDER) -> int:
-    """Remove the files that no process uses; returns their number."""
+    """Remove the files that no process uses; return their number."""
     removed = 0
     for file in _files(folder):
         with contextlib.suppress(OSError):
@@ -45,9 +45,9 @@ def clean(folder: Path = FOLDER) -> int:
 
 
 def orphans(folder: Path = FOLDER, proc: Path = Path("/proc")) -> int:
-    """Return a lower bound for the number of killed sessions' pools that running processes keep.
+    """Return a lower bound for the number of killed sessions' pools that running processes hold.
 
-    Each process creates at most one pool.
+    It relies on each process creating at most one pool.
     """
     try:
         text = (proc / "locks").read_text(encoding="utf-8")
@@ -68,7 +68,7 @@ def orphans(folder: Path = FOLDER, proc: Path = Path("/proc")) -> int:
 
 
 def _surplus_pools(holders: list[set[int]]) -> int:
-    """Return the number of pools beyond one per process, summed over the groups of processes that share pools.
+    """Return the number of pools in excess of one per process, summed over the groups of processes that share pools.
 
     Hubs that share no process are separate groups.
     """
@@ -84,7 +84,7 @@ def _surplus_pools(holders: list[set[int]]) -> int:
 
 
 def is_locked(file: Path) -> bool:
-    """Whether a running process holds a lock (flock) on the file; raises `OSError` if this cannot be determined."""
+    """Return whether a running process holds a lock (flock) on a file; raises `OSError` if that is unknown."""
     import fcntl
 
     descriptor = os.open(file, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)

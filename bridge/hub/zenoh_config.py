@@ -1,4 +1,4 @@
-"""zenoh configurations of the hub's sessions: Midspan's defaults with the user's settings laid over them."""
+"""zenoh configurations of the hub's sessions: Midspan's defaults, overridden by the user's settings."""
 
 from __future__ import annotations
 
@@ -14,50 +14,50 @@ from bridge.hub.errors import HubConfigError, zenoh_reason
 Tree = dict[str, Any]
 
 MAX_PAYLOAD = 256 << 20
-"""Bytes of the largest message on the hub."""
+"""Maximum size in bytes of a message on the hub."""
 
 LEASE_MS = 3000
-"""zenoh drops a silent session after this time, in which a live one sends four keep-alives."""
+"""zenoh drops a session that was silent for this time, in which a live session sends four keep-alives."""
 
 CLIENT_WAIT_MS = 3000
-"""Longest time in which a session in zenoh's client mode waits for its router when it opens."""
+"""Maximum time for which a session in zenoh's client mode waits for its router when it opens."""
 
 _PACKETS = dict.fromkeys(("interactive_high", "data_high", "data", "data_low"), 16)
-"""Packets in a link's queue, by priority; with zenoh's 2 a short burst of samples is lost on a busy machine."""
+"""Packets in a link's queue, by priority; with zenoh's default of 2, a short burst is lost on a busy machine."""
 
 _FAR_MS, _NEAR_MS = 200, 2000
-"""Longest time in which a message of many packets may enter a link's queue before zenoh drops it.
+"""Maximum time for which a message of many packets waits for room in a link's queue before zenoh drops it.
 
-With zenoh's 50 ms a message of 10 MB is lost on a busy machine. The first one for a hanging peer delays the following
-messages by this time. Routers have links to other machines, which stall. A worker's links stay on its machine, and only
-messages that do not fit the shared memory have many packets there: 50 MB take 0.2 s, more than a second on a busy
-machine.
+With zenoh's default of 50 ms, a message of 10 MB is lost on a busy machine. The first message for a hanging peer delays
+the following messages by this time. Routers (`_FAR_MS`) have links to other machines, which stall. A worker's links
+(`_NEAR_MS`) stay on its machine, where only messages that do not fit into the shared memory have many packets: 50 MB
+take 0.2 s, or more than a second on a busy machine.
 """
 
 _SMALL_MS = 20
-"""Longest time in which a message of one packet may enter a link's queue before zenoh drops it.
+"""Maximum time for which a message of one packet waits for room in a link's queue before zenoh drops it.
 
-With zenoh's 1 ms one in a hundred is lost next to 40 MB/s for the same subscriber, whose process did not run for a
-moment. A hanging peer delays the following messages by this time once; then zenoh drops messages without waiting until
-the link accepts them again.
+With zenoh's default of 1 ms, one message in a hundred is lost next to 40 MB/s for the same subscriber, when its process
+did not run for a moment. A hanging peer delays the following messages by this time once; after that, zenoh drops
+messages without waiting until the link accepts them again.
 """
 
 POOL = 16 << 20
-"""Bytes of shared memory that one session may use; the workers of one machine fit a /dev/shm of 64 MB."""
+"""Bytes of shared memory that one session may use, so that the workers of one machine fit into a /dev/shm of 64 MB."""
 
 THRESHOLD = 64 << 10
-"""Least bytes of a message that goes through shared memory. Smaller ones are as fast on the network link; and zenoh
-locks a sender's whole pool into memory once it is used, in each process that receives from it."""
+"""Minimum size in bytes of a message that goes through shared memory. Smaller messages are as fast on the network link;
+and as soon as a sender's pool is used, zenoh locks the whole pool into memory in each process that receives from it."""
 
 
 def session_tree(router: str | None, *, shared_memory: bool, max_payload: int) -> Tree:
-    """Return the configuration of a worker's session: a peer that discovers others by the router and links directly."""
+    """Return the configuration of a worker's session: a peer, which discovers others via the router, links directly."""
     tree = _common_tree(max_payload, _NEAR_MS)
     tree["mode"] = "peer"
     tree["listen"] = {"endpoints": ["tcp/127.0.0.1:0"]}
     tree["connect"] = {
         "endpoints": [] if router is None else [router],
-        # a peer does not wait for its router but tries again, also after a cut; zenoh cannot open a client without one
+        # a peer does not wait for its router but retries, also after losing the link; a client cannot open without it
         "timeout_ms": {"router": -1, "peer": -1, "client": CLIENT_WAIT_MS},
         "exit_on_failure": {"router": False, "peer": False, "client": True},
         "retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
@@ -71,7 +71,7 @@ def session_tree(router: str | None, *, shared_memory: bool, max_payload: int) -
 
 
 def router_tree(listen: Sequence[str], *, max_payload: int) -> Tree:
-    """Return the configuration of a router; it forwards the contents of shared memory as bytes."""
+    """Return the configuration of a router, which forwards the contents of shared memory as bytes."""
     tree = _common_tree(max_payload, _FAR_MS)
     tree["mode"] = "router"
     tree["listen"] = {"endpoints": list(listen), "exit_on_failure": True}
@@ -83,8 +83,8 @@ def router_tree(listen: Sequence[str], *, max_payload: int) -> Tree:
 def client_session_config(listen: str, user: Mapping[str, Any] | str | Path | None, seconds: float) -> zenoh.Config:
     """Return the configuration of a client of the router at ``listen``, which must answer within ``seconds``.
 
-    A client has the whole hub as soon as its only link is up; a peer first has to discover each other session.
-    ``user`` is that of the workers, for TLS. Raises `HubConfigError`.
+    A client reaches the whole hub as soon as its only link is up; a peer first has to discover every other session.
+    ``user`` is the workers' configuration, which is needed for TLS. Raises `HubConfigError`.
     """
     router = connect_endpoint(listen)
     config = make_config(session_tree(router, shared_memory=False, max_payload=MAX_PAYLOAD), user)
@@ -99,18 +99,18 @@ def client_session_config(listen: str, user: Mapping[str, Any] | str | Path | No
 
 
 def without_shared_memory(config: zenoh.Config) -> zenoh.Config:
-    """Switch shared memory off, for a session without large messages; returns the configuration."""
+    """Disable shared memory in a configuration, and return it; for a session without large messages."""
     config.insert_json5("transport/shared_memory/enabled", "false")
     return config
 
 
 def make_config(tree: Tree, user: Mapping[str, Any] | str | Path | None) -> zenoh.Config:
-    """Lay the user's configuration over Midspan's.
+    """Return Midspan's configuration, overridden by the user's.
 
     Args:
         tree: Midspan's defaults.
-        user: inline, or the path of a JSON5 or YAML file. Mappings are merged key by key, lists replaced whole. A value
-            in a file that equals zenoh's default counts as left out.
+        user: inline, or the path of a JSON5 or YAML file. Mappings are merged key by key; lists are replaced as a
+            whole. A value in a file that equals zenoh's default counts as missing.
 
     Raises:
         HubConfigError: the file cannot be read, or zenoh refuses a key or value.
@@ -127,7 +127,7 @@ def make_config(tree: Tree, user: Mapping[str, Any] | str | Path | None) -> zeno
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> Tree:
-    """Return a new mapping: ``base`` with ``over`` laid over it, key by key at each level."""
+    """Return a new mapping of ``base``, overridden by ``over`` key by key at each level."""
     merged = dict(base)
     for key, value in over.items():
         below = merged.get(key)
@@ -136,7 +136,7 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> Tree:
 
 
 def connect_endpoint(listen: str) -> str:
-    """Return the endpoint by which this machine's programs connect to a listener at ``listen``."""
+    """Return the endpoint to which this machine's programs connect to reach a listener at ``listen``."""
     for everywhere, loopback in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
         listen = listen.replace(everywhere, loopback, 1)
     return listen
@@ -156,7 +156,7 @@ def _common_tree(max_payload: int, wait_ms: int) -> Tree:
                 "autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
             },
         },
-        # caches and late joiners need the time stamp of each sample
+        # caches and late joiners need the timestamp of each sample
         "timestamping": {"enabled": True},
         "transport": {
             "link": {

@@ -76,7 +76,7 @@ def test_machines_with_the_same_name_are_reported_and_distinguished(
     first, second = joined(stack, "robot1", "robot1")
     for machine in (first, second):
         warning = until(machine.warning, "the router warns")
-        assert "another daemon on this hub is named 'robot1'" in warning
+        assert "another daemon on this hub is also named 'robot1'" in warning
         assert "set another 'name'" in warning
         machine.warning()
     lines = [record for record in caplog.records if record.name == "bridge.hub.namesakes"]
@@ -156,7 +156,7 @@ def test_daemons_with_the_same_name_at_one_router(
         second = Daemon(inner, endpoint, tmp_path / "b", 2)
         for daemon, other in ((first, second), (second, first)):
             text = until(lambda d=daemon: "named 'robot1'" in d.warning() and d.warning(), "the router warns")
-            assert "another daemon on this hub is named 'robot1'" in text
+            assert "another daemon on this hub is also named 'robot1'" in text
             assert "set another 'name'" in text
             assert daemon is second or other.identity.place in text
             numbers = until(lambda d=daemon: len(d.numbers()) == 2 and d.numbers(), "both workers answer")
