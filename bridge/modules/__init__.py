@@ -1,6 +1,6 @@
-"""Hosted modules: nodes of the hub that Midspan runs itself, such as the YARP navigation modules.
+"""Hosted modules: nodes on the hub that Midspan itself runs, such as the YARP navigation modules.
 
-A module of your own, which the configuration names in ``modules.own``::
+Example of your own module, which the configuration names in ``modules.own``::
 
     from bridge.modules.module import Module
 

@@ -17,23 +17,23 @@ from bridge.modules.endpoints import Endpoints
 from bridge.modules.services import Answer
 
 KEPT_SECONDS = 3600.0
-"""How long a result is retained for clients that request it."""
+"""Seconds for which a result is stored for clients that request it."""
 
 MAX_KEPT = 10_000
 MAX_STATUSES = 100
-"""Maximum number of goals in a status message: the newest ones."""
+"""Maximum number of goals in a status message, which lists the newest ones."""
 
 MAX_GOALS = 1000
-"""Maximum number of active goals; further ones are rejected."""
+"""Maximum number of active goals; further goals are rejected."""
 
 
 class Goal:
-    """One received goal. Its methods are called on the module's thread.
+    """A received goal. Its methods are called on the module's thread.
 
     Attributes:
         id: the goal id, 16 bytes.
         goal: the goal message.
-        info: id and time stamp, as ``action_msgs/msg/GoalInfo``.
+        info: id and timestamp, as ``action_msgs/msg/GoalInfo``.
         status: the current state.
         cancel_wanted: whether a client requested cancellation.
         client: GID of the action client; empty if unknown.
@@ -54,7 +54,7 @@ class Goal:
 
     @property
     def active(self) -> bool:
-        """Whether it has not ended."""
+        """Whether the goal has not ended."""
         return not self.status.ended
 
     def execute(self) -> None:
@@ -79,7 +79,7 @@ class Goal:
         self._end(GoalState.CANCELED, result)
 
     def ask(self, answer: Answer) -> None:
-        """Respond with the result, as soon as there is one."""
+        """Send the result to a client, now or as soon as the goal has ended."""
         if self.active:
             self._result_requests.append(answer)
         else:
@@ -108,18 +108,18 @@ class Goal:
 
 
 Take = Callable[[Goal], bool]
-"""``take(goal)``: returns whether the goal is accepted; it may execute or end immediately or later."""
+"""``take(goal)`` returns whether the goal is accepted; the goal may start or end immediately or later."""
 
 Cancel = Callable[[Goal], bool]
-"""``cancel(goal)``: returns whether cancellation starts; the goal must then end, normally by `Goal.canceled`."""
+"""``cancel(goal)`` returns whether cancellation starts; the goal must then end, normally by `Goal.canceled`."""
 
 Brake = Callable[[bytes], None]
-"""``brake(goal_id)``: called at once for each cancel request, with zeros for all goals. It runs on a hub thread because
-the module's own may be busy."""
+"""``brake(goal_id)`` is called at once for each request to cancel one goal, or all goals (an id of zeros). It runs on a
+thread of the hub, because the module's thread may be busy."""
 
 
 class ActionServer:
-    """A server of one action from `bridge.modules.host.ModuleNode.action_server`. It runs on the module's thread."""
+    """Serves one action, on the module's thread; created by `bridge.modules.host.ModuleNode.action_server`."""
 
     def __init__(
         self,
@@ -147,18 +147,18 @@ class ActionServer:
             node.server(names.cancel_goal, CANCEL, self._on_cancel, at_once),
         )
         self._sending = node.server(names.send_goal, types.send_goal, self._on_goal)
-        self.accepting = True  # whether new goals are served
+        self.accepting = True  # whether new goals are accepted
         self._clients_of = names.send_goal
         self.met: Callable[[Goal], object] = lambda _goal: None  # called with each new goal
-        self.publish_status()  # an empty list at the start: subscribers learn that no goal is active
+        self.publish_status()  # an empty list, which informs subscribers that no goal is active
 
     @property
     def active(self) -> list[Goal]:
-        """The goals that have not ended, the oldest first."""
+        """The goals that have not ended, oldest first."""
         return list(self._active.values())
 
     def stop_accepting(self) -> None:
-        """Stop accepting goals for good, because another server has the name. Active goals continue until they end."""
+        """Stop accepting goals permanently, because another server has the name; active goals run until they end."""
         if self.accepting:
             self.accepting = False
             self._node.release(self._sending)
@@ -214,7 +214,7 @@ class ActionServer:
         goal = self._goals.get(bytes(request["goal_id"]["uuid"]))
         if goal is not None:
             goal.ask(answer)
-        elif self.accepting:  # otherwise another server has the name and responds
+        elif self.accepting:  # otherwise another server with this name responds
             answer({"status": int(GoalState.UNKNOWN), "result": {}})
 
     def _on_cancel(self, request: dict[str, Any], answer: Answer) -> None:
@@ -245,7 +245,7 @@ class ActionServer:
         return True
 
     def ended(self, goal: Goal) -> None:
-        """Record that a goal has its result."""
+        """Note that a goal has ended."""
         if self._active.pop(goal.id, None) is not None:
             self._ended.append(goal)
 

@@ -1,4 +1,4 @@
-"""Slow jobs of a module on a thread of their own, whose results arrive on the module's thread."""
+"""Runs the slow jobs of a module on a separate thread, and delivers their results on the module's thread."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ _END_SECONDS = 1.0
 T = TypeVar("T")
 
 Prepare = Callable[[], Callable[[], T]]
-"""Called on the module's thread just before a job starts: returns the job, with a copy of all that may change."""
+"""Called on the module's thread just before a job starts; returns the job, with a copy of all data that may change."""
 
 
 class Background:
-    """Runs one job at a time; a job that is submitted meanwhile replaces the one that waits. For the module's thread.
+    """Runs one job at a time; a job that is submitted meanwhile replaces the waiting job. For the module's thread.
 
     Args:
         loop: the module's thread.
-        name: of the module, for the thread and log lines.
-        inline: run each job on the module's thread, for results that do not depend on timing.
+        name: name of the module, for the thread and log lines.
+        inline: run each job on the module's thread, so that results do not depend on timing.
 
     Attributes:
-        trouble: why the last job failed; "" if it did not.
+        trouble: why the last job failed, "" if it succeeded.
     """
 
     def __init__(self, loop: EventLoop, name: str, *, inline: bool = False) -> None:
@@ -40,9 +40,9 @@ class Background:
         self.trouble = ""
 
     def submit(self, prepare: Prepare[T], deliver: Callable[[T], object]) -> None:
-        """Run a job as soon as none runs, and deliver its result on the module's thread.
+        """Run a job as soon as no other runs, and deliver its result on the module's thread.
 
-        The result of a job that fails is not delivered; the error is logged, and is in `trouble`.
+        If the job fails, nothing is delivered; the error is logged, and stored as ``trouble``.
         """
         self._waiting = [(prepare, deliver)]
         if not self._running:

@@ -42,7 +42,7 @@ class ModulePublisher:
     def publish(self, message: Mapping[str, Any]) -> None:
         """Publish a message; missing fields have their defaults.
 
-        Raises `ConversionError` if a field is unknown, or its value does not fit.
+        Raises `ConversionError` if a field is unknown, or its value does not fit the type.
         """
         self.publish_cdr(self.encoded(message))
 
@@ -51,18 +51,18 @@ class ModulePublisher:
         return MessageWriter(self._schema).message(message)
 
     def template(self, message: Mapping[str, Any], *changing: str) -> MessageTemplate:
-        """Return a template for messages in which only some numbers change; see `MessageTemplate`."""
+        """Return a template for messages in which only the numbers in ``changing`` change; see `MessageTemplate`."""
         return MessageTemplate(self._schema, message, *changing)
 
     def offer(self, make: Callable[[], bytes]) -> None:
-        """Publish a message that is created only if there may be a subscriber; without one it counts as 0 bytes."""
+        """Publish a message, which is created only if there may be a subscriber; otherwise it counts as 0 bytes."""
         if self._publisher.pass_over():
             self.counters.crossed(0)
         else:
             self.publish_cdr(make())
 
     def publish_cdr(self, payload: bytes) -> None:
-        """Publish a message that is already CDR."""
+        """Publish a message that is already encoded as CDR."""
         self._publisher.put(payload)
         self.counters.crossed(len(payload))
 
@@ -94,11 +94,11 @@ class Subscription:
         self._queue: deque[HubSample] = deque()
         self._depth = depth
         self.end: HubSubscription | None = None
-        self.sender = b""  # the GID of the publisher of the current message; on the module's thread
-        self.sent_ns = 0  # the source time of the current message, in ns of its publisher's clock
+        self.sender = b""  # the GID of the current message's publisher; valid on the module's thread
+        self.sent_ns = 0  # the source time of the current message, ns on its publisher's clock
 
     def on_sample(self, sample: HubSample) -> None:
-        """Queue a sample, or deliver it at once, on zenoh's thread."""
+        """Queue a sample, or deliver it at once; runs on zenoh's thread."""
         if self._at_once:
             self._give(sample)
             return
@@ -110,7 +110,7 @@ class Subscription:
         if full:
             self.counters.dropped("queue")
         else:
-            # one action for each sample, so that it keeps its order relative to others, such as the timers of a clock
+            # one action per sample, so that samples and other actions, such as a clock's timers, stay in order
             self._loop.post(self._run)
 
     def refused(self, reason: str, why: str) -> None:
@@ -152,10 +152,10 @@ class Endpoints:
     """The endpoints of a module's node on the hub, without its actions; see `bridge.modules.host.ModuleNode`.
 
     Attributes:
-        hub: its session.
-        registry: of types.
-        loop: the thread on which its callbacks run.
-        clock: the time of its stamps.
+        hub: the node on the hub.
+        registry: the known types.
+        loop: the thread on which callbacks run.
+        clock: the clock for stamps.
     """
 
     def __init__(self, hub: Hub, registry: Registry, loop: EventLoop, clock: RunClock) -> None:
@@ -174,7 +174,7 @@ class Endpoints:
         return endpoint
 
     def subscription(self, topic: str, type_name: str, on_message: OnMessage, qos: Qos | None = None) -> Subscription:
-        """Receive a topic's messages as values, on the module's thread; numeric arrays share the message's memory."""
+        """Receive a topic's messages as values on the module's thread; numeric arrays share the message's memory."""
         schema = self.registry.schema(type_name)
         return self.subscription_cdr(
             topic, type_name, lambda payload: on_message(MessageReader(schema, payload).message()), qos
@@ -192,11 +192,11 @@ class Endpoints:
         """Receive a topic's messages as validated CDR bytes.
 
         Args:
-            topic: its name.
-            type_name: its type.
+            topic: name of the topic.
+            type_name: type of the topic.
             on_message: called with each message, on the module's thread.
-            qos: of the subscription.
-            at_once: call ``on_message`` on zenoh's threads, concurrently; it must only store the message.
+            qos: QoS of the subscription.
+            at_once: call ``on_message`` on zenoh's threads, concurrently; it must then only store the message.
         """
         side = self.registry.ros2(type_name)
         qos = qos or Qos()
@@ -215,9 +215,9 @@ class Endpoints:
         """Serve a service (``std_srvs/srv/SetBool``); raises `bridge.messages.errors.MessageTypeError`.
 
         Args:
-            name: of the service.
-            type_name: its type.
-            serve: called on the module's thread.
+            name: name of the service.
+            type_name: type of the service.
+            serve: called with each request on the module's thread.
             at_once: called with each request before ``serve``, on a thread of the hub; it must not block.
         """
         endpoint = ModuleServer(self.hub, self.registry, self.loop, name, type_name, serve, at_once)
@@ -236,7 +236,7 @@ class Endpoints:
         end.close()
 
     def tick(self) -> None:
-        """Count rates; called once a second."""
+        """Update the rates; called once a second."""
         for end in self._ends:
             if isinstance(end, Subscription):
                 end.tick()

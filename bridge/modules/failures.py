@@ -1,4 +1,4 @@
-"""The status of modules that cannot start, and so have no node of their own on the hub."""
+"""Reports the status of modules that cannot start, and therefore have no node on the hub."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _log = logging.getLogger(__name__)
 
 
 class FailureReports:
-    """Answers for each failed module under its name, as `bridge.modules.worker.Running` does for a running one.
+    """Answers ``status`` for each failed module, as `bridge.modules.worker.Running` does for running modules.
 
     Args:
         daemon: the daemon's name.
-        join: opens a node of the first name on the hub, which uses the second name on the control plane.
+        join: opens a node on the hub, given its node name and its name on the control plane.
     """
 
     def __init__(self, daemon: str, join: Callable[[str, str], Hub]) -> None:
@@ -29,21 +29,21 @@ class FailureReports:
         self._nodes: dict[str, Hub] = {}
 
     def show(self, troubles: Mapping[str, str]) -> None:
-        """Report these modules with the reasons why they do not run, and no others."""
+        """Report only these modules, with the reasons why they do not run."""
         self._troubles = troubles
         for name in self._nodes.keys() - troubles.keys():
             self._nodes.pop(name).close()
         for name in troubles.keys() - self._nodes.keys():
             try:
                 hub = self._join(name, name)
-            except HubError as err:  # the next call tries again
+            except HubError as err:  # the next call retries
                 _log.debug("%s cannot report its failure: %s", name, err)
                 continue
             self._nodes[name] = hub
             hub.serve("status", partial(self._status, name, hub.zid))
 
     def close(self) -> None:
-        """Report none. Safe to call twice."""
+        """Stop reporting. Safe to call twice."""
         self.show({})
 
     def _status(self, name: str, zid: str, _params: dict[str, Any]) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from bridge.stores.store import Store
 
 
 class ModuleNode(Endpoints):
-    """A module's node: topics, services and actions. Its endpoints are closed with it."""
+    """A module's node with topics, services and actions, which are closed with the node."""
 
     def action_server(
         self,
@@ -48,19 +48,19 @@ class ModuleNode(Endpoints):
 
 
 class Host:
-    """All that a module needs from Midspan; each start of a module has a new one.
+    """Everything that a module needs from Midspan; each start of a module gets a new host.
 
     Args:
-        shared: session and store that all modules of the process use; they stay open when the module stops.
+        shared: the session and store that all modules of the process use; they stay open when the module stops.
 
     Attributes:
         config: the whole configuration.
         loop: the module's thread.
-        node: its node on the hub.
-        yarp: its YARP ports.
-        clock: the time of its stamps.
-        log: its logger.
-        background: runs its slow jobs.
+        node: the module's node on the hub.
+        yarp: the module's YARP ports.
+        clock: the clock for the module's stamps.
+        log: the module's logger.
+        background: runs the module's slow jobs.
     """
 
     def __init__(self, name: str, config: Config, registry: Registry, shared: Shared | None = None) -> None:
@@ -73,7 +73,7 @@ class Host:
         follow_clock(self.clock, hub)
         self.node = ModuleNode(hub, registry, self.loop, self.clock)
         self.yarp = Ports(config, name, None if shared is None else shared.findings)
-        # in a simulation the results must not depend on timing, and its steps wait for the module's thread
+        # in a simulation, results must not depend on timing, and the steps wait for the module's thread
         self.background = Background(self.loop, name, inline=self.clock.simulated)
         if self.clock.simulated:
             self._done = self.node.publisher(DONE_TOPIC, DONE_TYPE)
@@ -81,16 +81,16 @@ class Host:
 
     @property
     def folder(self) -> Path:
-        """The module's own folder in the state folder, created at first use."""
+        """The module's folder in the state folder, created at first use."""
         folder = worker_folder(self.config) / self.name
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
     @property
     def store(self) -> Store:
-        """The store of maps and locations, one for all modules of the process, opened at first use.
+        """The store of maps and locations, which all modules of the process share, opened at first use.
 
-        A module withdraws its own watches when it stops.
+        A module must withdraw its own watches when it stops.
         Raises `StoreError` if it is switched off, or its file cannot be used.
         """
         if self._shared is None:
@@ -98,19 +98,22 @@ class Host:
         return self._shared.stores.store
 
     def every(self, seconds: float, action: Callable[[], Any]) -> Timer | ClockTimer:
-        """Run an action periodically by the clock of the run, on the module's thread."""
+        """Run an action periodically on the module's thread, according to the run's clock."""
         if self.clock.simulated:
             return ClockTimer(self.clock, self.loop, seconds, action)
         return self.loop.every(seconds, action)
 
     def _acknowledge(self, now: int) -> None:
-        """Acknowledge a time of the simulation: the actions of timers that were due then were posted earlier."""
+        """Acknowledge a time of the simulation, after the actions of timers that were due then: those are posted."""
         seconds, nanoseconds = divmod(now, 1_000_000_000)
         time_message = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.name}
         self.loop.post(lambda: self._done.publish(time_message))
 
     def on_jump(self, forget: Callable[[], Any]) -> None:
-        """Discard what depends on time when the clock jumps (see `RunClock.on_jump`), on the module's thread."""
+        """Call ``forget`` on the module's thread when the clock jumps, to discard what depends on time.
+
+        See `RunClock.on_jump`.
+        """
         self.clock.on_jump(lambda: self.loop.post(forget))
 
     def answer(self, verb: str, handler: Callable[[dict[str, Any]], Any]) -> None:
@@ -118,11 +121,11 @@ class Host:
         self.node.hub.serve(verb, handler)
 
     def status(self) -> dict[str, Any]:
-        """Return its topics and ports for the status document."""
+        """Return the module's topics and ports for the status document."""
         return {"topics": self.node.status(), "ports": self.yarp.status()}
 
     def tick(self) -> None:
-        """Count rates; called once a second."""
+        """Update the rates; called once a second."""
         self.node.tick()
         self.yarp.tick()
 

@@ -1,4 +1,4 @@
-"""A module's thread: messages, timers and calls, in sequence."""
+"""A module's thread, which handles messages, timers and calls one after the other."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bridge.progress import StepWatch, working
 _log = logging.getLogger(__name__)
 ANSWER_SECONDS = 5.0
 STEP_SECONDS = 5.0
-"""A step without progress for longer hangs."""
+"""Seconds without progress after which a step counts as hanging."""
 _LOOK = 0.25
 
 Action = Callable[[], Any]
@@ -27,10 +27,10 @@ Action = Callable[[], Any]
 class EventLoop:
     """Runs actions in order on one thread. Safe to use from any thread.
 
-    Callers bound their posted actions: a subscription posts one for each message in its bounded queue.
+    The callers must limit the number of posted actions: a subscription posts one for each message in its bounded queue.
 
     Args:
-        limit: longest time in seconds without progress of a step.
+        limit: maximum time in seconds without progress in a step.
     """
 
     def __init__(self, name: str, limit: float = STEP_SECONDS) -> None:
@@ -50,7 +50,7 @@ class EventLoop:
 
     @property
     def waiting(self) -> int:
-        """Number of actions that wait for the thread."""
+        """Number of actions that are waiting for the thread."""
         return len(self._ready)
 
     def start(self) -> None:
@@ -58,23 +58,23 @@ class EventLoop:
         self._begun.wait()
 
     def post(self, action: Action) -> None:
-        """Run an action soon; after the loop's end it is dropped."""
+        """Run an action soon; it is dropped if the loop has ended."""
         with self._condition:
             if not self._closed:
                 self._ready.append(action)
                 self._condition.notify()
 
     def call(self, action: Callable[[], Any], seconds: float = ANSWER_SECONDS, *, late: bool = True) -> Any:
-        """Run an action on the thread and return its result, or raise what it raised.
+        """Run an action on the thread, and return its result or raise its exception.
 
         Args:
-            action: what to run.
-            seconds: how long to wait for it.
-            late: run it even after the timeout, as is needed for a stop; otherwise an action that has not begun by then
-                is dropped, and one that has begun is awaited.
+            action: the action to run.
+            seconds: time to wait for the action.
+            late: run the action even after the timeout, which a stop requires; otherwise an action that has not begun
+                by then is dropped, and one that has begun is awaited for up to `ANSWER_SECONDS`.
 
         Raises:
-            TimeoutError: the thread did not run it in time, or has ended.
+            TimeoutError: the thread did not run the action in time, or has ended.
         """
         if threading.current_thread() is self._thread:
             return action()
@@ -84,11 +84,11 @@ class EventLoop:
         return call.outcome()
 
     def work(self, action: Callable[[], Any], still: float | None = None) -> Any:
-        """Run a slow action as `call` does, from another thread, and wait for it as long as the thread makes progress.
+        """Run a slow action as `call` does, from another thread, and wait while the loop's thread makes progress.
 
         Args:
-            action: what to run.
-            still: longest time in seconds without progress; by default the loop's limit.
+            action: the action to run.
+            still: maximum time in seconds without progress; by default the loop's limit.
 
         Raises:
             TimeoutError: the thread hangs, or has ended; an action that has not begun is dropped.
@@ -106,7 +106,7 @@ class EventLoop:
         return call.outcome()
 
     def computes(self) -> str:
-        """Return a text if a step has computed for a long time, else ""; called repeatedly by one thread.
+        """Return a text if a step has been computing for long, else ""; called repeatedly by one thread.
 
         Raises `TimeoutError` if the current step hangs.
         """
@@ -135,7 +135,7 @@ class EventLoop:
         return timer
 
     def close(self, seconds: float = 2.0) -> None:
-        """End the thread after its current action; the other actions are dropped, and their callers get an error.
+        """End the thread after its current action; drop the other actions, and fail their callers.
 
         Safe to call twice, and on the thread itself.
         """
@@ -159,7 +159,7 @@ class EventLoop:
             call.run()
 
     def _withdrawn(self, call: _Call) -> bool:
-        """Remove a call that has not begun; return whether there was one."""
+        """Remove a call that has not begun; return False if it has begun or was removed already."""
         with self._condition:
             waits = call in self._calls
             self._calls.discard(call)
@@ -211,7 +211,7 @@ class EventLoop:
 
 
 class _Call:
-    """An action that a caller waits for, and its outcome."""
+    """An action for which a caller waits, and its outcome."""
 
     def __init__(self, action: Callable[[], Any]) -> None:
         self._action = action
@@ -220,7 +220,7 @@ class _Call:
         self.error: BaseException | None = None
 
     def run(self) -> None:
-        """Run the action."""
+        """Run the action, and store its outcome."""
         try:
             self.result = self._action()
         except BaseException as err:
@@ -288,10 +288,10 @@ T = TypeVar("T")
 
 
 class Newest(Generic[T]):
-    """Passes the newest value to a module's thread; while the thread is busy, newer values replace the waiting one.
+    """Passes the newest value to a module's thread; while the thread is busy, newer values replace the pending one.
 
     Args:
-        take: called with the value, on that thread.
+        take: called with the value, on the module's thread.
     """
 
     def __init__(self, loop: EventLoop, take: Callable[[T], object]) -> None:

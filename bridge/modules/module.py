@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 
 class Module(ABC):
-    """A hosted node. It opens no socket and imports no middleware: its host provides all endpoints.
+    """A hosted node. It opens no socket and imports no middleware, because its host provides all endpoints.
 
-    The host creates a new instance for each start. It calls all methods here on the module's own thread (`Host.loop`),
-    together with the callbacks of subscriptions, timers and hub servers, but not the methods that YARP clients call.
+    The host creates a new instance for each start. It calls all methods below on the module's own thread (`Host.loop`),
+    which also runs the callbacks of subscriptions, timers and hub servers, but not the methods that YARP clients call.
     """
 
-    name: ClassVar[str]  #: key of its section under ``modules`` in the configuration, and name of its hub node
+    name: ClassVar[str]  #: key of the module's section under ``modules`` in the configuration, and name of its hub node
 
     @abstractmethod
     def start(self, host: Host, section: Section) -> None:
-        """Create the endpoints and start. Raises `RuntimeError` with a readable reason if that is impossible."""
+        """Create the endpoints and start; raises `RuntimeError` with a readable reason if that is impossible."""
 
     def reload(self, section: Section) -> bool:  # noqa: ARG002 - most modules restart quickly
-        """Apply a new section while running; return False to be restarted with it."""
+        """Apply a new section while running; return False to be restarted with the section instead."""
         return False
 
     def health(self) -> Health:
-        """Return the state, with a few words of detail."""
+        """Return the module's state, with a few words of detail."""
         return Health("running", "")
 
     def status(self) -> dict[str, Any]:
@@ -42,13 +42,13 @@ class Module(ABC):
         return {}
 
     def warnings(self) -> Iterable[str]:
-        """Return what users should mend although the module runs, for status and doctor; empty texts are left out."""
+        """Return problems that users should fix although the module runs, for status and doctor; "" is ignored."""
         return ()
 
     def begin_stop(self, done: Callable[[], None]) -> None:
-        """Wind down what must not end abruptly, such as a robot's motion, while all endpoints still work.
+        """Begin to stop what must not end abruptly, such as a robot's motion, while all endpoints still work.
 
-        Call ``done`` once, from any thread; the host waits for it briefly before `stop`.
+        Call ``done`` once, from any thread; the host waits briefly for that before it calls `stop`.
         """
         done()
 
@@ -63,7 +63,7 @@ def kind_of(name: str, section: Section) -> type[Module]:
 
 
 def imported_class(key: str, factory: str, base: type[Any]) -> type[Any]:
-    """Return the class ``package.module:Class`` that a key of the configuration names.
+    """Return the class ``package.module:Class`` that the configuration names at ``key``.
 
     Raises `RuntimeError` if the import fails, or the object is not a class derived from ``base``.
     """

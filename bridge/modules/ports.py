@@ -1,4 +1,4 @@
-"""A module's YARP ports: opened when a name server answers, then kept registered by `yarp_compat`."""
+"""A module's YARP ports, which are opened when a name server answers, and then kept registered by `yarp_compat`."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ Take = Callable[[Received], None]
 
 
 class HostedPort:
-    """One port. Messages that are written before it is open are dropped."""
+    """A port of a module. Messages that are written before it is open are dropped."""
 
     def __init__(self, core: PortCore, answers: Generations | None = None) -> None:
         self.name = core.name  # as registered
         self.core = core
         self.answers = answers
         self.counters = Counters()
-        self.trouble = "not opened yet"  # why it is not open, "" if it is
+        self.trouble = "not opened yet"  # why the port is not open, "" if it is
 
     @property
     def has_readers(self) -> bool:
-        """Return whether a port is connected to its output."""
+        """Whether another port is connected to its output."""
         return bool(self.core.connections.outputs)
 
     def write(self, content: Content, envelope: str = "") -> int:
@@ -62,7 +62,7 @@ class HostedPort:
         return took
 
     def write_by_release(self, make: Callable[[Generation], Content], envelope: str = "") -> int:
-        """Send to each reader what ``make`` returns for its generation of YARP; a port with ``by_release``."""
+        """Send to each reader what ``make`` returns for the reader's YARP generation; requires ``by_release``."""
         readers: dict[Generation, set[AnyOutput]] = {}
         for output in self.core.connections.outputs:
             readers.setdefault(self._generation(output), set()).add(output)
@@ -77,12 +77,12 @@ class HostedPort:
         decision = self._decision(output)
         cure = self._generations.hint(decision) if _is_device(output) else ""
         if cure:
-            text = "%s: the YARP release of its reader %s is unknown (%s); it gets the data of %s; %s"
+            text = "%s: the YARP release of its reader %s is unknown (%s); sending it the data of %s; %s"
             _log.warning(text, self.name, decision.peer, decision.reason, decision.generation.value, cure)
         return decision.generation
 
     def _decision(self, output: AnyOutput) -> GenerationDecision:
-        """Return the generation of a reader, by its device and its process."""
+        """Return the generation of a reader, according to its device and its process."""
         target, link = output.route.target, ("", 0)
         inspect_client(self._generations, target, output.profile, link, _far_end(output))
         return self._generations.of(target, output.profile, link)
@@ -127,7 +127,7 @@ def _far_end(output: AnyOutput) -> tuple[str, int] | None:
 
 
 class _SwitchedOff(NameClient):
-    """A client without a name server, for ``yarp.enabled: false``: every command fails at once."""
+    """A name-server client for ``yarp.enabled: false``, whose commands all fail at once."""
 
     @property
     @override
@@ -141,10 +141,10 @@ class Ports:
 
     Args:
         config: the configuration; its section ``yarp`` names the name server.
-        findings: of the clients' releases, which all modules of the process share.
+        findings: what is known about the clients' releases, which all modules of the process share.
 
     Attributes:
-        naming: the client of the name server.
+        naming: the name-server client.
         generations: the YARP generation of each client of a served interface.
     """
 
@@ -178,10 +178,10 @@ class Ports:
         return port
 
     def respond(self, name: str, respond: Respond) -> HostedPort:
-        """Answer Bottles of values, as the RPC ports of YARP modules do; an exception answers ``[fail]`` and its text.
+        """Answer Bottles of values, as the RPC ports of YARP modules do; if ``respond`` raises, answer ``[fail]``.
 
-        An answer that begins with ``[many]``, ``[ok]`` and the like begins with that vocab: `yarp rpc` shows the texts
-        after ``[many]`` as lines.
+        That happens for ValueError, WireError and TimeoutError, and their text follows. ``[many]``, ``[ok]`` and the
+        like at the beginning of an answer are sent as vocabs: `yarp rpc` shows the texts after ``[many]`` as lines.
         """
 
         def on_request(message: PortMessage) -> None:
@@ -211,7 +211,7 @@ class Ports:
         return port
 
     def output(self, name: str, type_name: str = "", *, by_release: bool = False) -> HostedPort:
-        """Write to the ports that connect; ``by_release``: to each in the form of its release of YARP."""
+        """Write to the ports that connect; ``by_release``: to each in the form for its YARP release."""
         if not by_release:
             return self._open_port(name, None, is_input=False, type_name=type_name)
 
@@ -230,17 +230,17 @@ class Ports:
         return [] if self._off else [port.status() for port in self._ports]
 
     def tick(self) -> None:
-        """Count rates; called once a second."""
+        """Update the rates; called once a second."""
         for port in self._ports:
             port.counters.tick()
 
     def trouble(self) -> str:
-        """Return why some port is not open; "" if all are, or if YARP is not used here."""
+        """Return why a port is not open; "" if all are, or if YARP is not used here."""
         trouble = next((f"{port.name}: {port.trouble}" for port in self._ports if port.trouble), "")
         return "" if trouble and self._unused() else trouble
 
     def _unused(self) -> bool:
-        """Whether YARP is switched off, or neither the configuration nor a yarp.conf names a name server."""
+        """Return whether YARP is switched off, or neither the configuration nor a yarp.conf names a name server."""
         section = self._config.yarp
         if self._off or section.enabled is True or section.configured:
             return self._off
@@ -284,7 +284,7 @@ class Ports:
     def _run(self) -> None:
         while True:
             self._wake.clear()
-            if self._closed:  # checked after the event is cleared: `close` sets it before the event
+            if self._closed:  # checked after the event is cleared, because `close` sets the event last
                 return
             waiting = [port for port in list(self._ports) if port.trouble]
             for port in waiting:
@@ -311,7 +311,7 @@ class Ports:
 
 
 def ports_stay(config: Config, old: Config) -> bool:
-    """Return whether ports that were opened with the old configuration are also right for a new one."""
+    """Return whether ports that were opened with the old configuration are also valid for the new one."""
     switched = (config.yarp.enabled is False) != (old.yarp.enabled is False)
     return not switched and config.yarp.opens_as(old.yarp)
 

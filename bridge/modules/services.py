@@ -1,4 +1,4 @@
-"""Services that a module serves, with Python values."""
+"""Services that a module serves, with Python values as requests and replies."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Answer = Callable[[Mapping[str, Any] | CallError], None]
 """Sends the reply or an error; called once, from any thread."""
 
 Serve = Callable[[dict[str, Any], Answer], Any]
-"""``serve(request, answer)``: runs on the module's thread; ``answer`` may be called later."""
+"""``serve(request, answer)`` runs on the module's thread; ``answer`` may be called later."""
 
 
 class ModuleServer:
@@ -46,7 +46,7 @@ class ModuleServer:
         side = registry.service_ros2(type_name)
         self.topic, self.type_name = name, type_name
         self.counters = Counters()
-        self.caller = b""  # GID of the client whose request is being served, on the module's thread
+        self.caller = b""  # GID of the client that is being served; valid on the module's thread
         self._loop, self._serve, self._at_once = loop, serve, at_once
         self._request, self._response = registry.service_schemas(type_name)
         self._check, _ = registry.hub_service_check(type_name)
@@ -102,7 +102,7 @@ class ModuleServer:
 
 
 class _Pending:
-    """One pending request. Safe to use from any thread."""
+    """A pending request. Safe to use from any thread."""
 
     def __init__(self, server: ModuleServer, done: Done) -> None:
         self._server, self._done = server, done

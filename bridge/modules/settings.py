@@ -1,4 +1,4 @@
-"""Whether the configuration enables the worker of the modules."""
+"""Whether the configuration enables the modules' worker."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ from bridge.config.sections.section import Enabled
 
 
 def enabled(config: Config) -> Enabled:
-    """Return whether a module or the store needs the worker, unless ``modules.enabled`` switches it off."""
+    """Return ``modules.enabled`` if a module or the store needs the worker, else False."""
     return config.modules.enabled if config.hosted or config.store.enabled is True else False

@@ -1,4 +1,4 @@
-"""Parts that the modules of one process share: a session on the hub, and the store of maps and places."""
+"""The parts that the modules of one process share: a session on the hub, and the store of maps and places."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from yarp_compat.wire.generation import Findings
 
 
 def hub_settings(config: Config, node: str, worker: str) -> HubSettings:
-    """Return the settings for a node on a configuration's hub; ``worker`` is its name on the control plane."""
+    """Return the settings for a node on a configuration's hub; ``worker`` is the node's name on the control plane."""
     return HubSettings(
         domain=config.hub.domain,
         router=config.hub.listen,
@@ -33,16 +33,16 @@ def hub_settings(config: Config, node: str, worker: str) -> HubSettings:
 class Shared:
     """Opens each part when a module first needs it. Safe to use from any thread.
 
-    With one common session a process has only one set of links, buffers and graphs, and a topic of several modules
-    crosses a link once.
+    With one common session, a process has only one set of links, buffers and graphs, and a topic that several modules
+    use is sent over a link only once.
 
     Args:
-        config: the configuration; its ``hub`` and ``store`` do not change during the process's life.
+        config: the configuration; its ``hub`` and ``store`` do not change while the process runs.
         alone: the only module of this process, "" in the daemon's own worker.
 
     Attributes:
         stores: the process's store.
-        findings: the detected releases of YARP clients, since one client calls several modules.
+        findings: the detected releases of YARP clients, shared because one client may call several modules.
     """
 
     def __init__(self, config: Config, alone: str = "") -> None:
@@ -63,7 +63,7 @@ class Shared:
             return Hub.on(self._session, node, worker)
 
     def diagnostics_wanted(self) -> bool:
-        """Return whether `/diagnostics` has subscribers, once a module has joined the hub."""
+        """Return whether `/diagnostics` has subscribers; False until a module has joined the hub."""
         session = self._session
         return session is not None and has_subscribers(session.graph)
 

@@ -1,4 +1,4 @@
-"""Velocities of a module."""
+"""The velocity publisher of a module."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 
 _PERIOD = 0.2
-"""Seconds between two checks of the form, so that the publisher is connected before the first velocity."""
+"""Seconds between two checks of the velocity type, so that the publisher is connected before the first velocity."""
 
 
 class _Output:
@@ -26,7 +26,7 @@ class _Output:
 
 
 def velocity_publisher(host: Host, topic: str) -> VelocityPublisher:
-    """Open a module's publisher of velocities, in the form of ``navigation.stamped``; used on the module's thread."""
+    """Open a velocity publisher with the type that ``navigation.stamped`` sets; use it on the module's thread."""
     section = host.config.navigation
     publisher = VelocityPublisher(
         host.node.hub.graph, VelocityForm(topic, section.stamped, section.base_frame), host.clock,

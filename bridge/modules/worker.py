@@ -29,9 +29,9 @@ from bridge.stores.store import Store
 from bridge.worker import Health, StatusHead, Worker
 
 _log = logging.getLogger(__name__)
-_START_SECONDS = 30.0  # a start that makes no progress for longer has failed: its dependency is not coming
+_START_SECONDS = 30.0  # a start without progress for this time has failed: a dependency is missing
 WIND_DOWN_SECONDS = 2.0
-"""Time for a module to bring its robot to rest before it is stopped; `bridge.daemon.supervisor` allows 3.3 s."""
+"""Seconds for a module to stop its robot before the module is stopped; `bridge.daemon.supervisor` allows 3.3 s."""
 
 _SILENCE = 60.0  # seconds before the same failure is logged again
 
@@ -65,23 +65,23 @@ class Running:
     def host(self) -> Host:
         """The host of the current run; raises `RuntimeError` if the module is not running."""
         if self._host is None:
-            raise RuntimeError(f"{self.name} does not run: {self._trouble or 'stopped'}")
+            raise RuntimeError(f"{self.name} is not running: {self._trouble or 'stopped'}")
         return self._host
 
     @property
     def module(self) -> Module:
-        """The module object of the current run; raises `RuntimeError` if it is not running."""
+        """The module object of the current run; raises `RuntimeError` if the module is not running."""
         if self._module is None:
-            raise RuntimeError(f"{self.name} does not run: {self._trouble or 'stopped'}")
+            raise RuntimeError(f"{self.name} is not running: {self._trouble or 'stopped'}")
         return self._module
 
     @property
     def trouble(self) -> str:
-        """Why the module could not start, "" if it could."""
+        """Why the module could not be started, "" if it could."""
         return self._trouble
 
     def start(self) -> None:
-        """Start the module; after a failure, `health` retries it later."""
+        """Start the module; if that fails, `health` retries it later."""
         self._started = time.monotonic()
         self._head = StatusHead(self._names)
         working.at(f"starting the module {self.name}")
@@ -107,7 +107,7 @@ class Running:
             self._host.yarp.generations.adopt(config.yarp.generations())
 
     def reload(self, section: Section, config: Config) -> None:
-        """Apply a new section, by a restart if the module cannot reload."""
+        """Apply a new section; restart the module if it cannot reload."""
         self.section, self._config = section, config
         module, host = self._module, self._host
         if module is not None and host is not None and not self._trouble:
@@ -149,7 +149,7 @@ class Running:
             host.close()
 
     def _module_health(self, module: Module) -> Health:
-        """Return the health that the module reports; an exception in it must not affect other modules."""
+        """Return the health that the module reports; an exception in the report must not affect other modules."""
         try:
             return module.health()
         except Exception as err:
@@ -183,7 +183,7 @@ class Running:
 
 
 def _end(module: Module, host: Host) -> None:
-    """Stop the module and its loop in one step, so that no timer or goal runs in between."""
+    """Stop the module and its loop in one step, so that no timer or goal runs between the two."""
     try:
         module.stop()
     finally:
@@ -191,7 +191,7 @@ def _end(module: Module, host: Host) -> None:
 
 
 SWITCH_INTERVAL = 0.0005
-"""Seconds after which a computing thread yields to one with a message to handle."""
+"""Seconds after which a computing thread yields to a thread that has a message to handle."""
 
 _FIXED = ("name", "state", "hub", "store", "types", "limits", "clock")
 
@@ -214,7 +214,7 @@ class ModulesWorker(Worker):
 
     @override
     def start(self, config: Config) -> None:
-        """Start the modules; a failure of one does not prevent the others from starting."""
+        """Start the modules; if one fails, the others are started nevertheless."""
         sys.setswitchinterval(SWITCH_INTERVAL)
         self._config = config
         self._registry = Registry.of(config.types)
@@ -248,7 +248,7 @@ class ModulesWorker(Worker):
         return True
 
     def running(self, name: str) -> Running:
-        """Return an enabled module, for programs that host the worker in their process; raises `KeyError`."""
+        """Return an enabled module, for programs that host this worker in their process; raises `KeyError`."""
         return self._running[name]
 
     @property
@@ -289,7 +289,7 @@ class ModulesWorker(Worker):
             self._shared.close()
 
     def _store_health(self) -> Health | None:
-        """Health of a store that is always enabled; otherwise the modules that need the store report its failures."""
+        """Return the health of a store that is always enabled; otherwise the modules that need it report failures."""
         if self._shared is None or self._config is None or self._config.store.enabled is not True or self._only:
             return None
         trouble = self._shared.stores.trouble()
