@@ -1,4 +1,4 @@
-"""Recording: selected topics of the hub into files."""
+"""Records selected topics of the hub to files."""
 
 from bridge.descriptors import NODE, WorkerDescriptor
 

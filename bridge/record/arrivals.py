@@ -1,4 +1,4 @@
-"""The queue between the hub's threads, which receive messages, and the writer thread; bounded in bytes."""
+"""The queue between zenoh's threads, which receive messages, and the writer thread; it is limited in bytes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bridge.client.topics import TopicKey
 from bridge.hub.graph.tokens import Origin
 
 LARGE = 64 << 10
-"""Bytes from which a message is large; large ones leave an eighth of the queue to the others."""
+"""Minimum size in bytes of a large message; large messages leave an eighth of the queue to the others."""
 
 _BATCH = 8 << 20
 _OVERHEAD = 512
@@ -24,10 +24,10 @@ class TopicCounts:
 
     Attributes:
         name: the recorded name.
-        messages: number of written messages, which the operating system has and readers can read.
+        messages: number of written messages, which were passed to the operating system and can be read.
         bytes: size of their CDR.
-        pending: messages and bytes of the chunk that is not written yet.
-        dropped: by reason: ``queue``, ``disk``.
+        pending: messages and bytes in the chunk that is not written yet.
+        dropped: number of dropped messages by reason: ``queue``, ``disk``.
     """
 
     name: str
@@ -38,12 +38,12 @@ class TopicCounts:
     dropped: Counter[str] = field(default_factory=Counter)
 
     def wrote(self) -> None:
-        """Count the written chunk."""
+        """Count the pending messages as written."""
         messages, size = self.pending
         self.messages, self.bytes, self.pending = self.messages + messages, self.bytes + size, (0, 0)
 
     def failed(self, reason: str) -> None:
-        """Count the lost chunk."""
+        """Count the pending messages as dropped."""
         self.dropped[reason] += self.pending[0]
         self.pending = (0, 0)
 
@@ -56,7 +56,7 @@ class TopicCounts:
 class RecordedMessage(NamedTuple):
     """A received message.
 
-    ``gid`` identifies its publisher, ``origin`` the foreign network of it; times in nanoseconds since 1970.
+    ``gid`` identifies its publisher, ``origin`` the publisher's foreign network; times are in nanoseconds since 1970.
     """
 
     counts: TopicCounts
@@ -69,13 +69,13 @@ class RecordedMessage(NamedTuple):
 
 
 class ArrivalQueue:
-    """Waiting messages, in order. A full queue drops and counts new messages, large ones first.
+    """The waiting messages in order. A full queue drops and counts new messages, large ones first.
 
     Args:
-        limit: maximum bytes of waiting messages.
+        limit: maximum size of the waiting messages in bytes.
 
     Attributes:
-        most: maximum bytes that have waited so far.
+        most: maximum size of the waiting messages so far, in bytes.
     """
 
     def __init__(self, limit: int) -> None:
@@ -87,7 +87,7 @@ class ArrivalQueue:
         self._woken = self._waits = False
 
     def has_room(self, size: int) -> bool:
-        """Whether a message of ``size`` bytes would be queued now."""
+        """Return whether a message of ``size`` bytes would be queued now."""
         return self._bytes + size <= (self._limit - self._limit // 8 if size >= LARGE else self._limit)
 
     def put(self, arrival: RecordedMessage) -> None:
@@ -104,9 +104,10 @@ class ArrivalQueue:
                 self._condition.notify()
 
     def pop_all(self, seconds: float) -> deque[RecordedMessage]:
-        """Return all waiting messages after ``seconds``, or earlier for a full batch or on `wake`. For one thread.
+        """Return all waiting messages after ``seconds``, or earlier if a batch is full or `wake` is called.
 
-        Messages are batched because waking the thread for each would cost more than its work.
+        Only one thread may call it. Messages are batched because waking the thread for each would cost more than the
+        work.
         """
         with self._condition:
             if not (self._woken or self._bytes >= self._batch):
@@ -123,7 +124,7 @@ class ArrivalQueue:
             self._bytes -= len(arrival.data) + _OVERHEAD
 
     def wake(self) -> None:
-        """Make `pop_all` return."""
+        """Make `pop_all` return at once."""
         with self._condition:
             self._woken = True
             self._condition.notify()

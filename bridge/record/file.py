@@ -1,4 +1,4 @@
-"""One file of a recording."""
+"""A single file of a recording."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from bridge.hub.graph.tokens import Origin
 from bridge.record.arrivals import RecordedMessage, TopicCounts
 
 RESERVE = 2 << 20
-"""Free bytes that stay on the disk for the file's summary."""
+"""Free bytes that are reserved on the disk for the file's summary."""
 
 RESUME = 16 << 20
-"""Free bytes from which recording continues after the disk was full."""
+"""Free bytes that are required to continue recording after the disk was full."""
 
 MAX_CHANNELS = 60_000
-"""MCAP numbers a file's channels with 16 bits."""
+"""Maximum number of channels of a file, which MCAP numbers with 16 bits."""
 
 ChannelKey = tuple[TopicKey, Origin | None]
 
 
 class DiskFullError(OSError):
-    """The disk is full; the file is complete up to here."""
+    """The disk is full; the file is complete up to this point."""
 
 
 def room(folder: Path) -> int | None:
-    """Return the free bytes on a folder's disk; None if the system does not report them."""
+    """Return the number of free bytes on a folder's disk; None if the system does not report it."""
     if not hasattr(os, "statvfs"):
         return None
     status = os.statvfs(folder)
@@ -39,7 +39,7 @@ def room(folder: Path) -> int | None:
 
 
 class _Out:
-    """A new file without a buffer: each write goes to the system at once. Raises `OSError`."""
+    """A new file without a buffer: each write is passed to the system at once. Raises `OSError`."""
 
     def __init__(self, path: Path) -> None:
         self.position = 0
@@ -57,7 +57,7 @@ class _Out:
         return self.position
 
     def flush(self) -> None:
-        """Do nothing, since nothing is buffered."""
+        """Do nothing, because nothing is buffered."""
 
     def cut(self, position: int) -> None:
         os.ftruncate(self._descriptor, position)
@@ -71,12 +71,12 @@ class _Out:
 
 @dataclass(frozen=True)
 class Written:
-    """The contents of a closed file; times in nanoseconds since 1970.
+    """The contents of a closed file; times are in nanoseconds since 1970.
 
     Attributes:
-        closed: monotonic seconds when it was closed.
+        closed: when it was closed (monotonic seconds).
         topics: each channel with its number of messages.
-        whole: whether the file has a summary; one without is read sequentially, or mended.
+        whole: whether the file has a summary; a file without one is read sequentially, or repaired.
     """
 
     path: Path
@@ -94,9 +94,9 @@ class RecordFile:
 
     Attributes:
         path: the file.
-        opened: monotonic seconds.
-        safe: written bytes that can be read even if nothing follows.
-        messages: number of messages in these.
+        opened: when it was opened (monotonic seconds).
+        safe: number of written bytes that can be read even if nothing follows.
+        messages: number of messages in these bytes.
     """
 
     def __init__(self, path: Path, compression: Compression, about: dict[str, str]) -> None:
@@ -121,12 +121,12 @@ class RecordFile:
 
     @property
     def bytes(self) -> int:
-        """The size, including bytes that are not compressed yet."""
+        """The size of the file, including bytes that are not compressed yet."""
         return self._out.position + self._writer.pending
 
     @property
     def full(self) -> bool:
-        """Whether the file cannot have more channels."""
+        """Whether the file has the maximum number of channels."""
         return len(self._channels) >= MAX_CHANNELS
 
     @property
@@ -143,9 +143,9 @@ class RecordFile:
         self._channels[key] = self._writer.channel(info), info
 
     def write(self, arrival: RecordedMessage, log_time: int, *, again: bool = False) -> None:
-        """Add a message to its existing channel; ``again``: it was counted before.
+        """Add a message to its existing channel; ``again``: it was already counted.
 
-        Raises `DiskFullError` if the disk is full. The message is then not in the file, which can be closed.
+        Raises `DiskFullError` if the disk is full. In that case the message is not in the file, which can be closed.
         """
         data, counts = arrival.data, arrival.counts
         if self._writer.closes(len(data)):
@@ -191,7 +191,10 @@ class RecordFile:
         return self._written(whole=True)
 
     def abandon(self) -> Written:
-        """Close a file that can no longer be written after its last complete chunk; the open chunk is lost."""
+        """Truncate a file that can no longer be written after its last complete chunk, and close it.
+
+        The messages of the open chunk are lost.
+        """
         for counts in self._pending.values():
             counts.failed("disk")
         self._pending.clear()
@@ -207,7 +210,7 @@ class RecordFile:
 
 
 def total(counts: Iterable[TopicCounts]) -> tuple[int, int, dict[str, int]]:
-    """Return the messages, bytes, and drops by reason of several topics."""
+    """Return the total messages, bytes, and drops by reason of several topics."""
     messages = size = 0
     dropped: dict[str, int] = {}
     for topic in counts:

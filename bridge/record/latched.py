@@ -1,4 +1,4 @@
-"""The current latched messages, which publishers keep for late joiners, for the start of each file."""
+"""The current latched messages, which publishers store for late joiners, and with which each file starts."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from bridge.hub.graph import HubGraph
 from bridge.record.arrivals import RecordedMessage
 
 MAX_BYTES = 128 << 20
-"""Maximum bytes of stored messages; the oldest are dropped first."""
+"""Maximum size of the stored messages in bytes; the oldest are dropped first."""
 MOST_UNKNOWN = 256
-"""Maximum publishers that are not in the graph yet, with a stored message each."""
+"""Maximum number of publishers that are not in the graph yet, each with one stored message."""
 
 
 class LatchedState:
-    """The last messages of each latched publisher on the hub, as many as its depth. For one thread."""
+    """The last messages of each latched publisher on the hub, as many as its depth. Not thread-safe."""
 
     def __init__(self, graph: HubGraph) -> None:
         self._graph = graph
@@ -48,7 +48,7 @@ class LatchedState:
             self._drop_oldest()
 
     def _look_up(self, key: tuple[TopicKey, bytes]) -> bool:
-        """Return whether to store a publisher's message: if latched, or unknown, since its message may come first."""
+        """Return whether to store a publisher's message, because it is latched, or is not in the graph yet."""
         endpoint = self._graph.endpoint(key[1])
         if endpoint is None:
             return True
@@ -71,7 +71,7 @@ class LatchedState:
             self._drop(key)
 
     def all(self) -> Iterator[RecordedMessage]:
-        """Yield all stored messages by time; drop messages of publishers that left the hub."""
+        """Yield all stored messages in the order of time; drop messages of publishers that left the hub."""
         present = {endpoint.gid for endpoint in self._graph.publishers()}
         self._plain &= present
         for key in [key for key in self._stored if key[1] not in present]:

@@ -1,6 +1,6 @@
-"""``metadata.yaml`` of a folder of recordings, as rosbag2 writes it.
+"""Writes ``metadata.yaml`` into a folder of recordings, as rosbag2 does.
 
-Version 9 of the format (rosbag2_storage, metadata_io.cpp and topic_metadata.hpp; in Jazzy and later).
+The format has version 9 (rosbag2_storage, metadata_io.cpp and topic_metadata.hpp; in Jazzy and later).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ VERSION = 9
 
 
 def write_metadata(folder: Path, files: Sequence[Written]) -> None:
-    """Replace the file, completely or not at all; raises `OSError`."""
+    """Replace the file, either completely or not at all; raises `OSError`."""
     import yaml  # recordings of single files do not need it
 
     temporary = folder / ".metadata.yaml"
@@ -26,7 +26,7 @@ def write_metadata(folder: Path, files: Sequence[Written]) -> None:
 
 
 def metadata(files: Sequence[Written]) -> dict[str, Any]:
-    """Return the document of at least one file."""
+    """Return the metadata of one or several files."""
     channels: dict[tuple[str, str], list[tuple[ChannelInfo, int]]] = {}
     for file in files:
         for info, messages in file.topics:
@@ -51,7 +51,7 @@ def metadata(files: Sequence[Written]) -> dict[str, Any]:
 
 
 def _topic(channels: Sequence[tuple[ChannelInfo, int]]) -> dict[str, Any]:
-    """Return a topic's entry from its channels: one for each origin and file."""
+    """Return a topic's entry, given its channels, one for each origin and file."""
     import yaml
 
     info, offered = channels[0][0], tuple(dict.fromkeys(qos for channel, _ in channels for qos in channel.qos))

@@ -1,4 +1,4 @@
-"""The files of a recording: one, several, or a folder of rosbag2; and the limits of kept recordings."""
+"""Where a recording is written: one file, several files, or a rosbag2 folder; and the limits of stored recordings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bridge.record.section import KeepSection
 _log = logging.getLogger("midspan.record")
 
 PREFIX = "midspan_"
-"""The prefix of recordings that Midspan names; only such are ever deleted."""
+"""The prefix of recordings that Midspan names; only these are ever deleted."""
 
 
 class RecordPlace(Protocol):
@@ -34,12 +34,12 @@ class RecordPlace(Protocol):
 
 
 def stamp(seconds: float | None = None) -> str:
-    """Return the local time as file names contain it."""
+    """Return the local time in the format of file names."""
     return time.strftime("%Y_%m_%d-%H_%M_%S", time.localtime(seconds))
 
 
 class Files:
-    """``base.mcap``, or for split recordings ``base_0.mcap``, ``base_1.mcap`` ..."""
+    """Names the files ``base.mcap``, or for split recordings ``base_0.mcap``, ``base_1.mcap`` ..."""
 
     def __init__(self, base: Path, *, split: bool) -> None:
         self._base, self._split = base, split
@@ -49,7 +49,7 @@ class Files:
         """Return the path of the next file."""
         self._base.parent.mkdir(parents=True, exist_ok=True)
         number = self._number
-        # an unsplit recording gets a second file after a full disk, or on request
+        # an unsplit recording gets a second file after the disk was full, or on request
         name = f"{self._base.name}_{number}" if self._split or number else self._base.name
         return self._base.with_name(f"{name}.mcap")
 
@@ -59,7 +59,7 @@ class Files:
 
 
 class BagFolder:
-    """``folder/folder_0.mcap`` ... and ``metadata.yaml``, as rosbag2 writes them; the folder must not exist."""
+    """Writes ``folder/folder_0.mcap`` ... and ``metadata.yaml``, like rosbag2; the folder must not exist."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -68,7 +68,7 @@ class BagFolder:
         self._written: list[Written] = []
 
     def next(self) -> Path:
-        """Return the path of the next file; raises `FileExistsError` if the folder existed before."""
+        """Return the path of the next file; raises `FileExistsError` if the folder already existed."""
         if not self._made:
             self._folder.mkdir(parents=True)
             self._made = True
@@ -82,16 +82,16 @@ class BagFolder:
 
 
 class KeptFolder:
-    """A folder of recordings that Midspan names, limited to the newest."""
+    """A folder of recordings that Midspan names, in which only the newest are kept."""
 
     def __init__(self, folder: Path, keep: KeepSection) -> None:
         self.folder, self._keep = folder, keep
         self._now: Path | None = None
         self._numbers = count()
-        self._created: dict[str, int] = {}  # order in this run: the clock in the names may be set meanwhile
+        self._created: dict[str, int] = {}  # order of creation, because the clock of the names may be set
 
     def base(self) -> Path:
-        """Return an unused name."""
+        """Return an unused path for a recording, without an extension."""
         first = self.folder / f"{PREFIX}{stamp()}"
         used = {entry.name.removesuffix(".mcap") for entry in self._entries()}
         number, path = 1, first
@@ -101,7 +101,7 @@ class KeptFolder:
         return path
 
     def next(self) -> Path:
-        """Return the path of the next file, each under a new name."""
+        """Return the path of the next file, which has a new name."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self._now = self.base().with_suffix(".mcap")
         self.prune()
@@ -112,7 +112,7 @@ class KeptFolder:
         self.prune()
 
     def prune(self) -> None:
-        """Delete the oldest recordings until the rest is within the limits; the newest stays."""
+        """Delete the oldest recordings until the rest is within the limits; the newest is never deleted."""
         entries = sorted(self._entries(), key=self._order)
         sizes = {entry: _size(entry) for entry in entries}
         while len(entries) > 1 and self._too_much(len(entries), sum(sizes[entry] for entry in entries)):

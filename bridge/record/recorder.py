@@ -1,8 +1,8 @@
-"""Records selected topics of the hub: subscribes to them, and writes their messages on a separate thread.
+"""Records selected topics of the hub: it subscribes to them, and writes their messages on a separate thread.
 
-Messages that the status counts as written can be read even if the process is killed: chunks are closed after a
+Messages that the status counts as written can be read even if the process is killed, because chunks are closed after a
 megabyte or a second. When the disk is full, the file is closed, messages are dropped and counted, and recording
-continues in a new file as soon as space is free.
+continues in a new file as soon as there is space.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from bridge.record.subscriptions import RecordedTopics
 _log = logging.getLogger("midspan.record")
 
 GATHER_SECONDS = 0.05
-"""Messages are batched for this long before they are written, unless they are many megabytes."""
+"""Seconds for which messages are batched before they are written, unless they are many megabytes."""
 
 STILL_SECONDS = 30.0
-"""Without a step for this long, the writer thread counts as hanging."""
+"""Seconds without a step after which the writer thread counts as hanging."""
 
 _COMMAND_SECONDS = 10.0
 
@@ -44,12 +44,12 @@ class Recorder:
     """One recording. Safe to use from any thread.
 
     Args:
-        hub: stays open.
-        registry: of types.
+        hub: the node on the hub; it is not closed.
+        registry: the known types.
         section: the configuration.
         place: names the files.
         about: metadata of each file.
-        changed: called on a thread of zenoh after a change of the graph, to have `refresh` called.
+        changed: called on a thread of zenoh after a change of the graph; it must cause a call of `refresh`.
     """
 
     def __init__(
@@ -68,33 +68,33 @@ class Recorder:
 
     @property
     def topics(self) -> HubTopics:
-        """The topics of the hub."""
+        """The topics on the hub."""
         return self._recorded.topics
 
     def refresh(self) -> dict[TopicKey, HubTopic]:
-        """Subscribe to new selected topics, drop those that left the hub, and return all topics of the hub."""
+        """Subscribe to new selected topics, drop those that left the hub, and return all topics on the hub."""
         return self._recorded.refresh()
 
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def begin(self) -> Path | None:
-        """Start or continue, and return the file. Raises `OSError` if it cannot be created, which is retried."""
+        """Start or continue recording; return the file. Raises `OSError` if that cannot be created, and retries it."""
         self._recorded.start()
         path: Path | None = self._do(self._files.open)
         return path
 
     def pause(self) -> Path | None:
-        """Unsubscribe from all topics, and close and return the file; `begin` continues in another file."""
+        """Unsubscribe from all topics, close the file, and return its path; `begin` continues in another file."""
         self._recorded.pause()
         return self.split()
 
     def split(self) -> Path | None:
-        """Close and return the file, None if none is open; the next message starts another file."""
+        """Close the file and return its path, None if no file is open; the next message starts another file."""
         path: Path | None = self._do(self._files.close)
         return path
 
     def trigger(self, why: str) -> Future[Path | None]:
-        """Keep the ring's files; returns at once. The future gets the folder, None for an empty ring, or `OSError`."""
+        """Start saving the ring's files. The future yields the folder, None for an empty ring, or an `OSError`."""
         return self._post(partial(self._files.keep, why))
 
     def _post(self, action: Callable[[], Any]) -> Future[Any]:
@@ -107,7 +107,7 @@ class Recorder:
         return self._post(action).result(_COMMAND_SECONDS)
 
     def close(self) -> None:
-        """Write all waiting messages while that makes progress, and stop. Safe to call twice."""
+        """Write all waiting messages as long as that makes progress, and stop. Safe to call twice."""
         self._recorded.close()
         self._ending = True
         self._queue.wake()
@@ -123,7 +123,7 @@ class Recorder:
             while waiting:
                 self._last_step = time.monotonic()
                 arrival = waiting.popleft()
-                # otherwise the recording is paused, and the message was received before the pause
+                # else the recording is paused, and the message was received before the pause
                 if self._files.file is not None or self._recorded.on or self._ending:
                     self._files.write(arrival)
                 self._queue.wrote(arrival)
@@ -157,7 +157,7 @@ class Recorder:
     # -- status --------------------------------------------------------------------------------------------------------
 
     def status(self) -> dict[str, Any]:
-        """Return the status document: written messages, and dropped ones by reason."""
+        """Return the status document: written messages, and dropped messages by reason."""
         files, file = self._files, self._files.file
         counts = list(self._recorded.counts.values())
         messages, size, dropped = total(counts)

@@ -1,7 +1,7 @@
-"""A ring of files: the last minutes of a recording, kept on a trigger.
+"""A ring of files with the last minutes of a recording, which are saved on a trigger.
 
-The ring is a series of short files on the disk, of which the oldest is deleted. Each starts with the latched messages
-of its time. A trigger closes the newest file and moves all files into a new folder without copying them.
+The ring is a series of short files on the disk, the oldest of which are deleted. Each starts with the latched messages
+at that time. A trigger closes the newest file, and moves all files into a new folder without copying them.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ SEGMENTS = 10
 
 
 class Ring:
-    """Names the files of the ring, deletes the oldest, and keeps all of them on a trigger.
+    """Names the files of the ring, deletes the oldest, and saves all of them on a trigger.
 
     Args:
-        place: the folder of kept recordings; the ring itself is a hidden folder there.
+        place: the folder of stored recordings, in which the ring is a hidden folder.
 
     Attributes:
-        segment_seconds: duration of one file.
-        segment_bytes: maximum size of one file.
+        segment_seconds: duration of one file, in seconds.
+        segment_bytes: maximum size of one file, in bytes.
     """
 
     def __init__(self, place: KeptFolder, section: RingSection) -> None:
@@ -46,11 +46,11 @@ class Ring:
 
     @property
     def bytes(self) -> int:
-        """The size of the closed files."""
+        """The total size of the closed files."""
         return sum(segment.bytes for segment in self._segments)
 
     def next(self) -> Path:
-        """Return the path of the next file; the files of a run that was killed are first moved away and kept."""
+        """Return the path of the next file; the files of a run that was killed are first moved away and saved."""
         self._folder.mkdir(parents=True, exist_ok=True)
         if not self._ready:
             left = sorted(self._folder.glob("*.mcap"))
@@ -64,12 +64,12 @@ class Ring:
         return self._folder / f"{time.time_ns()}.mcap"
 
     def closed(self, written: Written) -> None:
-        """Add a file, and delete those that are too old or too large together."""
+        """Add a file, and delete the oldest files if the ring is too long or too large."""
         self._segments.append(written)
         self.prune()
 
     def prune(self) -> None:
-        """Delete the files beyond the ring's time or size."""
+        """Delete the files that exceed the ring's duration or size."""
         oldest = time.monotonic() - self._section.seconds  # the system clock may be set meanwhile
         most = (self._section.size << 20) - self.segment_bytes  # the newest file is still growing
         while self._segments and (self._segments[0].closed < oldest or self.bytes > most):
@@ -77,7 +77,7 @@ class Ring:
                 self._segments.popleft().path.unlink()
 
     def discard(self) -> None:
-        """Delete all files, since no trigger came."""
+        """Delete all files, because no trigger occurred."""
         while self._segments:
             with contextlib.suppress(OSError):
                 self._segments.popleft().path.unlink()
@@ -85,7 +85,7 @@ class Ring:
             self._folder.rmdir()
 
     def keep(self) -> Path | None:
-        """Move all files into a new folder with metadata and return it, None for an empty ring. Raises `OSError`."""
+        """Move all files to a new folder, with metadata, and return it; None for an empty ring. Raises `OSError`."""
         self.prune()
         if not self._segments:
             return None
@@ -95,7 +95,7 @@ class Ring:
         while self._segments:
             segment = self._segments[0]
             path = folder / f"{folder.name}_{len(moved)}.mcap"
-            os.rename(segment.path, path)  # noqa: PTH104 - it replaces nothing
+            os.rename(segment.path, path)  # noqa: PTH104 - nothing is replaced
             self._segments.popleft()
             moved.append(replace(segment, path=path))
         write_metadata(folder, moved)

@@ -1,4 +1,4 @@
-"""The section ``record``: which topics are recorded, into which files, and when what a ring holds is kept."""
+"""The section ``record``: which topics are recorded, into which files, and when a ring is saved."""
 
 from __future__ import annotations
 
@@ -24,24 +24,28 @@ Expression = Annotated[str, Field(min_length=1, max_length=1024), AfterValidator
 
 
 class SplitSection(Section):
-    """When a recording goes on in another file."""
+    """When a recording continues in another file."""
 
-    size: int = setting(1024, "Megabytes (1,048,576 bytes) of a file; 0: no limit.", ge=0, le=1 << 20)
-    seconds: float = setting(0.0, "Seconds of a file; 0: no limit.", ge=0.0, le=7 * 86400.0)
+    size: int = setting(1024, "Maximum size of a file, megabytes (1,048,576 bytes); 0: no limit.", ge=0, le=1 << 20)
+    seconds: float = setting(0.0, "Maximum duration of a file, seconds; 0: no limit.", ge=0.0, le=7 * 86400.0)
 
 
 class RingSection(Section):
     """Keep only the last minutes, and write them to a file on a trigger."""
 
-    seconds: float = setting(0.0, "Seconds that are kept; 0: no ring, all is kept.", ge=0.0, le=86400.0)
+    seconds: float = setting(0.0, "Duration of the ring, seconds; 0: no ring, everything is kept.", ge=0.0, le=86400.0)
     size: int = setting(2048, "Maximum size of the ring, megabytes.", ge=16, le=1 << 20)
 
 
 class KeepSection(Section):
-    """How much the folder holds; the oldest recordings make room for new ones."""
+    """Limits of the folder; the oldest recordings are deleted to make room for new ones."""
 
-    size: int = setting(10_240, "Megabytes of all recordings in the folder; 0: no limit.", ge=0, le=1 << 30)
-    files: int = setting(0, "Most recordings (files, or folders of kept rings); 0: no limit.", ge=0, le=100_000)
+    size: int = setting(
+        10_240, "Maximum size of all recordings in the folder, megabytes; 0: no limit.", ge=0, le=1 << 30
+    )
+    files: int = setting(
+        0, "Maximum number of recordings (files, or folders of saved rings); 0: no limit.", ge=0, le=100_000
+    )
 
 
 class TriggerSection(Section):
@@ -63,12 +67,12 @@ class RecordSection(Section):
         (), "Regular expressions; topics whose names contain a match are left out."
     )
     sides: tuple[SideName, ...] = setting(
-        (), "Record only topics of these sides, including those that do not cross; default: all topics on the hub."
+        (), "Record only topics of these sides, including topics that are not bridged; default: all topics on the hub."
     )
     folder: Path | None = setting(None, "Where files are written; default `recordings` in the state folder.")
     compression: Literal["zstd", "lz4", "none"] = setting("zstd", "Compression of the file's chunks.")
-    queue: int = setting(128, "Megabytes of messages that wait to be written at most.", ge=1, le=4096)
-    split: SplitSection = subsection(SplitSection, "When it continues in another file.")
+    queue: int = setting(128, "Maximum size of the messages that wait to be written, megabytes.", ge=1, le=4096)
+    split: SplitSection = subsection(SplitSection, "When the recording continues in another file.")
     ring: RingSection = subsection(RingSection, "Keep only the last minutes.")
-    keep: KeepSection = subsection(KeepSection, "How much the folder holds.")
+    keep: KeepSection = subsection(KeepSection, "Limits of the folder.")
     trigger: TriggerSection = subsection(TriggerSection, "Triggers that write the ring.")

@@ -11,11 +11,11 @@ from bridge.routing.rules import NameFilter
 
 
 class Selection:
-    """Chooses by name and side.
+    """Selects topics by name and side.
 
     Attributes:
-        name: whether a topic of this name is recorded.
-        sides: sides whose messages are recorded; empty for all.
+        name: returns whether a topic of this name is recorded.
+        sides: the sides whose messages are recorded; empty for all.
     """
 
     def __init__(self, section: RecordSection) -> None:
@@ -24,14 +24,14 @@ class Selection:
         self.sides: Sequence[str] = section.sides
 
     def includes(self, topic: HubTopic) -> bool:
-        """Return whether a topic on the hub is recorded; a tap, which workers forward on request, must be wanted."""
+        """Return whether a topic on the hub is recorded; for a tap, see `taps`."""
         side, name = tapped(topic.key.topic)
         if side:
             return self.taps(side, name)
         return self.name(name) and (not self.sides or not set(self.sides).isdisjoint(topic.sides))
 
     def taps(self, side: str, name: str) -> bool:
-        """Return whether a topic that is not bridged is wanted from its side: by full name, or with all of the side."""
+        """Return whether a topic that is not bridged is selected, by its full name or with all topics of its side."""
         return self.name(name) and (side in self.sides or (not self.sides and name in self._named))
 
     @property
@@ -45,12 +45,12 @@ class Selection:
 
 
 def side_of(origin: Origin | None) -> str:
-    """Return the side of an origin, ``zenoh`` for a native participant of the hub."""
+    """Return the side of an origin, ``zenoh`` for a native participant on the hub."""
     return "zenoh" if origin is None else origin.side
 
 
 def tapped(topic: str) -> tuple[str, str]:
-    """Return side and name of a topic that a worker forwards on request; for any other one "" and its name."""
+    """Return side and name of a topic that a worker forwards on request; for other topics "" and the name."""
     if not topic.startswith(TAPS):
         return "", topic
     side, _, name = topic.removeprefix(TAPS).partition("/")

@@ -1,4 +1,4 @@
-"""The files of a recording, one after the other: when the next file begins, and what happens on a full disk."""
+"""The sequence of a recording's files: when the next file begins, and what happens if the disk is full."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _log = logging.getLogger("midspan.record")
 
 FLUSH_SECONDS = 1.0
 RETRY_SECONDS = 5.0
-"""Delay before a new file after a failed one."""
+"""Seconds until a new file is tried after one failed."""
 
 _DEFINITION_SECONDS = 2.5
 
 
 class FileSeries:
-    """Writes messages into a file, and starts another file at its limit. For the writer thread.
+    """Writes messages into a file, and starts another file at the limit. Used only on the writer thread.
 
     Args:
         place: names the files.
@@ -35,8 +35,8 @@ class FileSeries:
         about: metadata of each file.
 
     Attributes:
-        ring: the place, if it is a ring.
-        file: the open file.
+        ring: the place if it is a ring, else None.
+        file: the open file, None if there is none.
         last_path: the last file that was opened, or the folder of a kept ring.
         count: number of files so far.
         trouble: the reason why nothing is written, "" while recording works.
@@ -63,7 +63,7 @@ class FileSeries:
         self.trouble = ""
 
     def write(self, arrival: RecordedMessage) -> None:
-        """Write a message; count it as dropped while the disk is full."""
+        """Write a message, or count it as dropped if that is impossible."""
         try:
             file = self.file if self.file is not None and not self._is_over(self.file) else self._next_file()
             if file is None:
@@ -78,7 +78,7 @@ class FileSeries:
             self._latched.saw(arrival)
 
     def open(self) -> Path | None:
-        """Return the open file, or open one; raises `OSError` if it cannot be created, which is retried."""
+        """Return the path of the open file, or open one; raises `OSError` if that fails, and retries it later."""
         self._retry = 0.0
         try:
             file = self.file or self._next_file()
@@ -105,18 +105,18 @@ class FileSeries:
                 self._failed(err)
 
     def keep(self, why: str) -> Path | None:
-        """Close the file and keep the ring; return its new folder, None for an empty ring. Raises `OSError`."""
+        """Close the file and save the ring; return its new folder, None if the ring is empty. Raises `OSError`."""
         if self.ring is None:
             raise OSError(22, "the recording has no ring (record.ring.seconds)")
         self.close({"trigger": why, "time": str(time.time_ns())})
         kept = self.ring.keep()
         if kept is not None:
-            _log.info("%s: the ring is kept in %s", why, kept)
+            _log.info("%s: the ring was saved in %s", why, kept)
             self.last_path = kept
         return kept
 
     def close(self, ending: dict[str, str] | None = None) -> Path | None:
-        """Close and return the file, with its summary if space is free; None if none is open."""
+        """Close the file, with its summary if there is space, and return its path; None if no file is open."""
         file, self.file = self.file, None
         if file is None:
             return None
@@ -139,7 +139,7 @@ class FileSeries:
         return file.full or bool(over)
 
     def _next_file(self) -> RecordFile | None:
-        """Open another file, with the latched messages; None before the next attempt is due. Raises `OSError`."""
+        """Open another file, with the latched messages; return None until the next attempt is due. Raises `OSError`."""
         self.close()
         if time.monotonic() < self._retry:
             return None
@@ -179,11 +179,11 @@ class FileSeries:
         )
 
     def _failed(self, err: OSError) -> None:
-        """Close the file after its last complete chunk; a new one is tried later."""
+        """Close the file after its last complete chunk; a new file is tried later."""
         first = not self.trouble
         where = self.file.path if self.file is not None else err.filename
         self.trouble = f"{where}: {err.strerror or err}"
         self._retry = time.monotonic() + RETRY_SECONDS
         if first:
-            _log.error("recording stops: %s; it continues in a new file when space is free", self.trouble)
+            _log.error("recording stopped: %s; it continues in a new file when there is space", self.trouble)
         self.close()

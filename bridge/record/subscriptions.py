@@ -1,4 +1,4 @@
-"""The subscriptions of a recording: which topics of the hub it receives, and what it counts of them."""
+"""The subscriptions of a recording: which topics of the hub it receives, and their counts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bridge.record.selection import Selection, tapped
 _log = logging.getLogger("midspan.record")
 
 GONE_SECONDS = 10.0
-"""A topic without publishers stays subscribed for this long, since its last messages may come after that news."""
+"""Seconds for which a topic without publishers stays subscribed, because its last messages may arrive later."""
 
 MAX_TOPICS = 10_000
 
@@ -27,9 +27,9 @@ class RecordedTopics:
     """Subscribes to selected topics, and queues their messages. Safe to use from any thread.
 
     Attributes:
-        topics: of the hub.
-        counts: of each topic that has been subscribed.
-        on: whether selected topics are subscribed.
+        topics: the topics on the hub.
+        counts: the counts of each topic that was subscribed to.
+        on: whether the selected topics are subscribed to.
     """
 
     def __init__(
@@ -55,13 +55,13 @@ class RecordedTopics:
                 self._unsubscribe(topic.key)
 
     def close(self) -> None:
-        """Unsubscribe from all topics, for good."""
+        """Unsubscribe from all topics permanently."""
         with self._lock:
             self.on = False
             self.topics.close()
 
     def refresh(self) -> dict[TopicKey, HubTopic]:
-        """Subscribe to new selected topics, drop those that left the hub, and return all topics of the hub."""
+        """Subscribe to new selected topics, drop those that left the hub, and return all topics on the hub."""
         with self._lock:
             topics = self.topics.refresh()
             if not self.on:
@@ -82,7 +82,7 @@ class RecordedTopics:
         counts = self.counts.get(key)
         if counts is None:
             if len(self.counts) >= MAX_TOPICS:
-                _log.warning("%s is not recorded: at most %d topics are", key.topic, MAX_TOPICS)
+                _log.warning("%s is not recorded: the limit of %d topics is reached", key.topic, MAX_TOPICS)
                 return
             counts = self.counts[key] = TopicCounts(tapped(key.topic)[1], key)
         self.topics.definitions.find(*key[1:])  # requests a definition from other nodes early
@@ -97,7 +97,7 @@ class RecordedTopics:
             self._refused += end.refused
 
     def _on_sample(self, counts: TopicCounts, sample: HubSample) -> None:
-        """Queue a message, on a thread of zenoh."""
+        """Queue a message; runs on a thread of zenoh."""
         now = time.time_ns()
         origin = self.topics.origin(sample)
         if not self._selection.origin(origin):
@@ -106,7 +106,7 @@ class RecordedTopics:
             counts.dropped["queue"] += 1
             return
         sent = sample.source_time_ns if sample.source_time_ns > 0 else now
-        # copied, since the sender's shared memory is small
+        # the data is copied, because the sender's shared memory is small
         self._queue.put(RecordedMessage(counts, sample.gid, origin, sample.sequence, now, sent, sample.data()))
 
     def lost(self) -> dict[str, int]:

@@ -14,17 +14,17 @@ from bridge.record.selection import Selection
 _log = logging.getLogger("midspan.record")
 
 TAP_SECONDS = 10
-"""Duration of one request to a worker; it is repeated after a third of it."""
+"""Seconds for which one request to a worker is valid; it is repeated after a third of this time."""
 
 _ASK_SECONDS = 3.0
 _MAX_TAPS = 100
-"""Maximum topics that a worker forwards at once (`bridge.routing.side_to_hub`)."""
+"""Maximum number of topics that a worker forwards at the same time (`bridge.routing.side_to_hub`)."""
 
 _STAYS = ("denied", "private")
 
 
 class Taps:
-    """Repeats the requests on a separate thread."""
+    """Requests the selected topics from the workers, repeatedly and on a separate thread."""
 
     def __init__(self, hub: Hub, selection: Selection) -> None:
         self._hub, self._selection = hub, selection

@@ -1,4 +1,4 @@
-"""Triggers of the ring: a message on a topic, a halt, a failed goal, a call of the service."""
+"""Triggers of the ring: a message on a topic, a halt, a failed goal, a call to the service."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _log = logging.getLogger("midspan.record")
 
 SERVICE = "/record/trigger"
 QUIET_SECONDS = 10.0
-"""Further triggers by topics, halts and goals are ignored for this long, since their messages are already kept."""
+"""Seconds for which further triggers by topics, halts and goals are ignored: their messages are already saved."""
 
 _SERVICE_TYPE = "std_srvs/srv/Trigger"
 _STATUS_TOPIC, _STATUS = "/navigation/status", "midspan_msgs/msg/NavigationStatus"
@@ -33,7 +33,7 @@ Keep = Callable[[str], "Future[Path | None]"]
 
 
 class Triggers:
-    """Watches all triggers; ``keep`` receives the reason and returns at once."""
+    """Watches all triggers; ``keep`` is called with the reason, and returns at once."""
 
     def __init__(self, host: Host, section: TriggerSection, keep: Keep) -> None:
         self._host, self._section, self._keep = host, section, keep
@@ -47,11 +47,11 @@ class Triggers:
             host.answer("halt", self._halt)
 
     def refresh(self, topics: Iterable[TopicKey]) -> None:
-        """Subscribe to the hub's topics that are triggers."""
+        """Subscribe to those of the hub's topics that are triggers."""
         for key in topics:
             if key.topic in self._section.topics and key not in self._ends:
                 try:
-                    # volatile, since older latched messages are not triggers
+                    # volatile, because older latched messages are not triggers
                     on_message = partial(self._on_message, key)
                     self._ends[key] = self._host.node.hub.subscription(*key, Qos(), on_message, exact=True)
                 except HubError as err:
@@ -70,7 +70,7 @@ class Triggers:
             self._pull(f"a goal failed: {status['reason'] or self._state}")
 
     def _pull(self, why: str) -> None:
-        """Trigger, from any thread."""
+        """Trigger unless a trigger occurred recently; may be called from any thread."""
         now = time.monotonic()
         if now >= self._quiet_until:
             self._quiet_until = now + QUIET_SECONDS
@@ -82,7 +82,7 @@ class Triggers:
             self._quiet_until = 0.0
 
     def _serve(self, _request: dict[str, Any], answer: Answer) -> None:
-        self._keep(f"a call of {SERVICE}").add_done_callback(lambda future: answer(_reply(future)))
+        self._keep(f"a call to {SERVICE}").add_done_callback(lambda future: answer(_reply(future)))
 
     def close(self) -> None:
         """Close the topic subscriptions; the host closes the rest."""

@@ -1,4 +1,4 @@
-"""The worker ``record``: recording in the daemon."""
+"""The worker ``record``, which records in the daemon."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ _RETRY_SECONDS = 5.0
 
 
 class Recording:
-    """A recorder with its node, which follows the hub until it is closed.
+    """A recorder with its node on the hub, which follows the hub's topics until it is closed.
 
     Args:
-        name: the name of its node and on the control plane.
+        name: the name of the node, also on the control plane.
 
     Raises:
         HubError: the hub cannot be joined.
@@ -71,14 +71,14 @@ class Recording:
         return WorkerStatus(**head, metrics=metrics(status)).document()
 
     def add_triggers(self, section: RecordSection) -> None:
-        """Start the triggers of the configuration."""
+        """Start the configured triggers."""
         self.triggers = Triggers(self.host, section.trigger, self.recorder.trigger)
         self._changed.set()
 
     def _refresh(self) -> None:
         self._taps.refresh()
         self._refreshes += 1
-        # also without changes: to drop topics that left the hub, and to retry failed subscriptions
+        # refresh even without changes, to drop topics that left the hub, and to retry failed subscriptions
         if self._changed.is_set() or self._refreshes % int(_RETRY_SECONDS / _REFRESH_SECONDS) == 0:
             self._changed.clear()
             topics = self.recorder.refresh()
@@ -96,14 +96,14 @@ class Recording:
 
 @contextmanager
 def yielding() -> Iterator[None]:
-    """Lower the priority of threads that start within (Linux), so that publishers do not wait for the recorder.
+    """Lower the priority of threads that start in this context (Linux): publishers must not wait for the recorder.
 
-    Threads that zenoh's threads start later inherit it, also for other work of the process.
+    Threads that zenoh's threads start later inherit the priority, even if they do other work of the process.
     """
     before = _threads()
     yield
     for thread in _threads() - before:
-        with suppress(OSError):  # it has just ended
+        with suppress(OSError):  # the thread has just ended
             os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, os.getpid()) + _NICE)
             # a message for the recorder must not preempt its other subscribers
             os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
@@ -120,12 +120,12 @@ def default_folder(config: Config) -> Path:
 
 
 def ring_or_files(folder: KeptFolder, section: RecordSection) -> RecordPlace:
-    """Return the place of the files by a section."""
+    """Return the place of the files: a ring if the section configures one, else the folder."""
     return Ring(folder, section.ring) if section.ring.seconds else folder
 
 
 class RecordWorker(Worker):
-    """The worker that records as configured."""
+    """Records as the configuration says, and runs commands from ``midspan record --daemon``."""
 
     def __init__(self) -> None:
         self._config: Config | None = None
@@ -133,7 +133,7 @@ class RecordWorker(Worker):
 
     @override
     def start(self, config: Config) -> None:
-        """Join the hub and start recording; the recorder retries a folder that cannot be written."""
+        """Join the hub and start recording; if the folder cannot be written, the recorder retries."""
         self._config = config
         section = config.section(RecordSection)
         place = ring_or_files(KeptFolder(default_folder(config), section.keep), section)

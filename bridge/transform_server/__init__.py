@@ -1,4 +1,4 @@
-"""The transform server, a hosted module that shares one buffer with other programs."""
+"""The transform server, a hosted module that exchanges frames between YARP programs, the hub and other programs."""
 
 from bridge.descriptors import ModuleDescriptor
 

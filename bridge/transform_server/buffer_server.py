@@ -1,7 +1,7 @@
-"""Lookups for programs without a buffer: the action ``/tf2_buffer_server`` and the service ``/tf2_frames``.
+"""Performs lookups for programs without a buffer: the action ``/tf2_buffer_server`` and the service ``/tf2_frames``.
 
-They match tf2_ros (its BufferServer and Buffer), so its BufferClient works with them, in ROS 1 and ROS 2. As there, a
-failed lookup is a succeeded goal with the error in its result.
+They match BufferServer and Buffer of tf2_ros, so that its BufferClient works with them, in ROS 1 and ROS 2. As in
+tf2_ros, the goal of a failed lookup succeeds, with the error in its result.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ACTION, LOOKUP = "/tf2_buffer_server", "tf2_msgs/action/LookupTransform"
 FRAMES, FRAME_GRAPH = "/tf2_frames", "tf2_msgs/srv/FrameGraph"
 
 RESULT_SECONDS = 10.0
-"""How long a result can be fetched; there may be a hundred goals a second, and clients fetch results at once."""
+"""Seconds for which a result is stored: clients fetch it at once, and there may be a hundred goals per second."""
 
 _POLL_SECONDS = 0.005
 _SECOND = 1_000_000_000
@@ -35,7 +35,7 @@ _TRANSFORM_ERROR = 6  # tf2_msgs/msg/TF2Error; the other codes are above
 
 
 class BufferServer:
-    """Performs lookups for clients, on the module's thread. Its endpoints are closed with the node."""
+    """Performs lookups for clients, on the module's thread. The endpoints are closed with the node."""
 
     def __init__(self, node: ModuleNode, buffer: TransformBuffer) -> None:
         self._node, self._buffer = node, buffer
@@ -66,7 +66,7 @@ class BufferServer:
         return True
 
     def _retry(self) -> None:
-        """Retry waiting lookups if a transform has arrived or their time is over."""
+        """Retry the waiting lookups if a transform has arrived, and end those whose time limit is over."""
         changes, now = self._buffer.changes, self._node.clock.elapsed_ns()
         new, self._seen = changes != self._seen, changes
         for lookup in list(self._waiting.values()):
@@ -77,7 +77,7 @@ class BufferServer:
             self._timer = None
 
     def _end(self, lookup: _Lookup) -> bool:
-        """Send the result, or the error if waiting cannot help; return whether the lookup has ended."""
+        """Send the result, or the error if waiting is useless; return whether the lookup has ended."""
         try:
             transform = lookup.run(self._buffer)
         except TransformError as err:
@@ -90,7 +90,7 @@ class BufferServer:
         return True
 
     def _finish(self, lookup: _Lookup, outcome: str, result: dict[str, Any]) -> None:
-        """Remove a lookup from the waiting ones, then answer it."""
+        """Remove a lookup from the waiting ones, and send its result."""
         self._waiting.pop(lookup.goal.id, None)
         self._ended[outcome] += 1
         lookup.goal.succeed(result)
@@ -108,7 +108,7 @@ class _Lookup:
         self._until = now + _nanoseconds(goal.goal["timeout"])
 
     def expired(self, now: int) -> bool:
-        """Return whether its time is over, or the clock was set back."""
+        """Return whether its time limit is over, or the clock was set back."""
         return not self._began <= now < self._until
 
     def run(self, buffer: TransformBuffer) -> Transform:

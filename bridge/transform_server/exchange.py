@@ -17,10 +17,10 @@ from yarp_compat.dev.frametransform import FrameTransform
 _log = logging.getLogger(__name__)
 
 YARP = "yarp"
-"""The authority of frames set by YARP programs."""
+"""The authority of frames that YARP programs set."""
 
 _HARMLESS = (None, FrameRefusal.OLD_DATA, FrameRefusal.REPEATED_DATA)
-"""Refusals that are not reported to the client: YARP's own servers silently keep the newest."""
+"""Refusals that are not reported to the client, because YARP's own server silently keeps the newest transform."""
 
 _LAST_SECOND = float(1 << 31)
 
@@ -28,11 +28,11 @@ Publish = Callable[[bytes], None]
 
 
 class Exchange:
-    """Takes frames from YARP programs and the hub, and passes each side the other's. Safe to use from any thread.
+    """Passes frames from YARP programs to the hub and vice versa. Safe to use from any thread.
 
     Args:
-        publish: publishes a message with the timed frames set by YARP programs.
-        publish_static: publishes a message with all their static frames, latched.
+        publish: publishes a message with timed frames that YARP programs set.
+        publish_static: publishes a latched message with all static frames that YARP programs set.
     """
 
     def __init__(
@@ -40,18 +40,19 @@ class Exchange:
     ) -> None:
         self.buffer, self.view = buffer, view
         self.ignored: Counter[str] = Counter()
-        """Transforms of YARP programs that were ignored though they are valid, by reason."""
+        """Number of valid transforms from YARP programs that were ignored, by reason."""
         self._clock = clock
         self._publish, self._publish_static = publish, publish_static
         self._lock = threading.Lock()
 
     def set(self, transforms: Sequence[FrameTransform]) -> FrameRefusal | None:
-        """Insert what a YARP program sets, and publish it.
+        """Insert the transforms that a YARP program sets, and publish them.
 
-        Transforms that have expired on arrival are ignored, as are samples of a static frame until it is deleted.
+        Transforms that have already expired on arrival are ignored, as are timed transforms of a frame that is static,
+        until that frame is deleted.
 
         Returns:
-            None, or why one of them was refused; the others are inserted.
+            None, or why one of the transforms was refused; the others are inserted.
         """
         with self._lock:
             sound = [t for t in transforms if 0.0 <= t.timestamp < _LAST_SECOND]
@@ -60,12 +61,12 @@ class Exchange:
             return self._set([t for t in sound if t.isStatic], static=True) or flaw
 
     def frames(self) -> list[FrameTransform]:
-        """Return all frames that YARP programs see now."""
+        """Return all frames that YARP programs currently see."""
         with self._lock:
             return self.view.frames()
 
     def delete(self, first: str, second: str) -> bool:
-        """Delete the frames set by YARP programs between two frames; return whether there were any."""
+        """Delete the transforms between two frames that YARP programs set; return whether there were any."""
         with self._lock:
             static = sum(1 for _ in self.view.own_static())
             first, second = _plain(first), _plain(second)
@@ -79,7 +80,7 @@ class Exchange:
         return bool(deleted)
 
     def receive(self, cdr: bytes, authority: str, *, static: bool) -> None:
-        """Insert a message from the hub, sent by ``authority``."""
+        """Insert a message that ``authority`` published on the hub."""
         stamped = read(cdr)
         with self._lock:
             for transform, refusal in zip(
@@ -103,7 +104,7 @@ class Exchange:
         self.ignored["expired"] += 1
         if self.ignored["expired"] == 1:
             _log.warning(
-                "the transform of %r arrived %.3f s after its stamp, expired: synchronize the clocks, or set"
+                "the transform of %r arrived expired, %.3f s after its stamp: synchronize the clocks, or set"
                 " modules.transform_server.yarp_frame_lifetime (further ones are only counted)",
                 transform.dst_frame_id,
                 self._clock.age(transform.timestamp),
@@ -132,7 +133,7 @@ class Exchange:
         return next((refusal for refusal in refusals if refusal not in _HARMLESS), None)
 
     def _reset_frames(self, stamped: Iterable[Stamped]) -> None:
-        """Remove the histories of frames that become static, since the first transform determines the kind."""
+        """Remove the histories of frames that become static, because the first transform determines the kind."""
         for transform in stamped:
             if not self.view.is_static(transform.child_frame_id):
                 self.buffer.remove(transform.child_frame_id)

@@ -1,4 +1,4 @@
-"""The transform server as a hosted module."""
+"""The hosted module of the transform server."""
 
 from __future__ import annotations
 

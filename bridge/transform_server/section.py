@@ -15,7 +15,7 @@ class TransformServerSection(ModuleSection):
     """The server of frames for YARP's `frameTransformClient`."""
 
     prefix: OptionalPort = setting(
-        "", "Prefix of its ports: `/robot` for `/robot/frameTransformServer/...`, as YARP's `ft_server_prefix`."
+        "", "Prefix of the ports: `/robot` for `/robot/frameTransformServer/...`, like YARP's `ft_server_prefix`."
     )
     period: float = setting(0.01, "Seconds between two messages of the port `tf:o`.", ge=0.001, le=1.0)
     yarp_frame_lifetime: float = setting(

@@ -1,4 +1,4 @@
-"""The frames that YARP programs see, and their clock."""
+"""The frames that YARP programs see, and the clock of these programs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _DAY = 86_400.0
 class YarpClock:
     """The time of YARP programs, in seconds, and the conversion of their stamps to the run's time.
 
-    In a simulated run they may use its clock (a network clock) or the system's; the scale of a stamp shows which clock
-    its writer uses.
+    In a simulated run, YARP programs may use its clock (a network clock) or the system's; the time scale of a stamp
+    shows which clock its writer uses.
 
     Args:
-        follows: whether reading YARP programs use the run's clock; else they use the system's.
+        follows: whether the YARP programs that read frames use the run's clock; else they use the system's.
     """
 
     def __init__(self, run: RunClock, *, follows: bool) -> None:
@@ -30,11 +30,11 @@ class YarpClock:
         self._follows = follows or not run.simulated
 
     def now(self) -> float:
-        """Return the time of the reading programs."""
+        """Return the time of the reading programs, in seconds."""
         return self._run.now_ns() / 1e9 if self._follows else time.time()
 
     def age(self, stamp: float) -> float:
-        """Return the seconds since a stamp, on its writer's clock."""
+        """Return the seconds since a stamp, measured on its writer's clock."""
         system = time.time()
         if self._run.simulated and abs(system - stamp) > _DAY:
             return self._run.now_ns() / 1e9 - stamp
@@ -45,7 +45,7 @@ class YarpClock:
         return self.now() - self.age(stamp) if self._run.simulated else stamp
 
     def of_run(self, stamp: float) -> int:
-        """Convert a writer's stamp to ns of the run's clock."""
+        """Convert a writer's stamp to ns on the run's clock."""
         return self._run.now_ns() - round(self.age(stamp) * 1e9) if self._run.simulated else round(stamp * 1e9)
 
 
@@ -53,18 +53,18 @@ ANY = "*"
 """The name that matches every frame in a deletion."""
 
 _MARGIN = 1.25
-"""Factor on the lifetime of the hub's frames, since a frame sent exactly that often is sometimes late."""
+"""Factor for the lifetime of the hub's frames, because a frame with exactly that period is sometimes late."""
 
 
 class ShownFrame:
-    """One frame in the view.
+    """A frame in the view.
 
     Attributes:
-        transform: as sent to YARP programs.
-        parent: its parent's name without the leading slash of some YARP programs.
-        stamp: ns of the run's clock.
-        until: YARP's time at which it expires.
-        ours: whether a YARP program set it; else it is from the hub, and belongs to its publishers.
+        transform: the transform as it is sent to YARP programs.
+        parent: the parent's name, without the leading slash that some YARP programs use.
+        stamp: ns on the run's clock.
+        until: the time of the YARP programs at which the frame expires, in seconds.
+        ours: whether a YARP program set it; else it is from the hub, and belongs to its publishers there.
     """
 
     __slots__ = ("ours", "parent", "stamp", "transform", "until")
@@ -74,15 +74,15 @@ class ShownFrame:
 
 
 class View:
-    """The frames that YARP's own transform server would have. The caller must hold its lock during every call.
+    """The frames that YARP's own transform server would have. Not thread-safe: the caller must hold a lock.
 
-    YARP's clients drop transforms by their stamps (0.2 s), and never end if frames form a loop; so frames of the hub
-    get the current time whenever they are sent, and a frame that would close a loop is omitted.
+    YARP's clients drop transforms whose stamps are older than 0.2 s, and hang if frames form a loop. So frames from the
+    hub get the current time whenever they are sent, and a frame that would close a loop is omitted.
 
     Args:
-        now: YARP's time in seconds.
-        yarp_lifetime: seconds after its stamp for which a frame of a YARP program is shown.
-        ros_lifetime: seconds after its arrival for which a frame of the hub is shown.
+        now: returns the time of the YARP programs, in seconds.
+        yarp_lifetime: seconds after its stamp for which a frame from a YARP program is shown.
+        ros_lifetime: seconds after its arrival for which a frame from the hub is shown, apart from a margin.
     """
 
     def __init__(self, now: Callable[[], float], yarp_lifetime: float, ros_lifetime: float) -> None:
@@ -97,16 +97,16 @@ class View:
 
     @property
     def ours(self) -> int:
-        """Number of frames set by YARP programs."""
+        """Number of frames that YARP programs set."""
         return sum(entry.ours for entry in self._entries.values())
 
     def is_static(self, child: str) -> bool:
-        """Return whether a frame set by a YARP program is static."""
+        """Return whether a YARP program set this frame, as static."""
         entry = self._entries.get(child)
         return entry is not None and entry.ours and bool(entry.transform.isStatic)
 
     def remember_spelling(self, name: str) -> None:
-        """Store how the first YARP program that sets a frame spells its name: it looks for that spelling only."""
+        """Store how the first YARP program that sets a frame spells its name: it looks only for that spelling."""
         plain = name.lstrip("/")
         if plain in self._spelled:
             return
@@ -118,14 +118,14 @@ class View:
                     entry.transform = replace(entry.transform, src_frame_id=parent, dst_frame_id=child)
 
     def set(self, transform: FrameTransform, published: Stamped) -> None:
-        """Show a frame set by a YARP program, given as it was set and as it was published on the hub."""
+        """Show a frame that a YARP program set, given as it was set and as it was published on the hub."""
         until = math.inf if transform.isStatic else transform.timestamp + self.yarp_lifetime
         self._show(
             published.child_frame_id, ShownFrame(transform, published.frame_id, published.stamp, until, ours=True)
         )
 
     def set_from_hub(self, published: Stamped, *, static: bool) -> None:
-        """Show a frame of the hub; a static one does not expire."""
+        """Show a frame from the hub; static frames do not expire."""
         parent, child = published.frame_id.lstrip("/"), published.child_frame_id.lstrip("/")
         until = math.inf if static else self._now() + _MARGIN * self.ros_lifetime
         spelled = self._spelled.get
@@ -134,7 +134,7 @@ class View:
         self._show(child, ShownFrame(transform, parent, published.stamp, until, ours=False))
 
     def frames(self) -> list[FrameTransform]:
-        """Return all frames; those of the hub get the current time."""
+        """Return all frames; those from the hub get the current time."""
         now = self._now()
         self._expire(now)
         given = []
@@ -146,7 +146,10 @@ class View:
         return given
 
     def delete(self, first: str, second: str) -> list[str]:
-        """Delete frames set by YARP programs between two frames, in either order, or `ANY`; return the children."""
+        """Delete the transforms between two frames (in either order, or `ANY`) that YARP programs set.
+
+        Return the children.
+        """
         children = [
             child for child, entry in self._entries.items() if entry.ours and _between(entry, child, first, second)
         ]
@@ -159,7 +162,7 @@ class View:
         return any(not entry.ours and _between(entry, child, first, second) for child, entry in self._entries.items())
 
     def own_static(self) -> Iterator[FrameTransform]:
-        """Yield the static frames set by YARP programs."""
+        """Yield the static frames that YARP programs set."""
         return (entry.transform for entry in self._entries.values() if entry.ours and entry.transform.isStatic)
 
     def forget_timed(self) -> None:

@@ -1,4 +1,4 @@
-"""The ports for YARP's transform clients: the RPC ports that they call, and the stream of all frames."""
+"""The ports for YARP's transform clients: the RPC ports that they call, and the port that streams all frames."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from yarp_compat.wire.profile import Profile
 
 
 class Setter(FrameTransformStorageSetRPC):
-    """Passes transforms to the exchange.
+    """Passes the transforms that clients set to the exchange.
 
     Args:
         changed: called after something was set or deleted.
@@ -47,7 +47,10 @@ class Setter(FrameTransformStorageSetRPC):
 
     @override
     def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
-        """Delete frames set by YARP programs between two frames; as in YARP it fails if two named ones have none."""
+        """Delete the transforms between two frames that YARP programs set.
+
+        As in YARP, this fails if both frames are named and there is no such transform.
+        """
         if not self._exchange.delete(src, dst) and ANY not in (src, dst):
             raise CallFailed(reason=f"no YARP program has set a transform between {src} and {dst}")
         self._changed()
@@ -71,14 +74,14 @@ class Getter(FrameTransformStorageGetRPC):
 
 
 _SOON = 0.2
-"""Part of the period after which a YARP program's frames are sent at once: the frames of a client that sets them at the
-stream's rate are then sent in step, with hardly any skipped, even if the client is sometimes late."""
+"""Part of the period after which a YARP program's frames are sent at once. So the frames of a client that sets them at
+the stream's rate are sent in step with the client, and hardly any are skipped even if it is sometimes late."""
 
 _DUE = 0.9  # part of the period after which everything is sent, so that nothing is sent twice
 
 
 class FrameStream:
-    """The streaming port. To be used on the module's thread."""
+    """The port that streams all frames. Used only on the module's thread."""
 
     def __init__(
         self,
@@ -91,11 +94,11 @@ class FrameStream:
         self._last = 0.0
 
     def tick(self) -> None:
-        """Send all frames; to be called every period."""
+        """Send all frames, unless they were just sent; called once per period."""
         self._send(_DUE)
 
     def changed(self) -> None:
-        """Send the frames soon, because a YARP program has set some."""
+        """Send all frames because a YARP program has set some, unless they were sent very recently."""
         self._send(_SOON)
 
     def _send(self, part: float) -> None:
@@ -106,7 +109,7 @@ class FrameStream:
 
 
 class _All(AllTransforms):
-    """All frames, with the outcome in the form of each generation of YARP."""
+    """All frames, with the outcome in the form that the reader's YARP generation expects."""
 
     def __init__(self, transforms: list[FrameTransform], generation: Callable[[Profile], Generation]) -> None:
         super().__init__(OK, transforms)

@@ -225,7 +225,7 @@ def test_halt_failed_goal_call_and_verb_keep_the_ring(
     for step in steps:
         after(step)
     assert kept_reasons(tmp_path) == [
-        "halt", "a goal failed: no way", "a call of /record/trigger", "midspan record --daemon trigger",
+        "halt", "a goal failed: no way", "a call to /record/trigger", "midspan record --daemon trigger",
     ]  # fmt: skip
     assert "the ring is in" in capsys.readouterr().out
 
