@@ -1,11 +1,12 @@
-"""Clients of the YARP RPC ports of a process, stored in a file and reconnected after the process was killed.
+"""Stores the clients of a process's YARP RPC ports in a file, and reconnects them after the process was killed.
 
-A YARP client connects once. If the process that it calls dies, its calls fail from then on, even if the port returns:
-YARP's clients do not reconnect by themselves (the name server restores only connections made with ``--persist``). A
-port of Midspan that returns therefore asks its clients to connect again, with the command that ``yarp connect`` sends.
+A YARP client connects once. If the process that it calls dies, its calls fail from then on, even if the port returns,
+because YARP's clients do not reconnect by themselves (the name server restores only connections made with
+``--persist``). A port of Midspan that returns therefore asks its clients to connect again, with the command that
+``yarp connect`` sends.
 
-The alternative, a port in a separate long-lived process, would add a hop to each call, and clients would still be cut
-off by a crash of that process, by the end of the daemon, or by an update of Midspan.
+The alternative, a port in a separate long-lived process, would add a hop to each call, and a crash of that process, the
+end of the daemon or an update of Midspan would still disconnect the clients.
 """
 
 from __future__ import annotations
@@ -31,21 +32,21 @@ from yarp_compat.wire.contact import rooted
 _log = logging.getLogger(__name__)
 
 AGAIN = 1.0
-"""Seconds between two requests to connect to one client."""
+"""Seconds between two requests to one client to connect."""
 
 _PATIENCE = 60.0
-"""Seconds for which a returned port asks a client that does not connect."""
+"""Seconds after which a returned port stops asking a client to connect."""
 
 _CONNECT_SECONDS = 2.0
 _MOST = 1000
 """Maximum number of stored clients of one port, equal to its maximum number of inputs."""
 
 _UNREACHABLE = ("text", "local", "http", "name_ser")
-"""Carriers of people and of the port's own process, which are not reconnected."""
+"""Carriers that people or the port's own process use, and that are not reconnected."""
 
 
 class Caller(NamedTuple):
-    """A client's port as registered when it connected; at another address it belongs to another program."""
+    """A client's port as registered when the client connected; at another address it belongs to another program."""
 
     host: str
     port: int
@@ -58,7 +59,7 @@ _FORM = TypeAdapter(_Known)
 
 @dataclass(eq=False)
 class _Watched:
-    """An open port, its connections that were looked up, and the clients that it waits for."""
+    """An open port, the clients that it waits for, and its connections that were looked up."""
 
     core: PortCore
     awaited: dict[str, float]
@@ -71,7 +72,7 @@ def callers_file(state: Path, owner: str) -> Path:
 
 
 class Callers:
-    """The clients of one owner's ports, stored in a file of this process.
+    """The clients of one owner's ports, which are stored in a file that only this process uses.
 
     `update` and `unwatch` wait for the name server; only one thread at a time may call `update`.
     """
@@ -84,7 +85,7 @@ class Callers:
         self._known = self._kept = _read(file)
 
     def watch(self, core: PortCore) -> None:
-        """Watch an open port: store its clients, and reconnect the stored ones."""
+        """Watch an open port, to store its clients and to reconnect stored clients."""
         end = time.monotonic() + _PATIENCE
         with self._lock:
             awaited = dict.fromkeys(self._known.get(core.name, {}), end)
@@ -92,7 +93,7 @@ class Callers:
             self._due = 0.0
 
     def unwatch(self, core: PortCore) -> None:
-        """Stop watching a port before it is closed; its current clients, also new ones, stay stored."""
+        """Stop watching a port before it is closed; its current clients, including new ones, remain stored."""
         for port in [port for port in self._watched if port.core is core]:
             with contextlib.suppress(NamingError):
                 self._refresh(port)
@@ -157,13 +158,13 @@ class Callers:
             port.awaited.pop(name, None)
             return
         contact = self._naming.query(name)
-        if contact is None:  # the client may still register again with a restarted name server
+        if contact is None:  # the client may yet register again with a restarted name server
             return
         if (contact.host, contact.port) != caller[:2]:
             port.awaited.pop(name, None)
             return
         try:
-            # The client may still list the broken connection, as a C++ port notices that only when it writes.
+            # The client may still list the broken connection, because a C++ port detects that only when it writes.
             connections.connect(self._naming, name, port.core.name, caller.carrier, timeout=_CONNECT_SECONDS)
         except PortError as err:
             _log.debug("%s: %s does not reconnect yet: %s", port.core.name, name, err)

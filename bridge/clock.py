@@ -1,4 +1,4 @@
-"""The time scale of a process: the system clock, or ``/clock`` of a simulation; and jumps of either."""
+"""The time scale of a process, which is the system clock or a simulation's ``/clock``, and jumps of either."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ _SECOND = 1_000_000_000
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 CLOCK_TOPIC = "/clock"
 DONE_TOPIC = "/sim/acknowledge"
-"""Nodes that run on a simulation's clock acknowledge a time here, so that the simulation may make its next step."""
+"""Topic on which nodes that run on a simulation's clock acknowledge a time, so that the simulation can continue."""
 
 DONE_TYPE = "std_msgs/msg/Header"
 
 SILENCE_SECONDS = 5.0
-"""A clock without a message on ``/clock`` for longer is reported as a problem."""
+"""Seconds without a message on ``/clock`` after which a simulated clock is reported as a problem."""
 
 STEP_NS = 100_000_000
-"""A change of the system clock by more than this, beyond the possible slewing, is a jump.
+"""A change of the system clock by more than this (in ns), beyond the possible slewing, is a jump.
 
-ntpd steps from 128 ms on and systemd-timesyncd from 400 ms on. A smaller step delays transforms by less than this.
+ntpd steps the clock for offsets of 128 ms or more, systemd-timesyncd for 400 ms or more. A smaller step delays
+transforms by less than this.
 """
 
 SLEW = 0.11
-"""The most by which slewing changes the system clock, in seconds per second.
+"""The maximum rate at which slewing changes the system clock, in seconds per second.
 
 Linux allows 10 % (ADJ_TICK) plus 500 ppm (ADJ_FREQUENCY); chrony uses up to 8.3 % of that by default (maxslewrate).
 """
@@ -41,11 +42,11 @@ _READ_NS = 1_000_000
 _READS = 5
 
 Jumped = Callable[[], None]
-"""Called after a jump: discard what depends on time."""
+"""Called after a jump, to discard what depends on time."""
 
 
 def steady_ns() -> int:
-    """Return a clock that is never set, and that also runs while the machine is suspended if the system has one."""
+    """Return ns on a clock that is never set and, if the system has one, also runs while the machine is suspended."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
 
 
@@ -54,14 +55,14 @@ def _wall_ns() -> int:
 
 
 class SystemClock:
-    """The system clock, with notifications when it is set, by NTP or by hand. Safe to use from any thread.
+    """The system clock, with notifications when NTP or a user sets it. Safe to use from any thread.
 
-    A thread compares it with a monotonic clock while it has listeners. Slewing is not a jump.
+    While it has listeners, a thread compares it with a monotonic clock. Slewing is not a jump.
 
     Args:
-        wall: a clock in ns, by default that of this machine.
-        steady: a clock in ns that is never set.
-        poll: seconds between two comparisons; 0 for none, when the owner calls `check`.
+        wall: returns the time of a clock in ns, by default this machine's.
+        steady: returns the time of a clock in ns that is never set.
+        poll: seconds between two comparisons; with 0 there is no thread, and the owner calls `check`.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class SystemClock:
         return self._wall()
 
     def on_jump(self, jumped: Jumped) -> Callable[[], None]:
-        """Notify of jumps, on a thread of this clock, until the returned function is called."""
+        """Call ``jumped`` after each jump, on a thread of this clock, until the returned function is called."""
         with self._lock:
             if not self._listeners:
                 self._last, self._offset, self._error = self.read()
@@ -89,7 +90,10 @@ class SystemClock:
         return lambda: self._withdraw(jumped)
 
     def check(self) -> int:
-        """Compare the clocks; if the system clock has jumped since the last call, notify, and return the jump in ns."""
+        """Compare the clocks; if the system clock has jumped since the last call, notify the listeners.
+
+        Return the jump in ns, 0 if there was none.
+        """
         now, offset, error = self.read()
         with self._lock:
             jump, passed = offset - self._offset, max(now - self._last, 0)
@@ -99,12 +103,12 @@ class SystemClock:
         if abs(jump) <= limit:
             return 0
         direction = "back" if jump < 0 else "forward"
-        _log.warning("the system clock was set %s by %.3f s; transforms start again", direction, abs(jump) / _SECOND)
+        _log.warning("the system clock was set %s by %.3f s: discarding transforms", direction, abs(jump) / _SECOND)
         _notify(listeners)
         return jump
 
     def read(self) -> tuple[int, int, int]:
-        """Return the monotonic time, the system clock's offset to it, and the maximum error of the offset, in ns."""
+        """Return the monotonic time, the system clock's offset from it, and the maximum error of the offset, in ns."""
         best = (0, 0, -1)
         for _ in range(_READS):
             before = self._steady()
@@ -129,18 +133,18 @@ class SystemClock:
 
 
 SYSTEM_CLOCK = SystemClock()
-"""The clock of this machine, watched once for the whole process."""
+"""The clock of this machine, which the whole process shares."""
 
 
 class RunClock:
     """The time of a run: the system clock, or the last time on ``/clock`` if ``simulated``. Safe from any thread.
 
     Args:
-        simulated: the time is that of ``/clock``, whose messages the hub or a side passes on.
+        simulated: whether the time is that of ``/clock``, whose messages the hub or a side delivers (`receive`).
         system: the clock of a run that is not simulated.
 
     Attributes:
-        source: whether this process publishes ``/clock``, and so receives none.
+        source: whether this process itself publishes ``/clock``, and therefore receives none.
     """
 
     def __init__(self, *, simulated: bool = False, system: SystemClock | None = None) -> None:
@@ -156,11 +160,11 @@ class RunClock:
         self._running = False
 
     def now_ns(self) -> int:
-        """Return nanoseconds since 1970, or of the simulation; 0 before its first message."""
+        """Return ns since 1970, or the time of the simulation in ns; 0 before the first message."""
         return self._now if self.simulated else self._system.now_ns()
 
     def elapsed_ns(self) -> int:
-        """Return nanoseconds for ages and time-outs: of the simulation, or of a clock that is never set."""
+        """Return a time in ns for ages and timeouts: of the simulation, or of a clock that is never set."""
         return self._now if self.simulated else time.monotonic_ns()
 
     def stamp(self) -> dict[str, int]:
@@ -169,7 +173,7 @@ class RunClock:
         return {"sec": seconds, "nanosec": nanoseconds}
 
     def trouble(self) -> str:
-        """Return why a simulated time stands still, "" if it runs or the time is the system's."""
+        """Return why simulated time stands still, "" if it runs or the run is not simulated."""
         if not self.simulated or self.source or time.monotonic() - self._arrived <= SILENCE_SECONDS:
             return ""
         if self._running:
@@ -183,7 +187,7 @@ class RunClock:
         )
 
     def receive(self, cdr: bytes) -> None:
-        """Accept a message of ``/clock``, CDR with its encapsulation header."""
+        """Accept a message on ``/clock``, as CDR with its encapsulation header."""
         if not self.simulated or len(cdr) < _HEADER + _TIME.size:
             return
         seconds, nanoseconds = _TIME.unpack_from(cdr, _HEADER)
@@ -200,10 +204,10 @@ class RunClock:
             follower(now)
 
     def on_jump(self, jumped: Jumped) -> Callable[[], None]:
-        """Notify of jumps until the returned function is called, or `close`.
+        """Call ``jumped`` after each jump, until the returned function or `close` is called.
 
-        The system clock jumps back and forward. ``/clock`` jumps only back, since a simulation may make steps of any
-        length; it notifies on the thread that receives the time.
+        The system clock jumps back and forward. ``/clock`` jumps only back, because a simulation may make steps of any
+        length; for it, ``jumped`` runs on the thread that receives the time.
         """
         if not self.simulated:
             withdraw = self._system.on_jump(jumped)
@@ -213,13 +217,16 @@ class RunClock:
         return lambda: _discard(self._listeners, jumped)
 
     def on_time(self, follower: Callable[[int], None], *, last: bool = False) -> Callable[[], None]:
-        """Report each time of a simulation in ns until the returned function is called; ``last``: after all others."""
+        """Call ``follower`` with each time of a simulation in ns, until the returned function is called.
+
+        ``last``: call it after all others.
+        """
         among = self._after if last else self._on_time
         among.append(follower)
         return lambda: _discard(among, follower)
 
     def close(self) -> None:
-        """Stop notifying of jumps. Safe to call twice."""
+        """Stop the notifications of jumps. Safe to call twice."""
         self._listeners.clear()
         while self._withdrawals:
             self._withdrawals.pop()()
@@ -230,7 +237,7 @@ SYSTEM = RunClock()
 
 
 def _notify(listeners: tuple[Jumped, ...]) -> None:
-    """Notify every listener, even if one of them raises an error."""
+    """Notify every listener, even if one of them raises an exception."""
     for jumped in listeners:
         try:
             jumped()

@@ -1,7 +1,7 @@
 """Executors, delayed calls and bounded queues, used by every part of Midspan.
 
-Each starts its daemon threads with the first job, so that unused ones cost nothing, and a hanging job does not prevent
-Python from exiting (unlike the threads of `concurrent.futures.ThreadPoolExecutor`).
+Each starts its threads with the first job, so that unused ones cost nothing. They are daemon threads, so that a hanging
+job does not prevent Python from exiting (unlike with `concurrent.futures.ThreadPoolExecutor`).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _OneThread:
 class SerialExecutor(_OneThread):
     """Runs jobs in order on one thread.
 
-    For blocking jobs of threads that must not block, such as zenoh's receiving threads.
+    Threads that must not block, such as zenoh's receiving threads, submit their blocking jobs to it.
     """
 
     def __init__(self, name: str) -> None:
@@ -60,7 +60,7 @@ class SerialExecutor(_OneThread):
         self._lock = threading.Lock()
 
     def submit(self, job: Job) -> None:
-        """Queue a job; after `close` it is ignored."""
+        """Queue a job; it is ignored after `close`."""
         with self._lock:
             if self._closed:
                 return
@@ -84,10 +84,10 @@ class SerialExecutor(_OneThread):
 
 
 class InlineExecutor:
-    """Runs jobs in order, one at a time, on the threads that submit them: for state changed by events of many threads.
+    """Runs jobs in order, one at a time, on the threads that submit them; for state that events on many threads change.
 
-    A thread that submits a job while none runs also runs the jobs that are submitted meanwhile. A job submitted by
-    another job, for example in a callback, therefore runs after it, and no lock is held during a job.
+    A thread that submits a job while none runs also runs the jobs that are submitted meanwhile. So a job that another
+    job submits, for example in a callback, runs after that job, and no lock is held while a job runs.
     """
 
     def __init__(self) -> None:
@@ -96,7 +96,7 @@ class InlineExecutor:
         self._running = False
 
     def submit(self, job: Job) -> None:
-        """Run a job now, or after the one that is running."""
+        """Run a job now, or after those that are running or queued."""
         with self._lock:
             self._jobs.append(job)
             if self._running:
@@ -104,7 +104,7 @@ class InlineExecutor:
             self._running = True
         try:
             self._run()
-        except BaseException:  # an interrupt; the next job to be submitted runs after those that are left
+        except BaseException:  # an interrupt: the next submitted job runs after the remaining ones
             with self._lock:
                 self._running = False
             raise
@@ -123,7 +123,7 @@ class InlineExecutor:
 
 
 class WorkerPool:
-    """Runs jobs on at most ``limit`` threads, which end after ten idle seconds."""
+    """Runs jobs on at most ``limit`` threads, which end after they were idle for ten seconds."""
 
     def __init__(self, limit: int, name: str) -> None:
         self._limit, self._name = limit, name
@@ -135,7 +135,7 @@ class WorkerPool:
         self._closed = False
 
     def submit(self, job: Callable[[], Any]) -> Future[Any]:
-        """Run a job as soon as a thread is free; it is canceled at once after `close`, or if no thread can start."""
+        """Run a job as soon as a thread is free; cancel it at once after `close`, or if no thread can be started."""
         future: Future[Any] = Future()
         with self._condition:
             if not self._closed:
@@ -155,13 +155,13 @@ class WorkerPool:
         thread = threading.Thread(target=self._run, name=name, daemon=True)
         try:
             thread.start()
-        except RuntimeError as err:  # the system is out of threads; those that exist run the job
+        except RuntimeError as err:  # the system is out of threads; the existing ones run the job
             _log.warning("%s: cannot start a thread: %s", self._name, err)
         else:
             self._threads.add(thread)
 
     def close(self, seconds: float = 0.0) -> None:
-        """Cancel the jobs that have not started, and wait up to ``seconds`` for each thread that still runs one."""
+        """Cancel the jobs that have not started, and wait up to ``seconds`` for each thread that still runs a job."""
         with self._condition:
             self._closed = True
             waiting, self._jobs = self._jobs, deque()
@@ -204,9 +204,9 @@ class DelayedCalls(_OneThread):
         self._numbers = itertools.count()
 
     def after(self, seconds: float, call: Job, *, once: bool = False) -> None:
-        """Schedule a call after ``seconds``, unless `close` comes first.
+        """Schedule a call after ``seconds``; `close` cancels it.
 
-        With ``once`` it is ignored if the same call is already scheduled.
+        With ``once``, do nothing if the same call is already scheduled.
         """
         with self._condition:
             if self._closed or (once and call in self._once):
@@ -220,7 +220,7 @@ class DelayedCalls(_OneThread):
                 self._condition.notify()
 
     def close(self, seconds: float | None = None) -> None:
-        """Cancel all calls; wait up to ``seconds`` for the running one, by default until it ends."""
+        """Cancel all calls; wait up to ``seconds`` for the running call, by default until it ends."""
         with self._condition:
             self._closed = True
             self._due.clear()
@@ -251,10 +251,10 @@ class DelayedCalls(_OneThread):
 class BoundedQueue(_OneThread, Generic[Message]):
     """A bounded queue with a thread that processes it. If full, it drops the oldest messages.
 
-    A route uses it for large messages, which may be delayed by a slow link of the hub: on a congested link zenoh waits
-    up to 0.2 s to send a message larger than a packet. A thread that serves all topics of a side must not wait that
-    long. ``take`` is called with each message in order, ``dropped`` for each dropped one; ``max_bytes`` does not count
-    the newest message.
+    A route uses it for large messages, which a slow link of the hub may delay: on a congested link, zenoh waits up to
+    0.2 s to send a message larger than a packet, and a thread that serves all topics of a side must not wait that long.
+    ``take`` is called with each message in order, and ``dropped`` for each dropped message; ``max_bytes`` does not
+    include the newest message.
     """
 
     def __init__(
@@ -271,7 +271,7 @@ class BoundedQueue(_OneThread, Generic[Message]):
     @property
     def busy(self) -> bool:
         """Whether a message is queued or being processed, so that a later one must be queued."""
-        return bool(self._queue) or self._taking  # in this order: `_run` sets the flag before it empties the queue
+        return bool(self._queue) or self._taking  # checked in this order, because `_run` sets the flag first
 
     @property
     def waiting(self) -> int:

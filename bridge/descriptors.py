@@ -1,8 +1,9 @@
 """The workers and modules of Midspan, each described by one object in its own package.
 
-To add one, write a package with a `WorkerDescriptor` or a `ModuleDescriptor`, and add a line to `WORKERS` or
-`MODULES`; see docs/develop/add_a_worker.md and docs/develop/add_a_module.md. A package outside this tree registers its
-descriptor as `bridge.registration` describes. A descriptor names its code, which is imported only when used.
+To add a worker or module, write a package with a `WorkerDescriptor` or a `ModuleDescriptor`, and add a line to
+`WORKERS` or `MODULES`; see docs/develop/add_a_worker.md and docs/develop/add_a_module.md. A package outside this tree
+registers its descriptor as `bridge.registration` describes. A descriptor names its code, which is imported only when it
+is used.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from bridge.registration import imported, registered
 from bridge.sides import all_sides
 
 NODE = frozenset({"clock", "limits", "types"})
-"""The sections that a node of the hub uses."""
+"""The sections of the configuration that a node on the hub uses."""
 
 DIAGNOSTICS = frozenset({"metrics", "modules", "navigation"})
-"""The sections that a worker uses to publish on ``/diagnostics``."""
+"""The sections of the configuration that a worker uses to publish on ``/diagnostics``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,15 +28,16 @@ class WorkerDescriptor:
     Attributes:
         name: the worker's name, and the key of its section in the configuration.
         factory: ``package.module:Class``, imported in the worker's own process and called with ``arguments``.
-        section: ``package.module:Model`` of its section, whose key ``enabled`` switches it on; "" without one.
+        section: ``package.module:Model`` of its section, whose key ``enabled`` enables the worker; "" if it has none.
         about: description of the section.
-        sections: the worker is reloaded if one of these sections of the configuration changes.
-        uses: ``package.module:function`` that returns further values to reload for, by name, from a configuration.
-        switch: ``package.module:function`` that returns whether the worker is enabled, instead of its key.
+        sections: sections of the configuration; the worker is reloaded if one of them changes.
+        uses: ``package.module:function`` that returns further values of a configuration, by name; the worker is
+            reloaded if one of them changes.
+        switch: ``package.module:function`` that decides whether the worker is enabled, instead of ``enabled``.
         environment: a module with ``available(config)`` and ``worker_environment(config, environ)``.
         needs: the packages that must be importable if ``environment`` is empty; pip's ``extra`` installs them.
-        outlives: the worker continues if the daemon dies, and the next daemon adopts it.
-        node: whether it is a node of the hub, and reports its status there.
+        outlives: whether the worker continues if the daemon dies, so that the next daemon adopts it.
+        node: whether it is a node on the hub, and reports its status there.
         checks: ``package.module:name`` of the doctor's checks.
     """
 
@@ -86,7 +88,7 @@ WORKERS = (
 )
 """The workers that come with Midspan, except those of the sides, in the order in which they start.
 
-The sides start after those that outlive the daemon.
+The sides start after the workers that outlive the daemon.
 """
 
 MODULES = (
@@ -114,7 +116,7 @@ def all_workers() -> tuple[WorkerDescriptor, ...]:
 
 @functools.cache
 def all_modules() -> dict[str, ModuleDescriptor]:
-    """Return all modules by name, except those of the configuration's ``modules.own``."""
+    """Return all modules by name, except those in the configuration's ``modules.own``."""
     built_in: tuple[ModuleDescriptor, ...] = tuple(map(imported, MODULES))
     names = (descriptor.name for descriptor in built_in)
     return {module.name: module for module in (*built_in, *registered(ModuleDescriptor, "module", names))}

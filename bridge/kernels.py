@@ -1,9 +1,9 @@
-"""The kernels: Python files that Cython compiles at set-up, and the check for missing and stale builds.
+"""The kernels, which are Python files that Cython compiles at setup, and the check for missing and stale builds.
 
-A kernel is ordinary Python with C types in its annotations (Cython's pure Python mode), so it also runs uncompiled:
-about a hundred times slower, which is enough to convert messages and not enough to drive. A build writes the digest of
-each kernel into `RECORD`, which reveals a stale build. This file needs only the standard library, since set-up runs it
-before anything is installed.
+A kernel is ordinary Python with C types in its annotations (Cython's pure Python mode), so it also runs uncompiled,
+about a hundred times slower, which is fast enough to convert messages but not to drive. A build writes the digest of
+each kernel to `RECORD`, which reveals a stale build. This file needs only the standard library, because the setup runs
+it before anything is installed.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ KERNELS = (
     "sim.depth_kernel",
     "sim.laser_kernel",
 )
-"""The modules that are compiled, each from its own ``.py``."""
+"""The compiled modules, each built from its ``.py`` file."""
 
 SHARED = "bridge.shared_kernel_code"
-"""Module of the code that all kernels share, so that it is compiled once."""
+"""The module with the code that all kernels share, so that this is compiled only once."""
 
 C_MODULES: tuple[str, ...] = (
     "bridge.adapters.ros2.reader_filter",
     "bridge.adapters.ros2.service_callbacks",
     "bridge.adapters.ros2.taking",
 )
-"""Modules in C, each next to its user; missing without a compiler."""
+"""Modules in C, each next to the module that uses it; they are missing if there was no compiler."""
 
 DRIVING: tuple[str, ...] = (
     "bridge.messages.transcode.vm",
@@ -66,10 +66,10 @@ DRIVING: tuple[str, ...] = (
     "navigation.maps.kernels",
     SHARED,
 )
-"""What RobotGoto and RobotPathPlanner import: without one of these they are too slow, and refuse goals."""
+"""The kernels that RobotGoto and RobotPathPlanner import: if one is not compiled, these refuse goals as too slow."""
 
 FLAGS = ("/O2",) if sys.platform == "win32" else ("-O3", "-g0", "-ffp-contract=off")
-"""For the C compiler; without ``-march=native``, so that wheels run, and compute the same, on all machines."""
+"""Flags of the C compiler; without ``-march=native``, so that wheels run and compute the same on all machines."""
 
 SHARED_FLAGS = ("/O1",) if sys.platform == "win32" else ("-O1", "-g0")
 
@@ -79,24 +79,24 @@ RECORD = "kernels.json"
 _CHECKOUT = (ROOT / "setup.py").is_file()
 
 REBUILD = "run 'make setup'" if _CHECKOUT else "pip install --force-reinstall --no-deps --no-binary midspan midspan"
-"""How to compile them again."""
+"""The command that compiles the kernels again."""
 
 CURE = f"install a C compiler and Python's headers (Debian: apt install g++ python3-dev), then {REBUILD}"
 
 
 @dataclass(frozen=True, slots=True)
 class KernelState:
-    """Which kernels are not compiled, and which come from other sources, another Cython or other flags."""
+    """The kernels that are not compiled, and those built from other sources, with another Cython or other flags."""
 
     missing: tuple[str, ...]
     stale: tuple[str, ...]
 
     @property
     def ok(self) -> bool:
-        """Whether all are compiled from the present sources."""
+        """Whether all kernels are compiled from the current sources."""
         return not self.missing and not self.stale
 
-    def __str__(self) -> str:  # type: ignore[explicit-override]  # set-up has only the standard library
+    def __str__(self) -> str:  # type: ignore[explicit-override]  # the setup has only the standard library
         parts = [
             f"{len(names)} of {len(KERNELS) + len(C_MODULES) + 1} kernels {are}: {', '.join(names)}"
             for names, are in ((self.missing, "not compiled"), (self.stale, "compiled from other sources"))
@@ -118,7 +118,7 @@ def built(module: str) -> Path | None:
 
 
 def digest(module: str, compiler: str) -> str:
-    """Return the digest of everything that a module's build depends on: source, Cython's version and flags."""
+    """Return the digest of everything on which a module's build depends: source, Cython's version and flags."""
     content = hashlib.sha256(repr((compiler, FLAGS, SHARED_FLAGS)).encode())
     if module != SHARED:
         content.update(source(module).read_bytes())
@@ -126,7 +126,7 @@ def digest(module: str, compiler: str) -> str:
 
 
 def record() -> Mapping[str, str]:
-    """Read the record of the build: the digest of each module, and Cython's version under ``cython``."""
+    """Return the record of the build: the digest of each module, and Cython's version under ``cython``."""
     try:
         digests = json.loads((ROOT / "bridge" / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -135,7 +135,7 @@ def record() -> Mapping[str, str]:
 
 
 def compiler_version() -> str:
-    """Return the version of the installed Cython, "" without one."""
+    """Return the version of the installed Cython, "" if there is none."""
     try:
         return importlib.metadata.version("cython")
     except importlib.metadata.PackageNotFoundError:
@@ -143,7 +143,7 @@ def compiler_version() -> str:
 
 
 def state() -> KernelState:
-    """Compare the kernels with the present sources and the installed Cython; in a wheel, the Cython that built it."""
+    """Compare the kernels with the current sources and the installed Cython (in a wheel, the one that built it)."""
     known = record()
     compiler = (compiler_version() if _CHECKOUT else "") or known.get("cython", "")
     modules = (*KERNELS, *C_MODULES, SHARED)

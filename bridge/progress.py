@@ -1,7 +1,7 @@
-"""Detection of hung processes and threads: one that computes or progresses is not hung.
+"""Detects hung processes and threads: those that neither compute nor make progress.
 
-A process reports its current step (`working`) to the daemon with its heartbeats; the steps of a thread are judged by
-the processor time that they use. This module imports very little, as it runs before anything heavy is imported.
+A process reports its current step (`working`) to the daemon with its heartbeats. The steps of a thread are judged by
+the processor time that they use. This module imports very little, because it runs before any large import.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 SHARE = 0.01
-"""Share of a core. Whatever has used less since its last progress stands still: a wait that polls every 10 ms uses
-0.3 %, and a computation gets more even if it shares its core with fifty others."""
+"""Share of a core. A step that has used less than this since its last progress makes none: a wait that polls every
+10 ms uses 0.3 %, and a computation gets more even if it shares its core with fifty others."""
 
 ENDLESS = 10.0
 """Multiple of the limit without progress. A step that uses more processor time is in an endless loop: even plans over
@@ -25,7 +25,7 @@ BUSY_SECONDS = 0.5
 
 
 class ThreadClock:
-    """The processor time of the thread that creates it, readable from any thread."""
+    """The processor time of the thread that creates this object; any thread may read it."""
 
     def __init__(self) -> None:
         clock_id = getattr(time, "pthread_getcpuclockid", None)
@@ -33,7 +33,7 @@ class ThreadClock:
         self._seconds = 0.0
 
     def seconds(self) -> float:
-        """Return the processor time so far; of the whole process on systems without thread clocks (macOS, Windows)."""
+        """Return the processor time so far, in seconds; on macOS and Windows that of the whole process."""
         if self._id is None:
             return time.process_time()
         with suppress(OSError):  # the thread has ended
@@ -42,7 +42,7 @@ class ThreadClock:
 
 
 class Movement:
-    """Detects progress: another step, used processor time, or reads from a disk."""
+    """Detects progress: a new step, used processor time, or reads from a disk."""
 
     def __init__(self, now: float) -> None:
         self.moved = now
@@ -51,11 +51,11 @@ class Movement:
         self._read = 0
 
     def move(self, now: float) -> None:
-        """Record progress, independent of the step."""
+        """Note progress, regardless of the step."""
         self.moved, self.step, self._first = now, None, self._used
 
     def update(self, now: float, step: object, used: float, read: int = 0) -> None:
-        """Update: another ``step`` is progress; ``used`` is processor seconds, ``read`` the blocks read from disks."""
+        """Update with the current step, its processor time in seconds, and the number of blocks read from disks."""
         if step != self.step:
             self.moved, self.step, self._first, self._used, self._read = now, step, used, used, read
         elif used - self._used > SHARE * self.still(now) or read > self._read:
@@ -71,9 +71,9 @@ class Movement:
 
 
 class StepWatch:
-    """Judges the steps of one thread from another one; a step may make no progress for ``limit`` seconds.
+    """Judges the steps of one thread from another thread; a step may make no progress for at most ``limit`` seconds.
 
-    ``clock`` is that of the judged thread, None until it calls `begin`; until then any long step counts as hung.
+    ``clock`` is the clock of the judged thread, None until that calls `begin`; until then any long step counts as hung.
     """
 
     def __init__(self, limit: float, clock: ThreadClock | None = None) -> None:
@@ -82,14 +82,14 @@ class StepWatch:
         self._movement = Movement(0.0)
 
     def begin(self) -> None:
-        """Judge the calling thread."""
+        """Start judging the calling thread."""
         self.clock = ThreadClock()
 
     def judge(self, name: str, since: float | None) -> str:
         """Judge the step that began at ``since`` (monotonic, None between steps); call it repeatedly.
 
-        Returns a text for a step that computes for longer than the limit, else "". Raises `TimeoutError` if the step
-        makes no progress, or computes endlessly.
+        Return a text for a step that has been computing for longer than the limit, else "". Raises `TimeoutError` if
+        the step makes no progress, or computes endlessly.
         """
         if since is None:
             return ""
@@ -125,12 +125,12 @@ class Progress:
         self._waited: tuple[float, ThreadClock | None] = (0.0, None)
 
     def begin(self, text: str) -> None:
-        """Begin a step on the calling thread, which becomes the working thread."""
+        """Begin a step on the calling thread, whose processor time counts from now on."""
         self._main = ThreadClock()
         self._since, self._text = time.monotonic(), text
 
     def end(self) -> None:
-        """End the step: the thread is idle."""
+        """End the step; the thread is idle."""
         self._text = ""
 
     def at(self, text: str) -> None:
@@ -158,7 +158,7 @@ class Progress:
             self._waited = (self._waited[0] + clock.seconds(), None)
 
     def now(self) -> Busy | None:
-        """Return the current step; None if idle, or if it has just begun."""
+        """Return the current step; None if the thread is idle or the step has just begun."""
         text, main = self._text, self._main
         if not text or main is None or time.monotonic() - self._since < BUSY_SECONDS:
             return None

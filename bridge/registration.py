@@ -1,6 +1,6 @@
-"""Descriptors that packages register: of sides, workers, modules and views of the console.
+"""The descriptors that packages register, of sides, workers, modules and console views.
 
-A package registers a descriptor by an entry point of a group such as ``midspan.sides``, or in an environment variable
+A package registers a descriptor with an entry point in a group such as ``midspan.sides``, or in an environment variable
 such as ``$MIDSPAN_SIDES`` (``package.module:NAME,...``).
 """
 
@@ -15,11 +15,11 @@ from typing import Any, Protocol, TypeVar
 
 
 class Named(Protocol):
-    """A descriptor."""
+    """A descriptor with a name."""
 
     @property
     def name(self) -> str:
-        """Its name, unique among the descriptors of its kind."""
+        """The name, which is unique among the descriptors of one kind."""
 
 
 Kind = TypeVar("Kind", bound=Named)
@@ -41,12 +41,12 @@ def registered(kind: type[Kind], word: str, taken: Iterable[str]) -> tuple[Kind,
     """Return the descriptors that do not ship with Midspan.
 
     Args:
-        kind: their class.
+        kind: class of the descriptors.
         word: ``side``, ``worker``, ``module`` or ``view``.
-        taken: the names of those that ship with Midspan.
+        taken: names of the descriptors that ship with Midspan.
 
     Raises:
-        RuntimeError: one cannot be imported, has another type, or has the name of another one.
+        RuntimeError: a descriptor cannot be imported, has another type, or has the same name as another.
     """
     places = [point.value for point in _entry_points().select(group=f"midspan.{word}s")]
     places += [place.strip() for place in os.environ.get(f"MIDSPAN_{word.upper()}S", "").split(",")]

@@ -1,4 +1,4 @@
-"""Limits of this process: file descriptors, space in the state folder, and memory returned to the system."""
+"""Resources of this process: file descriptors, space in the state folder, and memory that it returns to the system."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pathlib import Path
 logger = logging.getLogger("midspan.daemon")
 
 FULL = 0.8
-"""A larger share of used descriptors is reported."""
+"""A share of used descriptors above this is reported."""
 
 RAISE = "raise the limit of open files: LimitNOFILE= in the systemd unit, or 'ulimit -n 65536' before midspan run"
-"""The cure for a shortage of file descriptors."""
+"""How to fix a shortage of file descriptors."""
 
 OUT = frozenset({errno.EMFILE, errno.ENFILE})
-"""Errors of the system when no descriptor is left, for this process or for the machine."""
+"""Errors of the system if this process or the machine has no descriptor left."""
 
 
 LEAST_ROOM = 1 << 20
@@ -29,7 +29,7 @@ _CURE = "make it writable, or set 'state' in the configuration to a folder that 
 
 
 def warnings(folder: Path) -> list[str]:
-    """Return the current shortages, each with its cure."""
+    """Return the current shortages, each with how to fix it."""
     return [text for text in (descriptors(), folder_trouble(folder)) if text]
 
 
@@ -43,7 +43,7 @@ def has_descriptor() -> bool:
 
 
 def folder_trouble(folder: Path) -> str:
-    """Return why the state folder is not writable, with the cure; "" if it is."""
+    """Return why the state folder is not writable and how to fix that; "" if it is writable."""
     if sys.platform == "win32":
         return ""
     try:
@@ -60,14 +60,14 @@ def folder_trouble(folder: Path) -> str:
 
 
 def descriptors() -> str:
-    """Return a warning if nearly all descriptors are in use, with the cure; "" otherwise."""
+    """Return a warning that nearly all descriptors are in use and how to fix that; "" otherwise."""
     if sys.platform == "win32":
         return ""
     import resource
 
     soft, _hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
-        # Linux reports the number since 6.2; elsewhere the (many) entries are counted, without building paths
+        # Linux since 6.2 reports the number; elsewhere count the (possibly many) entries without building paths
         used = Path("/dev/fd").stat().st_size if sys.platform == "linux" else 0
         used = used or len(os.listdir("/dev/fd"))  # noqa: PTH208
     except OSError as err:
@@ -80,12 +80,12 @@ def descriptors() -> str:
 
 
 WANTED_FILES = 1 << 16
-"""More than enough: each connection needs a descriptor. An "infinite" hard limit is not used, since some programs loop
-over all possible descriptors."""
+"""Enough for all connections, each of which needs a descriptor. An infinite hard limit is not used, because some
+programs loop over all possible descriptors."""
 
 
 def raise_open_files() -> int:
-    """Raise the soft limit of open files to the hard one, at most to `WANTED_FILES`; return it, 0 if unknown."""
+    """Raise the soft limit of open files to the hard limit, at most to `WANTED_FILES`; return it, 0 if unknown."""
     if sys.platform == "win32":
         return 0
     import resource
@@ -97,35 +97,36 @@ def raise_open_files() -> int:
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
     except (OSError, ValueError) as err:
-        logger.warning("the limit of open files stays at %d: %s", soft, err)
+        logger.warning("the limit of open files remains at %d: %s", soft, err)
         return soft
     return wanted
 
 
 LARGE = 4 * 1024 * 1024
-"""Size in bytes from which a message counts as large."""
+"""Minimum size in bytes of a message that counts as large."""
 
 _IDLE_SECONDS = 10.0
-"""Longer than YARP ports keep a message's buffer for the next message (`yarp_compat.ports.port`)."""
+"""Seconds without large messages: longer than YARP ports keep a message's buffer for the next message
+(`yarp_compat.ports.port`)."""
 
 
 class LargeMessages:
-    """Returns memory to the system after a while without large messages. Thread-safe.
+    """Returns memory to the system after some time without large messages. Thread-safe.
 
-    glibc keeps freed memory for reuse, more of it in a bridge worker (`bridge.adapters.memory`): after it received a
-    message of 181 MB, a worker had 217 MB, of which it used 35.
+    glibc keeps freed memory for reuse, even more in a bridge worker (`bridge.adapters.memory`): after a worker had
+    received a message of 181 MB, it had 217 MB, of which it used 35 MB.
     """
 
     def __init__(self) -> None:
         self._last: float | None = None
 
     def passed(self, size: int) -> None:
-        """Record a message of this size in bytes."""
+        """Note a message of ``size`` bytes."""
         if size >= LARGE:
             self._last = time.monotonic()
 
     def trim(self) -> bool:
-        """Return free memory to the system if that is due; return whether it was. Takes 10 ms if much is free."""
+        """Return free memory to the system if that is due; return whether it was due. Takes 10 ms if much is free."""
         last = self._last
         if last is None or time.monotonic() - last < _IDLE_SECONDS:
             return False

@@ -1,7 +1,7 @@
 """Files that ship with Midspan, other than its Python packages: configurations, service units, the demo's programs.
 
-A checkout has them in its folders. A wheel installs them below ``share/midspan`` in the prefix of a virtual
-environment, of the user or of the system. Their paths are in the list of installed files that the installer writes
+A checkout contains them. A wheel installs them below ``share/midspan`` in the prefix of a virtual environment, of the
+user or of the system. Their paths are in the list of installed files that the installer writes
 (https://packaging.python.org/en/latest/specifications/recording-installed-packages/).
 """
 

@@ -13,29 +13,29 @@ from dataclasses import dataclass
 from bridge.registration import registered
 
 Private = tuple[tuple[str, str], ...]
-"""Regular expressions of names that are private to a side, each with the reason, for people."""
+"""Regular expressions for names that are private to a side, each with the reason, for people."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Side:
-    """Description of a side for the daemon, the configuration, the routing, the command line and the doctor.
+    """Describes a side to the daemon, the configuration, the routing, the command line and the doctor.
 
     Names like ``package.module:name`` are imported only when used, so that no process loads another side's code.
 
     Attributes:
-        name: name of its worker, of its section in the configuration, and ``Edge.side``.
+        name: name of its worker and of its section in the configuration, and the value of ``Edge.side``.
         label: its name for people.
         edges: ``package.module:name`` of the factory of its edge, called with the configuration, the registry of types
             and the state folder; with `networks` it returns a dictionary of edges by name.
-        section: ``package.module:name`` of its section's model; "" for the sides whose section `Config` has.
+        section: ``package.module:name`` of its section's model; "" for the sides whose section is part of `Config`.
         environment: module with ``available(config)``, ``worker_environment(config, environ)`` and, if more than its
             key ``enabled`` decides whether it is enabled, ``enabled(config)``; "" if it needs nothing.
-        loading: the worker's step while it imports the edge, for people.
-        private_topics: topics that never cross, since they have a meaning only on their side.
-        private_services: the same, by the services' ROS 2 types.
+        loading: description of the worker's step while it imports the edge, for people.
+        private_topics: topics that are not bridged by default, because they have a meaning only on their side.
+        private_services: the same for services, by their ROS 2 types.
         node_parameters: whether each of its nodes has its own parameters, as in ROS 2.
         checks: ``package.module:name`` of the doctor's checks.
-        networks: the networks that it joins, if it joins several of different kinds.
+        networks: the networks that it joins, if it joins networks of several kinds.
     """
 
     name: str
@@ -136,7 +136,7 @@ BUILT_IN = (
 def own_sides() -> tuple[Side, ...]:
     """Return the sides that do not ship with Midspan.
 
-    Raises `RuntimeError` if one cannot be imported, is incomplete, or has the name of another one.
+    Raises `RuntimeError` if a side cannot be imported, is incomplete, or has the same name as another.
     """
     sides = registered(Side, "side", (side.name for side in BUILT_IN))
     for side in sides:
@@ -152,7 +152,7 @@ def all_sides() -> tuple[Side, ...]:
 
 @functools.cache
 def all_networks() -> dict[str, Side]:
-    """Return the sides by all names that an edge or a rule may use; the networks of sides come last."""
+    """Return the sides by all names that edges and rules may use; the networks of sides come last."""
     sides = all_sides()
     inner: Iterator[Side] = (network for side in sides for network in side.networks)
     return {side.name: side for side in (*sides, *inner)}

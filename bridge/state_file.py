@@ -1,4 +1,4 @@
-"""The state folder: its place, the names of its files, and atomic writes."""
+"""The state folder: its path, the names of its files, and atomic writes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from bridge.config.model import DAEMON_NAME, Config
 from yarp_compat.file_names import escaped
 
 SERVICE_STATE = Path("/var/lib/midspan")
-"""State folder of all systemd units (``StateDirectory=midspan``)."""
+"""The state folder of all systemd units (``StateDirectory=midspan``)."""
 
 
 def state_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder of the daemon's and its workers' state; see ``state`` in the configuration."""
+    """Return the folder for the state of the daemon and its workers; see ``state`` in the configuration."""
     if config.state is not None:
         return config.state
-    if environ.get("STATE_DIRECTORY"):  # systemd's StateDirectory=; several are separated by colons
+    if environ.get("STATE_DIRECTORY"):  # from systemd's StateDirectory=, with colons between several folders
         return Path(environ["STATE_DIRECTORY"].split(":")[0])
     home = environ.get("XDG_STATE_HOME") or Path(environ.get("HOME") or Path.home()) / ".local" / "state"
     return Path(home) / "midspan"
@@ -37,7 +37,7 @@ def lane_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path
     return worker_folder(config, environ) / "lane" if config.hub.lane else None
 
 
-# sockaddr_un's sun_path has 108 bytes with its ending zero on Linux, 104 on macOS
+# sun_path of sockaddr_un has 108 bytes including its NUL on Linux, 104 on macOS
 _MAX_SOCKET_PATH = 103
 
 
@@ -45,9 +45,9 @@ _NAME_FILE = ".name"  # no daemon's name begins with a dot
 
 
 def named(config: Config, environ: Mapping[str, str] = os.environ, *others: Path) -> Config:
-    """Return the configuration with the daemon's name from the state folder, if the file does not set ``name``.
+    """Return the configuration with the daemon's name from the state folder, if its file does not set ``name``.
 
-    The stored files have the daemon's name in their paths, so they would be lost if it changed with the machine's.
+    The paths of stored files contain the daemon's name, so they would be lost if it changed with the machine's name.
     ``others`` are further folders to search if the file does not set ``state`` either.
     """
     if "name" in config.model_fields_set:
@@ -58,7 +58,7 @@ def named(config: Config, environ: Mapping[str, str] = os.environ, *others: Path
 
 
 def _stored_name(folder: Path) -> str:
-    """Return the name in a state folder, "" without a valid one."""
+    """Return the daemon's name that a state folder contains, "" if there is no valid one."""
     try:
         name = (folder / _NAME_FILE).read_text(encoding="utf-8").strip()
     except (OSError, ValueError):
@@ -67,7 +67,7 @@ def _stored_name(folder: Path) -> str:
 
 
 def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Config:
-    """Return the configuration with its state folder and its name filled in; creates the folder, for its owner only.
+    """Return the configuration with state folder and name filled in; create the folder, accessible only to its owner.
 
     Raises `RuntimeError` if the folder cannot be created or written to.
     """
@@ -77,7 +77,7 @@ def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Confi
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(13, "not writable for this user")
-        # without user ids, as on Windows, the folder inherits the rights of its parent
+        # on systems without user ids, such as Windows, the folder inherits the permissions of its parent
         if hasattr(os, "geteuid") and folder.stat().st_uid == os.geteuid():
             folder.chmod(0o700)
     except OSError as err:
@@ -89,12 +89,12 @@ def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Confi
 
 
 def daemon_lock(config: Config) -> Path:
-    """Return the lock of the daemon of this name."""
+    """Return the lock file of the daemon with this name."""
     return _in_state(config, f"{config.name}.daemon.lock")
 
 
 def worker_lock(config: Config, worker: str) -> Path:
-    """Return the lock of one of its workers."""
+    """Return the lock file of one of the daemon's workers."""
     return _in_state(config, f"{config.name}.{worker}.lock")
 
 
@@ -112,7 +112,7 @@ def control_socket(config: Config, worker: str) -> Path:
 
 
 def daemon_socket(config: Config) -> Path:
-    """Return the socket on which the daemon responds to requests; raises like `control_socket`."""
+    """Return the socket on which the daemon answers requests; raises like `control_socket`."""
     return _socket_in_state(config, f"{config.name}.daemon.sock")
 
 
@@ -137,7 +137,7 @@ _log = logging.getLogger(__name__)
 def keep(file: Path, text: str, loss: str) -> bool:
     """Write a file in the state folder atomically; return whether it was written.
 
-    ``loss`` is the consequence of a failure, for the log.
+    ``loss`` describes the consequence of a failure, for the log.
     """
     temporary = file.with_name(f".{file.name}.{os.getpid()}")
     try:

@@ -1,6 +1,6 @@
-"""State machines whose transitions are a table: states and events are enums.
+"""State machines whose transitions are given by a table; states and events are enums.
 
-An event that a state does not list changes nothing. ARCHITECTURE.md shows all tables.
+An event that is not in a state's table changes nothing. ARCHITECTURE.md shows all tables.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Table = Mapping[S, Mapping[E, S]]
 
 
 class Machine(Generic[S, E]):
-    """One machine: its state, and since when (monotonic seconds)."""
+    """A state machine: its state, and the time since which it is in that state (monotonic seconds)."""
 
     def __init__(self, table: Table[S, E], state: S) -> None:
         self._table = table
@@ -33,5 +33,5 @@ class Machine(Generic[S, E]):
 
     @property
     def age(self) -> float:
-        """Seconds since the state was entered."""
+        """Seconds since the current state was entered."""
         return time.monotonic() - self.since

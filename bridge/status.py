@@ -4,8 +4,8 @@ A worker responds to the verb ``status`` of the control plane with a `WorkerStat
 module with a `ModuleStatus`. A side responds to ``connections`` with a list of `ConnectionStatus`. The daemon sends a
 `DaemonStatus` on its socket. As JSON, a status has the keys that were set (`Part.document`).
 
-Documents come from workers of any release: `read_status` and `read_daemon_status` keep unknown keys, use the defaults
-for missing ones, and omit values of the wrong type, which they list in ``error``.
+Documents may come from workers of any release. So `read_status` and `read_daemon_status` keep unknown keys, use
+defaults for missing keys, and omit values of the wrong type, which they list in ``error``.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ class _NumberSchema:
 
 
 Text = InstanceOf[str]
-"""A string, also one that is not valid Unicode: names of ROS 1 and errors of the system can have any bytes."""
+"""A string, which need not be valid Unicode: names in ROS 1 and errors of the system can contain any bytes."""
 
 Int = Annotated[int, Field(ge=_LEAST, le=_MOST)]
 Number = Annotated[float, _NumberSchema]
 
 INVALID = "invalid status document"
-"""Start of the error of a document with values of the wrong type."""
+"""Beginning of the error of a document that has values of the wrong type."""
 
 _SHOWN = 3
 _HINT = "it may be of another release of Midspan"
 
 
 class Part(BaseModel):
-    """A JSON object with typed fields; other keys are kept as they are."""
+    """A JSON object with typed fields; other keys are preserved unchanged."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="allow")
 
@@ -56,7 +56,7 @@ class Part(BaseModel):
         return {name: _plain(value) for name, value in self if name in self.model_fields_set}
 
     def other(self, kind: type[AnyPart]) -> AnyPart:
-        """Return the keys without a field here as another type, without values of the wrong type."""
+        """Return the keys that have no field in this type as another type, without values of the wrong type."""
         return _read(kind, self.model_extra or {})[0]
 
 
@@ -71,16 +71,16 @@ class Histogram(Part):
 
 
 class RouteStatus(Part):
-    """One topic or service that crosses in one ``direction``: ``in`` to the hub, ``out`` from it.
+    """A topic or service that is bridged in one ``direction``: ``in`` to the hub, ``out`` from it.
 
     Attributes:
-        action: the action that it is a part of, "" without one.
+        action: the action to which it belongs, "" if none.
         rate: messages or calls per second.
         age: seconds since the last message.
         latency_ms: quantiles (``p50``, ``p99``) of the last messages.
-        carry: time within the bridge, to the hub only.
-        way: transport on the hub (``lane``, ``zenoh``, ``both``), ``why`` it is zenoh; None for services. ``ways``:
-            messages by transport.
+        carry: time that messages spend in the bridge, only in the direction to the hub.
+        way: transport on the hub (``lane``, ``zenoh``, ``both``), and ``why`` zenoh is used; None for services.
+            ``ways``: number of messages by transport.
     """
 
     kind: Text = ""
@@ -114,7 +114,7 @@ class RouteStatus(Part):
 
 
 class RefusedRoute(Part):
-    """A topic or service that the rules allow, and that cannot cross."""
+    """A topic or service that the rules allow, but that cannot be bridged."""
 
     kind: Text = ""
     direction: Text = ""
@@ -126,7 +126,7 @@ class RefusedRoute(Part):
 
 
 class PeerStatus(Part):
-    """A YARP port that is connected to one of Midspan's."""
+    """A YARP port that is connected to a port of Midspan."""
 
     port: Text = ""
     carrier: Text = ""
@@ -155,10 +155,10 @@ class ConnectionStatus(Part):
 
     Attributes:
         node: the other node's name, or its XML-RPC address if the master does not list it.
-        host: the other end of the connection, with the port.
+        host: host and port of the other end of the connection.
         direction: ``in`` from a publisher, ``out`` to a subscriber.
-        bytes: of all messages so far.
-        dropped: messages that the subscriber missed, or that were too large to receive.
+        bytes: total size of all messages so far.
+        dropped: number of messages that the subscriber missed, or that were too large to receive.
     """
 
     topic: Text = ""
@@ -172,7 +172,7 @@ class ConnectionStatus(Part):
 
 
 class Lease(Part):
-    """The right to carry messages between a network and the hub."""
+    """The right to bridge messages between a network and the hub."""
 
     active: bool | None = None
     changes: Int | None = None
@@ -180,26 +180,26 @@ class Lease(Part):
 
 
 class LaneStatus(Part):
-    """The local transport to the daemon's other workers; ``why`` it is not in use."""
+    """The local transport to the daemon's other workers; ``why`` is the reason if it is not in use."""
 
     why: Text = ""
 
 
 class CycloneNodes(Part):
-    """ROS 2 nodes on Cyclone DDS, and the services and actions that both they and nodes on another DDS serve."""
+    """ROS 2 nodes on Cyclone DDS, and services and actions that are served both by them and by nodes on another DDS."""
 
     nodes: list[Text] = []
     both: list[Text] = []
 
 
 class Middleware(Part):
-    """Programs on a ROS 2 network that have the same DDS and may belong to the same releases.
+    """Programs on a ROS 2 network that use the same DDS and may belong to the same releases.
 
     Attributes:
         name: the DDS, with its version if it announces one.
-        release: the releases in words, "" if unknown; ``ros`` if they are ROS 2 programs.
+        release: the releases as text, "" if unknown. ``ros``: whether they are ROS 2 programs.
         hashes: whether they announce the hashes of their types.
-        nodes: some of their nodes, sorted; ``count``: the number of their participants.
+        nodes: some of their nodes, sorted. ``count``: the number of their participants.
     """
 
     name: Text = ""
@@ -216,15 +216,15 @@ class Middleware(Part):
 
 
 class StatusDocument(Part):
-    """The common part of all workers and modules.
+    """The common part of the status of all workers and modules.
 
     Attributes:
-        side: the side of a worker; its own name for a worker without a side.
+        side: the side of a worker; for a worker without a side, the worker's name.
         text: details of the state, for people.
         error: why the document is missing or incomplete, or why the worker does not work.
-        uptime: in seconds; ``cpu`` in cores, ``rss`` in bytes.
-        metrics: further figures for Prometheus; see `bridge.metrics.collector`.
-        restarts: by the daemon's report; ``loops`` if the worker crashes repeatedly.
+        uptime: time since the start, in seconds. ``cpu`` is in cores, ``rss`` in bytes.
+        metrics: additional metrics for Prometheus; see `bridge.metrics.collector`.
+        restarts: number of restarts according to the daemon. ``loops``: whether the worker crashes repeatedly.
     """
 
     daemon: Text = ""
@@ -247,11 +247,11 @@ class StatusDocument(Part):
 
 
 class WorkerStatus(StatusDocument):
-    """A worker; most fields belong to sides.
+    """The status of a worker; most fields apply only to the workers of sides.
 
     Attributes:
         network: the network that the side has joined, None while it is unavailable.
-        standby: the daemons that are active there instead; ``waiting``: why nothing crosses yet.
+        standby: the daemons that are active there instead. ``waiting``: why nothing is bridged yet.
     """
 
     network: Text | None = None
@@ -277,7 +277,7 @@ class EndpointStatus(Part):
 
 
 class MachineStatus(Part):
-    """A machine that is connected to the router; ``name`` is that in its certificate."""
+    """A machine that is connected to the router; ``name`` is the name in its certificate."""
 
     name: Text = ""
     zid: Text = ""
@@ -286,12 +286,12 @@ class MachineStatus(Part):
 
 
 class RouterStatus(WorkerStatus):
-    """The router of the hub.
+    """The status of the hub's router.
 
     Attributes:
-        sessions: number of the sessions at the router, ``members`` their ids.
-        door: id of the session for other machines, "" without one.
-        commands: the parts of types that only trusted machines may publish.
+        sessions: number of the sessions at the router. ``members``: their ids.
+        door: id of the session for other machines, "" if there is none.
+        commands: the types that only trusted machines may publish, each with the last parts of topic names.
     """
 
     listen: Text = ""
@@ -305,13 +305,13 @@ class RouterStatus(WorkerStatus):
 
 
 class ModuleStatus(StatusDocument):
-    """A hosted module; the keys of the module itself are those without a field."""
+    """The status of a hosted module; keys without a field are the module's own."""
 
     module: bool = True
 
 
 class GatewayKeys(Part):
-    """The gateway's own keys that others use, with `Part.other`.
+    """The gateway's own keys that other programs read, with `Part.other`.
 
     Attributes:
         navigation: the state that it publishes.
@@ -331,20 +331,20 @@ class GatewayKeys(Part):
 
 
 class MapServerKeys(Part):
-    """Map2DServer's own keys that others use; ``taken``: number of maps taken from each topic."""
+    """Map2DServer's own keys that other programs read; ``taken``: number of maps accepted from each topic."""
 
     taken: dict[Text, Int] = {}
 
 
 class WorkerReport(Part):
-    """A worker as its daemon reports it.
+    """A worker according to its daemon.
 
     Attributes:
-        phase: a value of `bridge.daemon.query.Phase`, since ``since`` seconds.
+        phase: a value of `bridge.daemon.query.Phase`, which began ``since`` seconds ago.
         text: the current step or state.
-        still: seconds without progress or computation of a starting or running worker.
+        still: seconds for which a starting or running worker has made no progress and computed nothing.
         beat: seconds since the last heartbeat of its process, None before the first.
-        ended: how its last process exited by itself.
+        ended: how its last process that exited by itself ended.
     """
 
     worker: Text = ""
@@ -359,11 +359,11 @@ class WorkerReport(Part):
 
 
 class DaemonStatus(Part):
-    """The daemon.
+    """The status of the daemon.
 
     Attributes:
-        uptime: in seconds.
-        config: its file, None without one.
+        uptime: time since the start, in seconds.
+        config: path of the configuration file, None if there is none.
         refused: why the last reload was refused, or "".
         status: the state of all workers in one line.
         error: which values could not be read.
@@ -380,7 +380,7 @@ class DaemonStatus(Part):
 
 
 def refused_routes(document: StatusDocument) -> list[RefusedRoute]:
-    """Return what a worker refused; a module's key ``refused`` has another meaning."""
+    """Return the routes that a worker refused; in a module's status the key ``refused`` has another meaning."""
     return document.refused if isinstance(document, WorkerStatus) else []
 
 
@@ -390,9 +390,9 @@ def routers_of(documents: Iterable[StatusDocument]) -> list[RouterStatus]:
 
 
 def read_status(value: object, daemon: str, worker: str, error: str = "") -> StatusDocument:
-    """Return the status document that a worker responded with, or failed to (``error``).
+    """Parse a worker's answer; ``error`` is the reason if it did not answer with a status document.
 
-    Without one, the ``state`` is ``failed``.
+    In that case the ``state`` of the returned document is ``failed``.
     """
     if error or not isinstance(value, Mapping):
         error = error or "the answer is not a status document"
@@ -410,19 +410,19 @@ def read_status(value: object, daemon: str, worker: str, error: str = "") -> Sta
 
 
 def read_connections(value: object) -> list[ConnectionStatus]:
-    """Return the connections that a worker responded with."""
+    """Parse a worker's answer to ``connections``."""
     entries = value if isinstance(value, list) else []
     return [_read(ConnectionStatus, entry)[0] for entry in entries if isinstance(entry, Mapping)]
 
 
 def read_daemon_status(value: Mapping[str, Any]) -> DaemonStatus:
-    """Return the daemon's status from its JSON."""
+    """Parse the JSON of the daemon's status."""
     status, trouble = _read(DaemonStatus, value)
     return status.model_copy(update={"error": f"invalid report: {trouble}"}) if trouble else status
 
 
 def _read(kind: type[AnyPart], value: Mapping[str, Any]) -> tuple[AnyPart, str]:
-    """Return a JSON object as a type, and which values were omitted as invalid; null counts as a missing key."""
+    """Parse a JSON object; return it, and which values were omitted as invalid. Null counts as a missing key."""
     try:
         return kind.model_validate(value), ""
     except ValidationError as err:

@@ -1,4 +1,4 @@
-"""Texts for people: numbers with units, similar names, and sanitized text from the network."""
+"""Formats texts for people: numbers with units, similar names, and sanitized text from the network."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def side_name(side: object) -> str:
 
 
 def arrow(side: object, direction: object) -> str:
-    """``ROS 1 -> hub`` or ``hub -> ROS 2``."""
+    """Return ``ROS 1 -> hub`` or ``hub -> ROS 2``."""
     return f"{side_name(side)} -> hub" if direction == "in" else f"hub -> {side_name(side)}"
 
 
 def clean(value: object) -> str:
-    """Sanitize text from the network for a terminal: without control and unprintable characters."""
+    """Sanitize text from the network for a terminal: replace control characters and unprintable characters."""
     return _CONTROL.sub("?", str(value)).replace("\n", " ").replace("\t", " ")
 
 
@@ -65,7 +65,7 @@ def size(count: object) -> str:
 
 
 def rate(value: object) -> str:
-    """Format messages per second: ``9.8``, ``340``; ``-`` for none."""
+    """Format messages per second: ``9.8``, ``340``; ``-`` if zero or unknown."""
     if not is_number(value) or not value:
         return "-"
     return f"{value:.2g}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
@@ -84,25 +84,25 @@ def plural(count: int, noun: str) -> str:
 
 
 def listed(names: Sequence[str], most: int = 10) -> str:
-    """Return the first names, and the number of the others."""
+    """Return the first ``most`` names, and the number of the others, as text."""
     more = len(names) - most
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def near(name: str, names: Iterable[str], count: int = 3) -> list[str]:
-    """Return the names most similar to ``name``, the most similar first."""
+    """Return up to ``count`` names that are similar to ``name``, most similar first."""
     known = sorted(set(names))
     inside = [n for n in known if name.strip("/") and name.strip("/").lower() in n.lower()]
     return list(dict.fromkeys([*difflib.get_close_matches(name, known, count, 0.6), *inside]))[:count]
 
 
 _WIDE = 250
-"""Columns for a pipe or file, so that nothing is cut."""
+"""Columns for a pipe or file, so that nothing is truncated."""
 
 
 def make_console() -> Console:
-    """Return a console on the standard output; plain text unless that is a terminal."""
-    from rich.console import Console  # many verbs need no tables
+    """Return a console on standard output, with plain text unless that is a terminal."""
+    from rich.console import Console  # many commands need no tables
 
     width = None if sys.stdout.isatty() else _WIDE
     return Console(file=sys.stdout, width=width, highlight=False, markup=False, emoji=False)

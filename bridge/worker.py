@@ -1,4 +1,4 @@
-"""The interface of a worker to the daemon that starts and monitors it."""
+"""The interface between a worker and the daemon that starts and monitors it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bridge.config.model import Config
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """State of a worker: ``waiting`` if its network is missing, ``standby`` if another daemon is active there."""
+    """The state of a worker: ``waiting`` if its network is missing, ``standby`` if another daemon is active there."""
 
     state: Literal["running", "waiting", "standby"]
     text: str
@@ -27,12 +27,12 @@ class WorkerFailedError(RuntimeError):
 
 
 class StatusHead:
-    """The first fields of the status documents of one worker or module: its names, its process, its state.
+    """Creates the first fields of one worker's or module's status documents: its names, its process, its state.
 
     Args:
         names: ``daemon`` and ``worker``, and ``side`` or ``module``.
-        uptime: whether the documents have the time since the creation of this object.
-        costs: whether they have the process's use of processor and memory.
+        uptime: whether the documents contain the time since this object was created.
+        costs: whether they contain the process's CPU and memory usage.
     """
 
     def __init__(self, names: Mapping[str, Any], *, uptime: bool = True, costs: bool = True) -> None:
@@ -43,7 +43,7 @@ class StatusHead:
             self._process.cpu_percent()  # the next call covers the time since this one
 
     def fields(self, state: str, text: str | None = None, **own: Any) -> dict[str, Any]:
-        """Return the fields for a `bridge.status.StatusDocument`, and the worker's ``own`` keys."""
+        """Return the first fields of a `bridge.status.StatusDocument`, and the worker's ``own`` keys."""
         fields = {**self._names, "pid": os.getpid(), "state": state, **({} if text is None else {"text": text})}
         if self._started is not None:
             fields["uptime"] = round(time.monotonic() - self._started, 1)
@@ -51,9 +51,9 @@ class StatusHead:
 
 
 def _costs(process: psutil.Process) -> dict[str, float]:
-    """Return the share of a core since the last call, and the memory in bytes.
+    """Return the CPU usage in cores since the last call, and the memory usage in bytes.
 
-    Empty if no file descriptor is free to read them; the rest of the document is then still reported.
+    The result is empty if no file descriptor is free to read them, so that the rest of the document is still reported.
     """
     try:
         return {"cpu": round(process.cpu_percent() / 100, 4), "rss": process.memory_info().rss}
@@ -62,7 +62,7 @@ def _costs(process: psutil.Process) -> dict[str, float]:
 
 
 class Worker(ABC):
-    """One process's job: a side's adapter, the router, the modules or the simulator.
+    """The job of one process: a side's adapter, the router, the modules or the simulator.
 
     The process's main loop calls these methods, one at a time.
     """
@@ -72,8 +72,8 @@ class Worker(ABC):
         """Start without waiting for the network.
 
         Raises:
-            RuntimeError: it can never work here; the text is a plain reason.
-            HubError: it cannot join the hub now; its process exits and is restarted.
+            RuntimeError: the worker can never work here; the text is a plain reason.
+            HubError: the worker cannot join the hub now; its process exits and is restarted.
         """
 
     @abstractmethod
@@ -85,14 +85,14 @@ class Worker(ABC):
         """Return the worker's state, from its main loop.
 
         Raises:
-            TimeoutError: that loop does not respond in time.
+            TimeoutError: the main loop does not respond in time.
             WorkerFailedError: the worker cannot continue; its process exits and is restarted.
         """
 
     def diagnostics_wanted(self) -> bool:
-        """Whether ``/diagnostics`` has a subscriber, so that one process of the daemon publishes it.
+        """Return whether ``/diagnostics`` has a subscriber, so that one process of the daemon publishes it.
 
-        False for a worker that does not see the hub's graph, or publishes by itself.
+        It is False for a worker that does not see the hub's graph, or that itself publishes ``/diagnostics``.
         """
         return False
 
