@@ -136,3 +136,12 @@ def test_a_run_on_a_busy_machine(tmp_path: Path) -> None:
     assert all(len(set(files[start : start + 6])) == 1 for start in (0, 6, 12)), files
     assert set((tmp_path / "timers").read_text().split()) == {"0.0"}
     assert list(tmp_path.glob("**/turns/*")) == []
+
+
+def test_a_run_without_the_cache_takes_no_turns(tmp_path: Path) -> None:
+    (tmp_path / "pytest.ini").write_text("[pytest]\ntimeout = 60")
+    (tmp_path / "conftest.py").write_text(CONFTEST)
+    (tmp_path / "test_0.py").write_text(FILE)
+    run = run_tests(tmp_path, "--dist", "loadfile", "-n", "2", "-p", "no:cacheprovider")
+    assert "3 passed" in run.stdout, run.stdout + run.stderr
+    assert not (tmp_path / "timers").exists()

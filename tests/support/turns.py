@@ -106,10 +106,9 @@ class Plugin:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Take turns if this is one of several processes."""
-    worker = getattr(config, "workerinput", None)
-    if worker is None or worker["workercount"] < 2 or fcntl is None or not _LOAD.exists():
+    """Take turns if this is one of several processes, which share pytest's cache (not with ``-p no:cacheprovider``)."""
+    worker, cache = getattr(config, "workerinput", None), getattr(config, "cache", None)
+    if worker is None or worker["workercount"] < 2 or cache is None or fcntl is None or not _LOAD.exists():
         return
-    folder = config.cache.mkdir("turns") if config.cache is not None else config.rootpath
-    file = (folder / worker["testrunuid"]).open("ab")
+    file = (cache.mkdir("turns") / worker["testrunuid"]).open("ab")
     config.pluginmanager.register(Plugin(Turns(file, int(worker["workerid"].removeprefix("gw")))))
