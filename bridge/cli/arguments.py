@@ -24,7 +24,7 @@ _SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
 class VerbParser(argparse.ArgumentParser):
     """A parser that reads every word that starts like a negative number as a value: ``-1.6,0.9``, ``-2e-3``, ``-inf``.
 
-    Before Python 3.14 argparse does so for plain numbers such as ``-1.6`` only, and reports other words as unknown
+    Before Python 3.14, argparse does so only for plain numbers such as ``-1.6``, and reports other words as unknown
     options. An option with several values also accepts the first one after ``=``: ``--points=-1.6,0.9 2,1 2,3``.
     Errors about unknown verbs, choices and options name the nearest known ones.
     """
@@ -35,12 +35,12 @@ class VerbParser(argparse.ArgumentParser):
 
     @override
     def parse_known_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """Parse as argparse does, with each ``--option=VALUE`` of several values as two words."""
+        """Parse as argparse does, but split each ``--option=VALUE`` of an option with several values into two words."""
         return super().parse_known_args(list(self._split(sys.argv[1:] if args is None else args)), namespace)
 
     @override
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
-        """Parse as argparse does; unknown arguments are errors of the verb that they were given to."""
+        """Parse as argparse does, but report unknown arguments as errors of the verb that they were given to."""
         arguments = list(sys.argv[1:] if args is None else args)
         self._refuse_before_verb(arguments)
         parsed, unknown = self.parse_known_args(arguments, namespace)
@@ -62,7 +62,7 @@ class VerbParser(argparse.ArgumentParser):
             self.error(f"{option} belongs after the verb: '{self.prog} {verb} {option} ...'")
 
     def _of_verb(self, words: Iterable[str]) -> VerbParser:
-        """Return the parser of the verb, or of its subverb, that a command line names."""
+        """Return the parser of the verb or subverb that a command line names."""
         parser = self
         for argument in words:
             below = next((a for a in parser._actions if isinstance(a, argparse._SubParsersAction)), None)
@@ -112,7 +112,7 @@ class VerbParser(argparse.ArgumentParser):
 def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None = None) -> str:
     """Return ``. Did you mean status?``, "" if no known name is similar; ``described`` has the help of each verb.
 
-    A word of a verb's help also stands for the verb, as ``echo`` stands for ``topic``.
+    A word in a verb's help also suggests that verb: ``echo`` suggests ``topic``.
     """
     from bridge.text import near  # needed only here
 
@@ -147,18 +147,18 @@ def add_verb(
 
 
 def add_verbs(parser: argparse.ArgumentParser, description: str, metavar: str = "VERB", **more: Any) -> Any:
-    """Describe a verb that has subverbs; returns the object that they are added to."""
+    """Describe a verb that has subverbs; return the object to which the subverbs are added."""
     parser.description = description
     return parser.add_subparsers(metavar=metavar, required=True, **more)
 
 
 def add_config(parser: argparse._ActionsContainer) -> None:
-    """The configuration file."""
+    """Add the argument for the configuration file."""
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="configuration file (default: the daemon's)")
 
 
 def add_hub_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments by which every verb finds the hub."""
+    """Add the arguments with which every verb finds the hub."""
     group = parser.add_argument_group("which hub")
     add_config(group)
     group.add_argument(
@@ -189,7 +189,7 @@ def _domain(text: str) -> int:
 
 
 def add_exclude(parser: argparse._ActionsContainer) -> None:
-    """``--exclude``, as all verbs that choose topics have it."""
+    """Add ``--exclude``, which all verbs that select topics have."""
     parser.add_argument(
         "-x", "--exclude", action="append", default=[], type=expression, metavar="RE",
         help="leave out topics whose names contain a match of this regular expression; may be repeated",
@@ -197,7 +197,7 @@ def add_exclude(parser: argparse._ActionsContainer) -> None:
 
 
 def expression(text: str) -> str:
-    """The type of an argument that takes a regular expression."""
+    """Check a regular expression; the type of an argument."""
     try:
         re.compile(text)
     except re.error as err:
@@ -206,7 +206,7 @@ def expression(text: str) -> str:
 
 
 def span(text: str) -> float:
-    """The type of an argument that takes a time: ``10m``, ``90s``, ``1.5h``, ``30`` (seconds)."""
+    """Parse a time such as ``10m``, ``90s``, ``1.5h`` or ``30`` (seconds); the type of an argument."""
     match = _SPAN.fullmatch(text.strip())
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a time: write it as 30s, 10m or 1h")
@@ -217,7 +217,7 @@ def span(text: str) -> float:
 
 
 def number_in(least: float, most: float) -> Callable[[str], float]:
-    """The type of an argument that takes a number above 0 and within these limits."""
+    """Return the type of an argument that accepts a number above 0 and within these limits."""
 
     def read(text: str) -> float:
         value = float(text)

@@ -82,13 +82,13 @@ class GraphView:
 
     @property
     def sides(self) -> list[str]:
-        """Return the sides that it comes from."""
+        """Return the sides that the topic, service or action comes from."""
         decided = {d.worker for d in self.decisions if d.direction == "in" and d.decision != "own"}
         return sorted({origin_side(endpoint) for endpoint in self.providers} | decided)
 
     @property
     def state(self) -> str:
-        """Return ``hub`` if it can be used on the hub, else the workers' decisions."""
+        """Return ``hub`` if the topic, service or action can be used on the hub, else the workers' decisions."""
         if self.providers or (self.users and self.kind == "topic"):
             return "hub"
         decided = ", ".join(sorted({d.decision for d in self.decisions}))
@@ -213,7 +213,7 @@ def endpoint_text(endpoint: HubEndpoint) -> str:
     if endpoint.origin is None:
         release = release_text(endpoint_releases(endpoint))
         of_release = f", ROS 2 {release}" if release else ""
-        owner = "maker not known yet" if endpoint.pending else f"zenoh, on the hub itself{of_release}"
+        owner = "origin not known yet" if endpoint.pending else f"zenoh, on the hub itself{of_release}"
     else:
         owner = f"for {side_name(endpoint.origin.side)}, daemon {endpoint.origin.daemon}"
     return f"{clean(node_name(endpoint))} ({clean(owner)}), {qos_text(endpoint.qos)}, {clean(endpoint.type_name)}"

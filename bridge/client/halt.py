@@ -1,6 +1,6 @@
-"""A halt of everything on the hub: zero velocity, and all goals canceled.
+"""Halts everything on the hub: publishes zero velocities, cancels all goals, and asks modules with a base to halt.
 
-No step waits for another one or fails with it: the zeros, the goals of each action, and the modules with a base.
+No step waits for another, or fails because another fails; the goals of each action are a step of their own.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from bridge.messages.velocities import VELOCITIES
 CANCEL = part_name("", CANCEL_GOAL)
 
 DEFAULT_SECONDS = 2.0
-"""Seconds for which zero is repeated: a topic that only now crosses to a side reaches it within this time."""
+"""Seconds for which zero is repeated, so that it also reaches a side to which a topic only now begins to cross."""
 
 _PERIOD = 0.05
 _ANSWER_SECONDS = 5.0
-"""The gateway waits for the confirmation of the stop."""
+"""Seconds to wait for the modules: the gateway answers only when the stop is confirmed."""
 
 _ALL: dict[str, Any] = {"goal_info": {}}
 """A `CancelGoal` request without id and stamp: all goals (action_msgs/srv/CancelGoal)."""
@@ -51,11 +51,11 @@ class Halted:
     """What was halted.
 
     Attributes:
-        topics: the topics of velocities, with their number of subscribers on the hub.
+        topics: the velocity topics, with their number of subscribers on the hub.
         cancels: the result for each action's goals.
-        bases: the modules that were asked to halt, and why they may not stand; "" if they do.
-        trouble: why the configured planner may drive on, or a base may not stand; "" otherwise.
-        published: name, type and type hash of each topic of velocities.
+        bases: the modules that were asked to halt, and why their bases may still move; "" if they stand.
+        trouble: why the configured planner may still be driving, or a base may still move; "" otherwise.
+        published: name, type and type hash of each velocity topic.
     """
 
     topics: dict[str, int]
@@ -83,7 +83,7 @@ def halt(client: Client, types: Types, seconds: float = DEFAULT_SECONDS) -> Halt
 
 @dataclass(frozen=True)
 class Stopped:
-    """Which topics got zero, which goals were canceled, and which base may not have got zero; see `Halted`."""
+    """The topics that received zero, the canceled goals, and why a base may not have received zero; see `Halted`."""
 
     topics: dict[str, int]
     cancels: list[GoalCancellation]
@@ -112,32 +112,32 @@ def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> 
 
 
 def unreached(section: NavigationSection, asked: Iterable[str], canceled: Collection[str]) -> str:
-    """Why the configured planner may drive on: neither it nor the gateway is on the hub; else ""."""
+    """Return why the configured planner may still be driving: neither it nor the gateway is on the hub. Else ""."""
     planner = section.planner
     if not planner or section.at(planner) in canceled or any(worker.split()[0] == "gateway" for worker in asked):
         return ""
     return (
-        f"neither the gateway nor the planner {planner} is on the hub now, so none could be asked to stop: the robot"
+        f"neither the gateway nor the planner {planner} is on the hub now, so neither could be asked to stop: the robot"
         " may still be moving; ask again, and see `midspan status`"
     )
 
 
 def actions(client: Client) -> list[str]:
-    """The names of the actions that are served on the hub."""
+    """Return the names of the actions that are served on the hub."""
     servers = (e for e in client.hub.graph.servers() if e.type_name == CANCEL_TYPE)
     return sorted({e.topic.removesuffix(CANCEL) for e in servers if e.topic.endswith(CANCEL)})
 
 
 class ZeroVelocities:
-    """Publishes zero velocity on every topic of velocities of the hub, and on those that nodes of a side subscribe to.
+    """Publishes zero velocity on every velocity topic of the hub, and on those that nodes of a side subscribe to.
 
-    A side has one type for each topic. So a topic with subscribers to one form gets only that form, and a form that a
-    route carries already, whose base may not be announced. A topic that fails does not keep the others from zero.
+    A side has one type for each topic. So a topic with subscribers to one form gets only that form, and any form that
+    a route already carries, because its base may not be announced. A failure on one topic does not affect the others.
     """
 
     def __init__(self, client: Client, types: Types) -> None:
         self._hub, self._types, self._frame = client.hub, types, client.config.navigation.base_frame
-        self._clock = RunClock(simulated=client.config.clock.simulated)  # a simulated one is not fed: 0 means now
+        self._clock = RunClock(simulated=client.config.clock.simulated)  # simulated time is not set here: 0 means now
         self._publishers: dict[_Kind, HubPublisher] = {}
         self._failed: dict[_Kind, str] = {}
 
@@ -147,7 +147,7 @@ class ZeroVelocities:
         return sorted(self._publishers)
 
     def put(self) -> None:
-        """Publish zero once on each topic, also on those that are new."""
+        """Publish zero once on each topic, including new topics."""
         for kind in self._wanted() - self._publishers.keys() - self._failed.keys():
             with self._reported(kind):
                 self._publishers[kind] = self._hub.publisher(*kind, Qos(depth=1), priority="command")
@@ -180,7 +180,7 @@ class ZeroVelocities:
         return {topic: len(self._hub.graph.subscriptions(topic)) for topic, _, _ in self.published}
 
     def trouble(self) -> str:
-        """Return which topics got no zero, and which nodes of a side it cannot reach, "" if there are none."""
+        """Return the topics on which zero failed, or does not reach nodes of a side; "" if there are none."""
         graph = self._hub.graph
         failed = [
             f"{topic}: zero could not be published as {name} ({error}): the robot may still be moving"
@@ -197,16 +197,16 @@ class ZeroVelocities:
         return "; ".join([*failed, *missed])
 
     def close(self) -> None:
-        """Withdraw the publishers."""
+        """Close the publishers."""
         for publisher in self._publishers.values():
             publisher.close()
 
 
 class GoalCancellation:
-    """Cancels all goals of one action; ``found`` counts them, ``error`` is the reason of a failure.
+    """Cancels all goals of one action; ``found`` is the number of goals, ``error`` the reason for a failure.
 
     The request has the installed definition of `CancelGoal`, which all releases of ROS 2 share, so that no worker needs
-    to be asked for another one.
+    to be asked for the definition.
     """
 
     def __init__(self, client: Client, types: Types, name: str) -> None:
@@ -250,8 +250,8 @@ class _Bases(threading.Thread):
     """Asks all modules with a base, and the gateway, to halt.
 
     Attributes:
-        answers: the modules that were asked, and why they may not stand; "" if they do.
-        trouble: why others may not stand.
+        answers: the modules that were asked, and why their bases may still move; "" if they stand.
+        trouble: why other bases may still move, "" otherwise.
     """
 
     def __init__(self, client: Client) -> None:
@@ -271,7 +271,7 @@ class _Bases(threading.Thread):
             return
         for answer in answers:
             if answer.value != RECORDED:
-                name = f"{answer.worker} of {answer.daemon}"  # which several may have
+                name = f"{answer.worker} of {answer.daemon}"  # several modules may have this name
                 self.answers[name] = self.answers.get(name) or answer.error or _unconfirmed(answer.value)
         if time.monotonic() - begin >= _ANSWER_SECONDS:
             self.trouble = (
@@ -281,7 +281,7 @@ class _Bases(threading.Thread):
 
 
 def _unconfirmed(value: Any) -> str:
-    """Return why a module's answer confirms no halt, "" if it does."""
+    """Return why a module's answer does not confirm the halt, "" if it does."""
     halted = isinstance(value, dict) and value.get("halted") is True
     return "" if halted else f"its answer does not confirm the halt: {value!r:.80}"
 

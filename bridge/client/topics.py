@@ -1,6 +1,6 @@
-"""All topics of the hub, and the messages of chosen ones as bytes, for recorders and viewers.
+"""Lists all topics of the hub, and receives messages of selected topics as bytes, for recorders and viewers.
 
-`HubTopics` lists the topics with all their publishers, and subscribes to chosen ones. It passes on the received CDR,
+`HubTopics` lists the topics with all their publishers, and subscribes to some of them. It passes on the received CDR,
 with the sequence number, source time and publisher from the attachment, and builds no message objects.
 
 Callbacks run on zenoh's threads. The caller has to queue messages, and to bound the queue.
@@ -98,7 +98,7 @@ class SubscribedTopic:
 
     Attributes:
         key: the topic.
-        trouble: the reason why it cannot be subscribed, "" if it is.
+        trouble: why the subscription failed, "" if it did not.
     """
 
     def __init__(self, hub: Hub, key: TopicKey, on_sample: Callable[[HubSample], None]) -> None:
@@ -257,7 +257,7 @@ class HubTopics:
         registry: of types.
         changed: called after each change of the hub's graph, on a thread of zenoh: it should only wake a thread, which
             then calls `refresh`.
-        taps: include topics of a side that its worker shows on request.
+        taps: include topics that stay on a side, and that its worker shows on request.
 
     Attributes:
         definitions: of the topics' types.

@@ -1,7 +1,8 @@
-"""A YAML file as plain data that knows the line and column of each of its keys and values.
+"""Reads a YAML file as plain data, with the line and column of each key and value.
 
-Only what JSON has is taken: maps with text keys, lists, text, numbers, true, false and null (YAML 1.2, so ``yes`` is
-text). Tags, merge keys, dates, a second document and a key given twice are refused; size and depth are bounded.
+Only JSON's kinds of data are accepted: maps with text keys, lists, text, numbers, true, false and null (YAML 1.2, so
+``yes`` is text). Tags, merge keys, dates, a second document and a key given twice are refused; size and depth are
+bounded.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 class Problem:
     """One mistake in a file.
 
-    Line and column count from 1; line 0: no place in the file. ``key`` is a path such as ``routing.rules[2].topic``, ""
-    for the whole file; ``text`` has the problem and its cure.
+    Line and column count from 1; line 0 means no place in the file. ``key`` is a path such as
+    ``routing.rules[2].topic``, "" for the whole file; ``text`` has the problem and its cure.
     """
 
     file: Path
@@ -63,7 +64,7 @@ class Yaml12Loader(yaml.SafeLoader):
 
     @override
     def compose_node(self, parent: Node | None, index: int) -> Node | None:
-        """Compose a node, whose anchor may be one that was used before."""
+        """Compose a node; an anchor may be used again for another node, as in YAML 1.2."""
         event = self.peek_event()  # type: ignore[no-untyped-call]
         if not isinstance(event, AliasEvent):
             self.anchors.pop(event.anchor, None)
@@ -72,7 +73,7 @@ class Yaml12Loader(yaml.SafeLoader):
 
     @override
     def construct_mapping(self, node: MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Construct a map, none of whose keys may be given twice."""
+        """Construct a map; raises `ConstructorError` if a key is given twice."""
         seen = set[str]()
         for key in (key for key, _ in node.value if isinstance(key, ScalarNode)):
             if key.value in seen:
@@ -81,16 +82,16 @@ class Yaml12Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def core_bool(self, node: ScalarNode) -> bool:
-        """``true`` or ``false``; raises `KeyError`."""
+        """Parse ``true`` or ``false``; raises `KeyError`."""
         return {"true": True, "false": False}[node.value.lower()]
 
     def core_int(self, node: ScalarNode) -> int:
-        """A decimal, hexadecimal, octal or binary number; raises `ValueError`."""
+        """Parse a decimal, hexadecimal, octal or binary number; raises `ValueError`."""
         text = node.value.replace("_", "")
         return int(text, 0 if re.match(r"[-+]?0[xob]", text) else 10)
 
     def core_float(self, node: ScalarNode) -> float:
-        """A number, infinity or not a number; raises `ValueError`."""
+        """Parse a number, infinity or not-a-number; raises `ValueError`."""
         return float(re.sub(r"\.(?=inf|nan)", "", node.value.replace("_", "").lower()))
 
 
@@ -122,7 +123,7 @@ class Place(NamedTuple):
 
 @dataclass(slots=True)
 class Document:
-    """A file's data, and where each part of it stands."""
+    """A file's data, and the place of each part in the file."""
 
     file: Path
     data: Any = None
@@ -130,7 +131,7 @@ class Document:
     values: dict[KeyPath, Place] = field(default_factory=dict)
 
     def problem(self, path: KeyPath, text: str, *, at_key: bool = False) -> Problem:
-        """A problem with the part at ``path``, or with the nearest part around it that the file has."""
+        """Return a problem at ``path``, placed at the nearest enclosing part if the file has no such part."""
         places = self.keys if at_key else self.values
         known = path
         while known and known not in places:
@@ -140,7 +141,7 @@ class Document:
 
 
 def key_text(path: KeyPath) -> str:
-    """A key path as people write it: ``routing.rules[2].topic``."""
+    """Return a key path as text: ``routing.rules[2].topic``."""
     text = ""
     for part in path:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
@@ -156,7 +157,7 @@ def read(file: Path, *, repeating: Collection[KeyPath] = ()) -> Document:
 
 
 def text_of(file: Path) -> str:
-    """A file's text; raises `ConfigError` as `read`."""
+    """Return a file's text; raises `ConfigError` as `read` does."""
     try:
         if not file.is_file():
             reason = "is not a file" if file.exists() else "no such file"
@@ -213,7 +214,7 @@ class _Reader:
         document.values[path] = Place(node.start_mark.line + 1, node.start_mark.column + 1)
         self._count += 1
         if self._count > MAX_VALUES or len(path) > MAX_DEPTH:
-            problem = document.problem(path, "the document is too large or nested too deeply (or holds itself)")
+            problem = document.problem(path, "the document is too large or nested too deeply (or contains itself)")
             raise ConfigError([problem])
         match node:
             case MappingNode() if path in self._repeating:
@@ -228,7 +229,7 @@ class _Reader:
                 raise AssertionError(node)  # YAML has no other kind
 
     def _single(self, pair: tuple[Node, Node], path: KeyPath) -> dict[str, Any]:
-        """One key of a map that may have it several times."""
+        """Return one entry of a map that may have the same key several times."""
         self._document.values[path] = Place(pair[0].start_mark.line + 1, pair[0].start_mark.column + 1)
         return {name: self.value(child, (*path, name)) for name, child in self._items([pair], path)}
 

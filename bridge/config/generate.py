@@ -25,7 +25,7 @@ Config.model_rebuild()  # imports the models of all sections
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One key of a section: values in words, default as YAML (None: depends on the machine), and its own section."""
+    """A key of a section: values in words, default as YAML (None: required, or the machine's name), its own section."""
 
     name: str
     value: str
@@ -36,7 +36,7 @@ class Key:
 
 
 def keys(model: type[BaseModel]) -> Iterator[Key]:
-    """The keys of a section's model, in its order."""
+    """Yield the keys of a section's model, in the model's order."""
     for name, info in model.model_fields.items():
         is_list = typing.get_origin(info.annotation) is tuple
         section = model_of(info.annotation)
@@ -101,7 +101,7 @@ SCHEMA_FILE = "midspan.schema.json"  # the schema's name among the files in ``co
 
 
 def schema() -> str:
-    """JSON schema of the file."""
+    """Return the JSON schema of the configuration file."""
     document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **_either_form(Config.model_json_schema(by_alias=True)),
@@ -111,7 +111,7 @@ def schema() -> str:
 
 
 def _either_form(node: Any, name: str = "") -> Any:
-    """Let a list of texts be one text, and a ``listen`` a list of one, as `Section` accepts them."""
+    """Allow one text for a list of texts, and a list of one for ``listen``, as `Section` does."""
     if isinstance(node, list):
         return [_either_form(item) for item in node]
     if not isinstance(node, dict):
@@ -128,7 +128,7 @@ def _either_form(node: Any, name: str = "") -> Any:
 
 
 def example() -> str:
-    """A file with all keys at their defaults, each with its description; it loads to the defaults."""
+    """Return a file with all keys at their defaults, each with its description."""
     head = [
         "# Midspan's configuration: every key with its default. All keys are optional.",
         "# 'midspan config check FILE' checks a file; 'midspan config schema' is for editors.",
@@ -152,7 +152,7 @@ def _example_section(model: type[BaseModel], indent: str) -> Iterator[str]:
 
 
 def _list_item(model: type[BaseModel], indent: str) -> Iterator[str]:
-    """What an item of a list may have, as comments."""
+    """Yield the keys of a list's items, as comments."""
     yield f"{indent}# Keys of each item:"
     for key in keys(model):
         yield from _comment(f"{key.name} ({_type(key)}): {key.description}", indent, "  - ", "    ")
@@ -196,7 +196,7 @@ be made by hand, it lists them and exits with code 3. Midspan rejects files in a
 in files that an older Midspan may read.
 
 `midspan config check FILE` reports every problem with its line and column, including unknown and duplicate keys,
-and addresses to listen at that have one port.
+and addresses to listen at that have the same port.
 A list of texts can also be written as one text (`trusted: operator1`), and the address of a `listen` as a list of one.
 `midspan config schema` prints a JSON schema; with
 
@@ -213,7 +213,7 @@ daemon.
 
 
 def reference() -> str:
-    """The reference page, in Markdown."""
+    """Return the reference page, in Markdown."""
     return _REFERENCE_HEAD + "\n".join(_reference_section("Top level", Config, "", ""))
 
 

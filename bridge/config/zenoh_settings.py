@@ -1,4 +1,4 @@
-"""Checks of the zenoh configurations in a configuration, by zenoh's own parser, before a session opens with them."""
+"""Checks the zenoh settings in Midspan's configuration with zenoh's own parser, before a session opens with them."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _ROUTERS: tuple[KeyPath, ...] = (("hub", "router_zenoh"), ("hub", "open", "zenoh
 _LOCAL: KeyPath = ("hub", "router_zenoh")
 
 _MOST = 20
-"""Problems of one zenoh configuration that are reported."""
+"""Problems that are reported of one zenoh configuration, at most."""
 
 _DEEPEST = 100
-"""Nested brackets in a JSON5 file; zenoh's parser needs stack for each."""
+"""Nested brackets that are allowed in a JSON5 file; zenoh's parser needs stack space for each."""
 
 _LEGACY: tuple[KeyPath, ...] = (("routing", "peer"), ("routing", "router", "peers_failover_brokering"))
-"""Keys of zenoh before 1.10 that its parser accepts and ignores; files for rmw_zenoh have them."""
+"""Keys of zenoh before 1.10 that the parser still accepts but ignores; files for rmw_zenoh contain them."""
 
 PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")
 """The protocols of zenoh's Python package (1.10); zenohd may have more."""
@@ -71,7 +71,7 @@ def _of_file(file: Path, section: KeyPath) -> list[Problem]:
     flaws = _of_tree({} if tree is None else tree, section)
     if not flaws:
         reason = _refusal(partial(_zenoh().Config.from_file, str(file)))
-        flaws = [((), f"zenoh cannot read it: {reason}")] if reason else []
+        flaws = [((), f"zenoh cannot read the file: {reason}")] if reason else []
     return [Problem(file, *place(path), key_text((*section, *path)), text) for path, text in flaws]
 
 
@@ -85,7 +85,7 @@ def _json5(file: Path, text: str, section: KeyPath) -> Any:
         expected = re.search(r"= (.*)", reason)
         detail = f"{expected[1] if expected else 'an error'}; check commas, quotes and brackets from here on"
         raise ConfigError([Problem(file, int(place[1]), int(place[2]), key, f"not valid JSON5: {detail}")])
-    # zenoh accepts any value as its metadata, and returns it with the keys that it ignores elsewhere
+    # zenoh accepts any value for `metadata`, and returns all its keys, including those that it would ignore elsewhere
     wrapped = f'{{"metadata": {text}\n}}'
     if reason := _refusal(partial(config.from_json5, wrapped)):
         raise ConfigError([Problem(file, 0, 0, key, f"zenoh refuses it: {reason}")])
@@ -147,11 +147,11 @@ def _zenoh() -> Any:
 
 
 def _refusal(parse: Any) -> str:
-    """Return the reason for which zenoh refuses a configuration, "" if it accepts it."""
+    """Return why zenoh refuses a configuration, "" if zenoh accepts it."""
     try:
         parse()
     except _zenoh().ZError as err:
-        return str(err).partition(" at /")[0]  # without the place in its source code
+        return str(err).partition(" at /")[0]  # without the location in zenoh's source code
     return ""
 
 
@@ -167,7 +167,7 @@ def _accepted(tree: Tree) -> tuple[Tree, list[_Flaw]]:
         flaws.append((path, _explained(_value_at(tree, path), path, reason)))
         if not path:
             return {}, flaws
-        # a list's item may need what is wrong with it
+        # an item of a list may be invalid without its wrong key, so the whole item is removed
         items = [number for number, part in enumerate(path, 1) if isinstance(part, int)]
         tree = _without(tree, path[: items[0]] if items else path)
     return tree, flaws
@@ -201,7 +201,7 @@ def _value_at(tree: Any, path: KeyPath) -> Any:
 
 
 def _with(tree: Any, path: KeyPath, value: Any) -> Any:
-    """Return the tree with another value at a path; shares the rest with the tree."""
+    """Return a copy of the tree with another value at a path; the copy shares all other values."""
     if not path:
         return value
     copied = tree.copy()
@@ -242,7 +242,7 @@ def _ignored(tree: Tree) -> Iterator[_Flaw]:
         if isinstance(value, list) and isinstance(known, dict):
             yield path, "must be a map, not a list"
         elif not isinstance(known, dict):
-            yield path, f"zenoh reads {value} as {known}; it is out of range"
+            yield path, f"zenoh reads {value} as {known}; the value is out of range"
         elif path not in _LEGACY and _refusal(partial(config.get_json, "/".join(map(str, path)))):
             unknown = _unknown(str(path[-1]), list(known))
             yield path, unknown if known else "zenoh ignores it; check the spelling of all its keys"
@@ -279,7 +279,7 @@ def _bad_endpoints(tree: Tree, *, local: bool) -> Iterator[_Flaw]:
                 if protocol not in PROTOCOLS:
                     yield path, f"{text}: {_not_one_of(protocol, PROTOCOLS)}"
                 elif local and not is_loopback(text):
-                    yield path, f"{text} is open to other machines; these join only by hub.open"
+                    yield path, f"{text} is open to other machines, which may join only through hub.open"
             except ValueError as err:
                 yield path, str(err)
 
@@ -294,14 +294,14 @@ def _texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
 
 
 def _missing_files(tree: Tree) -> Iterator[_Flaw]:
-    """Yield the absolute paths in ``transport`` that lead nowhere; a relative one depends on the worker's folder."""
+    """Yield the absolute paths in ``transport`` that do not exist; relative paths depend on the worker's folder."""
     for path, text in _texts(tree.get("transport"), ("transport",)):
         if _FILES.search(str(path[-1])) and Path(text).is_absolute():
             try:
                 Path(text).stat()
             except (FileNotFoundError, NotADirectoryError, ValueError):
                 yield path, f"no such file: {text}"
-            except OSError:  # this user may not see it
+            except OSError:  # the file may exist, but this user may not look into its folder
                 continue
 
 
@@ -311,11 +311,11 @@ _ITEMS: tuple[KeyPath, ...] = (
     ("low_pass_filter",),
     ("qos", "network"),
 )
-"""Lists whose items have an ``id``, which no two of them may share."""
+"""Lists whose items have an ``id`` that is unique in the list."""
 
 
 def _bad_references(tree: Tree) -> Iterator[_Flaw]:
-    """Yield the errors that zenoh finds when it opens a session: in ids, references to them, and exclusive options.
+    """Yield the errors that zenoh finds only when it opens a session: in ids, references to ids, and option conflicts.
 
     ``tree`` is a configuration that the parser accepts.
     """
@@ -324,7 +324,7 @@ def _bad_references(tree: Tree) -> Iterator[_Flaw]:
         for index, item in enumerate(_list(tree, path)):
             name = item.get("id")
             if name in ids[path]:
-                yield (*path, index, "id"), f"{name!r} is the id of an earlier one; give each its own"
+                yield (*path, index, "id"), f"{name!r} is also the id of an earlier item; give each item its own"
             elif isinstance(name, str):
                 ids[path].add(name)
     for index, policy in enumerate(_list(tree, ("access_control", "policies"))):
@@ -338,7 +338,7 @@ def _bad_references(tree: Tree) -> Iterator[_Flaw]:
         yield ("access_control",), f"has no {' and no '.join(absent)}; zenoh needs all three lists"
     unicast = (tree.get("transport") or {}).get("unicast") or {}
     if unicast.get("lowlatency") and (unicast.get("qos") or {}).get("enabled", True):
-        yield ("transport", "unicast", "lowlatency"), "zenoh needs 'qos: {enabled: false}' beside it"
+        yield ("transport", "unicast", "lowlatency"), "zenoh also needs 'qos: {enabled: false}' in this section"
 
 
 def _list(tree: Tree, path: KeyPath) -> list[dict[str, Any]]:
@@ -367,7 +367,7 @@ def _plugin(name: str, settings: Mapping[str, Any]) -> str:
 
 
 def _bridge(program: str, dialect: str, settings: Mapping[str, Any], namespace: str) -> str:
-    """Return what to write instead of the settings of a bridge's plugin."""
+    """Return the problem's text: what to write in Midspan's file instead of the settings of a bridge's plugin."""
     given = settings.get(namespace)
     space = f", namespace: {given}" if isinstance(given, str) and re.fullmatch(r"/?[\w./-]+", given) else ""
     write = [f"'zenoh: {{dialects: [{{dialect: {dialect}{space}}}]}}'"]
@@ -377,7 +377,7 @@ def _bridge(program: str, dialect: str, settings: Mapping[str, Any], namespace: 
         write.append(f"'ros1: {{master: {json.dumps(master)}}}'")
     side = f"zenoh_{dialect}"
     lists = [key for key in ("allow", "deny", "pub_max_frequencies", "pub_priorities") if settings.get(key)]
-    rules = f", and for its {', '.join(lists)} rules with 'from: {side}' or 'to: {side}'" if lists else ""
+    rules = f", and replace its {', '.join(lists)} by rules with 'from: {side}' or 'to: {side}'" if lists else ""
     return (
         f"is for {program}, whose keys Midspan itself uses; instead of 'plugins' write {' and '.join(write)} in"
         f" Midspan's file{rules}; {_MIGRATING}"

@@ -41,9 +41,9 @@ KILLED_SECONDS = 1.0
 """A killed process that still exists after this time hangs in the kernel; not part of `STOP_SECONDS`."""
 
 _STOP_LIMITS = ((2.8, 2.8, 1.2), (2.9, 1.7, 3.0), (3.9, 1.0, STOP_SECONDS))
-"""For each group of `_stop_order`, in seconds from the start of the stop: its workers are killed at the first, but not
-sooner than the second after they were asked to stop, and the next group is asked when all so far have ended, or at the
-third."""
+"""For each group of `_stop_order`, in seconds: when its workers are killed, from the start of the stop; the time that
+they have at least, from the request to stop; and when the next group is asked to stop at the latest, even if a worker
+of the groups so far has not exited, from the start of the stop."""
 
 
 def usable_cores() -> int:
@@ -52,11 +52,13 @@ def usable_cores() -> int:
 
 
 class ConfigSource:
-    """The daemon's configuration file, completed with its name and state folder; None: search for one at each load.
+    """Loads the daemon's configuration file, and adds the daemon's name and state folder.
+
+    If ``file`` is None, each load searches for a file.
 
     Attributes:
         first: the configuration at the start.
-        machine_name: the name of the machine, or that of the file.
+        machine_name: the name that the file sets, else the machine's name.
     """
 
     def __init__(self, file: Path | None, environ: Mapping[str, str]) -> None:
@@ -67,7 +69,7 @@ class ConfigSource:
         self._environ = environ
 
     def reload(self, running: Config) -> Config:
-        """Load the file again; raises `ConfigError`, and `RuntimeError` for a change that needs another daemon."""
+        """Load the file again; raises `ConfigError`, and `RuntimeError` for a change that needs a restart."""
         config = state_file.named(load(self.file), self._environ)
         # The folder in use may be full or read-only by now: that is reported, but must not make the reload fail.
         config = config.model_copy(update={"state": state_folder(config, self._environ).absolute()})
@@ -82,8 +84,8 @@ class ConfigSource:
 def _stop_order(workers: Sequence[WorkerProcess]) -> tuple[list[WorkerProcess], ...]:
     """Return the workers in three groups, in the order in which they stop.
 
-    The sides stop after the modules, so that a canceled goal and a zero velocity still reach the robot, and the end
-    of a YARP port its name server. Workers that survive a crash of the daemon, such as the router, stop last.
+    The sides stop after the modules, so that a canceled goal and a zero velocity still reach the robot, and modules
+    can still unregister their YARP ports. Workers that survive a crash of the daemon, such as the router, stop last.
     """
     names = {side.name for side in all_sides()}
     last = [worker for worker in workers if worker.kind.outlives]
@@ -92,10 +94,10 @@ def _stop_order(workers: Sequence[WorkerProcess]) -> tuple[list[WorkerProcess], 
 
 
 class Supervisor:
-    """The daemon's only thread.
+    """Starts, monitors and stops the workers, all in the daemon's only thread.
 
-    Without a file it searches for one at each load. It adopts the ``standing`` workers, which separate services run.
-    At most ``cores`` workers start at once, by default as many as this process may use.
+    If ``file`` is None, each load searches for a file. The supervisor adopts the ``standing`` workers, which run as
+    separate services. At most ``cores`` workers start at once; the default is the number that this process may use.
 
     Attributes:
         loop: the selector loop of that thread.
@@ -147,7 +149,7 @@ class Supervisor:
     # -- the loop ------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Run until a stop request; raises `RuntimeError` if the state folder is unusable or has another daemon."""
+        """Run until a stop request; raises `RuntimeError` if the state folder is unusable or in use by a daemon."""
         socket, kept = state_file.daemon_socket(self._config), KeptLines()
         lock = self._lock_state_folder()
         verbs = {STATUS: lambda _: self.document(), LOG: kept.respond, RELOAD: lambda _: self._reload()}
@@ -193,8 +195,8 @@ class Supervisor:
     def _first(self) -> str:
         """Return the workers that must finish starting before another process may start, "" if it may start now.
 
-        Starting all at once only slows every one of them, restarted ones included. The order of the workers decides:
-        the router, the sides, then the modules and the simulator.
+        Starting all workers at once only slows each of them; this is also true of restarts. They start in the order of
+        `workers`: the router, the sides, then the modules and the simulator.
         """
         starting = [worker.name for worker in self.workers if worker.comes_up]
         return " and ".join(starting) if len(starting) >= self._cores else ""
@@ -261,7 +263,7 @@ class Supervisor:
     # -- reload --------------------------------------------------------------------------------------------------------
 
     def _reload(self) -> dict[str, Any]:
-        """Load the configuration again; return the response to a request for it: why it is rejected, or ""."""
+        """Load the configuration again; return the response to a reload request: why it is rejected, or ""."""
         if self._stops:  # a request during the stop
             return {"rejected": "the daemon is stopping"}
         self._notify.reloading()

@@ -52,10 +52,10 @@ class ChannelListener(Protocol):
     """Callbacks of a channel, on the daemon's loop."""
 
     def on_report(self, report: protocol.Report) -> None:
-        """Handle a report of the worker."""
+        """Handle a report from the worker."""
 
     def on_exit(self, ended: Exit) -> None:
-        """Handle the exit of the worker's process; the channel is closed by now."""
+        """Handle the exit of the worker's process; the channel is already closed."""
 
 
 class WorkerChannel(ABC):
@@ -123,7 +123,7 @@ class WorkerChannel(ABC):
 
 
 def _start(command: list[str], env: Mapping[str, str], lock: Lock, **stdio: Any) -> subprocess.Popen[bytes]:
-    """Start a worker's process with a lock; only the daemon handles a Ctrl-C in its terminal."""
+    """Start a worker's process that inherits the lock, and that does not receive a Ctrl-C in the daemon's terminal."""
     process = subprocess.Popen(
         command,
         env=dict(env),
@@ -191,7 +191,7 @@ class PipeChannel(WorkerChannel):
 
 _LAST_OUTPUT = 4096
 _CONNECT_SECONDS = 0.25
-"""The daemon's loop waits this long at most for a worker that hangs; not at all with Unix sockets."""
+"""The daemon's loop waits at most this long for a worker that hangs, and not at all with Unix sockets."""
 
 
 class SocketChannel(WorkerChannel):
@@ -225,7 +225,7 @@ class SocketChannel(WorkerChannel):
     def spawn(self, kind: WorkerKind, config: Config, env: Mapping[str, str], lock: Lock) -> None:
         """Start a worker; `poll` connects to it as soon as its socket exists."""
         with contextlib.suppress(OSError):
-            self._path.unlink(missing_ok=True)  # of a dead predecessor: another program may have its port by now
+            self._path.unlink(missing_ok=True)  # left by a dead predecessor: its port may be in use
         with self._open_output() as output, _unnamed_file() as first:
             first.write(protocol.encode_command(protocol.NewConfig(config)))
             first.seek(0)
@@ -236,7 +236,7 @@ class SocketChannel(WorkerChannel):
         self._start_reports = streams.reader(self._loop, self._process.stdout, self._on_start)
 
     def _open_output(self) -> IO[bytes]:
-        """Open the file for its stderr, /dev/null if the state folder is not writable."""
+        """Open the file for the worker's stderr, or /dev/null if the state folder is not writable."""
         try:
             return self._output.open("wb")
         except OSError as err:
@@ -244,7 +244,7 @@ class SocketChannel(WorkerChannel):
             return Path(os.devnull).open("wb")
 
     def _on_start(self, data: bytes) -> None:
-        """Handle reports of its start, before its socket exists."""
+        """Handle the worker's reports during its start, before its socket exists."""
         for line in self._lines.feed(data):
             self._report(line)
 
@@ -284,7 +284,7 @@ class SocketChannel(WorkerChannel):
                 self._log_last_output()
                 self.detach()
                 with contextlib.suppress(OSError):
-                    self._path.unlink(missing_ok=True)  # a killed process leaves it
+                    self._path.unlink(missing_ok=True)  # a killed process leaves its socket
                 self._listener.on_exit(Exit(code))
                 return
         if self._socket is None and not self.adopt() and self._connected and self._process is None:

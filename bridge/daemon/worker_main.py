@@ -1,4 +1,4 @@
-"""A worker's process: its main loop, with the daemon's pipes, a control socket, systemd, or none of them.
+"""A worker's process and its main loop, with the daemon's pipes, a control socket, systemd, or none of them.
 
 The main loop starts the worker, polls its health, passes commands to it, and stops it. Signals, the daemon's pipe and
 the control socket put commands into one queue; reports go to a function. The same loop therefore serves a supervised
@@ -40,7 +40,7 @@ _CHECK_INTERVAL = 4
 """Heartbeats between checks of the free file descriptors, and of zenoh."""
 
 _FAILED_SECONDS = 3.0
-"""Time in which a worker may stop its robot after zenoh has failed in its process; to close its sessions may hang."""
+"""Time for a worker to stop its robot after zenoh has failed in its process, because closing sessions may hang."""
 
 
 class RunEnd(Enum):
@@ -65,8 +65,9 @@ class Companion(Protocol):
 class WorkerLoop:
     """The main loop of one worker.
 
-    ``report`` must not block for long; ``load`` loads the configuration upon SIGHUP, None if the daemon sends it;
-    with ``end_for_restart`` the run ends if a reload needs a restart. ``companion`` is called at each heartbeat.
+    ``report`` must not block for long. ``load`` loads the configuration on SIGHUP; it is None if the daemon sends the
+    configuration. With ``end_for_restart``, the run ends if a reload needs a restart. ``companion`` is called at each
+    heartbeat.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class WorkerLoop:
         self._companion = companion
 
     def run(self, config: Config) -> RunEnd:
-        """Run until stopped, or until the worker fails with a plain reason; other exceptions propagate."""
+        """Run until stopped, or until the worker fails with a known reason; other exceptions propagate."""
         self._config = config
         try:
             return self._run()
@@ -100,10 +101,10 @@ class WorkerLoop:
             with working.busy("starting"):
                 self._worker.start(self._config)
         except RuntimeError as err:
-            logger.error("cannot work here: %s", err)  # noqa: TRY400  a plain reason, not a fault of the program
+            logger.error("cannot work here: %s", err)  # noqa: TRY400  a known reason, not a bug
             self._report(protocol.Failed(str(err)))
             return RunEnd.CANNOT_WORK
-        except HubError as err:  # for example, the router of a client is off
+        except HubError as err:  # for example, the router of a zenoh client is not running
             return self._failed(str(err))
         due = time.monotonic()
         while True:
@@ -123,7 +124,7 @@ class WorkerLoop:
                 return outcome
 
     def _failed(self, reason: str) -> RunEnd:
-        """End for a reason that may be temporary: the daemon starts a new process."""
+        """End the run for a reason that may be temporary; the daemon then starts a new process."""
         logger.error("%s", reason)
         self._report(protocol.Failed(reason))
         return RunEnd.FAILED
@@ -152,14 +153,14 @@ class WorkerLoop:
         return protocol.QUIET_INTERVAL if quiet else protocol.BEAT_INTERVAL
 
     def _check_descriptors(self) -> None:
-        """Log the begin and end of a shortage: a router without free descriptors cannot respond to queries."""
+        """Log when a shortage begins and ends, because a router without free descriptors cannot respond to queries."""
         short = resources.descriptors()
         if bool(short) != self._short:
             self._short = bool(short)
             logger.warning("%s", short or "file descriptors are available again")
 
     def _check_zenoh(self) -> None:
-        """Raise `WorkerFailedError` if zenoh has failed; the process then ends even if the worker does not stop."""
+        """Raise `WorkerFailedError` if zenoh has failed; the process then exits even if the worker's stop hangs."""
         if reason := failure():
             end = threading.Timer(_FAILED_SECONDS, os._exit, (1,))
             end.daemon = True
@@ -206,7 +207,7 @@ class WorkerLoop:
 
 
 def install_signals(commands: Commands) -> None:
-    """Queue a stop on SIGTERM and SIGINT, a reload on SIGHUP. Call from the main thread."""
+    """Queue a stop on SIGTERM and SIGINT, and a reload on SIGHUP. Call from the main thread."""
     for stop in (signal.SIGTERM, signal.SIGINT):
         signal.signal(stop, lambda number, _frame: commands.put(protocol.Stop(signal.Signals(number).name)))
     if hasattr(signal, "SIGHUP"):
@@ -271,11 +272,11 @@ class WorkerMain:
         raise_open_files()
         notifier = Notifier()
         if self._control and self._kind.enabled(config) is False:
-            logger.info("%s is switched off by the configuration", self._kind.name)
-            notifier.ready()  # to systemd an exit before this is a failure
+            logger.info("%s is disabled by the configuration", self._kind.name)
+            notifier.ready()  # systemd treats an exit before this as a failure
             return 0
         successor = Successor()
-        self._kind.create()  # imports its code before the predecessor exits
+        self._kind.create()  # imports the worker's code before the predecessor exits
         lock = succeed(lambda: self._lock(config, "service"))
         server = self._open_control(config, "service", self._on_service_command) if self._control else None
         ready = False
@@ -332,7 +333,7 @@ class WorkerMain:
         return ControlServer(state_file.control_socket(config, self._kind.name), owner, on_command)
 
     def _lock(self, config: Config, owner: protocol.Owner) -> Lock:
-        """Lock the worker: it has at most one process, with or without a daemon of the same name."""
+        """Lock the worker, so that it has at most one process, with or without a daemon of the same name."""
         lock = Lock(state_file.worker_lock(config, self._kind.name))
         if lock.try_lock():
             lock.write(os.getpid(), owner)

@@ -23,12 +23,12 @@ logger = logging.getLogger("midspan.daemon")
 class WorkerProcess:
     """Runs and monitors one worker.
 
-    A ``standing`` worker is run by a separate service: the daemon adopts it and never starts it. ``first`` returns the
-    workers that must finish starting before this one, "" if none.
+    A separate service runs a ``standing`` worker: the daemon adopts it and never starts it. ``first`` returns the
+    workers that must finish starting before this one may start, "" if none.
 
     Attributes:
-        state: its state; `bridge.daemon.worker_states` has the transitions.
-        channel: the connection to its process.
+        state: the worker's state; `bridge.daemon.worker_states` defines the transitions.
+        channel: the connection to the worker's process, None without one.
     """
 
     def __init__(
@@ -54,32 +54,32 @@ class WorkerProcess:
 
     @property
     def phase(self) -> Phase:
-        """The state of its process."""
+        """The phase of the worker's process."""
         return self.state.state
 
     @property
     def text(self) -> str:
-        """The current step, the health, or the reason of the state."""
+        """The current step, the health, or the reason for the phase."""
         return self.state.text
 
     @property
     def since(self) -> float:
-        """When the state was entered, on the monotonic clock."""
+        """When the phase began, on the monotonic clock."""
         return self.state.since
 
     @property
     def restarts(self) -> int:
-        """How often its process crashed."""
+        """How often the worker's process crashed."""
         return self._history.restarts
 
     @property
     def ended(self) -> str:
-        """How its last process exited, if the daemon did not stop it."""
+        """How the worker's last process exited, if the daemon did not stop it."""
         return self._history.ended
 
     @property
     def beat_at(self) -> float | None:
-        """The last heartbeat, on the monotonic clock; None before the first."""
+        """When the last heartbeat arrived, on the monotonic clock; None before the first."""
         return self._run.beat_at
 
     @property
@@ -94,18 +94,18 @@ class WorkerProcess:
 
     @property
     def still(self) -> float:
-        """Seconds without progress, computation or a heartbeat of its process."""
+        """Seconds in which the worker's process made no progress, computed nothing and sent no heartbeat."""
         return self._run.still if self.phase in {Phase.STARTING, Phase.UP} else 0.0
 
     @property
     def comes_up(self) -> bool:
-        """Whether this daemon's process for it is starting and makes progress."""
+        """Whether the worker's process was started by this daemon, is still starting, and makes progress."""
         started_here = self.channel is not None and self.channel.started_here
         return self.phase is Phase.STARTING and started_here and self.still <= self._timing.patience
 
     @property
     def settled(self) -> bool:
-        """Whether it is in a stable phase and no reload is pending."""
+        """Whether the worker is in a stable phase and no reload is pending."""
         return self.phase in {Phase.OFF, Phase.UNAVAILABLE, Phase.UP, Phase.FAILED} and not self._run.reloading
 
     @property
@@ -114,7 +114,7 @@ class WorkerProcess:
         return self._launcher.standing or (self.channel is not None and self.channel.owner == "service")
 
     def _enter(self, event: WorkerEvent, text: str = "") -> None:
-        """Handle an event that may occur now; a pending timer belongs to the state before it."""
+        """Handle an event, unless it may not occur now, and cancel the timer, which belongs to the previous state."""
         if self.state.enter(event, text):
             self._cancel_timer()
 
@@ -156,7 +156,7 @@ class WorkerProcess:
         channel.send(protocol.NewConfig(config))
 
     def _enter_idle(self) -> None:
-        """Enter the phase of a worker that is not wanted, with the reason."""
+        """Enter the phase of a disabled or unavailable worker, with the reason."""
         assert self._config is not None
         enabled = self.kind.enabled(self._config)
         missing = self.kind.missing(self._config) if enabled == "auto" else ""
@@ -187,7 +187,7 @@ class WorkerProcess:
     # -- reports of the worker -----------------------------------------------------------------------------------------
 
     def on_report(self, report: protocol.Report) -> None:
-        """Handle a report of the worker."""
+        """Handle a report from the worker."""
         match report:
             case Busy(text):
                 self._run.on_busy(report)
@@ -267,7 +267,9 @@ class WorkerProcess:
                 self._kill(f"is in an endless loop: {self._run.endless_step}")
             case Progress.HUNG:
                 self._kill(self._silence())
-            case Progress.LATE if self.phase is Phase.UP or self.text:  # before its first report the signal kills it
+            case Progress.LATE if (
+                self.phase is Phase.UP or self.text
+            ):  # before the first report the signal kills the process
                 if self.channel is not None:
                     self.channel.dump_stacks()
 
@@ -280,7 +282,7 @@ class WorkerProcess:
         return f"made no progress for {limit:g} s while starting ({step}); the next limit is {self._limit:g} s"
 
     def forgive(self, seconds: float) -> None:
-        """Ignore a time, in seconds, in which the daemon itself did not run."""
+        """Do not count ``seconds`` in which the daemon itself did not run."""
         self._run.forgive(seconds)
 
     def _kill(self, why: str) -> None:
@@ -305,7 +307,7 @@ class WorkerProcess:
     # -- stopping ------------------------------------------------------------------------------------------------------
 
     def _restart(self, why: str) -> None:
-        if self.is_service:  # it restarts by itself and is then adopted again
+        if self.is_service:  # the service restarts the worker, and the daemon adopts it again
             logger.info("%s restarts: %s", self.name, why)
             self._enter(WorkerEvent.STOP, why)
             self._kill_after(self._timing.stop)
@@ -314,7 +316,7 @@ class WorkerProcess:
         self._start_again = True
 
     def stop(self, why: str, seconds: float | None = None) -> None:
-        """Ask the worker to stop; it is killed after ``seconds`` (by default the limit)."""
+        """Ask the worker to stop; it is killed after ``seconds``, by default after `Timing.stop`."""
         self._start_again = False
         if self.channel is None:
             self._enter(WorkerEvent.DISABLE)

@@ -1,4 +1,4 @@
-"""One run of a demo, and whether it makes progress: the state of its parts, its robot's motion, starting processes."""
+"""One run of a demo, and its progress, which shows in its parts' states, its robot's motion and starting processes."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class DemoProgress:
         return self.still > STILL_SECONDS
 
     def note(self, who: str, text: str, *, numbers: bool = False) -> bool:
-        """Note a text from a source; return whether it is new, without its numbers unless ``numbers``."""
+        """Record a text from a source; return whether it is new. Its numbers do not count unless ``numbers``."""
         entry = who, text if numbers else without_numbers(text)
         if entry in self._seen or len(self._seen) >= _MOST:
             return False
@@ -74,7 +74,7 @@ class DemoProgress:
         return True
 
     def note_pose(self, x: float, y: float, yaw: float) -> None:
-        """Note the robot's pose: meters, radians."""
+        """Record the robot's pose, in meters and radians."""
         before = self._at
         if before is not None:
             turned = abs(math.remainder(yaw - before[2], math.tau))
@@ -84,7 +84,7 @@ class DemoProgress:
         self._moved = self._clock()
 
     def note_work(self, pids: Iterable[int]) -> None:
-        """Note the processor time of starting processes, which counts as progress."""
+        """Record the processor time of starting processes, which counts as progress."""
         now = {pid: seconds for pid in pids if (seconds := _spent(pid)) is not None}
         self._worked += sum(max(0.0, spent - self._work.get(pid, spent)) for pid, spent in now.items())
         self._work |= now
@@ -129,17 +129,17 @@ class PartState:
 
     @property
     def failed(self) -> bool:
-        """Whether waiting will not bring it up."""
+        """Whether waiting for the part is pointless."""
         return self.phase == Phase.FAILED.value or self.restarts >= _MOST_RESTARTS
 
     @property
     def coming(self) -> bool:
-        """Whether it is starting: its processor time counts as progress."""
+        """Whether the part is starting, so that its processor time counts as progress."""
         return self.phase in _COMING
 
     @property
     def idle(self) -> bool:
-        """Whether it reports that it is not working."""
+        """Whether the part reports that it is not working."""
         return self.phase != Phase.UP.value or self.text.startswith("waiting")
 
 
@@ -163,7 +163,7 @@ class Parts:
         return [*processes, *self._workers]
 
     def refresh(self, progress: DemoProgress) -> None:
-        """Query the daemon, at a limited rate, and note what is new."""
+        """Query the daemon, at a limited rate, and record new states and output as progress."""
         now = time.monotonic()
         if now - self._asked < _ASK_EVERY:
             return
@@ -204,7 +204,7 @@ class Parts:
         return "\n".join([still, *(f"  {part}" for part in blamed), *self._log_lines(blamed), _TRY])
 
     def _log_lines(self, blamed: Iterable[PartState]) -> list[str]:
-        """Return the last lines of the daemon's log, those about these parts if there are any."""
+        """Return the last lines of the daemon's log that mention these parts, or of the whole log if none does."""
         if "daemon" not in self._children:
             return []
         lines = self._children["daemon"].last_output().splitlines()
@@ -213,7 +213,7 @@ class Parts:
 
 
 def _with_children(pid: int) -> list[int]:
-    """Return a process and all its descendants; below the daemon's guard that includes the daemon."""
+    """Return a process and all its descendants; those of the daemon's guard include the daemon."""
     try:
         process = psutil.Process(pid)
         return [pid, *(child.pid for child in process.children(recursive=True))]

@@ -32,7 +32,7 @@ NEAR = 0.3
 """Distance to a room's place in meters, by ground truth, within which the room counts as reached."""
 
 _STEP, _STANDING_SECONDS = 0.01, 3.0
-"""A robot stands if its distance in meters changes less within these seconds."""
+"""The robot stands if its distance to the room changes by at most this many meters within this many seconds."""
 
 YARP, ROS1, ROS2 = "YARP", "ROS 1", "ROS 2"
 _CLIENTS = {YARP: "goto_location_yarp.py", ROS1: "goto_location_rospy.py", ROS2: "goto_location_rclpy.py"}
@@ -200,9 +200,9 @@ class RoomsDemo(DemoRun):
 
 
 def wait_for_poses(course: RobotTracker, room: str, wait: Callable[[], None]) -> None:
-    """Wait until the robot is near a room's place or stands: its poses arrive late on a busy machine.
+    """Wait until the robot is near a room's place or stands, because its poses arrive late on a busy machine.
 
-    ``wait`` waits a moment.
+    ``wait`` waits for a moment.
     """
     off, since = course.distance_to(room), time.monotonic()
     while off >= NEAR and time.monotonic() - since < _STANDING_SECONDS:
@@ -223,13 +223,13 @@ def overrides(template: Path) -> dict[str, Any]:
 
 
 def replace_ros1(sandbox: Sandbox) -> str:
-    """Replace the parts of ROS 1 that this machine lacks by Midspan's; return a line about them, "" for none."""
+    """Replace the parts of ROS 1 that this machine lacks with Midspan's; return a line about them, "" for none."""
     own_master, own_client = roscore(sandbox.config) is None, bool(without_rospy(sandbox.config, CLIENT))
     if own_master:
         sandbox.embed_master()
     lacking = " and no ".join(name for name, lacks in (("roscore", own_master), ("rospy", own_client)) if lacks)
     own = " and ".join(name for name, lacks in (("master", own_master), ("client", own_client)) if lacks)
-    return f"ROS 1: Midspan's own {own}, as this machine has no {lacking}" if own else ""
+    return f"ROS 1: Midspan's own {own}, because this machine has no {lacking}" if own else ""
 
 
 def _holds(ready: Callable[[], object]) -> bool:

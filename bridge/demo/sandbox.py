@@ -33,16 +33,16 @@ _ROOT = Path(bridge.__file__).parents[1]
 CONFIG = shipped_folder() / "configs" / "demo.yaml"
 
 _SETTINGS = ("FASTDDS_", "FASTRTPS_", "MIDSPAN_", "RMW_", "ROS_", "YARP_", "ZENOH_")
-"""Beginnings of the variables by which a user configures Midspan and the middlewares, and which a demo ignores."""
+"""Prefixes of the variables with which a user configures Midspan and the middlewares; a demo ignores them."""
 
 _KEPT = {"MIDSPAN_CACHE"}
-"""The folder of built message packages."""
+"""Variables that a demo does not ignore: the folder of built message packages."""
 
 _LONGEST_BASE = 50
 _DOMAINS = range(10, 101)
 _PORT_BASE, _DOMAIN_GAIN = 7400, 250  # DDSI-RTPS 2.5, 9.6.2.4: ports of a domain
 _TCP_BASE, _TCP_EACH = 30_000, 20
-"""Below the ports that Linux assigns to outgoing connections (from 32768), which could take a server's port."""
+"""Below the ports that Linux assigns to outgoing connections (from 32768), which could occupy a server's port."""
 
 
 class Sandbox:
@@ -160,7 +160,7 @@ class Sandbox:
 
 
 def _base() -> str | None:
-    """Return the folder's parent; a user's deep path would make the names of the daemon's sockets too long."""
+    """Return the folder's parent: a user's long path would make the names of the daemon's sockets too long."""
     short = Path("/tmp")  # noqa: S108 - mkdtemp creates a private folder in it
     return str(short) if len(tempfile.gettempdir()) > _LONGEST_BASE and short.is_dir() else None
 
@@ -174,7 +174,7 @@ def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def free_ports(count: int, domain: int) -> list[int]:
-    """Return free TCP ports; those of a held domain are not used by other demos."""
+    """Return free TCP ports from the range of a held domain, which other demos do not use."""
     first = _TCP_BASE + _TCP_EACH * domain
     ports = [port for port in range(first, first + _TCP_EACH) if _is_free(port, socket.SOCK_STREAM)][:count]
     if len(ports) < count:
@@ -231,7 +231,7 @@ def missing(config: Config) -> list[str]:
 
 def too_slow() -> list[str]:
     """Return why driving would be too slow, with the cure; empty if all kernels are compiled."""
-    state = kernels.state()  # the demo also needs those of simulator, localizer and ROS 2 side
+    state = kernels.state()  # the demo also needs the kernels of the simulator, the localizer and the ROS 2 side
     return [f"kernels: {state}: {kernels.CURE}"] if state.missing else []
 
 

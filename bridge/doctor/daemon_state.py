@@ -26,14 +26,14 @@ from bridge.status import DaemonStatus, StatusDocument, WorkerReport
 from bridge.text import duration
 
 ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
-"""Phases of a worker that is switched on and does not run."""
+"""Phases of a worker that is enabled but does not run."""
 
 _LOOPS = 3
 """Restarts from which a worker that does not run counts as crash-looping."""
 _SILENT_SECONDS = 2.0
-"""A worker sends a heartbeat each second."""
+"""A worker hangs if its last heartbeat is older than this; it sends one each second."""
 _SETTLED_SECONDS = 30.0
-"""A worker that has run for so long since its last crash counts as recovered."""
+"""A worker that has run for longer than this since its last crash counts as recovered."""
 
 
 class Life(Enum):
@@ -48,11 +48,11 @@ class Life(Enum):
 
 @dataclass(frozen=True)
 class DaemonState:
-    """One daemon, by its name.
+    """The state of one daemon.
 
     Attributes:
-        pid: the daemon's process; of the one that ended if the daemon is down; 0 if unknown.
-        router: the process of its router if that runs without the daemon, else 0.
+        pid: the daemon's process, or its last process if the daemon is down; 0 if unknown.
+        router: the process of the daemon's router if the router runs without the daemon, else 0.
         document: the daemon's own report (`bridge.daemon.query.ask_daemon`).
         unit: the systemd unit of its configuration, for cures.
     """
@@ -71,14 +71,14 @@ class DaemonState:
             left = f", although its router is (process {self.router})" if self.router else ""
             return f"the daemon {self.name} is not running{left}"
         if self.life is Life.SILENT:
-            return f"the daemon {self.name} (process {self.pid}) does not answer: it starts, is stopped, or hangs"
+            return f"the daemon {self.name} (process {self.pid}) does not answer: it is starting, is stopped, or hangs"
         if self.document.error:
             return f"the daemon {self.name} (process {self.pid}): {self.document.error}"
         return ""
 
     @property
     def cure(self) -> str:
-        """What helps against `trouble`."""
+        """The cure for `trouble`."""
         silent = f"wait, or end process {self.pid} and start the daemon again: 'midspan run'"
         mixed = "use the commands of its release, or restart it with this one" if self.document.error else ""
         return {Life.DOWN: units.start_hint(self.unit), Life.SILENT: silent}.get(self.life, mixed)
@@ -98,7 +98,7 @@ class DaemonState:
         return ""
 
     def absences(self) -> list[str]:
-        """Return a line for each worker that is switched on and does not run."""
+        """Return a line for each worker that is enabled but does not run."""
         return [_why(self.name, report) for report in self.workers if report.phase in ABSENT]
 
 
@@ -133,11 +133,12 @@ def places(config: Config) -> list[Config]:
 
 
 def unresponsive_router(config: Config) -> str:
-    """Return that a configuration's router holds the hub's port, if its process does; "" otherwise.
+    """Return a message if the process of a configuration's router holds the hub's port, "" otherwise.
 
-    For a port at which no router answers: one that hangs, or that has no free file descriptor, still listens there.
+    Meant for a port at which no router answers: a router that hangs, or that has no free file descriptor, still
+    listens there.
     """
-    from bridge.hub.router import port_holder  # many verbs need no router
+    from bridge.hub.router import port_holder  # many commands need no router
 
     holder = port_holder(config.hub.listen)
     routers = [_outliving(place) for place in places(config)]
@@ -148,7 +149,7 @@ def unresponsive_router(config: Config) -> str:
 
 
 def describe(report: WorkerReport) -> str:
-    """Return how a worker gets on by the daemon's report, with its crashes."""
+    """Describe a worker's state and its crashes, from the daemon's report."""
     text, restarts, ended = report.text, report.restarts, report.ended
     if not restarts:
         return text
@@ -158,13 +159,13 @@ def describe(report: WorkerReport) -> str:
 
 
 def loops(report: WorkerReport) -> bool:
-    """Whether a worker crashes again and again, by the daemon's report: also while it comes up or has just done so."""
+    """Whether a worker crashes again and again by the daemon's report, even if it is starting or has just started."""
     settled = report.phase == Phase.UP.value and (report.since or 0.0) > _SETTLED_SECONDS
     return report.restarts >= _LOOPS and not settled
 
 
 def _why(daemon: str, report: WorkerReport) -> str:
-    """Why a worker does not serve, by the daemon's report; "" if it does, or if it is switched off."""
+    """Return why a worker does not serve, by the daemon's report; "" if it serves or is disabled."""
     phase, beat = report.phase, report.beat
     name, text = f"the worker '{report.worker}' of {daemon}", describe(report)
     if phase == Phase.UP.value:
@@ -177,7 +178,7 @@ def _why(daemon: str, report: WorkerReport) -> str:
 
 
 def _not_loaded(daemon: DaemonStatus, report: WorkerReport, config: Config) -> str:
-    """Why a worker is off that this configuration switches on: the daemon runs another configuration."""
+    """Return why a worker that this configuration enables is off: the daemon runs another configuration. Else ""."""
     kind = worker_kinds().get(report.worker)
     if report.phase != Phase.OFF.value or kind is None or not kind.enabled(config):
         return ""
@@ -189,7 +190,7 @@ def _not_loaded(daemon: DaemonStatus, report: WorkerReport, config: Config) -> s
 
 
 def _holder(lock: Path) -> int:
-    """The process of this machine that is named in a lock, also a dead one; else 0."""
+    """Return the process of this machine that a lock names, even if the process is dead; else 0."""
     from bridge.daemon.lock import Lock
 
     try:
@@ -206,7 +207,7 @@ def _holder(lock: Path) -> int:
 
 
 def _holds(pid: int, lock: Path) -> bool:
-    """Whether a process holds a lock. Reads the kernel's table: an attempt to lock could make a new daemon fail."""
+    """Whether a process holds a lock, by the kernel's table: an attempt to lock could make a starting daemon fail."""
     try:
         inode, rows = str(lock.stat().st_ino), Path("/proc/locks").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -229,9 +230,9 @@ def _outliving(config: Config) -> int:
 
 
 def _orphan(documents: list[StatusDocument], config: Config) -> int:
-    """The router of a daemon of another user, if it is the only worker left and its daemon is gone; else 0.
+    """Return the router's process of another user's daemon if only the router still runs, without the daemon; else 0.
 
-    A router that was started without a daemon ('midspan worker router') has none to miss.
+    A router that was started without a daemon ('midspan worker router') does not count.
     """
     if [document.worker for document in documents] != ["router"]:
         return 0
@@ -250,7 +251,7 @@ def _orphan(documents: list[StatusDocument], config: Config) -> int:
 
 
 def absent(report: DaemonStatus, phases: Container[str] = ABSENT, *, looping: bool = False) -> list[StatusDocument]:
-    """Return the workers in one of these phases, from a daemon's own report; also those that crash again and again."""
+    """Return the workers in these phases from a daemon's own report; ``looping`` adds those that keep crashing."""
     return [
         _reported(report.daemon, worker)
         for worker in report.workers
@@ -281,7 +282,7 @@ def _reported(daemon: str, report: WorkerReport) -> StatusDocument:
 
 
 def with_silent(documents: Sequence[StatusDocument], silent: Sequence[StatusDocument]) -> list[StatusDocument]:
-    """Add the workers that do not answer; a crash loop of one that answers is known to its daemon only."""
+    """Add the workers that do not answer, and the crash loops of those that do, which only their daemon knows."""
     reported = {(document.daemon, document.worker): document for document in silent}
     answering: list[StatusDocument] = []
     for document in documents:

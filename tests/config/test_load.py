@@ -205,11 +205,11 @@ CASES = [
     ),
     (
         "routing: {rules: [{regex: '/a/(.*)', rename: '/b/\\2'}]}",
-        ["1:19: routing.rules[0]: rename '/b/\\\\2' takes group 2, which the regular expression does not have"],
+        ["1:19: routing.rules[0]: rename '/b/\\\\2' uses group 2, which the regular expression does not have"],
     ),
     (
         "routing: {rules: [{topic: /a/*, rename: /b/*/*}]}",
-        ["1:19: routing.rules[0]: rename '/b/*/*' has 2 wildcards, and the topic has 1 to fill them from"],
+        ["1:19: routing.rules[0]: rename '/b/*/*' has 2 wildcards, but the topic has only 1 to fill them from"],
     ),
     (
         "routing: {rules: [{topic: /a, rename: b c}]}",

@@ -86,7 +86,7 @@ def test_what_zenohs_parser_refuses(text: str, lines: list[str]) -> None:
         ),
         (
             "hub: {zenoh: {transport: {link: {tx: {lease: -1}}}}}",
-            ["m.yaml:1:39: hub.zenoh.transport.link.tx.lease: zenoh reads -1 as 0; it is out of range"],
+            ["m.yaml:1:39: hub.zenoh.transport.link.tx.lease: zenoh reads -1 as 0; the value is out of range"],
         ),
         (
             "hub: {zenoh: {connect: {endpoints: ['tpc/robot:7447', 'tcp/robot', 'tcp/robot:7447']}}}",
@@ -97,7 +97,7 @@ def test_what_zenohs_parser_refuses(text: str, lines: list[str]) -> None:
         ),
         (
             "hub: {router_zenoh: {listen: {endpoints: {router: ['tcp/0.0.0.0:7447']}}}}",
-            ["m.yaml:1:43: hub.router_zenoh.listen.endpoints.router[0]: tcp/0.0.0.0:7447 is open to other machines; these join only by hub.open"],
+            ["m.yaml:1:43: hub.router_zenoh.listen.endpoints.router[0]: tcp/0.0.0.0:7447 is open to other machines, which may join only through hub.open"],
         ),
         (
             "hub: {zenoh: {id: abc123}}",
@@ -117,7 +117,7 @@ def test_what_zenohs_parser_refuses(text: str, lines: list[str]) -> None:
         (
             f"hub: {{router_zenoh: {{access_control: {{enabled: true, rules: [{RULE}, {RULE}], subjects: [{{id: s}}], policies: [{{rules: [r, q], subjects: [s]}}]}}}}}}",
             [
-                "m.yaml:1:142: hub.router_zenoh.access_control.rules[1].id: 'r' is the id of an earlier one; give each its own",
+                "m.yaml:1:142: hub.router_zenoh.access_control.rules[1].id: 'r' is also the id of an earlier item; give each item its own",
                 "m.yaml:1:254: hub.router_zenoh.access_control.policies[0].rules: no rule has the id 'q'",
             ],
         ),
@@ -127,7 +127,7 @@ def test_what_zenohs_parser_refuses(text: str, lines: list[str]) -> None:
         ),
         (
             "hub: {zenoh: {transport: {unicast: {lowlatency: true}}}}",
-            ["m.yaml:1:37: hub.zenoh.transport.unicast.lowlatency: zenoh needs 'qos: {enabled: false}' beside it"],
+            ["m.yaml:1:37: hub.zenoh.transport.unicast.lowlatency: zenoh also needs 'qos: {enabled: false}' in this section"],
         ),
         (
             "hub: {router_zenoh: {mode: peer}}",
@@ -181,7 +181,7 @@ FILES = {
         "mode: peer\ntransport:\n  link:\n    tx: {leese: 3}\n",
         ["4:10: hub.zenoh.transport.link.tx.leese: zenoh has no key 'leese' here; did you mean 'lease'?"],
     ),
-    "zenoh.conf": ("{}", [" hub.zenoh: zenoh cannot read it: Unsupported file type '.conf' (.json, .json5 and .yaml are supported)"]),
+    "zenoh.conf": ("{}", [" hub.zenoh: zenoh cannot read the file: Unsupported file type '.conf' (.json, .json5 and .yaml are supported)"]),
 }  # fmt: skip
 
 

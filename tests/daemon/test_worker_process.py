@@ -332,7 +332,7 @@ def test_a_disabled_service_exits_without_failing(daemon: Daemon) -> None:
     daemon.configure("hub: {router: false}\n")
     process = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
     assert process.popen.wait(40) == 0
-    assert "router is switched off by the configuration" in process.output()
+    assert "router is disabled by the configuration" in process.output()
 
 
 def test_broken_configuration_at_the_start(daemon: Daemon) -> None:

@@ -128,9 +128,9 @@ def test_a_sandbox_keeps_the_rules_of_its_template(tmp_path: Path) -> None:
         assert not box.config.hub.listen.endswith(":7447")
 
 
-NO_ROSCORE = "ROS 1: Midspan's own master, as this machine has no roscore"
-NO_ROSPY = "ROS 1: Midspan's own client, as this machine has no rospy"
-NEITHER = "ROS 1: Midspan's own master and client, as this machine has no roscore and no rospy"
+NO_ROSCORE = "ROS 1: Midspan's own master, because this machine has no roscore"
+NO_ROSPY = "ROS 1: Midspan's own client, because this machine has no rospy"
+NEITHER = "ROS 1: Midspan's own master and client, because this machine has no roscore and no rospy"
 
 
 @pytest.mark.parametrize(

@@ -23,23 +23,24 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _UNIX = 1e8
-"""Seconds from this value on are Unix time, smaller ones are relative to the bag's start."""
+"""A number of seconds from this value on is Unix time; a smaller number is relative to the bag's start."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:
     verbs = add_verbs(
-        parser, "Works on bags: MCAP (.mcap), ROS 2's SQLite files (.db3, or a folder) and ROS 1's bags (.bag)."
+        parser,
+        "Inspects and copies bags: MCAP (.mcap), ROS 2's SQLite files (.db3, or a folder) and ROS 1 bags (.bag).",
     )
     info = add_verb(
-        verbs, "info", _info, "topics, types, counts, rates, times of a bag", example="midspan bag info run.mcap",
-        hub=False,
+        verbs, "info", _info, "show a bag's topics, types, counts, rates and times",
+        example="midspan bag info run.mcap", hub=False,
     )  # fmt: skip
-    info.add_argument("bag", type=Path, metavar="BAG", help="a file, or a folder of rosbag2")
-    info.add_argument("--json", action="store_true", help="as JSON")
+    info.add_argument("bag", type=Path, metavar="BAG", help="a file, or a rosbag2 folder")
+    info.add_argument("--json", action="store_true", help="print the result as JSON")
     convert = add_verb(
         verbs, "convert", _convert, "copy a bag into another format",
-        "Copies a bag into the format that OUT's ending names; without an ending it is a folder of rosbag2. Messages"
-        " and types become those of ROS 1 or ROS 2 as in the bridge. OUT appears when it is complete.",
+        "Copies a bag into the format given by OUT's extension; without an extension, OUT is a rosbag2 folder. Messages"
+        " and types are converted to those of ROS 1 or ROS 2 as in the bridge. OUT appears once it is complete.",
         example="midspan bag convert old.bag new.mcap", hub=False,
     )  # fmt: skip
     convert.add_argument("--skip-unknown", action="store_true", help="leave out topics that the new format cannot hold")
@@ -57,29 +58,29 @@ def register(parser: argparse.ArgumentParser) -> None:
         example="midspan bag mend killed.mcap whole.mcap", hub=False,
     )  # fmt: skip
     for verb in (convert, cut, mend):
-        verb.add_argument("bag", type=Path, metavar="IN", help="a file, or a folder of rosbag2")
+        verb.add_argument("bag", type=Path, metavar="IN", help="a file, or a rosbag2 folder")
         verb.add_argument("out", type=Path, metavar="OUT", help="must not exist yet")
         verb.add_argument("--compression", choices=["zstd", "lz4", "bz2", "none"], help="default: the format's own")
         verb.add_argument("--json", action="store_true", help="print the result as JSON")
     for verb in (convert, cut):
         verb.add_argument(
-            "--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, as '/camera/**'"
+            "--topics", nargs="+", action="extend", metavar="TOPIC", help="names or globs, such as '/camera/**'"
         )
         add_exclude(verb)
         verb.add_argument(
             "--start",
             type=_moment,
             metavar="TIME",
-            help="from 30s or 2m into the bag, Unix seconds, or a date and time",
+            help="begin at this time: 30s or 2m into the bag, Unix seconds, or a date and time",
         )
-        verb.add_argument("--end", type=_moment, metavar="TIME", help="up to this time (exclusive)")
+        verb.add_argument("--end", type=_moment, metavar="TIME", help="end before this time")
         verb.add_argument(
-            "--latched", action="store_true", help="start with the last latched messages before the start"
+            "--latched", action="store_true", help="begin with the last latched messages from before --start"
         )
 
 
 def _moment(text: str) -> tuple[bool, int]:
-    """Parse a time: whether it is absolute, and nanoseconds since 1970 or since the bag's start."""
+    """Parse a time; return whether it is absolute, and its nanoseconds since 1970 or since the bag's start."""
     with suppress(argparse.ArgumentTypeError):
         return (value := span(text)) >= _UNIX, round(value * _NS)
     try:
@@ -90,21 +91,21 @@ def _moment(text: str) -> tuple[bool, int]:
 
 
 _ended: list[int] = []
-"""Received signals: an exception raised during a callback of Python itself, as in an import, is lost."""
+"""Received signals, because Python loses an exception that is raised in one of its callbacks, as during an import."""
 
 
 def _end(number: int, _frame: object) -> None:
     _ended.append(number)
     if len(_ended) == 1:  # the exception of a second signal would interrupt the cleanup of the first
-        # a KeyboardInterrupt inside an `eval`, as in an import, would also set the exit code
+        # not a KeyboardInterrupt: inside an `eval`, as during an import, it would change the exit code
         raise SystemExit(128 + number)
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Bag]:
-    """Open a bag and report its errors as the command's. SIGTERM, like Ctrl-C, removes half-written files.
+    """Open a bag, and report its errors as `CliError`. After SIGTERM and Ctrl-C, half-written files are removed.
 
-    Ignored signals stay ignored: Ctrl-C in a shell script does not end a background command.
+    Ignored signals stay ignored, because Ctrl-C in a shell script must not end a background command.
     """
     from bridge.bags.reader import BagError, open_bag
 
@@ -189,7 +190,7 @@ def _print_info(info: dict[str, Any]) -> None:
     else:
         print("no messages")
     if info["unfinished"]:
-        print("unfinished: its writer never closed it, or its end is lost")
+        print("unfinished: the writer never closed the bag, or the bag's end is lost")
     if info["trouble"]:
         print(clean(info["trouble"]))
     for name, values in info["about"].items():
@@ -201,7 +202,7 @@ def _print_info(info: dict[str, Any]) -> None:
         table.add_column(name, justify="right" if name in ("messages", "msg/s") else "left")
     for topic in info["topics"]:
         more = topic["metadata"]
-        # recordings name the side "zenoh" of what is published on the hub itself, which has no origin
+        # in recordings, messages published on the hub itself have the side "zenoh" and no origin
         side = "hub" if more.get("side") == "zenoh" and not more.get("origin") else more.get("side")
         origin = " of ".join(clean(name) for name in (side, more.get("daemon")) if name) or topic["world"]
         notes = [*(["latched"] if topic["latched"] else []), *([] if topic["defined"] else ["no definition"])]

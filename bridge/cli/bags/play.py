@@ -1,4 +1,4 @@
-"""``midspan play``: bags onto the hub, so that each side receives them in its own wire format."""
+"""``midspan play``: publishes bags on the hub, so that each side receives them in its own wire format."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ CLOCK_HZ = 40.0
 MATCH_SECONDS = 1.0
 _EPILOG = """\
 Keys in a terminal: space pauses and resumes, '.' or 's' plays one message while paused, 'q' ends.
-Without a terminal: the services /midspan/play/pause (std_srvs/SetBool) and /midspan/play/step (std_srvs/Trigger).
+The services /midspan/play/pause (std_srvs/SetBool) and /midspan/play/step (std_srvs/Trigger) also work without one.
 
 examples:
-  midspan play run.bag                                   # a ROS 1 bag, also for ROS 2, YARP and zenoh
+  midspan play run.bag                                   # a ROS 1 bag; ROS 2, YARP and zenoh receive it too
   midspan play run.mcap --clock --rate 2 --loop
   midspan play run_0.mcap run_1.mcap --start 30 --duration 10
   midspan play ros2_folder --topics /scan '/tf*' --remap /scan:=/laser/scan
@@ -66,7 +66,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     group.add_argument(
         "--commands", action="store_true",
-        help="play velocities, goals and cancels too: THE ROBOT MOVES. Late ones are dropped; zero velocity follows",
+        help="play velocities, goals and cancels too: THE ROBOT MOVES. Late commands are dropped; a zero velocity is"
+        " sent on a pause and at the end",
     )  # fmt: skip
     when = parser.add_argument_group("when")
     when.add_argument("--rate", type=number_in(0.01, 100), default=1.0, metavar="R", help="speed factor (default 1)")
@@ -74,7 +75,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     when.add_argument(
         "--start", type=span, default=0.0, metavar="TIME", help="start this long after the beginning of the bags"
     )
-    when.add_argument("--duration", type=span, metavar="TIME", help="stop after this much of the bags")
+    when.add_argument("--duration", type=span, metavar="TIME", help="stop after this much bag time")
     when.add_argument("--paused", action="store_true", help="begin paused")
     when.add_argument(
         "--clock", type=number_in(1, 1000), nargs="?", const=CLOCK_HZ, default=0.0, metavar="HZ",
@@ -83,7 +84,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     when.add_argument(
         "--settle", type=span, default=1.0, metavar="TIME", help="time for subscribers to connect first (default 1s)"
     )
-    parser.add_argument("--json", action="store_true", help="print the numbers of messages as JSON, at the end")
+    parser.add_argument("--json", action="store_true", help="print a summary as JSON at the end: messages, drops")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
 
@@ -190,14 +191,14 @@ def _report_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) ->
     for other in left:
         _print_note(f"{other.name} ({other.type_name}) is left out: {other.why}")
     if not topics:
-        raise CliError("there is nothing to play: no topic is left" + ("" if left else " by --topics and --exclude"))
+        raise CliError("there is nothing to play: no topic remains" + ("" if left else " after --topics and --exclude"))
     for name in sorted(twice(topics)):
         _print_note(f"{name} has several types in the bags: a subscriber receives one of them")
     if moving := sorted({topic.name for topic in topics if topic.command}):
         _print_note(f"commands are played, the robot may move: {', '.join(moving)}")
         if rate != 1.0:
             _print_note(
-                f"at a rate of {rate:g} each velocity lasts {1 / rate:.2g} times as long: the robot drives another path"
+                f"at a rate of {rate:g}, each velocity lasts {1 / rate:.2g} times as long: the robot takes another path"
             )
 
 
@@ -251,10 +252,10 @@ def _summary(player: Player, left: list[LeftOut]) -> dict[str, Any]:
 def _report_end(player: Player) -> None:
     drops = "".join(f"; {count} {reason} of {clean(name)}" for (name, reason), count in sorted(player.dropped.items()))
     behind = player.timeline.behind
-    late = f"; {behind:.1f} s were lost because it could not keep up" if behind else ""
+    late = f"; {behind:.1f} s behind schedule, because playback could not keep up" if behind else ""
     print(f"played {plural(player.played.total(), 'message')}{drops and f', dropped: {drops[2:]}'}{late}")
 
 
 def _print_note(text: str) -> None:
-    over = "\r\x1b[K" if sys.stderr.isatty() else ""  # the line of progress
+    over = "\r\x1b[K" if sys.stderr.isatty() else ""  # erases the progress line
     print(f"{over}{clean(text)}", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""``midspan record``: topics of any side into MCAP files, here or in the daemon."""
+"""``midspan record``: records topics of any side into MCAP files, here or in the daemon."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _POLL_SECONDS = 0.2
 
 
 def megabytes(text: str) -> int:
-    """``1GB``, ``500 MB``, ``64`` (megabytes); each unit is 1,024 of the one below."""
+    """Parse a size such as ``1GB``, ``500 MB`` or ``64`` (megabytes); each unit is 1,024 of the next smaller one."""
     match = _SIZE.fullmatch(text.strip())
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a size: write it as 500MB or 1GB")
@@ -55,7 +55,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Records topics of any side until Ctrl-C, into an MCAP file for ROS 2's tools, Foxglove and 'midspan play'. The"
         " messages are written as they are on the hub; each file starts with the latched ones. If the recording is"
-        " killed, its file can be read up to the last second."
+        " killed, its file is readable up to the last second."
     )
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -83,7 +83,10 @@ def register(parser: argparse.ArgumentParser) -> None:
         "--split-time", type=span, default=0.0, metavar="TIME", help="start a new file after this time, such as 10m"
     )
     where.add_argument(
-        "--compression", choices=["zstd", "lz4", "none"], default="zstd", help="of the file's chunks (default zstd)"
+        "--compression",
+        choices=["zstd", "lz4", "none"],
+        default="zstd",
+        help="compression of the file's chunks (default zstd)",
     )
     where.add_argument(
         "--queue",
@@ -95,8 +98,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     ring = parser.add_argument_group("only the last minutes")
     ring.add_argument(
         "--ring", type=span, default=0.0, metavar="TIME",
-        help="keep only this time span, and write it into a folder (in that of -o) when triggered: by 'midspan halt', a"
-        " failed goal of the gateway, a call of /record/trigger, or --trigger",
+        help="keep only this time span, and write it into a folder (inside that of -o) when triggered by"
+        " 'midspan halt', a failed goal of the gateway, a call to /record/trigger, or --trigger",
     )  # fmt: skip
     ring.add_argument(
         "--ring-size", type=megabytes, default=2048, metavar="SIZE", help="maximum size of the ring (default 2GB)"
@@ -106,7 +109,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="TOPIC",
-        help="a message on this topic triggers; may be repeated",
+        help="a message on this topic writes the ring; may be repeated",
     )
     parser.add_argument("--daemon", choices=_COMMANDS, help="control the daemon's recorder (section 'record')")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -124,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
     if args.trigger and not args.ring:
         raise CliError("--trigger writes the ring: give --ring TIME too")
     config = client_config(args)
-    # the lanes in the state folder belong to the daemon
+    # the local transport in the state folder belongs to the daemon
     config = config.model_copy(update={"hub": config.hub.model_copy(update={"lane": False})})
     section = _section(args)
     from bridge.record.places import stamp
@@ -211,7 +214,7 @@ def _record(args: argparse.Namespace, config: Config, section: RecordSection, ou
         except OSError as err:
             raise CliError(f"cannot write {err.filename or output}: {err.strerror or err}") from None
         where = f"the last {args.ring:g} s are kept" if args.ring else f"recording into {path}"
-        print(f"{where}; Ctrl-C ends it", file=sys.stderr, flush=True)
+        print(f"{where}; Ctrl-C ends the recording", file=sys.stderr, flush=True)
         _follow(recording, args.duration or None, ended)
     finally:
         recording.close()
@@ -266,4 +269,4 @@ def _print(summary: dict[str, Any]) -> None:
         + (f"; dropped: {drops}" if drops else "")
     )
     if summary["error"]:
-        print(f"it ended early: {clean(summary['error'])}", file=sys.stderr)
+        print(f"the recording ended early: {clean(summary['error'])}", file=sys.stderr)

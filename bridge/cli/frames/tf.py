@@ -1,4 +1,4 @@
-"""``midspan tf``: the frames of all sides: list, tree, echo and monitor."""
+"""``midspan tf``: list, tree, echo and monitor for the frames of all sides."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def _register_list_and_tree(verbs: Any) -> None:
-    listing = add_verb(verbs, "list", _list, "all frames", "Lists the frames that are published.", hub=False)
-    listing.add_argument("-v", "--verbose", action="store_true", help="with parents, authorities, rates, newest stamps")
+    listing = add_verb(verbs, "list", _list, "list all frames", "Lists the frames that are published.", hub=False)
+    listing.add_argument("-v", "--verbose", action="store_true", help="add parents, authorities, rates, newest stamps")
     drawing = add_verb(
-        verbs, "tree", _tree, "the tree of frames, as text or for Graphviz",
+        verbs, "tree", _tree, "draw the tree of frames, as text or for Graphviz",
         "Draws the tree of the frames that are published. Marks loops, and frames to which several programs give"
         " different parents.",
         example="midspan tf tree --dot | dot -Tpdf > frames.pdf", hub=False,
     )  # fmt: skip
-    drawing.add_argument("--dot", action="store_true", help="print it for Graphviz")
+    drawing.add_argument("--dot", action="store_true", help="print the tree in Graphviz's format")
     for parser in (listing, drawing):
         parser.add_argument(
             "--duration", type=float, metavar="SECONDS",
-            help="how long to listen after the first transform; slow frames need more (default: until every node of"
+            help="how long to listen after the first transform; slow frames need longer (default: until every node of"
             f" the hub has published and {QUIET:g} s passed without a new frame; {MOST:g} s if other publishers exist)",
         )  # fmt: skip
         parser.add_argument("--json", action="store_true", help="print all details of each frame as JSON")
@@ -124,13 +124,16 @@ _POLL_SECONDS = 1.0
 def _register_echo(verbs: Any) -> None:
     parser = add_verb(
         verbs, "echo", _echo, "print the pose of one frame in another",
-        "Prints the pose of FRAME in REFERENCE, which maps points from FRAME to REFERENCE, at the newest time that all"
-        " frames between them have, until Ctrl-C. While it is missing, it prints the reason.",
+        "Prints the pose of FRAME in REFERENCE, which maps points from FRAME to REFERENCE, until Ctrl-C. The pose is"
+        " that of the newest time for which all frames between them have data. While it is missing, the reason is"
+        " printed.",
         example="midspan tf echo map base_link", hub=False,
     )  # fmt: skip
     parser.add_argument("reference", metavar="REFERENCE", help="the reference frame, for example map")
     parser.add_argument("frame", metavar="FRAME", help="the frame to locate, for example base_link")
-    parser.add_argument("--rate", type=number_in(0, 1000), default=_RATE, metavar="HZ", help=f"default {_RATE:g}")
+    parser.add_argument(
+        "--rate", type=number_in(0, 1000), default=_RATE, metavar="HZ", help=f"poses per second, default {_RATE:g}"
+    )
     parser.add_argument("--count", type=int, metavar="N", help="exit after N poses")
     parser.add_argument(
         "--timeout", type=float, metavar="SECONDS", help="exit with code 1 after this time without a pose"
@@ -197,13 +200,16 @@ _INTERVAL = 2.0
 
 def _register_monitor(verbs: Any) -> None:
     parser = add_verb(
-        verbs, "monitor", _monitor, "rates, delays, authorities and ages of frames",
-        "Prints each frame's rate, its delay from stamp to arrival (between machines as good as their clocks agree;"
-        " negative if stamped ahead), its publishers, and the time since its last message. For two frames: only the"
-        " frames between them, and the age of the newest transform. Until Ctrl-C, or for --duration.", hub=False,
+        verbs, "monitor", _monitor, "print rates, delays, authorities and ages of frames",
+        "Prints each frame's rate, its delay from stamp to arrival (between machines only as exact as their clocks;"
+        " negative if stamped ahead), its publishers, and the time since its last message, until Ctrl-C or for"
+        " --duration. With two frames, it prints only the frames between them, and the age of the newest transform.",
+        hub=False,
     )  # fmt: skip
     parser.add_argument("frames", nargs="*", metavar="FRAME", help="two frames")
-    parser.add_argument("--interval", type=float, default=_INTERVAL, metavar="SECONDS", help=f"default {_INTERVAL:g}")
+    parser.add_argument(
+        "--interval", type=float, default=_INTERVAL, metavar="SECONDS", help=f"between tables, default {_INTERVAL:g}"
+    )
     parser.add_argument("--duration", type=float, metavar="SECONDS", help="exit after this time")
     parser.add_argument("--json", action="store_true", help="one JSON list per line")
     add_tf_arguments(parser)

@@ -1,4 +1,4 @@
-"""``midspan topic``: list, info, echo, hz and pub on any topic, whichever side it lives on."""
+"""``midspan topic``: list, info, echo, hz and pub on any topic, on whichever side it is."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def add_feed_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of verbs that subscribe to one topic."""
+    """Add the arguments of commands that subscribe to one topic."""
     parser.add_argument("topic", help="the topic's name")
     parser.add_argument(
         "--side",
@@ -67,7 +67,7 @@ def _register_echo(verbs: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--full", action="store_true", help="print arrays and texts in full")
     parser.add_argument(
-        "--json", action="store_true", help="one JSON object per line: topic, type, side, time_ns, message"
+        "--json", action="store_true", help="print one JSON object per line: topic, type, side, time_ns, message"
     )
     parser.add_argument("--raw", action="store_true", help="print the bytes (CDR) in hex instead of the fields")
 
@@ -123,7 +123,7 @@ def _report_losses(feed: TopicFeed) -> None:
 
 DEFAULT_RATE = 1.0
 _LINGER_SECONDS = 0.5
-"""How long a single message's publisher stays, so that it gets through before it is gone."""
+"""Seconds for which the publisher stays open after its last message, so that the message is delivered."""
 
 
 def _register_pub(verbs: Any) -> None:
@@ -137,12 +137,15 @@ def _register_pub(verbs: Any) -> None:
     parser.add_argument("type", help="its type, as ROS 1 (std_msgs/String) or ROS 2 (std_msgs/msg/String) spells it")
     parser.add_argument("message", nargs="?", default="{}", help="the fields as YAML or JSON, for example '{data: hi}'")
     how = parser.add_mutually_exclusive_group()
-    how.add_argument("--rate", type=number_in(0, 1000), metavar="HZ", help=f"until Ctrl-C (default {DEFAULT_RATE:g})")
+    how.add_argument(
+        "--rate", type=number_in(0, 1000), metavar="HZ", help=f"repeat until Ctrl-C (default {DEFAULT_RATE:g})"
+    )
     how.add_argument("--once", action="store_true", help="publish one message, once there is a subscriber")
     parser.add_argument("--count", type=int, metavar="N", help="exit after this number of messages")
     parser.add_argument(
         "--latch", action="store_true",
-        help="late joiners get the last message (transient local); without --rate it publishes once, until Ctrl-C",
+        help="late joiners receive the last message (transient local); without --rate, publish once and keep it until"
+        " Ctrl-C",
     )  # fmt: skip
     parser.add_argument(
         "--settle", type=float, default=1.0, metavar="SECONDS", help="time for subscribers to connect first (default 1)"
@@ -198,7 +201,7 @@ def _warn_of_sides(client: Client, topic: str) -> None:
     for decision in ask_decisions(client, topic):
         if decision.direction == "out" and decision.decision in ("denied", "private", "refused"):
             reason = f"{decision.decision}: {decision.why}"
-            print(f"it does not reach {side_name(decision.worker)}: {clean(reason)}", file=sys.stderr)
+            print(f"the messages do not reach {side_name(decision.worker)}: {clean(reason)}", file=sys.stderr)
 
 
 def _warn_of_other_types(client: Client, topic: str, name: str) -> None:
@@ -279,7 +282,7 @@ class _Meter:
         self._arrivals.append((arrived, size))
 
     def rate(self, lost: int) -> Rate | None:
-        """The figures; None with fewer than two arrivals."""
+        """Return the figures; None with fewer than two arrivals."""
         if len(self._arrivals) < 2:
             return None
         gaps = [later[0] - earlier[0] for earlier, later in pairwise(self._arrivals)]

@@ -42,11 +42,11 @@ _VERDICTS = {
 
 def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Shows each worker's decision on a topic, service or action with its reason, and the endpoints on the hub, with"
-        " a cure for each problem. Exit code 1 if the name is unknown."
+        "Shows each worker's decision on a topic, service or action with the reason, the endpoints on the hub, and a"
+        " cure for each problem. The exit code is 1 if the name is unknown."
     )
     parser.add_argument("topic", help="name on the hub or on a side, or the name of one of Midspan's YARP ports")
-    parser.add_argument("--json", action="store_true", help="print it as JSON")
+    parser.add_argument("--json", action="store_true", help="print the explanation as JSON")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)
 
@@ -95,16 +95,16 @@ def explain(client: Client, topic: str) -> Explanation:
     names |= {d.topic for d in decisions}
     connections = _connections(connected, names)
     notes = [*silent, *_hub_notes(client, topic, endpoints, documents), *_warnings(names, documents)]
-    if decisions or endpoints:  # nothing is decided of a port, such as a module's
+    if decisions or endpoints:  # no worker decides on a port, such as a module's
         notes += _worker_notes(decisions, documents, {(answer.daemon, answer.worker) for answer in answers})
     notes += [Note(refusal.text, refusal.cure) for refusal in refusals(client, documents) if refusal.topic in names]
     return Explanation(topic, paired, endpoints, [*planner, *notes, *namesakes], ports, connections)
 
 
 def _asked(client: Client) -> tuple[list[WorkerAnswer], list[StatusDocument], list[Note], list[WorkerAnswer]]:
-    """Return the sides' decisions, all status documents, notes on daemons with one name, and the sides' connections.
+    """Return the sides' decisions, all status documents, notes on daemons with equal names, and sides' connections.
 
-    A worker that hangs delays all answers.
+    The three queries run in parallel, because a hung worker delays each of them.
     """
     with ThreadPoolExecutor(3) as pool:
         decisions = pool.submit(client.ask, "explain", {"topic": ""})
@@ -155,9 +155,9 @@ def _connections(answers: Sequence[WorkerAnswer], names: set[str]) -> list[tuple
 
 
 def _silent(client: Client, documents: Sequence[StatusDocument]) -> list[Note]:
-    """Return notes on the workers that are on the hub and did not answer, so that their decisions are missing."""
+    """Return notes on the workers that are on the hub but did not answer: their decisions are missing."""
     answered = {document.zid for document in documents}
-    late = f"did not answer within {ASK_SECONDS:g} s, so what it knows is missing"
+    late = f"did not answer within {ASK_SECONDS:g} s, so its decisions are missing"
     return [
         Note(f"{side_name(origin.side)} (daemon {clean(origin.daemon)}) {late}", "see `midspan status`")
         for zid, origin in client.hub.graph.origins().items()
@@ -190,11 +190,13 @@ def _hub_notes(
     waiting = [e for e in publishers if e.pending]
     if waiting:
         who = hub_problems.nodes(waiting)
-        notes.append(Note(f"it is not known yet which network {who} belongs to, so nothing of it crosses"))
+        notes.append(Note(f"the network of {who} is not known yet, so no messages from there cross"))
     if publishers and not any(p.qos.latched for p in publishers) and any(s.qos.latched for s in subscriptions):
         who = hub_problems.nodes(s for s in subscriptions if s.qos.latched)
-        text = f"{who} asks for earlier messages (transient local), but no publisher keeps them"
-        cure = "if the publisher cannot change, a rule with qos: {durability: transient_local} keeps its last message"
+        text = f"{who} requests earlier messages (transient local), but no publisher keeps them"
+        cure = (
+            "if the publisher cannot be changed, a rule with qos: {durability: transient_local} keeps its last message"
+        )
         notes.append(Note(text, cure))
     return notes
 
@@ -212,7 +214,7 @@ def _warnings(names: set[str], documents: Sequence[StatusDocument]) -> list[Note
 def _worker_notes(
     decisions: Sequence[Decision], documents: Sequence[StatusDocument], sides: Collection[tuple[str, str]]
 ) -> list[Note]:
-    """Return notes on the sides that decided nothing; ``sides``: daemon and worker of each that decides on topics."""
+    """Return notes on the sides without a decision; ``sides`` has the daemon and the worker of every side."""
     if not documents:
         return [Note("no worker answers, so nothing is bridged now", "start the daemon: midspan run")]
     notes: list[Note] = []
@@ -227,7 +229,7 @@ def _worker_notes(
         elif document.state == "standby":
             notes.append(Note(f"{name} is on standby: another daemon is active on that network"))
         elif who not in decided:
-            notes.append(Note(f"{name} has decided nothing of it: it is not published there, and nothing leads there"))
+            notes.append(Note(f"{name} has no decision on it: it is not published there, and not sent there"))
     return notes
 
 
@@ -288,7 +290,7 @@ def _flow(route: RouteStatus) -> str:
         return _calls(route)
     transport = f"; {transport_text(route)}" if transport_text(route) else ""
     if not route.messages:
-        return f"no message has come yet; drops: {drops_text(route)}{transport}"
+        return f"no message yet; drops: {drops_text(route)}{transport}"
     speed = rate(route.rate)
     speed = "none in the last second" if speed == "-" else f"{speed} msg/s"
     return (
@@ -330,7 +332,7 @@ _EVERYTHING = (None, "**", "/**")
 def planner_note(
     config: Config, name: str, endpoints: Iterable[HubEndpoint], documents: Sequence[StatusDocument]
 ) -> Note | None:
-    """Return why the chosen planner is missing, if a name is its action on its side or on the hub."""
+    """Return why the configured planner is missing if ``name`` is its action on its side or on the hub, else None."""
     section = config.navigation
     other = section.others.get(section.planner)
     if not section.planner or name not in (section.at(section.planner), other and other.action):
@@ -339,19 +341,19 @@ def planner_note(
 
 
 def by_rules(config: Config, name: str) -> Iterator[str]:
-    """Yield a sentence for each rule that names it or renames something to it, without rules on everything."""
+    """Yield a sentence for each rule that matches ``name`` or renames something to it, except rules for all names."""
     rules = list(RuleSet(config.rules).naming(name))
     denying = [of for of, rule, matches in rules if matches and _denies_all(rule)]
     for of, rule, matches in rules:
         if matches and (rule.regex or rule.topic not in _EVERYTHING):
-            fate = f"does not cross, as {denying[0]} denies it" if denying and not rule.deny else _fate(rule)
+            fate = f"does not cross, because {denying[0]} denies it" if denying and not rule.deny else _fate(rule)
             yield f"{of}: {_what(rule)} with this name {fate}"
         elif rule.rename == name:
             yield f"{of}: {_what(rule)} {rule.topic or rule.regex} gets this name"
 
 
 def _denies_all(rule: Rule) -> bool:
-    """Return whether a rule lets nothing of its name into the hub, whatever its kind, side and type."""
+    """Return whether a rule keeps everything with its name out of the hub, whatever its kind, side and type."""
     return rule.deny and rule.to in (None, ENTRY) and (rule.kind, rule.from_, rule.type) == (None, None, None)
 
 

@@ -35,9 +35,9 @@ _ENABLED = {*ABSENT, Phase.UP.value, Phase.STOPPING.value}
 
 def register_status(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Shows every daemon and worker on the hub, this machine's workers that start or cannot work, what blocks"
-        " topics, and for each route what crosses, how fast, and what was dropped. Exit code 1 if the hub cannot be"
-        " joined, if nothing answers, or if this machine's router runs without its daemon."
+        "Shows every daemon and worker on the hub, this machine's workers that are starting or cannot work, what blocks"
+        " topics, and for each route what crosses, how fast, and what was dropped. The exit code is 1 if the hub cannot"
+        " be joined, if nothing answers, or if this machine's router runs without its daemon."
     )
     parser.add_argument("--json", action="store_true", help="print the workers' status documents as JSON")
     add_hub_arguments(parser)
@@ -45,7 +45,7 @@ def register_status(parser: argparse.ArgumentParser) -> None:
 
 
 def run_status(args: argparse.Namespace) -> int:
-    """Show the status once; a running daemon's workers also if the hub cannot be joined."""
+    """Show the status once; show a running daemon's workers even if the hub cannot be joined."""
     documents, refused, natives = list[StatusDocument](), list[Refusal](), list[NativeNodes]()
     state = daemon_state(client_config(args), file=config_file(args)) if of_this_machine(args) else DaemonState("")
     silent = absent(state.document, looping=True)
@@ -90,7 +90,7 @@ def _ask_status(client: CliClient) -> list[StatusDocument]:
 
 
 def of_daemon(state: DaemonState) -> list[StatusDocument]:
-    """Return an entry for a daemon that does not run or does not answer, in the form of a worker's document."""
+    """Return an entry like that of a worker for a daemon that does not run or does not answer."""
     if not state.trouble:
         return []
     text = f"{state.trouble}: {state.cure}"
@@ -119,7 +119,7 @@ def show(
     if any(document.routes for document in documents):
         console.print(routes_table(documents))
     else:
-        console.print("no routes: nothing is published that would cross; 'midspan topic list -v' shows what there is")
+        console.print("no routes: no published topic would cross; 'midspan topic list -v' lists all topics")
 
 
 def _refusals_of(document: StatusDocument, refused: Sequence[Refusal]) -> list[Refusal]:
@@ -154,7 +154,9 @@ def _show_worker(console: Console, document: StatusDocument, elsewhere: Containe
     for connected in connected_lines(document.ports):
         console.print(Text(f"           {connected}"))
     if isinstance(document, WorkerStatus) and (why := document.lane.why):
-        console.print(Text(f"           no lane from it, small messages go over zenoh: {clean(why)}", "yellow"))
+        console.print(
+            Text(f"           no local transport from it, so small messages go over zenoh: {clean(why)}", "yellow")
+        )
     for group in document.middlewares if isinstance(document, WorkerStatus) else ():
         console.print(Text(f"           {clean(group)}: {clean(listed(group.nodes))}"))
     for warning in grouped(text for text in document.warnings if cause(text) not in elsewhere):
@@ -162,7 +164,7 @@ def _show_worker(console: Console, document: StatusDocument, elsewhere: Containe
 
 
 def _refused(document: StatusDocument) -> list[tuple[str, str]]:
-    """What a worker refused, as one line for each cause and cure."""
+    """Return what a worker refused: one line for each cause, with its cure."""
     groups: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for route in refused_routes(document):
         text = f"refused {arrow(document.side, route.direction)} {route.topic} ({route.type}): {route.reason}"
@@ -171,7 +173,7 @@ def _refused(document: StatusDocument) -> list[tuple[str, str]]:
 
 
 def _endpoint(endpoint: EndpointStatus) -> list[Text]:
-    """Return the lines of one endpoint of hub.open: its state, and the cure if other machines cannot join by it."""
+    """Return the lines of one endpoint of hub.open: its state, and a cure if other machines cannot join through it."""
     way, place, state = (clean(text or "?") for text in (endpoint.way, endpoint.endpoint, endpoint.state))
     age = "" if endpoint.since is None else f" for {duration(max(time.time() - endpoint.since, 0.0))}"
     machine = f" to {clean(endpoint.machine)}" if state == "connected" and endpoint.machine else ""

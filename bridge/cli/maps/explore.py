@@ -39,11 +39,11 @@ from navigation.status import Fault, State
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
-_FIRST_SECONDS = 20.0  # for the first map with free cells, and for the robot's pose
-_NEWER_SECONDS = 3.0  # for a map that is newer than the last goal's end
-_SETTLE_SECONDS = 5.0  # for a map without frontiers, which a newer one may have
+_FIRST_SECONDS = 20.0  # to wait for the first map with free cells, and for the robot's pose
+_NEWER_SECONDS = 3.0  # to wait for a map that is newer than the last goal's end
+_SETTLE_SECONDS = 5.0  # to wait after a map without frontiers, because a newer map may have some
 _POLL_SECONDS = 0.1
-_GOAL_SECONDS, _METER_SECONDS, _MOST_SECONDS = 60.0, 20.0, 900.0  # of a goal: at least, per meter, at most
+_GOAL_SECONDS, _METER_SECONDS, _MOST_SECONDS = 60.0, 20.0, 900.0  # a goal's limit: base, per meter, maximum
 
 COMPLETE, STOPPED, FAILING, LIMIT = "complete", "stopped", "failing", "limit"
 
@@ -51,16 +51,19 @@ COMPLETE, STOPPED, FAILING, LIMIT = "complete", "stopped", "failing", "limit"
 def register(verbs: Any) -> None:
     parser = add_verb(
         verbs, "explore", run, "drive to the borders of the growing map until none is left",
-        "Explores an unknown floor: drives to frontiers, where free cells of Mapper2D's map touch unknown ones, the"
-        " nearest and largest first, with goals for the gateway. It ends if no frontier is left that can be reached,"
-        f" if anybody stops the robot or sends another goal, after {MOST_FAILURES} failed goals in a row, and at the"
-        " limits of time and goals. Ctrl-C, SIGTERM and SIGHUP cancel the goal. Exit code 0: complete, 1: ended before,"
-        " 130, 143 and 129: by these signals.",
+        "Explores an unknown floor by sending goals to the gateway. The goals are frontiers, where free cells of"
+        " Mapper2D's map touch unknown cells; near and large frontiers come first. It ends when no reachable frontier"
+        f" is left, when anybody stops the robot or sends another goal, after {MOST_FAILURES} failed goals in a row,"
+        " and at the limits of time and goals. Ctrl-C, SIGTERM and SIGHUP cancel the goal. The exit code is 0 if the"
+        " exploration is complete, 1 if it ended earlier, and 130, 143 or 129 after these signals.",
         example="midspan map explore --seconds 1800",
     )  # fmt: skip
     parser.add_argument("--topic", help="topic of the growing map (default: that of Mapper2D)")
     parser.add_argument(
-        "--radius", type=float, metavar="METERS", help="distance of paths from walls (default: robot_path_planner's)"
+        "--radius",
+        type=float,
+        metavar="METERS",
+        help="distance of paths from walls (default: that of robot_path_planner)",
     )
     parser.add_argument("--seconds", type=float, default=3600.0, help="end after this time (default 3600)")
     parser.add_argument("--goals", type=int, default=200, help="end after this number of goals (default 200)")
@@ -132,7 +135,7 @@ class _Floor:
             return self._arrived.wait_for(lambda: self._count > count, seconds)
 
     def map(self) -> MapGrid2D | None:
-        """Return the newest map, None before the first one, and for one without free cells."""
+        """Return the newest map; None before the first map, and if the newest has no free cells."""
         if not self._data:
             return None
         grid = from_grid(self._types.decode(GRID, self._hash, self._data), "map")
@@ -147,29 +150,29 @@ class _Floor:
             return None
 
     def missing(self) -> str:
-        """Return what has not arrived."""
+        """Return why the map or the robot's pose is missing, as the text of an error."""
         section = self._client.config.navigation
         if not self._count:
-            return f"no map on {self._topic}: enable modules.mapper2d, or name its topic with --topic"
+            return f"no map on {self._topic}: enable modules.mapper2d, or set the map's topic with --topic"
         if self.map() is None:
             return f"the map on {self._topic} has no free cells: does Mapper2D receive scans? see 'midspan status'"
         return f"the robot's pose on the map is unknown: no transform from {section.frame} to {section.base_frame}"
 
 
 class _Watch:
-    """Detects by the gateway's status that a client has stopped the robot, also between two goals.
+    """Detects from the gateway's status that a client has stopped the robot or sent a goal, also between two goals.
 
-    After the first goal has begun, the gateway is idle only if a goal was canceled, or the robot was stopped. Before,
-    it may be idle, and only shows that it is stopping.
+    After the first goal has begun, the gateway is idle only if a goal was canceled or the robot was stopped. Before
+    that, an idle gateway means nothing, and only a reason that begins with `_STOPPING` shows a stop.
     """
 
     def __init__(self) -> None:
-        self.goals: set[str] = set()  # the ids of this verb's goals, as in the status
-        self.why = ""  # why the exploration ends
+        self.goals: set[str] = set()  # the ids of this command's goals, encoded as in the status
+        self.why = ""  # why the exploration ends, "" while it continues
         self._seen = self._begun = False
 
     def update(self, status: dict[str, Any]) -> None:
-        """Accept a ``NavigationStatus``, on a thread of zenoh."""
+        """Handle a ``NavigationStatus``; called on a zenoh thread."""
         goal, state, reason = status["goal_id"], status["state"], str(status["reason"])
         if goal in self.goals:
             self._begun = True
@@ -191,7 +194,7 @@ class _Ending(NamedTuple):
 
 @dataclass
 class _Explorer:
-    """Drives to one frontier after the other."""
+    """Drives to one frontier after another."""
 
     args: argparse.Namespace
     client: CliClient
@@ -201,7 +204,7 @@ class _Explorer:
     exploration: Exploration
 
     def run(self) -> int:
-        """Explore; returns the exit code."""
+        """Explore the floor; return the exit code."""
         self._until = time.monotonic() + self.args.seconds
         self._reached, self._late, self._trouble, self._trapped = 0, "", "", ""
         began = time.monotonic()
@@ -217,7 +220,7 @@ class _Explorer:
             goal = self._next()
             ending = self._ending()
             if ending is None and goal is None:
-                ending = _Ending(COMPLETE, "no frontier is left that can be reached")
+                ending = _Ending(COMPLETE, "no reachable frontier is left")
             if ending is not None or goal is None:
                 assert ending is not None
                 return ending, 0
@@ -230,19 +233,19 @@ class _Explorer:
         if self._late:
             return _Ending(LIMIT, self._late)
         if self._trapped:
-            return _Ending(FAILING, f"no path can begin at the robot: {self._trapped}")
+            return _Ending(FAILING, f"no path can begin at the robot's position: {self._trapped}")
         if self.watch.why:
             return _Ending(STOPPED, self.watch.why)
         if self.exploration.failures >= MOST_FAILURES:
-            return _Ending(FAILING, f"{MOST_FAILURES} goals in a row have failed, the last one: {self._trouble}")
+            return _Ending(FAILING, f"{MOST_FAILURES} goals in a row failed; the last reason: {self._trouble}")
         if self.exploration.sent >= self.args.goals:
             return _Ending(LIMIT, f"{self.args.goals} goals were sent")
         if time.monotonic() >= self._until:
-            return _Ending(LIMIT, f"{self.args.seconds:g} s are over")
+            return _Ending(LIMIT, f"{self.args.seconds:g} s have passed")
         return None
 
     def _next(self) -> FrontierGoal | None:
-        """Return the next goal; None if the map has no frontier for a while, or the exploration ends."""
+        """Return the next goal; None if no frontier appears within `_SETTLE_SECONDS`, or if the exploration ends."""
         self._await(self.floor.count, _NEWER_SECONDS if self.exploration.sent else 0.0)
         missing_until = time.monotonic() + _FIRST_SECONDS
         settled_at = math.inf
@@ -267,7 +270,7 @@ class _Explorer:
         return None
 
     def _await(self, count: int, seconds: float) -> None:
-        """Wait for a newer map, and check for signals and a stop."""
+        """Wait for a newer map, and check for signals and a stop meanwhile."""
         end = time.monotonic() + seconds
         while True:
             self.interrupt.check()
@@ -276,7 +279,7 @@ class _Explorer:
                 return
 
     def _drive(self, goal: FrontierGoal) -> int:
-        """Drive to a frontier; returns the exit code for a signal, else 0."""
+        """Drive to a frontier; return the exit code for a received signal, else 0."""
         pose, frame = goal.pose, self.client.config.navigation.frame
         message = pose_goal(frame, (pose.x, pose.y, math.degrees(pose.theta)))
         try:
@@ -305,19 +308,19 @@ class _Explorer:
         return code
 
     def _judge(self, goal: FrontierGoal, end: GoalEnd, canceled_after: float) -> None:
-        """Note how a goal has ended; ``canceled_after``: seconds after which this verb canceled it, or 0."""
+        """Record how a goal ended; ``canceled_after`` is the time limit at which this command canceled it, or 0."""
         fault = int(end.result.get("error_code", 0))
         reason = reason_text(str(end.result.get("error_msg", "")), fault)
         if end.status == SUCCEEDED:
             self._reached += 1
             self.exploration.reached(goal)
         elif end.status == GoalState.CANCELED and canceled_after:
-            # no further goal is sent, as the status of an idle gateway would not show that a client stops the robot
+            # no further goal is sent, because an idle gateway's status would not show that a client stops the robot
             self._late = f"a goal took more than {canceled_after:.0f} s"
         elif end.status == GoalState.CANCELED or fault == Fault.MAY_MOVE:
             self.watch.why = self.watch.why or reason or "the goal was canceled"
         else:
-            self._trouble = reason or "without a reason"
+            self._trouble = reason or "no reason given"
             self.exploration.failed(goal)
             self._show("failed", f"not reached: {clean(self._trouble)}", reason=self._trouble)
 

@@ -32,7 +32,7 @@ TYPES = {
     WAYPOINTS: "nav2_msgs/action/FollowWaypoints",
 }
 _STAGING_SECONDS, _UNDOCKING_SECONDS = 1000.0, 30.0
-"""Defaults of the actions."""
+"""The actions' own defaults."""
 
 _SETTLING_SECONDS = 3.0
 """Time for which a goal waits until the robot is known to be idle."""
@@ -50,18 +50,20 @@ _DOCKING = (
 
 def register_dock(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Docks the robot at a location of the kind dock, or at a dock of the planner's own database, by the planner's"
+        "Docks the robot at a stored dock (a location), or at a dock of the planner's own database, with the planner's"
         " action dock_robot (Nav2's docking_server). Ctrl-C, SIGTERM and SIGHUP cancel the goal, as does every stop."
     )
     parser.epilog = "Examples: midspan location add charger 1.5 2 90 --dock; midspan dock charger; midspan dock"
-    parser.add_argument("place", nargs="?", metavar="PLACE", help="default: the only dock that is stored")
-    parser.add_argument("--type", default="", help="the dock's type for the planner, if it has no other")
+    parser.add_argument("place", nargs="?", metavar="PLACE", help="the dock; default: the only one that is stored")
+    parser.add_argument("--type", default="", help="the dock's type for the planner; default: the stored one")
     _add_common(parser)
     parser.set_defaults(run=run_dock)
 
 
 def register_undock(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Moves the robot out of its dock by the planner's action undock_robot (Nav2's docking_server)."
+    parser.description = (
+        "Moves the robot out of its dock with the planner's action undock_robot (Nav2's docking_server)."
+    )
     parser.epilog = "Example: midspan undock"
     parser.add_argument("--type", default="", help="the dock's type; default: that of the last docking")
     _add_common(parser)
@@ -70,7 +72,7 @@ def register_undock(parser: argparse.ArgumentParser) -> None:
 
 def register_waypoints(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Drives to locations or areas of the store in turn by the planner's action follow_waypoints (Nav2's"
+        "Drives to locations or areas of the store in turn with the planner's action follow_waypoints (Nav2's"
         " waypoint_follower), which stops at each, may execute a task there, and goes on if one cannot be reached."
         " 'midspan goto A B C' drives through them with any planner. Exit code 1 if a place was missed."
     )
@@ -163,7 +165,7 @@ def _run(
 
 
 def _action(client: CliClient, name: str) -> str:
-    """Return the planner's action of this name; raises `CliError` if a stop would not cancel it, or the robot moves."""
+    """Return the planner's action ``name``; raises `CliError` if a stop would not cancel it, or the robot may move."""
     planner_name = gateway_status(client).other(GatewayKeys).planner
     planner = client.config.navigation.other(planner_name)
     motion = () if planner is None else planner.motion
@@ -178,7 +180,7 @@ def _action(client: CliClient, name: str) -> str:
 
 
 def _wait_until_idle(client: CliClient) -> None:
-    """Wait a moment for the end of the previous motion; raises `CliError` if the robot may be moving then."""
+    """Wait a moment for the previous motion to end; raises `CliError` if the robot may still be moving then."""
     idle = threading.Event()
 
     def update(status: dict[str, Any]) -> None:
@@ -197,7 +199,7 @@ def _wait_until_idle(client: CliClient) -> None:
 
 
 def _dock(client: CliClient, name: str | None) -> tuple[str, Dock | None]:
-    """Return the dock's name, and its stored settings; None for one of the planner's own."""
+    """Return the dock's name and its stored settings, or None for a dock of the planner's own database."""
     locations = store_of(client).all(LOCATION)
     docks = {key: dock for key, location in locations.items() if (dock := dock_of(location)) is not None}
     if name is None:
@@ -217,7 +219,7 @@ def _dock(client: CliClient, name: str | None) -> tuple[str, Dock | None]:
 
 
 def _poses(client: CliClient, names: list[str]) -> list[dict[str, Any]]:
-    """Return the stored places as ``PoseStamped``; raises `CliError` for one on another map."""
+    """Return the stored places as ``PoseStamped``; raises `CliError` if a place is on another map."""
     locate = gateway_caller(client, Types(client), "get_location")
     poses = [place_goal(locate, name)["pose"] for name in names]
     frame = client.config.navigation.frame

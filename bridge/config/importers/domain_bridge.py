@@ -1,13 +1,14 @@
-"""From domain_bridge to Midspan: one daemon for each ROS 2 domain, all on one hub.
+"""Converts a file of domain_bridge into configurations of one daemon for each ROS 2 domain, all on one hub.
 
-The meaning of the keys is from domain_bridge's ``doc/design.md``, ``parse_domain_bridge_yaml_config.cpp`` and
+The meaning of the keys is taken from domain_bridge's ``doc/design.md``, ``parse_domain_bridge_yaml_config.cpp`` and
 ``domain_bridge.cpp`` (https://github.com/ros2/domain_bridge, main of 2025-01-09): ``topics`` may have a name several
 times, ``reversed`` swaps the domains, ``remap`` is the topic's name in the target domain (in both directions if it is
 ``bidirectional``), ``~`` is the bridge's name, and a second bridge of the same topic and domains is ignored.
-``services`` and ``actions`` have the same keys but ``qos``, and their server is in ``from_domain``.
+``services`` and ``actions`` have the same keys except ``qos``, and their server is in ``from_domain``.
 
-On the hub a topic carries the domain that it comes from in its name, ``/domain2/chatter``. So one name of two domains
-stays two topics, and each daemon's rules list the topics that leave to its domain. Services and actions are alike.
+On the hub, a topic's name begins with the domain that it comes from, as in ``/domain2/chatter``. A name that two
+domains use therefore stays two topics, and each daemon's rules list the topics that go to its domain. This is also true
+of services and actions.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from bridge.config.sections.section import Section
 MAX_DEPTH = 100_000
 
 _HEAD = (
-    "One daemon joins one domain to the hub, on which each name begins with its domain's. The daemons run side by side"
-    " and find each other at hub.listen; others join domain"
+    "One daemon joins one domain to the hub, on which each name begins with that of its domain. The daemons run side by"
+    " side and find each other at hub.listen; the others join domain"
 )
 _LISTS: dict[Kind, str] = {"topic": "topics", "service": "services", "action": "actions"}
 """The file's maps, by the kind of their entries."""
@@ -208,7 +209,7 @@ def _options(qos: DomainBridgeQos) -> dict[str, Any]:
 
 
 def _once(job: _Import, ways: list[_Way]) -> list[_Way]:
-    """Return the ways without those that would bring a topic to the same domain a second time."""
+    """Return the ways except those that would bring a topic to the same domain a second time."""
     kept: dict[tuple[str, str, str, int, int], _Way] = {}
     for route in ways:
         first = kept.setdefault((route.kind, route.topic, route.type, route.origin, route.target), route)

@@ -62,7 +62,7 @@ def through_poses(action: str) -> str:
 
 
 def module_name(factory: str) -> str:
-    """Return the name of a module by its class: ``own.planners:HallPlanner`` is ``hall_planner``."""
+    """Return the module name of a class: ``own.planners:HallPlanner`` becomes ``hall_planner``."""
     name = factory.rpartition(":")[2]
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower().strip("_")
 
@@ -70,15 +70,15 @@ def module_name(factory: str) -> str:
 class Planner(Section):
     """A planner that is not part of Midspan: any server of `NavigateToPose`, or of `MoveBase` on ROS 1."""
 
-    name: SmallName = Field(description="The planner's name: small letters, digits and underscores.")
+    name: SmallName = Field(description="The planner's name: lowercase letters, digits and underscores.")
     side: Literal["ros1", "ros2", "zenoh"] = setting("zenoh", "The side that it runs on; `zenoh` is the hub.")
     action: OptionalTopic = setting(
         "", 'Its action on that side, such as `/move_base`; "": `/planner/<name>/navigate_to_pose` on the hub.'
     )
     factory: Factory | None = setting(
-        None, "Its class as `package.module:Class`, a module that Midspan hosts; empty: it is a separate program."
+        None, "Its class as `package.module:Class`, which Midspan hosts as a module; empty: it is a separate program."
     )
-    options: dict[str, Any] = Field(default_factory=dict, description="Options with which its class starts.")
+    options: dict[str, Any] = Field(default_factory=dict, description="Options for its class.")
     path: OptionalTopic = setting("", 'Topic of its path (`nav_msgs/msg/Path`); "": none.')
     local_map: OptionalTopic = setting("", 'Topic of its local map (`nav_msgs/msg/OccupancyGrid`); "": none.')
     current_goal: OptionalTopic = setting("", 'Topic of its current goal (`geometry_msgs/msg/PoseStamped`); "": none.')
@@ -87,7 +87,7 @@ class Planner(Section):
         None, "Other actions on its side that move the base; a stop cancels them too. Not set: Nav2's, none on ROS 1."
     )
     lifecycle_managers: tuple[TopicName, ...] | None = setting(
-        None, "Its lifecycle managers in the order of their start, as in Nav2; not set: Nav2's two, and none on ROS 1."
+        None, "Its lifecycle managers in the order in which they start; not set: Nav2's two, none on ROS 1."
     )
 
     @field_validator("name")
@@ -210,7 +210,7 @@ class NavigationSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _planner_of_a_class(cls, data: Any) -> Any:
-        """If ``planner`` names a class, add it to ``planners``, and choose it by its name there."""
+        """If ``planner`` names a class, add the class to ``planners``, and choose it by its name there."""
         factory = data.get("planner") if isinstance(data, dict) else None
         if not (isinstance(factory, str) and FACTORY.fullmatch(factory)):
             return data
@@ -246,7 +246,7 @@ class NavigationSection(Section):
         return (*OURS, *self.others)
 
     def through(self, planner: str) -> str:
-        """Return a planner's action `NavigateThroughPoses` on the hub, which it may serve; "" if it has none."""
+        """Return the action `NavigateThroughPoses` on the hub that a planner may serve; "" if it has none."""
         other = self.others.get(planner)
         if other is None:
             return through_poses(planner_action(planner)) if planner == OURS[0] else ""

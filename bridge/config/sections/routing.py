@@ -23,16 +23,16 @@ _Prefix = Annotated[
 
 
 class ParameterRule(Section):
-    """Parameters that ROS 1 and ROS 2 share: of ROS 1's parameter server and of one ROS 2 node.
+    """Parameters that ROS 1's parameter server and one ROS 2 node share.
 
-    Their owner's value counts. Where `ros1` is `/move_base`, ROS 1's `/move_base/a/b` is the node's `a.b`.
+    The value of their owner is used. If `ros1` is `/move_base`, ROS 1's `/move_base/a/b` is the node's `a.b`.
     """
 
     ros1: _Key = Field(description="Namespace on ROS 1's parameter server, or one parameter: `/move_base`.")
     node: _Node = Field(description="The ROS 2 node's full name: `/controller_server`.")
     owner: Literal["ros1", "ros2"] = Field(
-        description="Their owner. ros2: the node runs, and Midspan copies its parameters to ROS 1. ros1: they are on"
-        " ROS 1's parameter server, and Midspan serves them to ROS 2 under that node name."
+        description="Their owner. `ros2`: the node runs, and Midspan copies its parameters to ROS 1. `ros1`: they are"
+        " on ROS 1's parameter server, and Midspan serves them to ROS 2 under that node name."
     )
     prefix: _Prefix = setting("", "Prefix on the node: `FollowPath`; the whole name if `ros1` is one parameter.")
     names: tuple[str, ...] = setting(
@@ -50,8 +50,8 @@ def parameters_trouble(rules: Sequence[ParameterRule]) -> str:
             shared = _within(rule.ros1, other.ros1) or _within(other.ros1, rule.ros1)
             if shared and "ros2" in (rule.owner, other.owner):
                 return (
-                    f"rules {number} and {other_number} both take what is in {max(rule.ros1, other.ros1)}, and a ROS 2"
-                    " node owns it; give each node a namespace of its own"
+                    f"rules {number} and {other_number} both share what is in {max(rule.ros1, other.ros1)}, and a ROS 2"
+                    " node owns it; give each node its own namespace"
                 )
     return ""
 
@@ -77,12 +77,12 @@ def rename_trouble(rename: str, topic: str | None, regex: str | None, *, ros1: b
         pattern = re.compile(regex)
         for number, name in _GROUP.findall(rename):
             if (number and int(number) > pattern.groups) or (name and name not in pattern.groupindex):
-                return f"takes group {number or name}, which the regular expression does not have"
+                return f"uses group {number or name}, which the regular expression does not have"
         examples = [_GROUP.sub("x", rename), _GROUP.sub("/x", rename)]
     else:
         had, taken = len(_WILDCARD.findall(topic or "")), len(_WILDCARD.findall(rename))
         if taken > had:
-            return f"has {taken} wildcards, and the topic has {had} to fill them from"
+            return f"has {taken} wildcards, but the topic has only {had} to fill them from"
         examples = [_WILDCARD.sub("x", rename)]
     if not any((_ROS1_NAME if ros1 else ROS2_NAME).fullmatch(example) for example in examples):
         return "is not a topic name: begin it with a slash; letters, digits and underscores make its parts" + (
@@ -92,10 +92,9 @@ def rename_trouble(rename: str, topic: str | None, regex: str | None, *, ros1: b
 
 
 class Rule(Section):
-    """One rule: which topics, services and actions it matches, and what happens to them.
+    """A rule for some topics, services and actions: which names it matches, and what happens to them.
 
-    Of the rules that match, any with ``deny`` wins; else the first one that matches gives rename, rate, priority,
-    depth and QoS.
+    If several rules match, one with ``deny`` wins; otherwise the first one gives rename, rate, priority, depth and QoS.
     """
 
     kind: Literal["topic", "service", "action"] | None = setting(
@@ -110,15 +109,16 @@ class Rule(Section):
     to: SideName | None = setting(
         None, "Apply only from the hub to this side; by default a rule applies from a side to the hub."
     )
-    deny: bool = setting(False, "It does not cross; this wins over every other rule.")
+    deny: bool = setting(False, "What matches does not cross; this wins over every other rule.")
     rename: str | None = setting(
         None, "New name; with `regex`, groups as `\\1`; with a glob, `*` and `**` keep what they matched there."
     )
     rate: float | None = setting(
-        None, "Messages per second at most, the newest ones. For topics only, as are the next four.", gt=0, le=10000
+        None, "Maximum messages per second; the newest cross. For topics only, like the next four.", gt=0, le=10000
     )
     priority: Literal["state", "command", "stream"] | None = setting(
-        None, "state: kept; command: newest only, never latched or late; stream: drops oldest."
+        None,
+        "`state`: queued until delivered; `command`: newest only, never latched or late; `stream`: drops the oldest.",
     )
     depth: int | None = setting(None, "Length of the route's queue, and history depth.", ge=1, le=100000)
     timeout: float | None = setting(None, "Seconds after which a command is too old (default 0.5).", gt=0, le=60)
@@ -176,14 +176,14 @@ class Rule(Section):
 
 
 class RoutingSection(Section):
-    """What crosses, and how."""
+    """What crosses between the sides and the hub, and how."""
 
     default: Literal["allow", "deny"] = setting(
         "allow", "What happens to names that no rule matches. With `deny`, the rules are the allow list."
     )
     private: bool = setting(
         True,
-        "Do not bridge what is private: rosout, parameter events, each node's own services and the like.",
+        "Do not bridge private names: rosout, parameter events, each node's own services and the like.",
     )
     rules: tuple[Rule, ...] = setting((), "The rules; see below.")
     parameters: tuple[ParameterRule, ...] = setting((), "Parameters that ROS 1 and ROS 2 share; none without a rule.")

@@ -59,35 +59,37 @@ _Release = Annotated[str, AfterValidator(_release)]
 
 
 class TopicPort(Section):
-    """One rule: the content of some topics' ports, or a YARP program's port as a topic.
+    """A rule for the content of some topics' ports, or a YARP program's port as a topic.
 
-    Without `port` it applies to the topics' own ports, and the first rule whose `topic` matches counts; with a `type`
-    the input port exists even without other publishers and subscribers of the topic. With `port` it applies only to
-    that port, on any machine: Midspan connects to it, and connects again whenever the port returns.
+    Without `port`, the rule applies to the topics' own ports, and the first rule whose `topic` matches is used; with a
+    `type`, the input port exists even without other publishers and subscribers of the topic. With `port`, the rule
+    applies only to that port, on any machine: Midspan connects to it, and connects again whenever the port returns.
     """
 
     topic: str = Field(description="The topic, for example `/scan`; without `port` also a glob: `/camera/**`.")
     port: PortName | None = setting(None, "A port of a YARP program to connect, for example `/laser:o`.")
     type: _MessageType | None = setting(None, "The message type as in ROS 2; a port that sends messages needs it.")
     direction: Literal["in", "out", "both"] = setting(
-        "both", "`in`: from YARP, `out`: to YARP. With `port`, one of them: whether it sends or receives messages."
+        "both",
+        "`in`: from YARP, `out`: to YARP. With `port`: `in` if the port sends messages, `out` if it receives them.",
     )
     as_: Literal["bottle", "natural", "fields"] | None = Field(
         default=None,
         alias="as",
         description="What the port carries. `bottle`: the nested lists of YARP's own converter of ROS messages;"
         " `natural`: the corresponding YARP type, if it exists; `fields`: the Bottle of `fields`."
-        " Default `yarp.as`, or `fields` if they are given.",
+        " Default: `yarp.as`, or `fields` if that list is given.",
     )
     fields: tuple[_Field, ...] = setting(
         (),
-        "The values of a short Bottle: `linear.x`, `deg(angular.z)` for degrees there, `position[0]`, or a constant: a"
-        " number, or a text in single quotes. Example: `[linear.x, linear.y, angular.z]`.",
+        "The values of a short Bottle: fields of the message (`linear.x`, `position[0]`, or `deg(angular.z)` for"
+        " degrees in the Bottle), and constants (numbers, or texts in single quotes). Example:"
+        " `[linear.x, linear.y, angular.z]`.",
     )
     carrier: str | None = setting(None, "With `port`: the carrier of the connection, for example `fast_tcp`.")
     profile: ProfileName | None = setting(
         None,
-        "The YARP release whose wire format the port uses; by default Midspan asks the port, else uses `yarp.profile`.",
+        "The YARP release whose wire format the port uses; by default the port's answer, or else `yarp.profile`.",
     )
     latched: bool = setting(False, "Keep the last message from YARP for late joiners.")
     frame: str = setting("", "Frame of messages whose YARP type has none.")
@@ -112,43 +114,43 @@ class TopicPort(Section):
         if not self.topic.startswith(("/", "**")):
             msg = f"{self.topic!r} is not a topic: names begin with a slash"
         elif self.port is not None and not plain:
-            msg = f"{self.topic!r} is not a topic name, and a port is one topic"
+            msg = f"{self.topic!r} is not a topic name; a port is one topic, so that globs are not allowed"
         elif self.port is not None and self.direction == "both":
             msg = f"set 'direction: in' if {self.port} sends messages, 'direction: out' if it receives them"
         elif self.port is not None and self.direction == "in" and self.type is None:
-            msg = f"a port does not announce its type: give the 'type' of what {self.port} brings"
+            msg = f"a port does not announce its type: give the 'type' of the messages that {self.port} sends"
         elif self.port is None and self.type is not None and not plain:
-            msg = f"{self.topic!r} is not a topic name; with a 'type' it is about one topic"
+            msg = f"{self.topic!r} is not a topic name; a rule with a 'type' is for one topic"
         elif self.port is None and self.carrier is not None:
             msg = "'carrier' is for a connection to a 'port'"
         elif self.as_ == "fields" and not self.fields:
             msg = "as: fields needs 'fields'"
         elif self.fields and self.as_ not in (None, "fields"):
-            msg = f"has 'fields', and is not as: {self.as_}"
+            msg = f"has 'fields', which exclude as: {self.as_}"
         else:
             return self
         raise ValueError(msg)
 
 
 class Peer(Section):
-    """One rule: the YARP release of the ports with some name."""
+    """A rule for the YARP release of the ports whose names match."""
 
-    port: str = Field(description="Port names: `/cer/*`, where `*` stands for anything, including slashes.")
-    release: _Release = Field(description="Such as `3.9`; see `release` of the section.")
+    port: str = Field(description="Names of ports, such as `/cer/*`; `*` matches anything, including slashes.")
+    release: _Release = Field(description="The YARP release, such as `3.9`; see the section's `release`.")
 
 
 class ServicePort(Section):
-    """One rule: the content of some services' RPC ports, or a YARP program's RPC port as a service.
+    """A rule for the content of some services' RPC ports, or a YARP program's RPC port as a service.
 
-    Without `port` it applies to the services' own RPC ports, and the first rule whose `service` matches counts. With
-    `port` that port, on any machine, serves the service of the type `type`.
+    Without `port`, the rule applies to the services' own RPC ports, and the first rule whose `service` matches is used.
+    With `port`, that port, on any machine, serves the service of the type `type`.
     """
 
     service: str = Field(description="The service, for example `/static_map`; without `port` also a glob.")
     port: PortName | None = setting(None, "An RPC port of a YARP program, for example `/lamp/rpc:i`.")
     type: _ServiceType | None = setting(None, "With `port`: the service's type as in ROS 2: `std_srvs/srv/SetBool`.")
     request: tuple[_Field, ...] = setting(
-        (), "The values of the request's Bottle, as `fields` of topics: `['set', data]`; default: nested lists."
+        (), "The values of the request's Bottle, like `fields` of topics: `['set', data]`; default: nested lists."
     )
     reply: tuple[_Field, ...] = setting((), "The values of the reply's Bottle.")
     carrier: str | None = setting(None, "With `port`: the carrier of the connection, for example `fast_tcp`.")
@@ -160,7 +162,7 @@ class ServicePort(Section):
         if not self.service.startswith(("/", "**")):
             msg = f"{self.service!r} is not a service: names begin with a slash"
         elif self.port is not None and ROS2_NAME.fullmatch(self.service) is None:
-            msg = f"{self.service!r} is not a service name, and a port is one service"
+            msg = f"{self.service!r} is not a service name; a port is one service, so that globs are not allowed"
         elif self.port is not None and self.type is None:
             msg = f"a port does not announce its type: give the 'type' of the service that {self.port} serves"
         elif self.port is None and (self.type or self.carrier):
@@ -171,33 +173,33 @@ class ServicePort(Section):
 
 
 class YarpSection(SideSection):
-    """The YARP network: its name server, and what the ports of topics are called and carry."""
+    """The YARP network: its name server, and the names and content of the topics' ports."""
 
-    enabled: Enabled = setting("auto", "`auto`: if a yarp.conf names a name server, or this section has a key.")
+    enabled: Enabled = setting("auto", "`auto`: enabled if a yarp.conf names a name server, or this section has a key.")
     nameserver: Literal["auto", "embedded", "site"] = setting(
         "auto",
-        "`site`: the one that yarp.conf or `address` names; `embedded`: our own, in the worker; `auto`: our own if its"
-        " address is on this machine, or not set, and none answers there.",
+        "`site`: the one that yarp.conf or `address` names; `embedded`: Midspan's own, in the worker; `auto`: Midspan's"
+        " own if the address is on this machine, or not set, and no name server answers there.",
     )
-    address: _Address | None = setting(None, "Address of the name server, as `robot:10000`; default: yarp.conf's.")
+    address: _Address | None = setting(None, "Address of the name server, such as `robot:10000`; default: yarp.conf's.")
     namespace: PortName | None = setting(None, "The name server's port name; default $YARP_NAMESPACE or `/root`.")
     ports: str | None = setting(
         None,
-        "TCP ports that our ports choose from; default `20000-29999` if the name server is at 10000; `server`: the"
-        " name server chooses, as for YARP's own programs.",
+        "Range of TCP ports for Midspan's YARP ports; default `20000-29999` if the name server is at 10000; `server`:"
+        " the name server chooses, as for YARP's own programs.",
     )
-    ip: str | None = setting(None, "Address that our ports listen on and announce; default YARP_IP's.")
+    ip: str | None = setting(None, "Address that Midspan's ports listen on and announce; default: that of YARP_IP.")
     profile: ProfileName = setting(
         "yarp3", "Wire format for ports that do not announce their release: `yarp3` for YARP 3, `yarp4` for YARP 4."
     )
     release: _Release | None = setting(
         None,
         "Release of this network's programs, such as `3.9`. It decides the format of replies to their calls, which"
-        " changed with 3.11, 3.12 and 4.0. By default Midspan finds out each client's (docs/sides/yarp.md); unknown"
-        " clients of YARP 3 get the replies of 3.12, except for those that another release would read as a success"
-        " although they report a failure.",
+        " changed with 3.11, 3.12 and 4.0. By default Midspan determines each client's release"
+        " (docs/sides/yarp.md); unknown clients of YARP 3 get the replies of 3.12, except for failures that another"
+        " release would read as a success.",
     )
-    peers: tuple[Peer, ...] = setting((), "The release of some ports; the first match counts.")
+    peers: tuple[Peer, ...] = setting((), "The release of some ports; the first match is used.")
     as_: Literal["bottle", "natural"] = Field(
         default="bottle", alias="as", description="Content of ports without a matching rule in `topics`."
     )
@@ -205,8 +207,10 @@ class YarpSection(SideSection):
     input: _Scheme = setting("/midspan{topic}:i", "Name of the port that receives a topic's messages from YARP.")
     rpc: _Scheme = setting("/midspan{topic}/rpc", "Name of the RPC port that serves a service to YARP programs.")
     poll: float = setting(0.5, "Seconds between polls of the name server.", ge=0.05, le=10)
-    topics: tuple[TopicPort, ...] = setting((), "What ports carry, and which ports are topics.")
-    services: tuple[ServicePort, ...] = setting((), "What RPC ports carry, and which RPC ports are services.")
+    topics: tuple[TopicPort, ...] = setting((), "Rules for what ports carry, and for which ports are topics.")
+    services: tuple[ServicePort, ...] = setting(
+        (), "Rules for what RPC ports carry, and for which RPC ports are services."
+    )
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
@@ -227,7 +231,7 @@ class YarpSection(SideSection):
         return range(0) if self.ports == "server" else range(int(first), int(last) + 1)
 
     def generations(self, findings: Findings | None = None) -> Generations:
-        """Decides how calls of a port's clients are answered, also by what the clients disclose."""
+        """Return what chooses the reply format for each client, also by the ``findings`` about the clients."""
         return Generations(
             None if self.release is None else Generation.of(self.release),
             [(peer.port, Generation.of(peer.release)) for peer in self.peers],
@@ -268,7 +272,7 @@ class YarpSection(SideSection):
         ports = [(topic.port, topic.topic) for topic in self.topics if topic.port is not None]
         ports += [(service.port, service.service) for service in self.services if service.port is not None]
         if len({self.output, self.input, self.rpc}) < 3:
-            msg = "output, input and rpc are not three names"
+            msg = "output, input and rpc must be three different names"
         elif len(set(ports)) < len(ports):
             msg = f"names the port {max(ports, key=ports.count)[0]} twice for one topic"
         else:

@@ -1,4 +1,4 @@
-"""One run of the demo: start the real programs and the daemon, drive, check what was bridged, end everything."""
+"""One run of the demo: starts the real programs and the daemon, drives, checks what was bridged, ends everything."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ ASK_AGAIN = 1.5
 """Seconds after which a late subscriber that received nothing subscribes again."""
 
 LATE_SECONDS = 5.0
-"""How long each late subscriber waits for earlier messages."""
+"""Seconds for which each late subscriber waits for earlier messages."""
 
 CROSS_SECONDS = 10.0
-"""How long to wait in the end for missing messages, once none arrive any longer."""
+"""Seconds to wait for missing messages at the end, once no more messages arrive."""
 
 SILENCE = 2.0
 """Seconds after a drive; by then the command's timeout (0.5 s) is over, and the robot has braked (1 s)."""
@@ -116,7 +116,7 @@ class TopicsDemo(DemoRun):
         self._launch(who, [sys.executable, "-m", f"bridge.demo.topics_demo.{module}", *map(str, arguments)], env)
 
     def _wait_for(self, ready: Callable[[], bool], what: str) -> None:
-        """Wait for a part while there is progress; raises `DemoError` if there is none, or a part failed."""
+        """Wait for a part while there is progress; raises `DemoError` without progress, or if a part failed."""
         self._progress.begin()
         while not ready():
             silent = [child for name, child in self._children.items() if name in PROGRAMS and not child.report]
@@ -125,7 +125,7 @@ class TopicsDemo(DemoRun):
             self._check(what)
 
     def _wait_until_joined(self) -> None:
-        """Wait until each program has received something from the robot; the checks find what is missing."""
+        """Wait until each program has received something from the robot; the checks report what is missing."""
         listeners = [self._children[program] for program in (ROS2, ZENOH, YARP)]
         self._until(
             lambda: all(_received_anything(child.report) for child in listeners),
@@ -136,8 +136,8 @@ class TopicsDemo(DemoRun):
     def _join_late(self, program: str) -> None:
         """Let a program subscribe to earlier messages, and wait a moment for them.
 
-        zenoh-ros2-sdk queries latched messages once, and on a busy machine before it has discovered the publishers; so
-        its program comes second, and subscribes again.
+        zenoh-ros2-sdk queries latched messages only once, on a busy machine even before it has discovered the
+        publishers. Therefore its program comes second, and subscribes again.
         """
         child, end, retry = self._children[program], time.monotonic() + LATE_SECONDS, 0.0
         while time.monotonic() < end:
@@ -174,7 +174,7 @@ class TopicsDemo(DemoRun):
         )
 
     def _until(self, ready: Callable[[], bool], every: float, doing: str) -> None:
-        """Wait for a condition while there is progress. The checks find what is missing."""
+        """Wait for a condition while there is progress; the checks report what is missing."""
         self._progress.begin()
         while not ready() and not self._progress.stalled:
             self._wait(every, doing)

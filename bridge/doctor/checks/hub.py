@@ -30,13 +30,13 @@ from bridge.status import GatewayKeys, ModuleStatus, RouterStatus, StatusDocumen
 
 _HUB = "hub.listen"
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
-"""What the daemon says of a worker that does not answer on the hub yet."""
+"""The states that the daemon reports for a worker that does not answer on the hub yet."""
 
 
 def check_config(context: CheckContext) -> Findings:
-    """The file's problems, and a hub that is open to everybody."""
+    """Report the file's problems, and a hub that is open to everybody."""
     if not context.config_good:
-        return [fail(line, "mend it ('midspan config check')") for line in context.config_text.splitlines()]
+        return [fail(line, "correct it ('midspan config check')") for line in context.config_text.splitlines()]
     findings = [ok(context.config_text)]
     listener = context.config.hub.open
     if listener.insecure:
@@ -80,7 +80,7 @@ def _shared_settings(configs: Mapping[str, Config]) -> Iterator[Finding]:
 
 
 def _shared_ports(configs: Mapping[str, Config]) -> Iterator[Finding]:
-    """Yield a finding for each two addresses of two daemons that have one port, except the same setting twice."""
+    """Yield a finding for each pair of addresses of two daemons that share a port, unless both are the same setting."""
     for (first_unit, first), (other, second) in combinations(configs.items(), 2):
         for place, taken in product(listeners(second), listeners(first)):
             alike = place.key == taken.key and (place.text == taken.text or place.key == _HUB)
@@ -92,7 +92,7 @@ def _shared_ports(configs: Mapping[str, Config]) -> Iterator[Finding]:
 
 
 def check_workers(context: CheckContext) -> Findings:
-    """The daemon itself, and the state of each worker."""
+    """Check the daemon itself, and the state of each worker."""
     hub, state = context.hub, context.daemon
     missing = [fail(state.trouble, state.cure)] if state.trouble else []
     if hub.error:
@@ -115,7 +115,7 @@ def check_workers(context: CheckContext) -> Findings:
 
 
 def _alone(context: CheckContext, daemon: str, workers: Sequence[StatusDocument]) -> list[Finding]:
-    """A warning if only the router of another machine's daemon answers; a router outlives its daemon."""
+    """Return a warning if only the router of another machine's daemon answers, because it outlives its daemon."""
     if daemon == context.config.name or [document.worker for document in workers] != ["router"]:
         return []
     seen = f"only the router of {daemon} answers: the daemon is down, or runs nothing else"
@@ -123,13 +123,13 @@ def _alone(context: CheckContext, daemon: str, workers: Sequence[StatusDocument]
 
 
 def _worker(context: CheckContext, document: StatusDocument, elsewhere: Container[str] = ()) -> Finding:
-    """The state of a worker, without the warnings whose causes are in ``elsewhere``."""
+    """Return a finding on a worker's state, without the warnings whose causes are in ``elsewhere``."""
     name = f"{document.daemon}/{document.worker}"
     state, log = document.state, f"see its log: journalctl -u {context.daemon.unit}"
     if document.error:
         return fail(f"{name} {'does not answer' if state == 'failed' else f'is {state}'}: {document.error}", log)
     if document.loops:
-        return fail(f"{name} crashes again and again, now it is {state}: {document.text}", log)
+        return fail(f"{name} crashes again and again; it is now {state}: {document.text}", log)
     warnings = [text for text in document.warnings if cause(text) not in elsewhere]
     if warnings:
         inactive = inactive_nodes(document) if document.worker == "gateway" else None
@@ -148,7 +148,7 @@ def _worker(context: CheckContext, document: StatusDocument, elsewhere: Containe
 
 
 def _waiting(context: CheckContext, document: StatusDocument, name: str) -> Finding:
-    """A side waits for its network; a module reports what it waits for."""
+    """Return a finding on a waiting worker: a side waits for its network, and a module reports what it waits for."""
     if not isinstance(document, ModuleStatus):
         return warn(f"{name} waits: its network is unavailable", "see the checks of that side")
     hub = context.hub
@@ -161,16 +161,16 @@ def _waiting(context: CheckContext, document: StatusDocument, name: str) -> Find
 
 
 def check_port(context: CheckContext) -> Findings:
-    """The program at the router's address: our router, another one, or something else."""
+    """Check which program listens at the router's address: Midspan's router, another router, or something else."""
     hub = context.config.hub
     try:
         info = probe_router(hub.listen, hub.zenoh)
     except HubError as err:
-        return fail(str(err), "mend hub.zenoh")
+        return fail(str(err), "correct hub.zenoh")
     if info is None:
         deaf = unresponsive_router(context.config)
         if deaf:
-            return fail(deaf, "see the checks 'daemon' and 'descriptors'; if they are good, end that process")
+            return fail(deaf, "see the checks 'daemon' and 'descriptors'; if both are good, end that process")
         if not port_held(hub.listen):
             return ok(f"nothing listens at {hub.listen}: the daemon's router will")
         seen = f"{hub.listen} is held by a program that is not zenoh{_holder(hub.listen)}"
@@ -195,11 +195,11 @@ def _holder(endpoint: str) -> str:
 
 
 SOON_DAYS = 30
-_RENEW = "'midspan keys make NAME --replace', and copy the files; the router takes them up by itself"
+_RENEW = "'midspan keys make NAME --replace', and copy the files; the router loads them without a restart"
 
 
 def check_keys(context: CheckContext) -> Findings:
-    """The files of ``hub.open``: there, readable, for this machine, of one authority, and valid for a while."""
+    """Check that the files of ``hub.open`` exist, are readable, fit each other and this machine, and stay valid."""
     if not has_tls(context.config.hub.open):
         return skip("hub.open names no endpoint with TLS: no certificate is needed")
     files = key_files(context.config)
@@ -227,10 +227,10 @@ def check_keys(context: CheckContext) -> Findings:
 
 
 def _distrust(name: str, context: CheckContext) -> list[Finding]:
-    """The daemons that take no commands from this machine."""
+    """Return a warning for each daemon that accepts no commands from this machine."""
     return [
         warn(
-            f"{document.daemon} takes no commands, goals and service calls from this machine",
+            f"{document.daemon} accepts no commands, goals and service calls from this machine",
             f"if that is not intended, name {name!r} in hub.open.trusted there",
         )
         for document in context.hub.documents
@@ -241,7 +241,7 @@ def _distrust(name: str, context: CheckContext) -> list[Finding]:
 
 
 def _validity(certificate: Certificate) -> list[Finding]:
-    """A certificate that is not valid yet, has expired, or soon will be."""
+    """Return a finding if a certificate is not valid yet, has expired, or expires soon."""
     if certificate.begins_later():
         seen = f"{certificate.file} is not valid before {certificate.since:%Y-%m-%d %H:%M} UTC: no machine accepts it"
         return [fail(seen, early_cure())]
@@ -267,4 +267,4 @@ def _fit(files: KeyFiles) -> list[Finding]:
 def _mode(files: KeyFiles) -> list[Finding]:
     if not files.key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         return []
-    return [warn(f"other users may use {files.key}, and so pass for this machine", f"chmod 600 {files.key}")]
+    return [warn(f"other users may use {files.key}, and so impersonate this machine", f"chmod 600 {files.key}")]

@@ -1,7 +1,7 @@
 """ROS 1: its packages, its master, this shell against the daemon, and the classic problem of names that do not resolve.
 
 Every ROS 1 node registers its address from ROS_HOSTNAME, ROS_IP or the machine's name (rosgraph.network) with the
-master, and its subscribers must reach it under that name. If host names do not resolve alike on all machines, data flow
+master, and its subscribers must reach it under that name. If host names resolve differently on the machines, data flows
 in only one direction.
 """
 
@@ -39,7 +39,7 @@ def why_not(context: CheckContext) -> str:
 
 
 def check_master(context: CheckContext) -> Findings:
-    """Check that the master's name resolves, and that it responds."""
+    """Check that the master's host name resolves, and that the master responds."""
     if reason := why_not(context):
         return skip(reason)
     uri = context.master
@@ -68,7 +68,7 @@ def check_environment(context: CheckContext) -> Findings:
     config = context.config.ros1.embedded_uri or context.config.ros1.master
     findings: list[Finding] = []
     if shell and config and not _same_place(shell, config):
-        cure = "set both alike: export ROS_MASTER_URI, or change ros1.master"
+        cure = "set both to the same master: export ROS_MASTER_URI, or change ros1.master"
         findings.append(warn(f"this shell's ROS_MASTER_URI is {shell}, but ros1.master is {config}", cure))
     findings += _against_worker(context, shell or master_uri(context.config, {}))
     return findings or ok(f"this shell and the daemon use {shell or context.master}")
@@ -232,8 +232,8 @@ Outcome = TypeVar("Outcome")
 def in_parallel(work: Callable[[Item], Outcome], items: Sequence[Item], threads: int) -> list[Outcome]:
     """Apply ``work``, which must not raise, to each item; return the results in the items' order.
 
-    Unlike those of `concurrent.futures`, the threads do not delay the exit of the process: the system's resolver has no
-    configurable timeout.
+    Unlike those of `concurrent.futures`, the threads do not delay the exit of the process: the resolver's timeout
+    cannot be configured.
     """
     waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
     done: queue.SimpleQueue[tuple[int, Outcome]] = queue.SimpleQueue()
@@ -258,7 +258,7 @@ CHECKS = (
     Check("ros1-packages", "ROS 1 on this machine", check_packages),
     Check("ros1-master", "the ROS 1 master", check_master),
     Check("ros1-environment", "this shell's ROS 1 against the daemon's", check_environment),
-    Check("ros1-address", "the address that ROS 1 peers are given", check_address),
+    Check("ros1-address", "the address announced to ROS 1 peers", check_address),
     Check("ros1-nodes", "the addresses of ROS 1 nodes", check_nodes),
 )
 """The doctor's checks of this side."""

@@ -236,7 +236,7 @@ def test_pub_warns_of_sides_that_it_does_not_reach(midspan: Midspan, worker: Eng
         other = hub.publisher("/secret", "std_msgs/msg/Bool", "RIHS01_" + "1" * 64, Qos())
         done = midspan("topic", "pub", "/secret", STRING, "--once", "--settle", "0.5")
         other.close()
-    assert "it does not reach ROS 1: denied: rule 1 denies it" in done.err
+    assert "the messages do not reach ROS 1: denied: rule 1 denies it" in done.err
     assert "/secret is std_msgs/msg/Bool elsewhere" in done.err
 
 

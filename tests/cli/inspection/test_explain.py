@@ -103,9 +103,7 @@ def test_explain_omits_workers_without_a_decision(
     out = midspan("explain", "/fine").out
     assert "None" not in out
     notes = [line for line in out.splitlines() if line.startswith("Note:") and "did not answer" not in line]
-    assert notes == [
-        "Note: YARP (daemon robot1) has decided nothing of it: it is not published there, and nothing leads there."
-    ]
+    assert notes == ["Note: YARP (daemon robot1) has no decision on it: it is not published there, and not sent there."]
 
 
 def test_a_topic_of_another_name_on_the_hub_is_followed_there(
@@ -172,7 +170,7 @@ def test_an_unused_name_that_one_rule_allows_and_another_denies(
     midspan = Midspan(config_file(tmp_path, network, routing={"rules": rules}), capsys)
     closing.append(FakeWorker(network, "ros1", status=status("ros1"), explain=[]))
     out = midspan("explain", "/old").out
-    assert "rule 1: a topic, service or action with this name does not cross, as rule 2 denies it." in out
+    assert "rule 1: a topic, service or action with this name does not cross, because rule 2 denies it." in out
     assert "rule 2: a topic, service or action with this name does not cross." in out
 
 
@@ -251,7 +249,7 @@ def test_a_worker_that_hangs_is_named(midspan: Midspan, network: HubNetwork, clo
         assert "    /nav/rpc over tcp: its calls are answered as YARP 3.12 does (a guess)" in done.out
         assert "        cure: set its release" in done.out
         assert "On the hub" not in done.out, "it is a port's name"
-        assert "YARP (daemon robot1) did not answer within 2 s, so what it knows is missing" in done.out
+        assert "YARP (daemon robot1) did not answer within 2 s, so its decisions are missing" in done.out
         done = midspan("explain", "/nowhere")
         assert done.code == 1
         assert "YARP (daemon robot1) did not answer within 2 s" in done.err

@@ -173,7 +173,7 @@ def test_failed_goals_are_remembered_and_end_it(exploring: Exploring) -> None:
 
     outcome = exploring.run(play)
     assert outcome.code == 1
-    assert "failing: 3 goals in a row have failed, the last one: no path 3" in outcome.out
+    assert "failing: 3 goals in a row failed; the last reason: no path 3" in outcome.out
     heights = [round(goal.goal["pose"]["pose"]["position"]["y"], 1) for goal in planner.goals]
     assert len({*heights}) == 3, heights
     assert np.ptp(heights) > 2.5

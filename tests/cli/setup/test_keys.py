@@ -207,7 +207,7 @@ def test_doctor_names_machines_that_refuse_commands(folder: Path) -> None:
     place = around({"hub": {"open": {"connect": ["tls/b:7448"], "keys": str(folder)}}}, hub=view)
     finding = only(hub_checks.check_keys(place))
     assert finding.result is Result.WARN
-    assert finding.seen.startswith("b takes no commands")
+    assert finding.seen.startswith("b accepts no commands")
 
 
 @pytest.mark.parametrize(("days", "expected"), [(31, Result.OK), (20, Result.WARN)])
