@@ -35,7 +35,7 @@ def page(version: str) -> str:
     parser = build_parser(VERBS)
     lines = [f'.TH MIDSPAN 1 "" "Midspan {roff(version)}" "User Commands"', ".SH NAME"]
     lines += ["midspan \\- bridge daemon for mobile robots: ROS 1, ROS 2, YARP and zenoh"]
-    lines += [".SH SYNOPSIS", ".B midspan", "VERB [ARGUMENT ...]", ".SH DESCRIPTION", roff(parser.description or "")]
+    lines += [".SH SYNOPSIS", ".B midspan", "COMMAND [ARGUMENT ...]", ".SH DESCRIPTION", roff(parser.description or "")]
     lines += [".SH OPTIONS", *_arguments(parser), ".SH VERBS"]
     for name, verb in verbs(parser).items():
         lines += _verb(f"midspan {name}", verb, VERBS[name].help)

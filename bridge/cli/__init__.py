@@ -1,1 +1,1 @@
-"""The command ``midspan``: one package for each group of verbs."""
+"""The program ``midspan``: one package for each group of commands."""

@@ -1,4 +1,4 @@
-"""The parser of all verbs, and the arguments that many of them share."""
+"""The parser of all commands, and the arguments that many of them share."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class VerbParser(argparse.ArgumentParser):
 
     Before Python 3.14, argparse does so only for plain numbers such as ``-1.6``, and reports other words as unknown
     options. An option with several values also accepts the first one after ``=``: ``--points=-1.6,0.9 2,1 2,3``.
-    Errors about unknown verbs, choices and options name the nearest known ones.
+    Errors about unknown commands, choices and options name the nearest known ones.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -40,7 +40,7 @@ class VerbParser(argparse.ArgumentParser):
 
     @override
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
-        """Parse as argparse does, but report unknown arguments as errors of the verb that they were given to."""
+        """Parse as argparse does, but report unknown arguments as errors of the command that they were given to."""
         arguments = list(sys.argv[1:] if args is None else args)
         self._refuse_before_verb(arguments)
         parsed, unknown = self.parse_known_args(arguments, namespace)
@@ -49,7 +49,7 @@ class VerbParser(argparse.ArgumentParser):
         return parsed
 
     def _refuse_before_verb(self, words: Sequence[str]) -> None:
-        """Refuse a verb's option that precedes the verb: argparse would read the option's value as the verb."""
+        """Refuse a command's option that precedes the command: argparse would read its value as the command."""
         option = words[0].partition("=")[0] if words else ""
         known = any(name.startswith(option) for name in self._option_string_actions)
         verb = next((argument for argument in words if self._of_verb([argument]) is not self), None)
@@ -59,10 +59,10 @@ class VerbParser(argparse.ArgumentParser):
             and verb is not None
             and not _meant(option, self._option_string_actions)
         ):
-            self.error(f"{option} belongs after the verb: '{self.prog} {verb} {option} ...'")
+            self.error(f"{option} belongs after the command: '{self.prog} {verb} {option} ...'")
 
     def _of_verb(self, words: Iterable[str]) -> VerbParser:
-        """Return the parser of the verb or subverb that a command line names."""
+        """Return the parser of the command or subcommand that a command line names."""
         parser = self
         for argument in words:
             below = next((a for a in parser._actions if isinstance(a, argparse._SubParsersAction)), None)
@@ -77,7 +77,7 @@ class VerbParser(argparse.ArgumentParser):
 
     @override
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse an unknown verb or choice, and name those that may have been meant."""
+        """Refuse an unknown command or choice, and name those that may have been meant."""
         if action.choices is None or value in action.choices:
             return
         known = list(map(str, action.choices))
@@ -86,7 +86,7 @@ class VerbParser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, text)
         described = {str(verb.dest): str(verb.help) for verb in action._choices_actions}
         hint = _meant(str(value), known, described) or "."
-        raise argparse.ArgumentError(None, f"unknown verb {value!r}{hint} '{self.prog} --help' lists all verbs.")
+        raise argparse.ArgumentError(None, f"unknown command {value!r}{hint} '{self.prog} --help' lists all commands.")
 
     def _split(self, words: Iterable[str]) -> Iterator[str]:
         options = True
@@ -110,9 +110,9 @@ class VerbParser(argparse.ArgumentParser):
 
 
 def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None = None) -> str:
-    """Return ``. Did you mean status?``, "" if no known name is similar; ``described`` has the help of each verb.
+    """Return ``. Did you mean status?``, "" if no known name is similar; ``described`` has the help of each command.
 
-    A word in a verb's help also suggests that verb: ``echo`` suggests ``topic``.
+    A word in a command's help also suggests that command: ``echo`` suggests ``topic``.
     """
     from bridge.text import near  # needed only here
 
@@ -129,9 +129,9 @@ def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None 
 def add_verb(
     verbs: Any, name: str, run: Run | None, text: str, description: str = "", *, example: str = "", hub: bool = True
 ) -> argparse.ArgumentParser:
-    """Add a verb below another one, by default with the arguments that find the hub.
+    """Add a command below another one, by default with the arguments that find the hub.
 
-    ``text`` is the line in the list of verbs, and the default description.
+    ``text`` is the line in the list of commands, and the default description.
     """
     parser: argparse.ArgumentParser = verbs.add_parser(
         name,
@@ -146,8 +146,8 @@ def add_verb(
     return parser
 
 
-def add_verbs(parser: argparse.ArgumentParser, description: str, metavar: str = "VERB", **more: Any) -> Any:
-    """Describe a verb that has subverbs; return the object to which the subverbs are added."""
+def add_verbs(parser: argparse.ArgumentParser, description: str, metavar: str = "COMMAND", **more: Any) -> Any:
+    """Describe a command that has subcommands; return the object to which the subcommands are added."""
     parser.description = description
     return parser.add_subparsers(metavar=metavar, required=True, **more)
 
@@ -158,7 +158,7 @@ def add_config(parser: argparse._ActionsContainer) -> None:
 
 
 def add_hub_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments with which every verb finds the hub."""
+    """Add the arguments with which every command finds the hub."""
     group = parser.add_argument_group("which hub")
     add_config(group)
     group.add_argument(
@@ -189,7 +189,7 @@ def _domain(text: str) -> int:
 
 
 def add_exclude(parser: argparse._ActionsContainer) -> None:
-    """Add ``--exclude``, which all verbs that select topics have."""
+    """Add ``--exclude``, which all commands that select topics have."""
     parser.add_argument(
         "-x", "--exclude", action="append", default=[], type=expression, metavar="RE",
         help="leave out topics whose names contain a match of this regular expression; may be repeated",

@@ -8,7 +8,7 @@ import sys
 from bridge.daemon.heartbeat import start_heartbeat
 
 if __name__ == "__main__":
-    gc.disable()  # imports leave no garbage; `WorkerMain` enables it
+    gc.disable()  # imports create no garbage to collect; `WorkerMain` enables collection
     heartbeat = start_heartbeat()
     try:
         from bridge.cli.main import main

@@ -1,4 +1,4 @@
-"""A verb's session on the hub, with what this machine's daemon reports if something is missing."""
+"""A command's session on the hub, with reports of this machine's daemon about what is missing."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from bridge.stores.entry import StoreError
 
 @dataclass(frozen=True, slots=True)
 class CliClient(Client):
-    """A verb's session on the hub; ``file`` is the configuration's file."""
+    """A command's session on the hub; ``file`` is the configuration's file."""
 
     file: Path | None = None
 
     def daemon(self, documents: Iterable[StatusDocument] = ()) -> DaemonState:
-        """Return the state of this machine's daemon, unknown on another hub, and the documents of the hub."""
+        """Return the state of this machine's daemon, given the hub's status documents; unknown on another hub."""
         return daemon_state(self.config, documents, self.file) if self.here else DaemonState(self.config.name)
 
 
 def config_file(args: argparse.Namespace) -> Path | None:
-    """Return the configuration file that a verb uses, or None."""
+    """Return the configuration file that a command uses, or None."""
     file: Path | None = args.config or find()
     return file
 
@@ -51,7 +51,7 @@ def client_config(args: argparse.Namespace) -> Config:
         if args.config is not None or args.router is None:
             raise
         more = f" (and {len(err.problems) - 1} more)" if len(err.problems) > 1 else ""
-        ignored = "the file is ignored, as --router names the hub"
+        ignored = "the file is ignored, because --router names the hub"
         print(f"midspan: warning: {err.problems[0]}{more}; {ignored}", file=sys.stderr)
         config = Config()
     hub = config.hub
@@ -67,9 +67,9 @@ def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = 
     """Join the hub; raises `CliError` if no router answers.
 
     A daemon that does not run although its router does is reported on stderr, and each error names the daemon's
-    workers that do not run; both only for the hub of this machine's daemon. ``warn`` is False for verbs that report the
-    daemon themselves, or have something more urgent to do. ``watches`` reports missing workers at once, for verbs that
-    would only wait or print less.
+    workers that do not run; both only for the hub of this machine's daemon. ``warn`` is False for commands that report
+    the daemon themselves, or have something more urgent to do. ``watches`` reports missing workers at once, for
+    commands that would otherwise only wait or print less.
     """
     config = client_config(args)
     with _connected(args, config) as session:
@@ -87,7 +87,7 @@ def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = 
 
 @contextmanager
 def _connected(args: argparse.Namespace, config: Config) -> Iterator[Client]:
-    """Join the hub; the error names what this machine's daemon knows of its router."""
+    """Join the hub; the error includes what this machine's daemon reports about its router."""
     with ExitStack() as stack:
         try:
             client = stack.enter_context(
@@ -104,20 +104,20 @@ def _connected(args: argparse.Namespace, config: Config) -> Iterator[Client]:
 
 
 def print_wait(text: str) -> None:
-    """Print on stderr what a verb waits for."""
+    """Print on stderr what a command waits for."""
     print(f"midspan: {text}", file=sys.stderr, flush=True)
 
 
 def router_hint(config: Config) -> str:
-    """Return why no router may answer at the hub's endpoint, for `connect`: also if this machine's router hangs."""
+    """Return a probable reason why no router answers at the hub's endpoint, also if this machine's router hangs."""
     unresponsive = unresponsive_router(config)
     if unresponsive:
-        return f"{unresponsive}; 'midspan doctor' names the cause, and its log may, too"
+        return f"{unresponsive}; 'midspan doctor' names the cause, and the router's log may, too"
     return unreachable_hint(config)
 
 
 def _report(state: DaemonState) -> str:
-    """Return how the router of a running daemon gets on; "" if the daemon does not run."""
+    """Return the state of a running daemon's router; "" if the daemon does not run."""
     if state.life is not Life.RUNNING:
         return ""
     reports = (report for report in state.workers if report.worker == "router")
@@ -127,7 +127,7 @@ def _report(state: DaemonState) -> str:
 
 
 def warn_of_daemon(args: argparse.Namespace, config: Config, *, workers: bool = True) -> list[str]:
-    """Report on stderr that this machine's daemon, or some of its workers, do not run; returns the lines."""
+    """Report on stderr that this machine's daemon, or some of its workers, do not run; return the lines."""
     if not of_this_machine(args):
         return []
     state = daemon_state(config, file=config_file(args))

@@ -1,4 +1,4 @@
-"""Single key presses of a terminal, for verbs that are controlled while they run."""
+"""Single key presses in a terminal, for commands that are controlled while they run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command ``midspan``: finds the verb, imports its file, runs it, and turns errors into one line.
+"""The program ``midspan``: finds the command, imports its module, runs it, and turns errors into one line.
 
 Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done in part (`midspan import` and
 `midspan config migrate` only), 130 interrupted by Ctrl-C, 143 ended by SIGTERM, 129 by SIGHUP.
@@ -22,9 +22,9 @@ INTERRUPTED = 130
 
 
 class Verb(NamedTuple):
-    """One verb, imported only when it is used.
+    """One command, imported only when it is used.
 
-    ``register`` is ``module:function``: it adds arguments to the verb's parser, and sets ``run``, which returns the
+    ``register`` is ``module:function``: it adds arguments to the command's parser, and sets ``run``, which returns the
     exit code.
     """
 
@@ -43,7 +43,7 @@ VERBS: dict[str, Verb] = {
     ),
     "web": Verb("bridge.cli.daemon.web:register", "print or open the address of the console in the browser"),
     "status": Verb("bridge.cli.inspection.status:register_status", "show daemons, workers and routes"),
-    "top": Verb("bridge.cli.inspection.status:register_top", "live table of all routes"),
+    "top": Verb("bridge.cli.inspection.status:register_top", "show a live table of all routes"),
     "explain": Verb("bridge.cli.inspection.explain:register", "show why a topic is or is not bridged"),
     "doctor": Verb("bridge.cli.inspection.doctor:register", "check for common problems and name the cures"),
     "topic": Verb("bridge.cli.graph.topic:register", "list, info, echo, hz and pub on any side's topics"),
@@ -73,21 +73,21 @@ VERBS: dict[str, Verb] = {
     "interfaces": Verb("bridge.cli.setup.interfaces:register", "build ROS 2 message packages that are missing"),
     "keys": Verb("bridge.cli.setup.keys:register", "make and show the certificates of a fleet's machines"),
     "install": Verb("bridge.cli.setup.install:register_install", "install the systemd services"),
-    "demo": Verb("bridge.demo.command:register", "a simulated robot that YARP, ROS 1 and ROS 2 clients send to rooms"),
+    "demo": Verb("bridge.demo.command:register", "run a simulated robot that clients of every side send to rooms"),
     "completion": Verb("bridge.cli.setup.install:register_completion", "print a shell completion script"),
 }
 
 
 def build_parser(loaded: Iterable[str]) -> argparse.ArgumentParser:
-    """Return the parser with all verbs; only those in ``loaded`` are imported, with their own arguments."""
+    """Return the parser with all commands; only those in ``loaded`` are imported, with their own arguments."""
     parser = VerbParser(
         prog="midspan",
         description="A bridge daemon for mobile robots: it joins ROS 1, ROS 2, YARP and zenoh.",
-        epilog="'midspan VERB --help' describes each verb.",
+        epilog="'midspan COMMAND --help' describes each command.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     parser.add_argument("--debug", action="store_true", help="show tracebacks (anywhere on the command line)")
-    subparsers = parser.add_subparsers(metavar="VERB")
+    subparsers = parser.add_subparsers(metavar="COMMAND")
     for name, verb in VERBS.items():
         verb_parser = subparsers.add_parser(name, help=verb.help)
         if name in loaded:
@@ -102,12 +102,12 @@ def _named_verb(arguments: Sequence[str]) -> list[str]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line; return the exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.encoding.lower() != "utf-8":
         # a Windows console may lack a character: show its escape sequence
         sys.stdout.reconfigure(errors="backslashreplace")
     arguments = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in arguments  # anywhere, also after the verb
+    debug = "--debug" in arguments  # anywhere, also after the command
     arguments = [argument for argument in arguments if argument != "--debug"]
     try:
         parser = build_parser(_named_verb(arguments))

@@ -1,4 +1,4 @@
-"""Messages for people: written as YAML, and read from YAML."""
+"""Messages for people, written as YAML and read from YAML."""
 
 from __future__ import annotations
 

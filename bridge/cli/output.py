@@ -1,4 +1,4 @@
-"""Output of verbs: errors, and JSON."""
+"""Output of commands: errors, and JSON."""
 
 from __future__ import annotations
 

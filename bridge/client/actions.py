@@ -16,7 +16,7 @@ from bridge.messages.actions import CANCEL, GoalState
 
 FEEDBACK_DEPTH = 100
 _GOAL_ID = slice(4, 20)
-"""Place of the goal's id in a feedback message: behind the encapsulation header."""
+"""Place of the goal's id in a feedback message: after the encapsulation header."""
 
 CANCEL_AGAIN = 0.2
 """Seconds after which a failed cancel request is repeated."""
@@ -44,7 +44,7 @@ class SentGoal:
         return self._client.has(self.id)
 
     def cancel(self) -> None:
-        """Request cancellation, from any thread, and again once the server accepts the goal; see the result."""
+        """Request cancellation, from any thread, and again once the server accepts the goal; see the goal's result."""
         self._cancel_wanted = True
         if self.accepted is not False:
             self._client.cancel(self.id)
@@ -71,7 +71,7 @@ class SentGoal:
             self.finish(GoalState.ABORTED, None, str(reply))
         elif reply["status"] == GoalState.UNKNOWN:
             reason = str(reply["result"].get("error_msg", ""))
-            if reason:  # of a bridge that cannot reach the server
+            if reason:  # given by a bridge that cannot reach the server
                 self.finish(GoalState.ABORTED, None, reason)
             else:
                 self.finish(GoalState.UNKNOWN, None, "the server does not know the goal, or cannot be reached")
@@ -126,7 +126,7 @@ class ActionClient:
 
     @property
     def ready(self) -> bool:
-        """Whether there is a server: all five parts of the action are on the hub."""
+        """Whether a server is ready: all five parts of the action are on the hub."""
         services = self._send.ready and self._result.ready and self._cancel.ready
         return services and all(map(self._node.hub.graph.publishers, self._topics))
 

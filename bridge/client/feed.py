@@ -32,7 +32,7 @@ _TAP_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 class Arrival(NamedTuple):
     """One received message.
 
-    ``sample`` is None if only arrivals count; ``source_time_ns`` is the source's system time, if known; ``arrived`` is
+    ``sample`` is None without payloads; ``source_time_ns`` is the source's system time, if known; ``arrived`` is
     monotonic seconds.
     """
 
@@ -46,7 +46,7 @@ class Arrival(NamedTuple):
 
 
 class TopicFeed:
-    """Receives one topic from the hub, or by a worker's tap of its side; without ``payloads`` only the arrivals."""
+    """Receives one topic from the hub, or through a tap of a side's worker; without ``payloads`` only the arrivals."""
 
     def __init__(self, client: Client, topic: str, side: str | None = None, *, payloads: bool = True) -> None:
         self.topic = absolute(topic)
@@ -92,13 +92,13 @@ class TopicFeed:
         for key, endpoints in groups.items():
             self._subscription(key).renew(endpoints)
         hashed = {key._replace(type_hash=NO_HASH) for key in groups if key.type_hash != NO_HASH}
-        for key in self._subscriptions.keys() & hashed:  # the other one receives these publishers, too
+        for key in self._subscriptions.keys() & hashed:  # the one with a hash also receives from these
             self._subscriptions.pop(key).close()
         if self._taps or not self._subscriptions:
             self._tap()
 
     def next(self, until: float) -> Arrival | None:
-        """Return the next message, None if none arrives until then (monotonic seconds)."""
+        """Return the next message, None if none arrives by ``until`` (monotonic seconds)."""
         while True:
             wait = min(until - time.monotonic(), _REFRESH_SECONDS)
             with self._arrived:
@@ -111,7 +111,7 @@ class TopicFeed:
             self.refresh()
 
     def on_sample(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:
-        """Queue a received message, on a thread of zenoh."""
+        """Queue a received message; called on a zenoh thread."""
         kept = sample if self._payloads else None
         time_ns = sample.source_time_ns or None
         arrival = Arrival(kept, len(sample.payload), type_name, type_hash, time_ns, time.monotonic(), side)
@@ -129,7 +129,7 @@ class TopicFeed:
             subscription.close()
 
     def _learn_names(self) -> None:
-        """Find the topic's name on the hub from the side's spelling."""
+        """Find the topic's names on the hub from its name on the sides."""
         for decision in ask_decisions(self._client, self.topic):
             if decision.decision == "bridged" and decision.hub_topic not in self._names:
                 self._names.append(decision.hub_topic)
@@ -164,11 +164,11 @@ class TopicFeed:
         if not decisions:
             return unknown("topic", self.topic, all_topics(self._client))
         reasons = "; ".join(f"{side_name(d.worker)}: {d.decision}: {d.why}" for d in decisions)
-        return f"nothing of {self.topic} can be received now ({reasons}); wait for it with --timeout SECONDS"
+        return f"no messages of {self.topic} can be received now ({reasons}); wait for it with --timeout SECONDS"
 
 
 class LatestMessage:
-    """The newest message of a latched topic; ``on_message`` gets each message, on a thread of zenoh."""
+    """The newest message of a latched topic; ``on_message`` is called with each message on a zenoh thread."""
 
     def __init__(
         self, client: Client, types: Types, topic: str, type_name: str,

@@ -1,4 +1,4 @@
-"""Goals that a program sends and waits for, with their feedback and results."""
+"""Sends goals and waits for them, with their feedback and results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Show = Callable[[dict[str, Any]], None]
 
 
 class GoalEnd(NamedTuple):
-    """How a goal ended: the state of `action_msgs/GoalStatus`, 0 if it is unknown, and the result."""
+    """How a goal ended: its status as in `action_msgs/GoalStatus`, 0 if unknown, and its result."""
 
     status: int
     result: dict[str, Any]
@@ -112,7 +112,7 @@ class AwaitedGoal:
         types: its message types.
         name: the action.
         type_name: its type; by default that of its server.
-        check: called at least five times a second while `send` and `wait` wait; its error ends them.
+        check: called at least five times a second while `send` and `wait` wait; an error that it raises ends the wait.
 
     Raises:
         ClientError: the action has no server, or its type is unknown.
@@ -132,7 +132,7 @@ class AwaitedGoal:
     def send(self, goal: Mapping[str, Any], show: Show = lambda _feedback: None) -> None:
         """Send the goal and wait for its acceptance; ``show`` receives the feedback.
 
-        Raises `ClientError` if the server rejects it, or leaves.
+        Raises `ClientError` if the server rejects the goal, or disappears.
         """
         sent = self._sent = self._action.send(goal, self._on_end, show, self.id)
         while sent.accepted is None and self._end is None:
@@ -159,12 +159,12 @@ class AwaitedGoal:
         return self._end
 
     def cancel(self) -> None:
-        """Request the goal's cancellation, also before its acceptance; `wait` repeats a request that failed."""
+        """Request the goal's cancellation, even before its acceptance; `wait` repeats a request that failed."""
         if self._sent is not None:
             self._sent.cancel()
 
     def mute(self) -> None:
-        """Show no more feedback."""
+        """Stop showing feedback."""
         if self._sent is not None:
             self._sent.feedback = None
 

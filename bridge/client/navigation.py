@@ -20,10 +20,10 @@ from navigation.nav2_errors import reason_text
 STATUS_TOPIC, STATUS = "/navigation/status", "midspan_msgs/msg/NavigationStatus"
 PATH = "nav_msgs/msg/Path"
 PATIENCE = 5.0
-"""Seconds within which a latched message arrives."""
+"""Seconds to wait for a latched message."""
 
 ANSWER_SECONDS = 10.0
-"""Seconds that a gateway has to answer, also on a busy machine; without a gateway the query ends at once."""
+"""Seconds to wait for a gateway, even on a busy machine; without a gateway the query ends at once."""
 
 _PATH_SECONDS = 1.0
 
@@ -42,7 +42,7 @@ class Navigation:
         return status
 
     def service(self, verb: str) -> ServiceCaller:
-        """Return a client of one of its services, for example ``stop``, ``pause`` or ``resume``."""
+        """Return a client of one of the gateway's services, for example ``stop``, ``pause`` or ``resume``."""
         return ServiceCaller(self._client, self._types, f"/navigation/{verb}")
 
     def path(self, planner: str) -> list[dict[str, Any]]:
@@ -73,7 +73,7 @@ def place_goal(location: ServiceCaller, name: str) -> dict[str, Any]:
 
 
 def pose_goal(frame: str, numbers: Sequence[float]) -> dict[str, Any]:
-    """Return the goal of `NavigateToPose` for x and y in meters, and the heading in degrees, any heading without it."""
+    """Return the goal of `NavigateToPose` for x and y in meters and a heading in degrees; two numbers: any heading."""
     x, y, theta = (*numbers, 0.0)[:3]
     half = math.radians(theta) / 2.0
     pose = {"position": {"x": x, "y": y}, "orientation": {"z": math.sin(half), "w": math.cos(half)}}

@@ -22,7 +22,7 @@ class Publisher:
 
     Attributes:
         kind: name of the topic, its type and the type's hash.
-        end: its publisher on the hub, which accepts CDR.
+        end: the publisher on the hub, which accepts CDR.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class Publisher:
         self.end = client.hub.publisher(*self.kind, qos or Qos(), priority=priority)
 
     def publish(self, message: Mapping[str, Any]) -> None:
-        """Publish a message; raises as `encode`."""
+        """Publish a message; raises the errors of `encode`."""
         self.end.put(encode(self._types, self.kind[1], message))
 
     def close(self) -> None:

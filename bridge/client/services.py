@@ -43,9 +43,9 @@ class ServiceClient:
     """A client of one service on the hub. Safe to use from any thread.
 
     Args:
-        hub: its node.
+        hub: the client's node.
         name: the service.
-        codec: of its type; it determines the form of requests and replies.
+        codec: the codec of the service's type; it determines the form of requests and replies.
         post: runs the callbacks; by default they run on a thread of the hub.
     """
 
@@ -82,7 +82,7 @@ class ServiceClient:
         return self._end.call(payload, lambda result: self._post(lambda: replied(self._decoded(result))))
 
     def ask(self, request: Any, seconds: float | None = None, check: Callable[[], None] = lambda: None) -> Any:
-        """Call and wait for the reply; raises `ClientError`. An error of ``check``, called regularly, ends the call."""
+        """Call and wait for the reply; raises `ClientError`. ``check`` is called regularly; its error ends the call."""
         replies: SimpleQueue[Any] = SimpleQueue()
         abandon = self.call(request, replies.put)
         try:
@@ -153,7 +153,7 @@ class ServiceCaller(ServiceClient):
 def served(graph: HubGraph, name: str, wanted: str = "") -> tuple[str, str]:
     """Wait for a service's server on the hub; return its type and hash.
 
-    Raises `ClientError` if none appears within `WAIT_SECONDS`, or of another type than ``wanted``.
+    Raises `ClientError` if none appears within `WAIT_SECONDS`, or only one of another type than ``wanted``.
     """
     changed = threading.Event()
     unwatch = graph.watch(changed.set)

@@ -42,9 +42,9 @@ class Client:
     """A program's session on the hub.
 
     Attributes:
-        hub: its node.
+        hub: the session's node.
         config: the configuration.
-        where: the hub's name for messages.
+        where: the hub's address and domain, for messages.
         here: whether the hub is that of this machine's daemon.
     """
 
@@ -84,7 +84,7 @@ class Client:
 
 
 def unreachable_hint(config: Config) -> str:
-    """Return why no router may answer at the hub's endpoint, and what to do."""
+    """Return a probable reason why no router answers at the hub's endpoint, and what to do."""
     from bridge.hub.router import port_held  # needed only here
 
     endpoint = config.hub.listen
@@ -107,9 +107,9 @@ def connect(
 ) -> Iterator[Client]:  # fmt: skip
     """Join the hub of a configuration; raises `ClientError` if no router answers within ``seconds``.
 
-    A router that listens but does not answer gets `SLOW_SECONDS` more, after a call of ``on_wait`` with a line for
-    people, unless one end refuses the other's certificate. ``here``: the hub is that of this machine's daemon, whose
-    name the client gets if the configuration has none.
+    If a router listens but does not answer, ``on_wait`` is called with a message, and the router has `SLOW_SECONDS`
+    more, unless one end refuses the other's certificate. With ``here``, the hub is that of this machine's daemon, whose
+    name the client uses if the configuration has none.
     """
     where = f"the hub at {connect_endpoint(config.hub.listen)} (domain {config.hub.domain})"
     try:
@@ -160,7 +160,7 @@ def _open(config: Config, seconds: float, on_wait: Callable[[str], None]) -> zen
 def _with_name(config: Config, session: zenoh.Session) -> Config:
     """Return the configuration with the name of the router's daemon, if neither the file nor the state has one.
 
-    The state folder of a service is not readable for other users, and the machine may have been renamed.
+    Other users cannot read the state folder of a service, and the machine may have been renamed.
     """
     if "name" not in config.model_fields_set and is_loopback(config.hub.listen):
         for zid in session.info.routers_zid():

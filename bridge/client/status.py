@@ -18,7 +18,7 @@ def ask_status(client: Client) -> list[StatusDocument]:
     documents = answered(client)
     if not documents:
         hint = "Is the daemon running ('midspan run'), and is this its domain (hub.domain)?"
-        raise ClientError(f"a router answers, but no worker of Midspan does on {client.where}.\n{hint}")
+        raise ClientError(f"a router answers, but no Midspan worker does on {client.where}.\n{hint}")
     return documents
 
 
@@ -41,5 +41,5 @@ def daemon_names(client: Client, status: Sequence[WorkerAnswer]) -> DaemonNames:
 
 
 def distinct(client: Client, status: Sequence[WorkerAnswer]) -> list[WorkerAnswer]:
-    """Return all answers to ``status`` with distinct names of their daemons."""
+    """Return all answers to ``status`` with distinct daemon names."""
     return daemon_names(client, status).apply(status)

@@ -1,4 +1,4 @@
-"""The frames that a verb receives: a buffer filled from the two topics of transforms."""
+"""Receives the frames for a command, in a buffer that is filled from the two topics of transforms."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _RATE_SECONDS = 5.0
 
 
 class FrameMeter:
-    """Counts one frame's transforms, and measures the newest thousand; ``arrived`` is the last one's monotonic time."""
+    """Counts one frame's transforms, and measures the newest thousand; the last arrived at ``arrived`` (monotonic)."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -35,7 +35,7 @@ class FrameMeter:
         self._delays: deque[int] = deque(maxlen=_WINDOW)
 
     def add(self, arrived: float, delay: int | None) -> None:
-        """Count a transform; ``delay`` is the ns since its stamp, None for a static one."""
+        """Count a transform; ``delay`` is its age on arrival in nanoseconds, None for a static one."""
         self.count += 1
         self.arrived = arrived
         self._arrivals.append(arrived)
@@ -43,23 +43,23 @@ class FrameMeter:
             self._delays.append(delay)
 
     def rate(self, now: float) -> float:
-        """Transforms a second over the last five seconds; 0 where fewer than two came."""
+        """Return the transforms per second over the last five seconds; 0 if fewer than two arrived."""
         recent = [at for at in self._arrivals if at >= now - _RATE_SECONDS]
         whole = recent[-1] - recent[0] if recent else 0.0
         return (len(recent) - 1) / whole if whole > 0 else 0.0
 
     @property
     def delay(self) -> float | None:
-        """Mean of the seconds from the stamp to the arrival."""
+        """The mean time from stamp to arrival in seconds, None for static transforms."""
         return sum(self._delays) / len(self._delays) / 1e9 if self._delays else None
 
     @property
     def longest(self) -> float | None:
-        """The most of them."""
+        """The longest time from stamp to arrival in seconds, None for static transforms."""
         return max(self._delays) / 1e9 if self._delays else None
 
     def copy(self) -> Self:
-        """As it is now."""
+        """Return a copy with the current values."""
         copy = type(self)()
         copy.count, copy.arrived = self.count, self.arrived
         copy._arrivals, copy._delays = self._arrivals.copy(), self._delays.copy()
@@ -67,17 +67,17 @@ class FrameMeter:
 
 
 QUIET, MOST = 0.15, 1.0
-"""Seconds without news after which all frames are known if every publisher has sent one, and the longest wait."""
+"""Seconds without a new frame after which all are known, if every publisher has sent one; and the longest wait."""
 
 PATIENCE = 5.0
-"""Seconds within which the first transform is to come."""
+"""Seconds to wait for the first transform."""
 
 _REFRESH_SECONDS = 0.5
 _FIRST_SECONDS = 0.02
 
 
 class TransformFeed(TopicFeed):
-    """One topic's transforms, which go into a buffer; see `TransformListener`."""
+    """Receives one topic's transforms for a `TransformListener`."""
 
     def __init__(self, listener: TransformListener, topic: str, *, static: bool, side: str | None) -> None:
         super().__init__(listener.client, topic, side)
@@ -99,7 +99,7 @@ class TransformListener:
         self._meters: dict[str, FrameMeter] = {}
         self._authorities = Authorities(client.hub.graph, side_name)
         self._known: set[tuple[str, str, bytes]] = set()  # frame, parent and publisher
-        self._news = 0.0  # when there was a new one
+        self._news = 0.0  # when the last new one arrived (monotonic)
         self._lock = threading.Lock()
         self._bad = ""
         namespace = absolute(namespace).rstrip("/") if namespace else ""
@@ -112,7 +112,7 @@ class TransformListener:
         """Subscribe."""
         follow_clock(self.clock, self.client.hub)
         self.clock.on_jump(self.buffer.clear)
-        self.client.catch_up()  # who comes a moment later is met by the looks while it listens
+        self.client.catch_up()  # `refresh` finds later publishers while it listens
         self.refresh()
 
     def listen(self, seconds: float) -> None:
@@ -123,7 +123,7 @@ class TransformListener:
             self.refresh()
 
     def gather(self) -> float:
-        """Receive until all frames are probably known, at most `MOST`; returns the seconds that it took."""
+        """Receive until all frames are probably known, for at most `MOST` seconds; return the seconds that it took."""
         began = time.monotonic()
         while (passed := time.monotonic() - began) < MOST:
             if time.monotonic() - max(began, self._news) >= QUIET and self._all_spoke():
@@ -133,7 +133,7 @@ class TransformListener:
         return passed
 
     def _all_spoke(self) -> bool:
-        """Whether each publisher has sent a transform; False if one bridges a side, which may have many programs."""
+        """Whether each publisher has sent a transform; False if one bridges a side, which may have many publishers."""
         with self._lock:
             received = {gid for _, _, gid in self._known}
         topics = {feed.topic for feed in self._feeds}
@@ -146,7 +146,7 @@ class TransformListener:
             feed.refresh()
 
     def receive(self, sample: HubSample, side: str, *, static: bool) -> None:
-        """Accept a message."""
+        """Add a message's transforms to the buffer and to the frames' meters."""
         cdr, now = sample.data(), self.clock.now_ns()
         authority = self._authorities.name(sample.gid, side_name(side))
         try:
@@ -200,5 +200,5 @@ class TransformListener:
         topics = [feed.topic for feed in self._feeds]
         publishers = self.client.hub.graph.publishers()
         others = {e.topic for e in publishers if e.type_name == TF_TYPE and not e.own}.difference(topics)
-        hint = f"; there is {clean(', '.join(sorted(others)))}: see --namespace" if others else ""
-        return f"no transform came on {' or '.join(topics)} for {PATIENCE:g} s{hint}"
+        hint = f"; transforms are on {clean(', '.join(sorted(others)))}: see --namespace" if others else ""
+        return f"no transform arrived on {' or '.join(topics)} for {PATIENCE:g} s{hint}"

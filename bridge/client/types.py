@@ -1,4 +1,4 @@
-"""Message types of a program on the hub: those installed here, and those that the workers define."""
+"""Message types of a program on the hub: those installed here, and those that the workers know."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Types:
 
 
 def learn(hub: Hub, registry: Registry, name: str, type_hash: str = "", seconds: float = ASK_SECONDS) -> bool:
-    """Ask the workers for the definition of a type, with this hash unless it is ""; return whether one has it.
+    """Ask the workers for the definition of a type, with this hash unless it is ""; return whether a worker has it.
 
     Raises `HubError`, and `MessageTypeError` if the definition is invalid.
     """
@@ -95,5 +95,5 @@ def ros2_name(registry: Registry, spelled: str) -> str:
 
 
 def ros2_spelling(type_name: str, middle: str) -> str:
-    """Return a type's ROS 2 name, derived from its name: with ``srv`` as middle, ``std_srvs/srv/SetBool``."""
+    """Return a type's ROS 2 name, derived from its ROS 1 name: with middle ``srv``, ``std_srvs/srv/SetBool``."""
     return type_name.replace("/", f"/{middle}/") if is_ros1_name(type_name) else type_name

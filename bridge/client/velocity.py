@@ -19,7 +19,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.velocities import TWIST, TWIST_STAMPED, VELOCITIES
 
 _WATCHERS = re.compile(r"midspan_cli_\d+|foxglove|record|web")
-"""Midspan's nodes that subscribe to whichever type is published."""
+"""Midspan's nodes that subscribe to whichever type is published, and drive no base."""
 
 
 class VelocityOutput(Protocol):
@@ -29,7 +29,7 @@ class VelocityOutput(Protocol):
         """Publish a message by its fields."""
 
     def close(self) -> None:
-        """Leave the hub."""
+        """Close the publisher."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +37,9 @@ class VelocityForm:
     """The form of a topic's velocities.
 
     Attributes:
-        topic: its name on the hub.
-        stamped: whether velocities are ``TwistStamped``; ``auto``: as the base subscribes.
-        frame: the frame of stamped ones.
+        topic: the topic's name on the hub.
+        stamped: whether velocities are ``TwistStamped``; ``auto``: what the base subscribes to.
+        frame: the frame of stamped velocities.
     """
 
     topic: str
@@ -50,7 +50,7 @@ class VelocityForm:
 def velocity_message(
     type_name: str, clock: RunClock, frame: str, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> dict[str, Any]:
-    """Return a message of one of the types, by default zero; ``velocity`` in m/s and rad/s."""
+    """Return a velocity message of a type, by default zero; ``velocity`` in m/s and rad/s."""
     x, y, turn = velocity
     twist: dict[str, Any] = {"linear": {"x": x, "y": y}, "angular": {"z": turn}}
     if type_name != TWIST_STAMPED:
@@ -82,8 +82,8 @@ def subscribers(graph: HubGraph, topic: str) -> dict[str, list[str]]:
 def driven_forms(graph: HubGraph, topic: str) -> set[str]:
     """Return the types of velocities that may drive a base on a topic.
 
-    A base whose form no side announces may be behind a route. So the forms that routes carry count too. Empty if no
-    route exists and all known nodes accept both forms.
+    A route may lead to a base whose form its side does not announce, so the forms that routes carry count too. Empty if
+    no route exists and all known nodes accept both forms.
     """
     carried = {e.type_name for e in graph.subscriptions(topic) if e.origin is not None or e.pending}
     return {*subscribers(graph, topic), *carried} & set(VELOCITIES)
@@ -92,13 +92,13 @@ def driven_forms(graph: HubGraph, topic: str) -> set[str]:
 class VelocityPublisher:
     """Publishes velocities in the base's form, never in both: two types would be refused on a side, or drive twice.
 
-    A change of the form ends the old one with zero. Without a subscriber, or if both forms have some, the form stays as
-    it is, at first ``Twist``. Used on one thread.
+    Before a change of the form, zero is published in the old form. Without a subscriber, or if both forms have
+    subscribers, the form does not change; the first is ``Twist``. Use it on one thread only.
 
     Args:
-        graph: the hub's.
+        graph: the hub's graph.
         form: the topic and its settings.
-        clock: of the stamps.
+        clock: the clock for stamps.
         open_as: opens the publisher of a type.
         report: receives a text for people if both forms have subscribers.
     """

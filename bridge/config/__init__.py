@@ -1,4 +1,4 @@
 """Midspan's configuration: one YAML file, its model, its loader and what is generated from the model.
 
-Workers get theirs from the daemon and need the model alone, so this imports nothing.
+Workers receive their configuration from the daemon and need only the model, so this package imports nothing.
 """

@@ -28,15 +28,15 @@ class Listener:
 
     @property
     def key(self) -> str:
-        """The key without the number of an item in a list."""
+        """The key without the index of an item in a list."""
         return key_text(tuple(part for part in self.path if isinstance(part, str)))
 
     def excludes(self, other: Listener) -> bool:
-        """Whether only one of two listeners can open its port on a machine; port 0 is any free one."""
+        """Whether only one of two listeners can open its port on a machine; port 0 means any free port."""
         if (self.transport, self.port) != (other.transport, other.port) or self.port == 0:
             return False
         hosts = {self.host, other.host}
-        if len(hosts) == 1 or "::" in hosts:  # also takes IPv4
+        if len(hosts) == 1 or "::" in hosts:  # :: also accepts IPv4
             return True
         return _ANY_IPV4 in hosts and not any(":" in host for host in hosts)
 
@@ -60,7 +60,7 @@ def listeners(config: Config) -> Iterator[Listener]:
 
 
 def listener_problems(document: Document, config: Config) -> list[Problem]:
-    """Return a problem for each address whose port an earlier listener of the configuration has."""
+    """Return a problem for each address whose port an earlier listener of the configuration already uses."""
     problems: dict[KeyPath, Problem] = {}
     for earlier, other in combinations(listeners(config), 2):
         # the default of a key that the file lacks has no line there
@@ -82,7 +82,7 @@ def _zenoh(path: KeyPath, endpoint: str) -> Iterator[Listener]:
 
 
 def _host(name: str) -> str:
-    """Return an address in one spelling."""
+    """Return an address in a uniform spelling."""
     if name == "localhost":
         return "127.0.0.1"
     try:

@@ -25,7 +25,7 @@ MADE_BY_US: frozenset[KeyPath] = frozenset({("state",), ("record", "folder")})
 
 
 def find(environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the file to use when the caller names none; None for all defaults.
+    """Return the file to use if the caller names none; None to use the defaults.
 
     It is ``$MIDSPAN_CONFIG`` if that is set, even if the file does not exist; otherwise the first existing file of
     ``./midspan.yaml``, ``$XDG_CONFIG_HOME/midspan/midspan.yaml`` (by default ``~/.config``) and
@@ -91,7 +91,7 @@ def _without_empty(data: dict[str, Any], model: type[BaseModel]) -> dict[str, An
 
 
 def _placed(value: Any, path: KeyPath, document: Document, missing: list[Problem]) -> Any:
-    """Return the value with absolute paths, relative ones from the file's folder; adds missing files to ``missing``."""
+    """Return the value with absolute paths, resolved from the file's folder; add missing files to ``missing``."""
     if isinstance(value, BaseModel):
         inner = {
             name: _placed(getattr(value, name), (*path, key_name(name, info)), document, missing)

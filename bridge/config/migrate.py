@@ -1,7 +1,7 @@
 """Updates an older configuration file to the current keys, and keeps its comments.
 
-``version`` is the format of a file. Files before format 1 have none, so a file without it may be of any age: it is read
-as the current format, and a key that only older formats had is an error that names ``midspan config migrate``.
+``version`` is the format of a file. Files before format 1 have no version, so a file without one may be of any age. It
+is read in the current format, and a key that only older formats had is an error that names ``midspan config migrate``.
 
 Removed keys become comments (inside braces they are deleted), and existing comments stay: the text is edited at the
 positions that YAML's parser gives for the keys, and is otherwise unchanged. The round trip of ruamel.yaml (0.19) would
@@ -170,7 +170,7 @@ def _replace(migration: Migration, document: Document, path: KeyPath, done: str,
 
 
 def _edited(text: str, path: KeyPath, instead: tuple[str, ...]) -> str:
-    """Return the text with the pair as a comment after its replacement; within braces the pair is only removed."""
+    """Return the text with the pair replaced, and kept as a comment below; within braces, no comment is kept."""
     parent, key, value = _pair(text, path)
     start = key.start_mark.index
     end = start + len(text[start : _end(key, value)].rstrip())
@@ -196,7 +196,7 @@ def _pair(text: str, path: KeyPath) -> tuple[MappingNode, Node, Node]:
 
 
 def _end(key: Node, value: Node) -> int:
-    """Return the end of a pair; YAML's end of a block is after the comments that follow it."""
+    """Return the end of a pair without the comments after it, which YAML counts as part of a block."""
     return max(at for at in (key.end_mark.index, *_ends(value)) if at >= key.end_mark.index)
 
 

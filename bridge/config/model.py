@@ -51,7 +51,7 @@ class Default:
 
 
 def _later(place: str, description: str) -> Any:
-    """A section whose model is imported at the first use."""
+    """Define a section whose model is imported at the first use."""
     return Field(default_factory=Default(place), description=description)
 
 
@@ -64,17 +64,18 @@ class TypesSection(Section):
         " version of a package.",
     )
     mapping_rules: tuple[Path, ...] = setting(
-        (), "Mapping-rule files (YAML) as of ros1_bridge, and of versions of packages; see docs/sides/messages.md."
+        (),
+        "Mapping-rule files (YAML), as for ros1_bridge, or for versions of packages; see docs/sides/messages.md.",
     )
 
 
 class LimitsSection(Section):
-    """Limits of sizes."""
+    """Size limits."""
 
     message: int = setting(
         256,
-        "Megabytes (1,048,576 bytes) of the largest message, on every side and both ways. Larger ones are refused and"
-        " counted as `large`; all others are bridged.",
+        "Size of the largest message in megabytes (1,048,576 bytes), on every side and in both directions. Larger"
+        " messages are refused and counted as `large`.",
         ge=1,
         le=256,
     )
@@ -100,7 +101,7 @@ class Config(Section):
     )
     name: Annotated[str, Field(pattern=DAEMON_NAME)] = Field(
         default_factory=lambda: re.sub(r"[^A-Za-z0-9_.-]", "-", socket.gethostname())[:63] or "midspan",
-        description="Name of this daemon; by default the machine's at the first start, stored in the state folder.",
+        description="Name of this daemon; by default the machine's name at first start, stored in the state folder.",
     )
     state: Path | None = setting(
         None, "State folder; default $STATE_DIRECTORY, $XDG_STATE_HOME/midspan or ~/.local/state/midspan."
@@ -121,7 +122,7 @@ class Config(Section):
         "bridge.config.sections.navigation:NavigationSection",
         "Planners and clients; see docs/navigation/navigation.md.",
     )
-    limits: LimitsSection = subsection(LimitsSection, "Limits of sizes.")
+    limits: LimitsSection = subsection(LimitsSection, "Size limits.")
     log: LogSection = subsection(LogSection, "Logging.")
 
     @classmethod

@@ -1,4 +1,4 @@
-"""What is wrong with a document's data for a model, each with its place and what was probably meant."""
+"""Describes where a document's data does not fit a model: each problem with its place and what was probably meant."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from bridge.config.migrate import COMMAND, REMOVED
 
 
 def key_name(name: str, info: FieldInfo) -> str:
-    """A field's name in the file (``from`` for the field ``from_``)."""
+    """Return a field's name in the file (``from`` for the field ``from_``)."""
     return info.alias or name
 
 
 def model_of(annotation: Any) -> type[BaseModel] | None:
-    """The section model inside an annotation (``Rule`` in ``tuple[Rule, ...]``), if there is one."""
+    """Return the section model inside an annotation (``Rule`` in ``tuple[Rule, ...]``), None if there is none."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     if typing.get_origin(annotation) in {tuple, list, typing.Union, types.UnionType}:
@@ -31,7 +31,7 @@ def model_of(annotation: Any) -> type[BaseModel] | None:
 
 
 def all_keys(model: type[BaseModel], path: KeyPath = ()) -> Iterator[KeyPath]:
-    """The paths of all keys of a model, lists left out."""
+    """Yield the paths of all keys of a model, without the indexes of lists."""
     for name, info in model.model_fields.items():
         key = (*path, key_name(name, info))
         yield key
@@ -53,7 +53,7 @@ def _model_at(model: type[BaseModel], path: KeyPath) -> type[BaseModel] | None:
 
 
 def _field_at(model: type[BaseModel], path: KeyPath) -> FieldInfo | None:
-    """The field that holds the value at ``path``, which may be an entry of a list; None in a map of free keys."""
+    """Return the field with the value at ``path``, which may be an item of a list; None in a map with free keys."""
     names = [part for part in path if not isinstance(part, int)]
     around = _model_at(model, tuple(names[:-1])) if names else None
     fields = around.model_fields.items() if around else ()
@@ -63,7 +63,7 @@ def _field_at(model: type[BaseModel], path: KeyPath) -> FieldInfo | None:
 def _unknown_key(model: type[BaseModel], path: KeyPath) -> str:
     name = str(path[-1])
     if path in REMOVED:
-        return f"is a key of an older Midspan; '{COMMAND}' brings the file to today's"
+        return f"is a key of an older Midspan; '{COMMAND}' updates the file"
     around = _model_at(model, path[:-1])
     names = [key_name(n, info) for n, info in around.model_fields.items()] if around else []
     elsewhere = [key_text(key) for key in all_keys(model) if key[-1] == name]
@@ -101,7 +101,7 @@ def _in_data(data: Any, location: tuple[str | int, ...]) -> KeyPath:
 
 
 def problems(document: Document, model: type[BaseModel], errors: list[Any]) -> list[Problem]:
-    """Problems of a file, from `pydantic.ValidationError.errors`; the arms of a union make one problem."""
+    """Return a file's problems from `pydantic.ValidationError.errors`; the arms of a union become one problem."""
     messages: dict[tuple[KeyPath, bool], list[str]] = {}
     lengths = _fixed_lengths(errors)
     for error in errors:
@@ -118,7 +118,7 @@ def problems(document: Document, model: type[BaseModel], errors: list[Any]) -> l
 
 
 def _fixed_lengths(errors: list[Any]) -> dict[KeyPath, int]:
-    """The length that each list which is too short must have: pydantic reports every value that it lacks."""
+    """Return the required length of each list that is too short; pydantic reports each missing value."""
     lengths: dict[KeyPath, int] = {}
     for error in errors:
         *path, last = error["loc"] or ("",)
@@ -152,7 +152,7 @@ def _values(count: int) -> str:
 
 
 def _exact_lengths(field: FieldInfo) -> set[int]:
-    """The lengths of lists of a fixed length in a field's type, and the one that its limits leave."""
+    """Return the lengths of fixed-length lists in a field's type, and the only length that its limits allow, if any."""
     limits = [getattr(constraint, name, None) for name in ("min_length", "max_length") for constraint in field.metadata]
     known = [limit for limit in limits if limit is not None]
     return _tuple_lengths(field.annotation) | ({known[0]} if len(known) == 2 and known[0] == known[1] else set())

@@ -78,7 +78,7 @@ def _lifecycle_rules(of: str, planner: Planner) -> Iterator[MadeRule]:
 
 
 def _rules_of_poses(section: NavigationSection) -> Iterator[MadeRule]:
-    """Yield the rules of the gateway's `NavigateThroughPoses`: ROS 2 has it beside its entry point, ROS 1 has none."""
+    """Yield the rules of the gateway's `NavigateThroughPoses`, which ROS 2 has next to its entry point, ROS 1 not."""
     door = section.doors.ros2
     name = through_poses(door) if door else ""
     owners = (planner.name for planner in section.others.values() if planner.side == "ros2" and name in planner.motion)
@@ -103,7 +103,7 @@ def _telemetry_rules(section: NavigationSection) -> Iterator[MadeRule]:
 
 
 def _entry_rules(side: str, action: str, goal: str, owner: str) -> Iterator[MadeRule]:
-    """Yield the rules of one side's entry point; a planner that uses the same name keeps it for itself."""
+    """Yield the rules of one side's entry point; a planner that serves the same name there itself keeps it."""
     of = f"navigation ({owner} has {action} there itself)" if owner else f"navigation.doors.{side}"
     if owner or not action:
         yield _rule(of, kind="action", topic=ACTION, to=side, deny=True)
@@ -111,7 +111,7 @@ def _entry_rules(side: str, action: str, goal: str, owner: str) -> Iterator[Made
         yield _rule(of, kind="action", topic=ACTION, to=side, rename=action)
     if not goal:
         return
-    if owner:  # the planner subscribes to it itself, and must not receive goals from other sides there
+    if owner:  # the planner itself subscribes to the topic, and must not receive goals from other sides there
         yield _rule(of, kind="topic", topic=goal, type=POSE, from_=side, to="zenoh", deny=True)
         yield _rule(of, kind="topic", topic=goal, type=POSE, to=side, deny=True)
     else:

@@ -38,7 +38,7 @@ Commands = queue.SimpleQueue[protocol.Command | Hangup]
 
 
 class DaemonPipe:
-    """Reads commands from the standard input and writes reports to the standard output.
+    """Reads commands from standard input and writes reports to standard output.
 
     It replaces both descriptors (`start_heartbeat` replaces the output), so that programs started by the worker do not
     inherit the daemon's pipes.
@@ -85,12 +85,12 @@ class DaemonPipe:
             end_process_after(LAST_SECONDS)
 
     def report(self, report: protocol.Report) -> None:
-        """Write one report. Errors are ignored: the reading thread detects a daemon that has exited."""
+        """Write one report. Errors are ignored, because the reading thread detects that the daemon has exited."""
         self.heartbeat.write(protocol.encode_report(report))
 
 
 def end_process_after(seconds: float) -> None:
-    """Exit this process unconditionally after a delay: its daemon, which would kill it, has exited."""
+    """Exit this process unconditionally after a delay, because the daemon, which would kill it, has exited."""
     timer = threading.Timer(seconds, os._exit, args=(1,))
     timer.daemon = True
     timer.start()
@@ -178,7 +178,7 @@ class ControlServer:
         finally:
             self._greetings.release()
         with self._lock:
-            if not admitted or self._closing.is_set() or number < self._client_number:  # a later one was admitted first
+            if not admitted or self._closing.is_set() or number < self._client_number:  # a later client was first
                 client.close()
                 return
             self._drop()

@@ -1,6 +1,6 @@
-"""The start of a supervised worker's process: it reports its current step before it imports anything heavy.
+"""Reports the current step of a supervised worker's process, even before it imports anything heavy.
 
-While the main thread is busy (starting, applying a new configuration, or late with its health), a separate thread
+While the main thread is busy (starting, applying a new configuration, or overdue with its health), a separate thread
 reports twice a second. This module imports very little so that the reports start early.
 """
 
@@ -21,7 +21,7 @@ DUMP_STACKS: signal.Signals | None = getattr(signal, "SIGUSR1", None)
 
 
 def dump_stacks_on_signal() -> None:
-    """Dump the stacks of all threads on the signal. It needs no GIL, so it works even if all threads wait for it."""
+    """Dump the stacks of all threads on `DUMP_STACKS`; works without the GIL, so even if all threads wait for it."""
     if DUMP_STACKS is not None:
         faulthandler.register(DUMP_STACKS, all_threads=True)
 
@@ -31,15 +31,15 @@ _CLOSE_SECONDS = 1.0
 
 
 def busy_line(busy: Busy) -> bytes:
-    """Encode a report of the protocol without `bridge.daemon.protocol`, which imports much."""
+    """Encode a ``busy`` report without importing `bridge.daemon.protocol`, which loads many modules."""
     return json.dumps({"busy": busy.text, "used": busy.used, "read": busy.read}).encode() + b"\n"
 
 
 class Heartbeat:
     """The thread that sends the reports of the current step.
 
-    It reserves the standard output for reports: other output of this process goes to stderr, and programs that the
-    worker starts do not inherit the pipe.
+    It reserves standard output for reports: other output of this process goes to stderr, and programs that the worker
+    starts do not inherit the pipe.
     """
 
     def __init__(self) -> None:
@@ -67,7 +67,7 @@ class Heartbeat:
         self._send = send
 
     def close(self) -> None:
-        """Stop the thread: Python 3.11 may crash on exit if a daemon thread runs at that time."""
+        """Stop the thread, because Python 3.11 may crash on exit if a daemon thread runs at that time."""
         self._over.set()
         self._thread.join(_CLOSE_SECONDS)
 
@@ -80,7 +80,7 @@ class Heartbeat:
 
 @functools.cache
 def start_heartbeat() -> Heartbeat:
-    """Start to report on the standard output; return the process's only `Heartbeat`. Call from the main thread."""
+    """Start reporting on standard output; return the process's only `Heartbeat`. Call from the main thread."""
     dump_stacks_on_signal()
     working.begin(FIRST_STEP)
     return Heartbeat()

@@ -136,7 +136,7 @@ def _quoted(word: str) -> str:
 
 
 def _closed_folder(folder: Path) -> Path | None:
-    """Return the outermost parent folder that other users cannot enter, None without one."""
+    """Return the outermost parent folder that other users cannot enter, None if there is none."""
     for part in reversed([folder, *folder.parents]):
         if not part.stat().st_mode & 0o001:
             return part

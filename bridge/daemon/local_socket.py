@@ -1,9 +1,9 @@
 """Sockets at a path in the state folder, for processes of the same user.
 
-If Python has Unix sockets, the path is one, and its file mode controls access. Elsewhere (on Windows) it is a file
-with a port of the loopback interface and two secrets. Every user of the machine can connect to that port, so a client
-sends the first secret before anything else. The listener then responds with the second one, by which the client knows
-that no other program listens there: the file may be left by a dead process.
+If Python has Unix sockets, the path is a Unix socket, and its file mode controls access. Elsewhere (on Windows) the
+path is a file with a port of the loopback interface and two secrets. Every user of the machine can connect to that
+port, so a client sends the first secret before anything else. The listener then responds with the second secret, which
+shows the client that no other program listens there: a dead process may have left the file.
 
 Windows ignores the mode with which that file is created: its access list is inherited from the state folder, so every
 user who can read the folder can use the socket. ``icacls`` restricts the folder (docs/operate/security.md).
@@ -144,7 +144,7 @@ def connect(path: Path, seconds: float) -> socket.socket:
 
 
 def _join(sock: socket.socket, address: _Address) -> None:
-    """Connect to a port of the loopback interface, and check that the listener of this file owns it."""
+    """Connect to a port of the loopback interface, and check that it belongs to the listener that wrote the file."""
     sock.connect(("127.0.0.1", address.port))
     sock.sendall(address.of_client)
     if not hmac.compare_digest(receive(sock, len(address.of_listener)), address.of_listener):

@@ -1,6 +1,7 @@
 """Locks in the state folder: one daemon for each name, one process for each of its workers.
 
-An flock(2) lasts as long as any process has its file open: it ends even with a killed process, and a child inherits it.
+An flock(2) lasts as long as any process has its file open: it also ends if the process is killed, and a child inherits
+it.
 Windows' locks end with their process too, but no child inherits them: there a worker locks its file itself.
 """
 
@@ -22,7 +23,7 @@ if sys.platform == "win32":
     import msvcrt
 
     _FAR = 1 << 30
-    """Offset of the locked byte. Windows lets no other process read it, so it is behind the holder's text."""
+    """Offset of the locked byte. Windows lets no other process read it, so it is after the holder's text."""
 
     def _lock(file: int) -> None:
         os.lseek(file, _FAR, os.SEEK_SET)
@@ -38,7 +39,7 @@ else:
 logger = logging.getLogger("midspan.daemon")
 
 INHERITED = sys.platform != "win32"
-"""Whether the process that a daemon starts holds its lock by inheritance."""
+"""Whether a process that the daemon starts inherits its lock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ class Lock:
         except OSError as err:
             if err.errno not in {errno.EROFS, errno.ENOSPC, errno.EACCES, errno.EDQUOT}:
                 raise
-            # an existing file is enough, as a lock needs no write access
+            # an existing file is enough, because a lock needs no write access
             self._file = os.open(path, os.O_RDONLY)
 
     def try_lock(self) -> bool:
@@ -81,7 +82,7 @@ class Lock:
         return True
 
     def write(self, pid: int, owner: Owner) -> None:
-        """Write the holder into the file: this process, or the child with its descriptor. The lock works without it."""
+        """Write the holder into the file: this process, or the child that inherits the lock. Errors are only logged."""
         holder = {"pid": pid, "machine": socket.gethostname(), "owner": owner, "space": process_space()}
         text = json.dumps(holder)
         try:
@@ -103,7 +104,7 @@ class Lock:
 
     @property
     def passed_on(self) -> tuple[int, ...]:
-        """The descriptor for a child that is to hold the lock; empty where no child inherits locks."""
+        """The descriptors for a child that is to hold the lock; empty if children do not inherit locks."""
         return (self._file,) if INHERITED else ()
 
     def close(self) -> None:

@@ -46,11 +46,11 @@ class KeptLines(logging.Handler):
             self._bytes -= len(self._lines.popleft()["text"])
 
     def respond(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Respond to a request with the number of a line as its ``after``."""
+        """Respond to a request, whose ``after`` is the number of a line."""
         return self.after(int(request["after"]))
 
     def after(self, n: int, most_bytes: int = 64 << 10) -> dict[str, Any]:
-        """Return ``last``, the number of the newest line, and ``lines``: those after line ``n``, as many as fit."""
+        """Return ``last``, the number of the newest line, and ``lines``: as many lines after line ``n`` as fit."""
         self.acquire()
         try:
             last, kept = self._n, [line for line in self._lines if line["n"] > n]

@@ -37,7 +37,7 @@ class Notifier:
         self._send("READY=1")
 
     def reloading(self) -> None:
-        """Report the begin of a reload; `ready` reports its end."""
+        """Report the beginning of a reload; `ready` reports its end."""
         self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:

@@ -1,4 +1,4 @@
-"""Signals to worker processes, and the end of a process with its children, on every system."""
+"""Sends signals to worker processes, and kills a process with its children, on every system."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _GROUPS = hasattr(os, "killpg")
 
 
 def terminate(pid: int) -> None:
-    """Ask a process to stop by SIGTERM. Windows has no such signal: there only the daemon's command asks it."""
+    """Ask a process to stop with SIGTERM. Windows has no such signal: there only the daemon's command stops it."""
     if _GROUPS:
         _send(pid, signal.SIGTERM)
 
 
 def dump_stacks(pid: int) -> None:
-    """Let a process log the stacks of its threads, where the system has a signal for it."""
+    """Let a process log the stacks of its threads, if the system has a signal for it."""
     if DUMP_STACKS is not None:
         _send(pid, DUMP_STACKS)
 

@@ -10,16 +10,17 @@ Reports (worker to daemon)::
     {"busy": "importing rclpy", "used": 1.2, "read": 8}  every half second while the main loop is busy with one step,
                                                          also during the start, from a separate thread: the step,
                                                          processor time in seconds, blocks read from disks
-    {"hello": {"pid": 1, "owner": "daemon"}}             first, if the worker has a control socket
+    {"hello": {"pid": 1, "owner": "daemon"}}             the first report, if the worker has a control socket
     {"beat": 1, "state": "running", "text": "2 routes"}  every half second, from the worker's main loop; every second
                                                          while it is running and its text does not change
     {"reloaded": true}                                   the new configuration is applied
     {"restart": "why"}                                   the new configuration needs a restart of the worker
-    {"failed": "why"}                                    the worker failed for this reason; its process ends
+    {"failed": "why"}                                    the worker failed for this reason; its process exits
     {"log": [30, "text"]}                                a log line of a worker that has a control socket
 
-Unknown reports are ignored: a worker that outlives its daemon may have another version.
-The end of the daemon's stream is also a stop command, except for a worker with a control socket, which outlives it.
+Unknown reports are ignored, because a worker that outlives its daemon may have another version.
+The end of the daemon's stream is also a stop command, except for a worker with a control socket, which outlives the
+daemon.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ EXIT_CANNOT_WORK = 78
 """Exit code of a worker that can never work here (EX_CONFIG of sysexits.h)."""
 
 Owner = Literal["daemon", "service"]
-"""Who started a worker that outlives the daemon, and so who stops it."""
+"""Who started a worker that outlives the daemon, and therefore stops it."""
 
 
 class ProtocolError(ValueError):

@@ -1,6 +1,6 @@
 """Requests to the daemon, on a socket in its state folder: its state, its log, a reload.
 
-A running worker responds on the hub; for one that cannot start, only the daemon can respond. A request is one line of
+A running worker responds on the hub; about a worker that cannot start, only the daemon can. A request is one line of
 JSON, ``{"verb": "status"}``; the response is one JSON document, after which the daemon closes the connection.
 """
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("midspan.daemon")
 
 Verb = Callable[[dict[str, Any]], dict[str, Any]]
-"""Makes the response to a request; raises `ValueError`, `KeyError` or `TypeError` for an invalid one."""
+"""Returns the response to a request; raises `ValueError`, `KeyError` or `TypeError` for an invalid one."""
 
 STATUS, RELOAD = "status", "reload"
 _MAX_RESPONSE = 1 << 20
@@ -41,7 +41,7 @@ _MAX_CLIENTS = 8
 
 
 class _Client:
-    """A connection, whose request has not arrived completely yet."""
+    """A connection whose request has not arrived completely yet, or whose response has not been sent completely."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.sock = sock
@@ -76,7 +76,7 @@ class QueryServer:
             return
         sock.setblocking(False)
         while len(self._clients) >= _MAX_CLIENTS:
-            self._close(self._clients[0])  # connected long ago, without a request
+            self._close(self._clients[0])  # the oldest connection without a request
         client = _Client(sock)
         self._clients.append(client)
         try:
@@ -86,7 +86,7 @@ class QueryServer:
             self._close(client)
 
     def _turn_away(self, listener: local_socket.LocalListener) -> None:
-        """Accept and close a connection with the spare descriptor: if it stayed pending, the loop would spin."""
+        """Accept and close a connection with the spare descriptor, because a pending one would make the loop spin."""
         os.close(self._spare)
         with contextlib.suppress(OSError):
             listener.sock.accept()[0].close()
@@ -115,7 +115,7 @@ class QueryServer:
         self._close(client)
 
     def _send(self, client: _Client) -> None:
-        """Send the response as the client reads it: a document may be larger than a socket's buffer."""
+        """Send the response as fast as the client reads it: a document may be larger than a socket's buffer."""
         try:
             while client.response:
                 client.response = client.response[client.sock.send(client.response) :]
@@ -150,23 +150,25 @@ class QueryServer:
 
 
 def ask_daemon(config: Config, seconds: float = 1.0) -> DaemonStatus | None:
-    """Return the state of this configuration's daemon, None if it is not running (or its folder is another user's)."""
+    """Return the state of this configuration's daemon, None if it is not running (or belongs to another user)."""
     document = request(config, STATUS, seconds)
     return None if document is None else read_daemon_status(document)
 
 
 def reload_daemon(config: Config, seconds: float = 20.0) -> str | None:
-    """Let a configuration's daemon load its file again; return why it rejects it, "" if not. None: it does not run."""
+    """Make a daemon load its file again; return why it rejects the file, "" if not, None if the daemon does not run."""
     document = request(config, RELOAD, seconds)
     if document is None:
         return None
     if "rejected" in document:
         return str(document["rejected"])
-    return str(document.get("error") or "it is of an earlier release, which cannot reload on request; restart it")
+    return str(
+        document.get("error") or "the daemon is of an earlier release, which cannot reload on request; restart it"
+    )
 
 
 def request(config: Config, verb: str, seconds: float, **fields: Any) -> dict[str, Any] | None:
-    """Return the daemon's response to a request, None without a valid one within ``seconds``."""
+    """Return the daemon's response to a request, None if no valid response arrives within ``seconds``."""
     config = config.model_copy(update={"state": state_folder(config).absolute()})
     response = b""
     try:

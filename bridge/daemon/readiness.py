@@ -1,4 +1,4 @@
-"""When the daemon is ready, and its status line: for systemd, and for the log."""
+"""Reports when the daemon is ready, and its status line, to systemd and to the log."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bridge.resources import folder_trouble
 logger = logging.getLogger("midspan.daemon")
 
 READY_AFTER = 10.0
-"""The daemon reports ready after this time at the latest: a side without its network must not fail the service."""
+"""The daemon reports ready after at most this time, because a side without its network must not fail the service."""
 STATUS_INTERVAL = 1.0
 
 
@@ -34,12 +34,12 @@ class Readiness:
         self._status_sent = 0.0
 
     def begin(self) -> None:
-        """Start to wait for the workers."""
+        """Start waiting for the workers."""
         self._ready_at = time.monotonic() + READY_AFTER
         self.announce_again()
 
     def announce_again(self) -> None:
-        """Report ready once more, with the next `step`: systemd waits for the end of a reload."""
+        """Report ready again at the next `step`, because systemd waits for the end of a reload."""
         self._announced = False
 
     def step(self, now: float, settled: Callable[[], bool]) -> None:

@@ -54,12 +54,12 @@ class Writer(ABC):
 
 
 def reader(loop: SelectorLoop, pipe: IO[bytes], on_data: OnData) -> Reader:
-    """Read a pipe, which the reader closes."""
+    """Return a reader of a pipe; the reader closes the pipe."""
     return (_SelectedReader if _SELECTS_PIPES else _ThreadReader)(loop, pipe, on_data)
 
 
 def writer(loop: SelectorLoop, pipe: IO[bytes]) -> Writer:
-    """Write to a pipe, which the writer closes."""
+    """Return a writer to a pipe; the writer closes the pipe."""
     if not _SELECTS_PIPES:
         return _ThreadWriter(pipe)
     os.set_blocking(pipe.fileno(), False)
@@ -69,7 +69,7 @@ def writer(loop: SelectorLoop, pipe: IO[bytes]) -> Writer:
 
 
 class _SelectedReader(Reader):
-    """Reads when the loop finds data."""
+    """Reads a pipe when the loop finds data."""
 
     def __init__(self, loop: SelectorLoop, pipe: IO[bytes], on_data: OnData) -> None:
         self._loop, self._pipe, self._on_data = loop, pipe, on_data
@@ -98,7 +98,7 @@ class _SelectedReader(Reader):
 
 
 class _ThreadReader(Reader):
-    """Reads on a thread, which closes the pipe at its end."""
+    """Reads a pipe on a thread, which closes the pipe at its end."""
 
     def __init__(self, loop: SelectorLoop, pipe: IO[bytes], on_data: OnData) -> None:
         self._loop, self._pipe, self._on_data = loop, pipe, on_data
@@ -133,7 +133,7 @@ class _ThreadReader(Reader):
 
 
 class SelectedWriter(Writer):
-    """Writes to a pipe or a socket when the loop finds room; before `attach` it keeps the data."""
+    """Writes to a pipe or a socket when the loop finds room; before `attach`, the data is buffered."""
 
     def __init__(self, loop: SelectorLoop) -> None:
         self._loop = loop
@@ -143,7 +143,7 @@ class SelectedWriter(Writer):
         self._close: Callable[[], None] = lambda: None
 
     def attach(self, file: File, write: Callable[[bytes], int], close: Callable[[], None]) -> None:
-        """Write to a file that does not block, from now on."""
+        """Start writing to a non-blocking file."""
         self._file, self._write, self._close = file, write, close
         self._flush()
 
@@ -175,7 +175,7 @@ class SelectedWriter(Writer):
 
 
 class _ThreadWriter(Writer):
-    """Writes on a thread, which closes the pipe at its end."""
+    """Writes to a pipe on a thread, which closes the pipe at its end."""
 
     def __init__(self, pipe: IO[bytes]) -> None:
         self._pipe = pipe

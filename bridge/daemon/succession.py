@@ -1,9 +1,10 @@
 """Handover of a service's worker to a new process with new code, after an upgrade.
 
 On SIGUSR2 the worker starts its own command line again. The new process first loads all of its code, then stops the
-old one, and continues as soon as that releases the lock. The interruption is thus as short as opening the endpoints,
-without a start of Python: zenoh's sessions reconnect after 1 s, then after 2 s and 4 s. If the new process cannot
-load, the old one continues. The old process reports the new main process to systemd (sd_notify(3)).
+old process, and continues as soon as the old process releases the lock. The interruption thus lasts only as long as
+opening the endpoints, without a start of Python, which matters because zenoh's sessions reconnect after 1 s, then after
+2 s and 4 s. If the new process cannot load, the old one continues. The old process reports the new main process to
+systemd (sd_notify(3)).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import psutil
 HAND_OVER: signal.Signals | None = getattr(signal, "SIGUSR2", None)
 _PREDECESSOR = "MIDSPAN_PREDECESSOR"
 _APART = "import os, sys; os.fork() or os.execv(sys.argv[1], sys.argv[1:])"
-"""On a stop, systemd waits only for a main process that is its own child, and kills any other at once (version 252)."""
+"""Makes the new process a child of systemd: on a stop, systemd (version 252) kills any other main process at once."""
 
 _SECONDS = 10.0
 _POLL_SECONDS = 0.01
@@ -30,7 +31,7 @@ T = TypeVar("T")
 
 
 class Successor:
-    """The new process, seen from the old one; it starts upon the signal."""
+    """The new process, seen from the old one; it starts on the signal."""
 
     def __init__(self) -> None:
         self._loaded_pipe: int | None = None
@@ -44,7 +45,7 @@ class Successor:
         return 0 if self._loads() or not _lives(self._pid) else self._pid
 
     def _loads(self) -> bool:
-        """Whether a new process has started, and has not reported yet that it has loaded."""
+        """Whether a new process has started, but has not reported yet that it has loaded its code."""
         if self._loaded_pipe is None:
             return False
         with contextlib.suppress(BlockingIOError):

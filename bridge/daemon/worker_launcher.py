@@ -1,4 +1,4 @@
-"""The start of a worker's process: its lock, its turn, and adoption of a process that runs already."""
+"""Starts a worker's process when it has the lock and no other worker must start first, or adopts a running one."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Launch(NamedTuple):
 class WorkerLauncher:
     """Starts the processes of one worker.
 
-    A ``standing`` worker is run by a separate service: it is adopted and never started. ``first`` returns the workers
-    that must finish starting before this one, "" if none. ``listener`` receives the reports of the processes.
+    A separate service runs a ``standing`` worker: it is adopted and never started. ``first`` returns the workers that
+    must finish starting before this one may start, "" if none. ``listener`` receives the reports of the processes.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class WorkerLauncher:
         self._kind = kind
         self._timing = timing
         self._first = first
-        self._env: dict[str, str] = {}  # of the process that it started last; empty for an adopted one
+        self._env: dict[str, str] = {}  # of the process that was started last; empty for an adopted one
         self._blocked_since = 0.0
         self._waited_for = ""
 
@@ -92,7 +92,7 @@ class WorkerLauncher:
         return channel
 
     def changes_environment(self, config: Config) -> bool:
-        """Whether a configuration requires another environment than that of the current process."""
+        """Whether a configuration requires a different environment from that of the current process."""
         try:
             return bool(self._env) and self._kind.child_environment(config) != self._env
         except RuntimeError:

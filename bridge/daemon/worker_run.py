@@ -52,12 +52,12 @@ class WorkerRun:
     """The current process of a worker.
 
     Attributes:
-        started: time of its start, on the monotonic clock.
-        beat_at: time of its last heartbeat; None before the first.
-        failure: why it ends, as far as it is known.
-        reloading: whether it has not applied its new configuration yet.
-        running: whether its health has been "running".
-        killed: whether the daemon has killed it.
+        started: when the process started, on the monotonic clock.
+        beat_at: when the last heartbeat arrived; None before the first.
+        failure: why the process ends, as far as it is known.
+        reloading: whether the worker has not applied its new configuration yet.
+        running: whether the worker's health has been "running".
+        killed: whether the daemon has killed the process.
     """
 
     def __init__(self) -> None:
@@ -69,7 +69,7 @@ class WorkerRun:
         self._is_late = False
 
     def on_busy(self, busy: Busy) -> None:
-        """Handle a report of its current step."""
+        """Handle a report of the current step."""
         self._movement.update(time.monotonic(), busy.text, busy.used, busy.read)
 
     def on_heartbeat(self) -> None:
@@ -89,11 +89,11 @@ class WorkerRun:
         return f"{self._movement.step} has computed for {self._movement.computed():.0f} s"
 
     def forgive(self, seconds: float) -> None:
-        """Ignore a time in which the daemon itself did not run."""
+        """Do not count ``seconds`` in which the daemon itself did not run."""
         self._movement.moved += seconds
 
     def progress(self, limit: float) -> Progress:
-        """Judge the time without progress, in seconds."""
+        """Judge the progress; ``limit`` is the longest time without progress, in seconds."""
         if self._movement.computed() > ENDLESS * limit:
             return Progress.ENDLESS
         still = self.still
@@ -111,7 +111,7 @@ class RunHistory:
 
     Attributes:
         restarts: how many of them crashed.
-        ended: how the last of those ended.
+        ended: how the last of these ended.
         stalled_starts: how many made no progress while starting, since the last heartbeat.
         backoff: the pauses after crashes.
     """

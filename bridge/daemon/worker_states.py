@@ -26,7 +26,7 @@ IDLE = frozenset((Phase.OFF, Phase.UNAVAILABLE, Phase.QUEUED, Phase.PAUSED, Phas
 
 
 class WorkerEvent(Enum):
-    """What changes `Phase`."""
+    """The events that change `Phase`."""
 
     DISABLE = "the configuration disables it, or the daemon stops"
     MISS = "this machine lacks something that it requires"
@@ -68,7 +68,7 @@ class WorkerState(Machine[Phase, WorkerEvent]):
     """The state of one worker's process.
 
     Attributes:
-        text: the current step, the health, or the reason of the state.
+        text: the current step, the health, or the reason for the state.
     """
 
     def __init__(self) -> None:

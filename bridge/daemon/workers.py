@@ -1,6 +1,6 @@
 """The workers as the daemon starts them, made from the descriptors of `bridge.descriptors` and `bridge.sides`.
 
-``$MIDSPAN_WORKERS`` (``ros1=package.module:Class,...``) replaces a worker by a custom class, which is called without
+``$MIDSPAN_WORKERS`` (``ros1=package.module:Class,...``) replaces a worker with a custom class, which is called without
 arguments and runs in the daemon's environment.
 """
 
@@ -38,14 +38,14 @@ class WorkerKind(WorkerDescriptor):
         return worker
 
     def enabled(self, config: Config) -> Enabled:
-        """Return whether a configuration enables it; ``auto``: if this machine has what it needs."""
+        """Return whether a configuration enables the worker; ``auto``: if this machine has what the worker needs."""
         environment = importlib.import_module(self.environment) if self.environment else None
         decide = imported(self.switch) if self.switch else getattr(environment, "enabled", None)
         enabled: Enabled = getattr(config, self.name).enabled if decide is None else decide(config)
         return enabled
 
     def missing(self, config: Config) -> str:
-        """Return why it cannot run on this machine, or ""."""
+        """Return why the worker cannot run on this machine, or ""."""
         if self.environment:
             reason: str = importlib.import_module(self.environment).available(config)
             return reason
@@ -53,7 +53,7 @@ class WorkerKind(WorkerDescriptor):
         return f"{', '.join(missing)} cannot be imported; pip install 'midspan[{self.extra}]'" if missing else ""
 
     def child_environment(self, config: Config, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-        """Return the environment of its process; raises `RuntimeError` if this machine has none for it."""
+        """Return the environment of the worker's process; raises `RuntimeError` if this machine lacks what it needs."""
         if self.environment:
             env: dict[str, str] = importlib.import_module(self.environment).worker_environment(config, environ)
         else:
@@ -63,7 +63,7 @@ class WorkerKind(WorkerDescriptor):
         return _importable(env)
 
     def config_part(self, config: Config) -> dict[str, Any]:
-        """Return the part of the configuration that it uses, for comparison."""
+        """Return the part of the configuration that the worker uses, for comparison."""
         names = {"name", "state", "log", *self.sections, *([self.name] if self.section else [])}
         part = {name: getattr(config, name) for name in names} | {"hub": config.hub.without_open}
         return part | imported(self.uses)(config) if self.uses else part
@@ -84,13 +84,13 @@ def _kind_of(descriptor: WorkerDescriptor) -> WorkerKind:
 
 
 def worker_kinds(environ: Mapping[str, str] = os.environ) -> dict[str, WorkerKind]:
-    """Return all workers by name, in the order in which they start: those that outlive it, the sides, all others."""
+    """Return all workers by name, in the order in which they start: those that outlive the daemon, sides, others."""
     workers = [_kind_of(descriptor) for descriptor in all_workers()]
     first, others = ([kind for kind in workers if kind.outlives is outlives] for outlives in (True, False))
     kinds = {kind.name: kind for kind in (*first, *map(_of_side, all_sides()), *others)}
     for entry in environ.get(VARIABLE, "").split(","):
         name, equals, factory = entry.partition("=")
-        if not equals:  # registers another worker: see `bridge.registration`
+        if not equals:  # registers an additional worker: see `bridge.registration`
             continue
         if name not in kinds or ":" not in factory:
             raise RuntimeError(f"${VARIABLE}: {entry!r} is not NAME=module:Class; NAME is one of {', '.join(kinds)}")

@@ -1,1 +1,1 @@
-"""The verb ``demo``: clients of every side send a robot to rooms, or topics of every side are bridged."""
+"""The command ``demo``: clients of every side send a robot to rooms, or topics of every side are bridged."""

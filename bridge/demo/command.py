@@ -33,7 +33,9 @@ def register(parser: argparse.ArgumentParser) -> None:
         " own ports and ROS domain, and leave no process or file on the machine. Exit code 1 if a room was not"
         " reached, or something was not bridged."
     )
-    parser.add_argument("what", nargs="?", choices=("rooms", "topics"), default="rooms", help="default rooms")
+    parser.add_argument(
+        "what", nargs="?", choices=("rooms", "topics"), default="rooms", help="the demo (default rooms)"
+    )
     stay = os.environ.get("STAY", "") not in ("", "0")
     file: Any = {"type": Path, "metavar": "FILE"}
     parser.add_argument(
@@ -41,10 +43,12 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", **file, default=os.environ.get("JSON") or None, help="write the results (JSON=FILE)")
     png = os.environ.get("PNG") or Path("midspan-demo.png")
-    parser.add_argument("--png", **file, default=png, help="rooms: the drawn path (default midspan-demo.png; PNG=FILE)")
+    parser.add_argument(
+        "--png", **file, default=png, help="rooms: file for the path (default midspan-demo.png; PNG=FILE)"
+    )
     rooms = ("kitchen", "corridor", "bathroom")
     parser.add_argument(
-        "--to", nargs=3, metavar="ROOM", default=rooms, help=f"rooms: one per client (default {' '.join(rooms)})"
+        "--to", nargs=3, metavar="ROOM", default=rooms, help=f"rooms: one room per client (default {' '.join(rooms)})"
     )
     parser.add_argument(
         "--seconds", type=float, metavar="N", default=20.0, help="topics: minimum duration (default 20)"
@@ -110,7 +114,7 @@ def _rooms(args: argparse.Namespace, shutdown: Shutdown, stack: contextlib.ExitS
 def _sandbox(
     shutdown: Shutdown, stack: contextlib.ExitStack, template: Path | None, more: dict[str, Any], *, ports: bool
 ) -> Sandbox:
-    """Return a sandbox for the run; in any case the machine is left unchanged."""
+    """Return a sandbox for the run; everything that the run leaves on the machine is removed at its end."""
     from bridge.demo.leftovers import erase
     from bridge.demo.sandbox import Sandbox
 
@@ -187,7 +191,7 @@ def _simulation(sandbox: Sandbox) -> list[str]:
 
 
 def _require(missing: list[str]) -> None:
-    """Raise `ClientError` with all that is missing and its cures."""
+    """Raise `ClientError` with everything that is missing, and the cures."""
     if not missing:
         return
     lines = ["the demo needs more than this machine has:", *missing]

@@ -1,7 +1,7 @@
 """Runs a command and ends it when the guard's standard input ends, so that nothing outlives a killed demo.
 
 Usage: ``python guard.py COMMAND...``. Standard library only. Processes left by the command are killed (Linux): a killed
-daemon leaves its router, and a roscore its master, which do not receive its signals because of their own sessions.
+daemon leaves its router, and a roscore its master, which have their own sessions and do not receive its signals.
 """
 
 from __future__ import annotations

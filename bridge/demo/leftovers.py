@@ -1,4 +1,4 @@
-"""What a run of the demo may leave behind: processes, and files in shared memory."""
+"""Finds and removes the leftovers of a demo's run: processes, and files in shared memory."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MAPPED = re.compile(rf"{_MEMORY}/\S+")
 _OWN = re.compile(r"\d+\.zenoh|fastrtps_[0-9a-f]{16}(_el)?")
 """zenoh's pools and Fast DDS's segments; their names are never reused."""
 _END_SECONDS = 0.5
-"""How long to wait for the end of killed processes, which keep their files until then."""
+"""Seconds to wait for the end of killed processes, which keep their files until then."""
 
 _LOCK = "_el"
 _PORT = re.compile(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_mutex)?")
@@ -27,7 +27,7 @@ _PORT = re.compile(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_mutex)?")
 def erase(folder: Path, ports: range) -> list[str]:
     """End the remaining processes of a run at once and remove its files in shared memory; return the processes' names.
 
-    Processes are stopped before they are killed, so that none starts another or creates a file meanwhile.
+    Processes are suspended before they are killed, so that none starts another or creates a file meanwhile.
     """
     stopped: list[psutil.Process] = []
     while new := [pid for pid in marked(folder) if pid not in {process_.pid for process_ in stopped}]:
@@ -85,7 +85,7 @@ def marked(folder: Path) -> list[int]:
 
 
 def is_own(name: str, ports: range) -> bool:
-    """Return whether a file in shared memory can only belong to the run, by its name."""
+    """Return whether a file in shared memory has a name that only the run's files can have."""
     port = _PORT.fullmatch(name)
     return bool(_OWN.fullmatch(name)) or (port is not None and int(port[1]) in ports)
 
@@ -99,8 +99,8 @@ def _of_ports(ports: range) -> set[Path]:
 def remove_unread(ports: set[Path]) -> None:
     """Remove the files of those Fast DDS ports that are no longer read: a reader holds its port's lock.
 
-    In addition to its domain's ports each participant takes the machine's first free one, from 7000 on. A participant
-    that ended after creating the port and before locking it leaves no lock, so the lock is taken here: a new
+    In addition to its domain's ports, each participant uses the machine's first free port, from 7000 on. A participant
+    that ended after creating the port and before locking it leaves no lock, so the port is locked here: a new
     participant then sees the port as used, and tries the next.
     """
     for port in ports:

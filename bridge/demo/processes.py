@@ -1,4 +1,4 @@
-"""The demo's processes: in their own process groups, with recorded output, and ended when their input ends."""
+"""The demo's processes, in their own process groups and with recorded output; each exits when its input ends."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _KEPT_LINES = 400
 
 
 class DemoProcess:
-    """One process, which ends when its standard input ends."""
+    """A process that exits when its standard input ends."""
 
     def __init__(self, command: Sequence[str | Path], env: Mapping[str, str], folder: Path, errors: Any) -> None:
         self._popen = subprocess.Popen(
@@ -41,12 +41,12 @@ class DemoProcess:
 
     @property
     def pid(self) -> int:
-        """Process id; of its guard if it has one."""
+        """The process id, or that of the guard if the process has one."""
         return self._popen.pid
 
     @property
     def code(self) -> int | None:
-        """Exit code; None while it runs."""
+        """The exit code; None while the process runs."""
         code = self._popen.poll()
         if code is not None:
             self._reader.join(1.0)
@@ -54,17 +54,17 @@ class DemoProcess:
 
     @property
     def running(self) -> bool:
-        """Whether it runs."""
+        """Whether the process runs."""
         return self._popen.poll() is None
 
     def begin_stop(self) -> None:
-        """Request its end by closing its input."""
+        """Request the end of the process by closing its input."""
         assert self._popen.stdin is not None
         with contextlib.suppress(OSError):
             self._popen.stdin.close()
 
     def finish_stop(self, seconds: float) -> None:
-        """Wait for its end; after ``seconds`` send SIGTERM, then SIGKILL, to the whole group."""
+        """Wait for the process to end; after ``seconds`` send SIGTERM, then SIGKILL, to the whole group."""
         for number in (signal.SIGTERM, signal.SIGKILL):
             try:
                 self._popen.wait(seconds)
@@ -110,14 +110,14 @@ class DemoChild(DemoProcess):
         return text if code is None else f"{text}\n(exit code {code})".strip()
 
     def ask(self, do: str, **params: Any) -> None:
-        """Send a command; a dead program is not an error here, since the checks detect it."""
+        """Send a command; a dead program is not an error here, because the checks detect it."""
         assert self._popen.stdin is not None
         with contextlib.suppress(OSError, ValueError):
             self._popen.stdin.write(json.dumps({"do": do, **params}).encode() + b"\n")
             self._popen.stdin.flush()
 
     def wait_for(self, event: str, seconds: float) -> dict[str, Any] | None:
-        """Return an event of this name, each once; None if it does not arrive in time, or the process has ended."""
+        """Return the last event of this name, once; None if none arrives in time, or the process has ended."""
         end = time.monotonic() + seconds
         with self._changed:
             while event not in self._events:
@@ -163,5 +163,5 @@ class Program(DemoProcess):
 
 
 def guarded(*command: str | Path) -> list[str | Path]:
-    """Return a command, which does not read its input, wrapped so that it ends with it."""
+    """Return a command that does not read its input, wrapped in a guard so that it ends when the input ends."""
     return [sys.executable, "-I", Path(guard.__file__), *command]

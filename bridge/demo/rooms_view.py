@@ -1,4 +1,4 @@
-"""The output of the driving demo: the map with the robot, live on a terminal, else as lines; the drives."""
+"""The output of the driving demo: the map with the robot, live on a terminal or else as lines, and the drives."""
 
 from __future__ import annotations
 

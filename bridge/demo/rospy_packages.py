@@ -1,8 +1,8 @@
 """The environment of ROS 1 programs that run on Midspan's Python: ROS 1's packages, but no other system packages.
 
 ROS 1 and ROS 2 use the same names for message packages, so one interpreter cannot have both, and the system's whole
-package folder would also shadow the venv's NumPy and YAML. Therefore such a program has one folder first on
-``PYTHONPATH`` that contains only links to the ROS 1 packages.
+package folder would also shadow the venv's NumPy and YAML. Therefore the first folder on such a program's
+``PYTHONPATH`` contains only links to the ROS 1 packages.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def missing_rospy(config: Config, environ: Mapping[str, str]) -> str:
 
 
 def program_environment(config: Config, environ: Mapping[str, str], links: Path) -> dict[str, str]:
-    """Return the environment of a ROS 1 program, with the folder ``links`` of links to ROS 1's packages, created here.
+    """Return the environment of a ROS 1 program; create the folder ``links`` with links to ROS 1's packages for it.
 
     Raises `RuntimeError` if ROS 1 is not installed.
     """
@@ -83,7 +83,7 @@ def _targets(folder: Path) -> dict[str, Path]:
 
 
 def _is_missing_helper(entry: Path) -> bool:
-    """Return whether it is a helper that this Python lacks: pure Python, or an extension for this version."""
+    """Return whether an entry is a helper that this Python lacks: pure Python, or an extension for this version."""
     name = entry.name.split(".")[0]
     if name not in _HELPERS or entry.suffix == ".egg-info" or importlib.util.find_spec(name) is not None:
         return False

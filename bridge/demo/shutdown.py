@@ -1,4 +1,4 @@
-"""How a demo ends: orderly, or quickly after Ctrl-C, in any case without leftovers."""
+"""Ends a demo in order, or quickly after Ctrl-C, and in any case without leftovers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bridge.demo.processes import DemoChild, Program
 from bridge.demo.sandbox import Sandbox
 
 SECONDS = 3.0
-"""Time from Ctrl-C until the demo has ended."""
+"""Maximum time from Ctrl-C until the demo has ended."""
 
 _KILL_SECONDS, _EXIT_SECONDS = 0.9, 1.7
 """Seconds after Ctrl-C at which remaining processes are killed, and at which the demo exits in any case."""
@@ -31,8 +31,8 @@ INTERRUPTED = 130
 class Shutdown:
     """Turns the first termination signal into a `KeyboardInterrupt`, deferred while resources are created or released.
 
-    Python handles signals only between two steps of its main thread, and discards exceptions raised in destructors. So
-    `check` raises it again, and a thread ends the process if the main thread does not.
+    Python handles signals only between two steps of its main thread, and discards exceptions raised in destructors.
+    Therefore `check` raises the exception again, and a thread ends the process if the main thread does not.
     """
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ class Shutdown:
             raise KeyboardInterrupt
 
     def until(self, seconds: float) -> Callable[[], bool]:
-        """Return whether processes may still end by themselves: for ``seconds``, or less after an interrupt."""
+        """Return a predicate: whether processes may still end by themselves (``seconds``, or less if interrupted)."""
         end = time.monotonic() + seconds
 
         def may() -> bool:
@@ -122,7 +122,7 @@ class Shutdown:
         with contextlib.suppress(Exception):
             self._erase()
         if sys.stdout.isatty():
-            os.write(1, b"\x1b[?25h\n")  # the cursor, which a live table hides
+            os.write(1, b"\x1b[?25h\n")  # show the cursor, which a live table hides
         os._exit(INTERRUPTED)
 
 

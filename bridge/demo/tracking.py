@@ -1,4 +1,4 @@
-"""The pose and path of the demo's robot, as the hub shows them; drawn on its map."""
+"""Tracks the pose and path of the demo's robot on the hub, and draws them on its map."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from yarp_compat.dev.places import Places
 Place = tuple[float, float]
 
 _STEP = 0.1
-"""Distance in meters between two stored places of the driven path."""
+"""Minimum distance in meters between two stored places of the driven path."""
 
 
 class RobotTracker:
@@ -82,7 +82,7 @@ class RobotTracker:
 
     @property
     def left(self) -> list[Place]:
-        """The remaining path, from the robot on; empty without a goal."""
+        """The remaining path, beginning at the robot; empty without a goal."""
         message, at = self._path.wait(0.0), self._location()
         if message is None or at is None or not message["poses"]:
             return []
@@ -112,7 +112,7 @@ class RobotTracker:
 
 
 def _distance_to_line(place: Place, start: Place, end: Place) -> float:
-    """Return the distance of a place from a line between two others, in meters."""
+    """Return the distance of a place from the line segment between two others, in meters."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     along = ((place[0] - start[0]) * dx + (place[1] - start[1]) * dy) / max(dx * dx + dy * dy, 1e-12)
     along = min(1.0, max(0.0, along))

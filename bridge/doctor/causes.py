@@ -1,4 +1,4 @@
-"""One line for one cause: twenty topics with the same trouble are one problem, and the line names what it affects."""
+"""Merges texts with the same cause: twenty topics with the same problem become one line, which names the topics."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 _NAME = re.compile(r"\w+://[^\s,;)]+|(?<![\w/.])/[\w/.~-]*[\w~]")
-"""Names of topics, services, nodes and ports, and addresses; not types, as ``std_msgs/String`` has no leading slash."""
+"""Names of topics, services, nodes and ports, and addresses; not types: ``std_msgs/String`` has no leading slash."""
 
 _SHOWN = 5
 
@@ -37,7 +37,7 @@ def one_line(texts: Sequence[str]) -> str:
 
 
 def same_for(names: Sequence[str]) -> str:
-    """Return the end of a line that holds for other names too; "" without any."""
+    """Return the end of a line that also applies to other names; "" without any."""
     more = len(names) - _SHOWN
     shown = ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
     return f" (the same for {shown})" if names else ""

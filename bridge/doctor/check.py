@@ -1,4 +1,4 @@
-"""The doctor's checks and their findings; all checks run at once, each with a time limit."""
+"""The doctor's checks and their findings; all checks run at the same time, each with a time limit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bridge.sides import label
 
 
 class Result(StrEnum):
-    """How a check went."""
+    """The result of a check."""
 
     OK = "ok"
     WARN = "warn"
@@ -27,7 +27,7 @@ class Result(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check saw, and what helps ("" if nothing needs to be done)."""
+    """What a check found, and the cure ("" if nothing needs to be done)."""
 
     result: Result
     seen: str
@@ -63,7 +63,7 @@ def fail(seen: str, cure: str = "") -> Finding:
 
 
 def skip(seen: str) -> Finding:
-    """The check does not apply here."""
+    """Return a finding for a check that does not apply here."""
     return Finding(Result.SKIP, seen)
 
 
@@ -76,7 +76,7 @@ def packages(side: str, package: str, enabled: Enabled, lacking: str) -> Finding
         return ok(f"{package} is installed")
     if enabled is True:
         return fail(f"{side}.enabled is true, but {lacking}")
-    return warn(f"the {name} side stays off: {lacking}", f"nothing to do if no {name} is wanted: {side}.enabled: false")
+    return warn(f"the {name} side stays off: {lacking}", f"if {name} is not wanted, set {side}.enabled: false")
 
 
 def early_cure() -> str:
@@ -92,7 +92,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class Report:
-    """What one check found."""
+    """The findings of one check."""
 
     check: Check
     findings: Sequence[Finding] = ()
@@ -100,7 +100,7 @@ class Report:
 
 
 def examine(context: CheckContext, checks: Sequence[Check]) -> list[Report]:
-    """Run all checks, each in its own thread; one that hangs is reported."""
+    """Run all checks, each in its own thread; a check that hangs is reported."""
     started = time.monotonic()
     reports = [Report(check) for check in checks]
     for report in reports:
@@ -125,7 +125,7 @@ def _run(context: CheckContext, report: Report) -> None:
 
 
 def merged(findings: Sequence[Finding]) -> list[Finding]:
-    """Return the findings with those warnings and failures as one that have the same cause and the same cure."""
+    """Return the findings, with warnings or failures of the same cause and the same cure merged into one."""
     groups: dict[tuple[object, ...], list[Finding]] = {}
     for number, finding in enumerate(findings):
         same = finding.result in (Result.WARN, Result.FAIL)
@@ -135,7 +135,7 @@ def merged(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def as_json(reports: Sequence[Report]) -> list[dict[str, str]]:
-    """One entry for each finding: ``check``, ``title``, ``result``, ``seen`` and ``cure``."""
+    """Return one entry for each finding: ``check``, ``title``, ``result``, ``seen`` and ``cure``."""
     return [
         {"check": report.check.id, "title": report.check.title, **asdict(finding)}
         for report in reports

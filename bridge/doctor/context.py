@@ -24,17 +24,17 @@ from bridge.status import StatusDocument, WorkerStatus
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """Seconds by which another clock is ahead of ours, within plus or minus ``error``."""
+    """Seconds by which another clock is ahead of this machine's, within plus or minus ``error``."""
 
     seconds: float
     error: float
 
 
 def measure(ask: Callable[[], int | None], times: int = 5) -> Offset | None:
-    """Measure a clock by asking for its system time in ns; the quickest answer counts. None without an answer."""
+    """Measure a clock by asking for its system time in ns; the quickest answer is used. None without an answer."""
     best: Offset | None = None
     for _ in range(times):
-        started, before = time.monotonic_ns(), time.time_ns()  # in this order a pause in between is in the round trip
+        started, before = time.monotonic_ns(), time.time_ns()  # in this order the round trip includes a pause between
         reported = ask()
         round_trip = time.monotonic_ns() - started
         if reported is None:
@@ -58,7 +58,7 @@ class HubSnapshot:
     clocks: Mapping[str, Offset] = field(default_factory=dict)
 
     def of_side(self, side: str, daemon: str | None = None) -> list[WorkerStatus]:
-        """The documents of one side's workers."""
+        """Return the documents of one side's workers."""
         workers = [document for document in self.documents if isinstance(document, WorkerStatus)]
         return [worker for worker in workers if worker.side == side and daemon in (None, worker.daemon)]
 
@@ -84,7 +84,7 @@ class CheckContext:
         return master_uri(self.config, self.environ)
 
     def master_state(self) -> MasterState | Ros1Error:
-        """The master's state, or why it does not answer; asked once."""
+        """Return the master's state, or why it does not answer; the master is queried only once."""
         with self._lock:
             return self._query_master
 
@@ -105,7 +105,7 @@ class CheckContext:
 
 
 def read_master(uri: str) -> MasterState | Ros1Error:
-    """A master's state, or why it does not answer."""
+    """Return a master's state, or why it does not answer."""
     try:
         with contextlib.closing(XmlRpcClient(uri, _MASTER_SECONDS)) as client:
             return MasterReader(client, "/midspan_doctor").read()

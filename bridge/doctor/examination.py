@@ -1,4 +1,4 @@
-"""What the checks examine, gathered by a program that is on the hub."""
+"""Gathers what the checks examine, in a program that is on the hub."""
 
 from __future__ import annotations
 

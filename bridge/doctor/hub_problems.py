@@ -24,7 +24,7 @@ CURE = "install the same version of the message package on both machines, or nam
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something worth knowing, and what to do about it."""
+    """An observation or problem, and its cure if there is one."""
 
     text: str
     cure: str = ""
@@ -38,7 +38,7 @@ def conflicts(
     Args:
         endpoints: of the hub.
         workers: sessions (zid) of Midspan workers, which convert between the known versions of a type.
-        versions: returns these versions; called only if hashes differ. None: no version is converted.
+        versions: returns the known versions; called only if hashes differ. None: no version is converted.
     """
     topics: dict[str, dict[str, dict[str, list[HubEndpoint]]]] = {}
     ends: dict[str, list[HubEndpoint]] = {}
@@ -52,7 +52,7 @@ def conflicts(
     for topic, types in sorted(topics.items()):
         if len(types) > 1 and not _all_heard(ends[topic]):
             text = f"{topic} has {len(types)} types on the hub ({', '.join(sorted(types))}) that do not match"
-            notes.append(Note(text, "give one of them another name, or rename it by a rule"))
+            notes.append(Note(text, "give one of them another name, or rename one with a rule"))
         for type_name, hashes in sorted(types.items()):
             if len(hashes) > 1 and not _converted(type_name, hashes, workers, versions):
                 holders = "; ".join(f"{nodes(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
@@ -65,7 +65,7 @@ def _converted(
     type_name: str, hashes: Mapping[str, list[HubEndpoint]], workers: Collection[str],
     versions: Callable[[], TypeVersions] | None,
 ) -> bool:  # fmt: skip
-    """Return whether all versions are known, and a worker has one end of each pair whose versions differ."""
+    """Return whether all versions are known, and of each pair with different versions one end belongs to a worker."""
     native = {(e.kind, e.type_hash) for ends in hashes.values() for e in ends if not (e.origin or e.zid in workers)}
     published, subscribed = (
         {type_hash for of, type_hash in native if of is kind}
@@ -78,7 +78,7 @@ def _converted(
 
 
 def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:
-    """Whether each subscribing node receives every publisher of a topic with several types."""
+    """Whether each subscribing node receives from every publisher of a topic with several types."""
     published: set[str] = set()
     publishers: dict[tuple[str, str, str], set[str]] = {}
     for e in endpoints:
@@ -96,7 +96,7 @@ def nodes(endpoints: Iterable[HubEndpoint]) -> str:
 
 
 def inactive_nodes(gateway: StatusDocument) -> Note | None:
-    """Return which lifecycle nodes of the planner are not active, by a gateway's status document; None if all are."""
+    """Return a note on the planner's inactive lifecycle nodes, from a gateway's status document; None without any."""
     states = gateway.other(GatewayKeys).inactive_nodes
     return Note(lifecycle.trouble(states), lifecycle.cure(states)) if states else None
 
@@ -107,7 +107,7 @@ _CHECKS = {"ros1": "ros1-packages and ros1-master", "ros2": "ros2-packages and r
 def absence(
     section: NavigationSection, planner: str, endpoints: Iterable[HubEndpoint], documents: Sequence[StatusDocument]
 ) -> Note | None:
-    """Return why a planner is absent; None if its action is on the hub, or if the gateway's configuration lacks it."""
+    """Return why a planner is absent; None if its action is on the hub, or if it is not configured for the gateway."""
     if planner not in section.choices:
         return None
     action = section.at(planner)

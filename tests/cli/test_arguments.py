@@ -93,13 +93,13 @@ def error_of(*words: str) -> str:
 @pytest.mark.parametrize(
     ("words", "where", "meant"),
     [
-        (["stauts"], "midspan: error: unknown verb 'stauts'", "status"),
-        (["STATUS"], "midspan: error: unknown verb 'STATUS'", "status"),
-        (["--debug", "exlpain", "/scan"], "midspan: error: unknown verb 'exlpain'", "explain"),
-        (["echo", "/scan"], "midspan: error: unknown verb 'echo'", "topic"),
-        (["topic", "ecoh", "/scan"], "midspan topic: error: unknown verb 'ecoh'", "echo"),
-        (["map", "edit-flag"], "midspan map: error: unknown verb 'edit-flag'", "edit-flags"),
-        (["yarp", "nmae", "get"], "midspan yarp: error: unknown verb 'nmae'", "name"),
+        (["stauts"], "midspan: error: unknown command 'stauts'", "status"),
+        (["STATUS"], "midspan: error: unknown command 'STATUS'", "status"),
+        (["--debug", "exlpain", "/scan"], "midspan: error: unknown command 'exlpain'", "explain"),
+        (["echo", "/scan"], "midspan: error: unknown command 'echo'", "topic"),
+        (["topic", "ecoh", "/scan"], "midspan topic: error: unknown command 'ecoh'", "echo"),
+        (["map", "edit-flag"], "midspan map: error: unknown command 'edit-flag'", "edit-flags"),
+        (["yarp", "nmae", "get"], "midspan yarp: error: unknown command 'nmae'", "name"),
         (["status", "--jsn"], "midspan status: error: unrecognized arguments: --jsn", "--json"),
         (["topic", "echo", "/x", "--timout=3"], "midspan topic echo: error: unrecognized", "--timeout"),
         (["--versoin"], "midspan: error: unrecognized arguments: --versoin", "--version"),
@@ -118,7 +118,7 @@ def test_a_misspelled_verb_option_or_choice_has_its_nearest_name(words: list[str
 
 
 def test_no_hint_without_a_similar_name() -> None:
-    assert error_of("zzz") == "midspan: error: unknown verb 'zzz'. 'midspan --help' lists all verbs."
+    assert error_of("zzz") == "midspan: error: unknown command 'zzz'. 'midspan --help' lists all commands."
     for command in (["status", "--zzz"], ["goto", "kitchen", "-z"], ["status", "extra"], ["topic"]):
         assert "Did you mean" not in error_of(*command)
 
@@ -139,7 +139,9 @@ def test_the_short_option_of_the_configuration() -> None:
 @pytest.mark.parametrize("words", [["-c", "x.yaml"], ["--config", "x.yaml"], ["--config=x.yaml"]], ids=" ".join)
 def test_an_option_before_the_verb(words: list[str]) -> None:
     option = words[0].partition("=")[0]
-    assert error_of(*words, "status").endswith(f"error: {option} belongs after the verb: 'midspan status {option} ...'")
+    assert error_of(*words, "status").endswith(
+        f"error: {option} belongs after the command: 'midspan status {option} ...'"
+    )
 
 
 def test_options_without_a_verb() -> None:

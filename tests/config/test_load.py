@@ -90,7 +90,7 @@ CASES = [
         [
             (
                 "1:15: hub.listen: 'tcp/0.0.0.0:7447' is open to other machines; listen on 127.0.0.1, and let"
-                " others in by hub.open, to which 'midspan config migrate' brings it"
+                " others in through hub.open, to which 'midspan config migrate' moves the address"
             )
         ],
     ),
@@ -152,7 +152,7 @@ CASES = [
     ),
     (
         "hub: {router: false, open: {connect: ['tls/a:7448']}}",
-        ["1:6: hub: hub.open needs the daemon's router, and hub.router is false"],
+        ["1:6: hub: hub.open needs the daemon's router, but hub.router is false"],
     ),
     (
         "hub: {open: {connect: ['tls/a:7448']}}\nrouting:\n  rules:\n  - {topic: /drive, priority: command}",

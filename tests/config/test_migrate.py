@@ -111,7 +111,7 @@ def test_a_key_that_is_gone_becomes_a_comment(old: str, new: str) -> None:
 def test_an_old_key_is_an_error_that_names_the_cure() -> None:
     with pytest.raises(ConfigError) as caught:
         loads("ros2:\n  build: true\n", FILE)
-    fault = "is a key of an older Midspan; 'midspan config migrate' brings the file to today's"
+    fault = "is a key of an older Midspan; 'midspan config migrate' updates the file"
     assert str(caught.value) == f"midspan.yaml:2:3: ros2.build: {fault}"
 
 

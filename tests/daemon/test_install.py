@@ -70,7 +70,7 @@ def test_install_for_another_user(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert all("\nUser=robot\n" in text for text in units(tmp_path))
     assert not (tmp_path / "etc/sysusers.d").exists()
     assert main(["install", "--root", str(tmp_path), "--user", "no\nExecStart=/bin/sh"]) == 1
-    assert "is not a user's name" in capsys.readouterr().err
+    assert "is not a user name" in capsys.readouterr().err
 
 
 TEMPLATES = {"midspan@.service": "midspan.service", "midspan-router@.service": "midspan-router.service"}

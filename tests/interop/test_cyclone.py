@@ -143,7 +143,7 @@ def test_name_served_on_two_kinds_of_dds(shared: Deployment) -> None:
     findings = json.loads(shared.command("doctor", "--json", seconds=60).stdout)
     (line,) = [finding for finding in findings if finding["check"] == "cyclone"]
     assert line["result"] == "warn"
-    assert "also served on another DDS, so they get no calls of /twice" in line["seen"]
+    assert "also served on another DDS, so they get no calls to /twice" in line["seen"]
     assert native.requests(server) == []
     assert ros2.ask("requests", id=fast, count=2, seconds=20)["requests"] == [{"data": True}] * 2
 

@@ -1,1 +1,1 @@
-"""Bags: files of messages, played, looked at and converted."""
+"""The commands ``bag`` and ``play``, for files of messages."""

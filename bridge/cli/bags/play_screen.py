@@ -1,4 +1,4 @@
-"""The terminal during playback: keys, and one line of progress."""
+"""The terminal during playback: keys, and a progress line."""
 
 from __future__ import annotations
 

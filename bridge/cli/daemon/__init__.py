@@ -1,1 +1,1 @@
-"""The verbs that run the daemon, one worker, one module or the simulator."""
+"""The commands that run the daemon, one worker, one module or the simulator."""

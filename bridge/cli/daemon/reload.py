@@ -1,4 +1,4 @@
-"""``midspan reload``: the running daemon loads its changed configuration."""
+"""``midspan reload``: makes the running daemon load its changed configuration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bridge.cli.output import CliError
 
 def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Lets the running daemon check and load its configuration file again, as SIGHUP does; only workers that use a"
+        "Makes the running daemon check and load its configuration file again, as SIGHUP does; only workers that use a"
         " change reload. If the file has a problem, the daemon keeps the configuration that it runs."
     )
     add_config(parser)

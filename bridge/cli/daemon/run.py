@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def register_run(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Runs the daemon in the foreground. SIGHUP or 'midspan reload' checks and reloads the configuration; only"
-        " workers that use a change reload. SIGTERM or Ctrl-C stops everything in order, a second one at once."
+        " workers that use a change reload. SIGTERM or Ctrl-C stops everything in order, a second one stops it at once."
     )
     add_config(parser)
     parser.add_argument(
@@ -78,9 +78,9 @@ def register_worker(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--supervised",
         action="store_true",
-        help="read the configuration and commands as JSON lines from the standard input (used by the daemon)",
+        help="read the configuration and commands as JSON lines from standard input (used by the daemon)",
     )
-    parser.add_argument("--prepared", action="store_true", help=argparse.SUPPRESS)  # the environment is already its own
+    parser.add_argument("--prepared", action="store_true", help=argparse.SUPPRESS)  # the environment is already right
     parser.set_defaults(run=run_worker)
 
 
@@ -132,9 +132,9 @@ def _enter_environment(kind: WorkerKind, config: Config, args: argparse.Namespac
 
 
 def _go_on_as(command: list[str], env: Mapping[str, str]) -> NoReturn:
-    """Replace this process by another Midspan command."""
+    """Replace this process with another Midspan command."""
     if sys.platform == "win32":  # exec would end this process for those that wait for it
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the new process gets a Ctrl-C too; its exit code counts
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the new process also gets a Ctrl-C; its exit code is used
         sys.exit(subprocess.call(command, env=dict(env)))
     os.execve(command[0], command, dict(env))  # noqa: S606  our own interpreter and module
 
@@ -142,9 +142,10 @@ def _go_on_as(command: list[str], env: Mapping[str, str]) -> NoReturn:
 def register_module(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Runs one hosted module in the foreground, without the daemon: on another machine, or as a separate service."
-        " The configuration must enable it; SIGHUP reloads that. Disable it for daemons that would run it too."
+        " The configuration must enable the module; SIGHUP reloads the configuration. Disable the module in the"
+        " configurations of daemons that would run it too."
     )
-    parser.add_argument("name", help="its name in the configuration's section modules")
+    parser.add_argument("name", help="the module's name in the configuration's modules section")
     add_config(parser)
     parser.set_defaults(run=run_module)
 

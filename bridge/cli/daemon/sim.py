@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Runs the simulated base of the section sim in the foreground, without the daemon; the options here override"
-        " the file. It joins the hub, or waits for one."
+        "Runs the simulated base of the configuration's sim section in the foreground, without the daemon; the options"
+        " here override the file. It joins the hub, or waits for it."
     )
     add_config(parser)
     parser.add_argument("--plan", metavar="PLAN", help="name of a floor plan, or a file; see --list")
     parser.add_argument("--robot", metavar="ROBOT", help="name of a robot, or a file; see --list")
-    parser.add_argument("--speed", metavar="SPEED", help="1.0 is real time; 'max'; 'step': on requests of a client")
-    parser.add_argument("--list", action="store_true", help="list the plans and robots of Midspan, and exit")
+    parser.add_argument("--speed", metavar="SPEED", help="1.0 is real time; 'max'; 'step': when a client requests it")
+    parser.add_argument("--list", action="store_true", help="list Midspan's plans and robots, and exit")
     parser.add_argument("--export", type=Path, metavar="FOLDER", help="write the plan's maps and locations, and exit")
-    parser.add_argument("--resolution", type=float, metavar="METERS", help="side of a cell for --export (default 0.05)")
+    parser.add_argument("--resolution", type=float, metavar="METERS", help="cell size for --export (default 0.05)")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the plan and the robot as PNG, and exit")
     parser.set_defaults(run=run)
 
@@ -66,7 +66,7 @@ def _config(args: argparse.Namespace) -> Config:
         try:
             speed = float(speed)
         except ValueError:
-            raise CliError(f"--speed {speed}: a number, 'max' or 'step'") from None
+            raise CliError(f"--speed {speed} is not a number, 'max' or 'step'") from None
     given = {"plan": args.plan, "robot": args.robot, "speed": speed}
     changed = {name: value for name, value in given.items() if value is not None}
     try:
@@ -83,7 +83,7 @@ def _export(config: Config, args: argparse.Namespace) -> int:
 
     resolution = args.resolution or 0.05
     if not 0.001 <= resolution <= 10:
-        raise CliError(f"--resolution {resolution}: 0.001 to 10 meters")
+        raise CliError(f"--resolution {resolution} is not from 0.001 to 10 meters")
     section = config.section(SimSection)
     plan = load_plan(section.plan, section.resolution)
     for file in export.save(plan, args.export, resolution):

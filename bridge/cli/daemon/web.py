@@ -1,4 +1,4 @@
-"""``midspan web``: the address of the console, or the console in a browser; a token for other machines."""
+"""``midspan web``: prints or opens the console's address, and creates tokens for other machines."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ examples:
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Prints the address of the console, the page on which people watch and drive."
+    parser.description = "Prints the address of the console, the page on which people watch and drive the robot."
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_config(parser)
     group = parser.add_mutually_exclusive_group()
-    group.add_argument("--open", action="store_true", help="open it in this machine's browser")
+    group.add_argument("--open", action="store_true", help="open the console in this machine's browser")
     group.add_argument("--token", metavar="NAME", help="create a token for a person or a program, and print it once")
     parser.add_argument("--role", choices=["watch", "drive"], default="drive", help="role of the token (default drive)")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print or open the address, or make a token; raises `CliError` if the console does not run."""
+    """Print or open the address, or create a token; raises `CliError` if the console does not run."""
     if args.token is not None:
         return _make_token(args.token, args.role)
     from bridge.config.load import load
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         import webbrowser
 
         if not webbrowser.open(address):
-            raise CliError("no browser found on this machine; open the address from another one over 'ssh -L'")
+            raise CliError("no browser found on this machine; open the address from another machine over 'ssh -L'")
     return 0
 
 
@@ -60,7 +60,7 @@ def _address(config: Config) -> str:
         raise CliError("the console is switched off: set web.enabled in the configuration")
     daemon = ask_daemon(config)
     if daemon is None:
-        raise CliError(f"no daemon of the name '{config.name}' runs here; start it with 'midspan run'")
+        raise CliError(f"no daemon named '{config.name}' runs here; start it with 'midspan run'")
     console = next((worker for worker in daemon.workers if worker.worker == "web"), None)
     if console is None:
         raise CliError("the daemon runs without a console: it has not loaded this configuration")
@@ -77,7 +77,7 @@ def _how_to_get_in(config: Config) -> str:
     section = config.section(WebSection)
     people = ", ".join(f"{name} ({token.role})" for name, token in section.tokens.items())
     hints = [
-        f"- the browser must know the authority: import {key_files(config).ca} there",
+        f"- the browser must trust the authority: import {key_files(config).ca} there",
         f"- log in with a token of {people}" if people else "",
         "- or show a certificate of that authority" + _drivers(section.trusted),
         "- another token: midspan web --token NAME",
@@ -86,7 +86,7 @@ def _how_to_get_in(config: Config) -> str:
 
 
 def _drivers(trusted: tuple[str, ...]) -> str:
-    return f"; who may drive by it: {', '.join(trusted)}" if trusted else ", to watch"
+    return f"; these may drive: {', '.join(trusted)}" if trusted else ", to watch"
 
 
 def _make_token(name: str, role: str) -> int:
@@ -99,8 +99,8 @@ def _make_token(name: str, role: str) -> int:
     try:
         WebSection.model_validate({"tokens": {name: {"role": role, "sha256": digest}}})
     except ValidationError:
-        raise CliError(f"{name!r} is not a name: letters, digits, '_' and '-', 63 at the most") from None
-    print(f"The token of {name}, to be kept as a password; it is shown this once:\n\n  {token}\n")
+        raise CliError(f"{name!r} is not a name: letters, digits, '_' and '-', at most 63") from None
+    print(f"The token of {name}; keep it like a password, it is shown only once:\n\n  {token}\n")
     print("In the configuration, which contains only its hash:\n")
     print(f'web:\n  tokens:\n    {name}: {{role: {role}, sha256: "{digest}"}}')
     return 0

@@ -1,1 +1,1 @@
-"""The verb ``tf``."""
+"""The command ``tf``."""

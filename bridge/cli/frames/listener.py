@@ -1,4 +1,4 @@
-"""The frames that a verb receives."""
+"""Receives frames for a command."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bridge.client.transforms import TransformListener
 
 
 def add_tf_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of verbs that receive frames."""
+    """Add the arguments of commands that receive frames."""
     parser.add_argument(
         "--namespace", default="", metavar="NAME", help="use NAME/tf and NAME/tf_static instead of /tf and /tf_static"
     )

@@ -1,1 +1,1 @@
-"""The verbs ``topic``, ``service`` and ``action``."""
+"""The commands ``topic``, ``service`` and ``action``."""

@@ -1,4 +1,4 @@
-"""A goal that a verb sends and follows; signals cancel it."""
+"""A goal that a command sends and follows; signals cancel it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from bridge.client.types import Types
 from bridge.messages.actions import GoalState
 
 CONFIRM_SECONDS = 5.0
-"""Seconds that a terminated verb waits for the goal's end; container runtimes kill after 10 s, systemd after 90 s."""
+"""Seconds that an ended command waits for the goal's end; container runtimes kill after 10 s, systemd after 90 s."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal asked the verb to end; ``code`` is the exit code."""
+    """A signal requested the end of the command; ``code`` is the exit code."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -28,10 +28,10 @@ class Interrupted(KeyboardInterrupt):
 
 
 class Interrupt:
-    """Holds the first SIGINT, SIGTERM or SIGHUP until `check` raises it, since foreign code might swallow an exception.
+    """Holds the first SIGINT, SIGTERM or SIGHUP until `check` raises it: other code might swallow an exception.
 
-    After Ctrl-C, the next signal raises at once. SIGTERM and SIGHUP often come together; what follows them is ignored,
-    as their handling is bounded. A SIGHUP that the caller ignores (``nohup``) stays ignored.
+    After Ctrl-C, the next signal raises at once. SIGTERM and SIGHUP often come together; signals after them are
+    ignored, because their handling is bounded. A SIGHUP that the caller ignores (``nohup``) stays ignored.
     """
 
     def __init__(self) -> None:
@@ -66,7 +66,7 @@ _ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if 
 
 
 class FollowedGoal(AwaitedGoal):
-    """A goal that ends with the verb; raises `ClientError` if the action or its type is unknown."""
+    """A goal that ends with the command; raises `ClientError` if the action or its type is unknown."""
 
     def __init__(self, client: Client, name: str, type_name: str, interrupt: Interrupt) -> None:
         super().__init__(client, Types(client), name, type_name, interrupt.check)
@@ -78,8 +78,8 @@ class FollowedGoal(AwaitedGoal):
     ) -> tuple[GoalEnd, int]:  # fmt: skip
         """Send the goal and follow it to its end. Cancel it on a signal, after ``timeout`` seconds, and on any error.
 
-        After Ctrl-C and the timeout this waits for the end of the goal, after SIGTERM and SIGHUP for `CONFIRM_SECONDS`.
-        Returns the end, and the exit code for the signal that canceled the goal, 0 without one.
+        After Ctrl-C and the timeout, this waits for the end of the goal; after SIGTERM and SIGHUP, for at most
+        `CONFIRM_SECONDS`. Returns the end, and the exit code for the signal that canceled the goal, 0 without one.
         Raises `ClientError` if the goal is rejected or lost.
         """
         self._interrupt.check()  # nothing to cancel yet
@@ -91,15 +91,15 @@ class FollowedGoal(AwaitedGoal):
                 return self._give_up(err.number.name), err.code
             reason, code = "Ctrl-C", err.code
         except TimeoutError:
-            reason, code = f"{timeout:g} s are over", 0
+            reason, code = f"{timeout:g} s have passed", 0
         except ClientError:
             raise
-        except BaseException as err:  # without its client a robot would drive on, here for example after `| head`
+        except BaseException as err:  # without its client the robot would drive on, for example after `| head`
             self._give_up("the output was closed" if isinstance(err, OSError) else type(err).__name__)
             raise
         self.cancel()
         before_cancel()
-        print(f"{reason}: the goal is being canceled; Ctrl-C again does not wait", file=sys.stderr)
+        print(f"{reason}: the goal is being canceled; press Ctrl-C again to exit without waiting", file=sys.stderr)
         return self.wait(), code
 
     def _give_up(self, why: str) -> GoalEnd:

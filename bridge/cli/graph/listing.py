@@ -1,4 +1,4 @@
-"""``list`` and ``info`` of topics, services and actions."""
+"""``list`` and ``info`` for topics, services and actions."""
 
 from __future__ import annotations
 
@@ -17,26 +17,29 @@ from bridge.client.graph import GraphView, Kind, Views, endpoint_json, endpoint_
 from bridge.client.session import Client
 from bridge.text import clean, make_console, side_name
 
-_INFO = "type, servers, clients and decisions", "Shows who serves it, who uses it, and what each worker decided of it."
+_INFO = (
+    "show type, servers, clients and decisions",
+    "Shows the servers and clients of a service or action, and each worker's decision on it.",
+)
 _TOPIC_INFO = (
-    "types, publishers, subscriptions and QoS",
+    "show types, publishers, subscriptions and QoS",
     "Shows a topic's types, and its publishers and subscriptions on the hub with their QoS and side.",
 )
 
 
 def register(verbs: Any, kind: Kind, views: Callable[[Client], Views]) -> None:
-    """Add the verbs ``list`` and ``info``; ``views`` gets all topics, services or actions."""
+    """Add the commands ``list`` and ``info``; ``views`` returns all topics, services or actions."""
     is_topic = kind == "topic"
     listing = add_verb(
-        verbs, "list", lambda args: _list(args, views, kind), f"all {kind}s of the hub and of its sides",
+        verbs, "list", lambda args: _list(args, views, kind), f"list all {kind}s of the hub and of its sides",
         f"Lists every {kind} on the hub, and those that stay on their side (private, denied or refused).",
     )  # fmt: skip
     ends = "endpoints" if is_topic else "servers, clients"
-    listing.add_argument("-v", "--verbose", action="store_true", help=f"with types, sides, {ends} and state")
-    listing.add_argument("--json", action="store_true", help="print all that is known of each as JSON")
+    listing.add_argument("-v", "--verbose", action="store_true", help=f"add types, sides, {ends} and state")
+    listing.add_argument("--json", action="store_true", help="print everything that is known about each as JSON")
     info = add_verb(verbs, "info", lambda args: _info(args, views, kind), *(_TOPIC_INFO if is_topic else _INFO))
     info.add_argument("name", metavar="topic" if is_topic else None, help=f"the {kind}'s name")
-    info.add_argument("--json", action="store_true", help="print it as JSON")
+    info.add_argument("--json", action="store_true", help="print the information as JSON")
 
 
 def _list(args: argparse.Namespace, views: Callable[[Client], Views], kind: Kind) -> int:

@@ -1,1 +1,1 @@
-"""The verbs ``status``, ``top``, ``explain`` and ``doctor``."""
+"""The commands ``status``, ``top``, ``explain`` and ``doctor``."""

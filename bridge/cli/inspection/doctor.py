@@ -61,7 +61,7 @@ def _gathered_context(args: argparse.Namespace) -> CheckContext:
     try:
         config = client_config(args)
     except (ConfigError, OSError) as err:
-        hub = HubSnapshot("the hub was not asked: the configuration cannot be used")
+        hub = HubSnapshot("the hub was not queried: the configuration cannot be used")
         return CheckContext(config_text=str(err), config_good=False, environ=dict(os.environ), hub=hub)
     config, hub = _hub_snapshot(config, here=of_this_machine(args))
     state = daemon_state(config, hub.documents, config_file(args)) if of_this_machine(args) else DaemonState("")

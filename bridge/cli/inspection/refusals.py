@@ -1,7 +1,7 @@
-"""Commands and calls of other machines that a router refuses (`hub.open.trusted`).
+"""Commands and calls from other machines that a router refuses (`hub.open.trusted`).
 
 zenoh drops them at the external listener without a report. They are derived from the routers' status documents and the
-hub's graph: which machines a router does not trust, which sessions are theirs, and what those publish and call.
+hub's graph: which machines a router does not trust, which sessions are theirs, and what these publish and call.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _QUESTIONS = [zenoh.KeyExpr(key) for key in QUESTIONS]
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Commands on one topic, or calls of one service, of one machine, which another refuses.
+    """Commands on one topic, or calls to one service, from one machine that another machine refuses.
 
-    ``daemon`` refuses; ``machine`` is the name in the certificate, "" without one; ``messages`` counts what its
-    bridge has sent, None if no bridge counts.
+    ``daemon`` is the one that refuses; ``machine`` is the name in the certificate, "" without one; ``messages`` is the
+    number that the machine's bridge has sent, None if no bridge counts.
     """
 
     daemon: str
@@ -60,7 +60,7 @@ class Refusal:
 
 
 def refusals(client: Client, documents: Sequence[StatusDocument]) -> list[Refusal]:
-    """Return what routers refuse now, by the workers' status documents and the hub's graph, which has settled."""
+    """Return what routers refuse now, from the workers' status documents and the hub's graph, once it has settled."""
     graph = client.hub.graph
     refused: list[Refusal] = []
     for router in routers_of(documents):
@@ -133,10 +133,10 @@ def _refusal(
 def _sessions(
     router: RouterStatus, machine: MachineStatus, documents: Sequence[StatusDocument], known: Collection[str]
 ) -> set[str]:
-    """Return the sessions that reach a router by its link with a machine, from those ``known`` and from the documents.
+    """Return the sessions that reach a router through its link with a machine, from ``known`` and from the documents.
 
-    These are the machine's own, and those of the routers that are connected to it, also if it is a router without a
-    status document, such as zenohd. If it is the only machine, these are all that are not the router's own.
+    These are the machine's own, and those of the routers that are connected to it, even if it is a router without a
+    status document, such as zenohd. If it is the only machine, these are all sessions except the router's own.
     """
     links: dict[str, set[str]] = defaultdict(set)
     members: dict[str, set[str]] = {}
@@ -169,7 +169,7 @@ def _by_topic(endpoints: Iterable[HubEndpoint]) -> Iterable[list[HubEndpoint]]:
 
 
 def _harmless(commanding: Mapping[str, Sequence[str]]) -> list[zenoh.KeyExpr]:
-    """Return the keys on which every machine may publish, by the commands of the router's document."""
+    """Return the keys on which every machine may publish, given the commands in the router's status document."""
     usual = commands(RoutingSection())
     table = usual | {name: frozenset(parts) for name, parts in commanding.items()}
     try:

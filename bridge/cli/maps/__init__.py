@@ -1,1 +1,1 @@
-"""The verbs ``map`` and ``location``."""
+"""The commands ``map`` and ``location``."""

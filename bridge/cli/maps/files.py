@@ -1,4 +1,4 @@
-"""Maps and places between files and the store: ``map import``, ``map export`` and ``location export``."""
+"""Copies maps and places between files and the store: ``map import``, ``map export`` and ``location export``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def register_map_files(verbs: Any) -> None:
         verbs, "import", _import_maps, "import maps and places from files into the store",
         "Reads maps of YARP (.map) and of ROS (.yaml with its image), collections (maps_collection.ini), and locations,"
         " areas, paths and objects (locations.ini) with their extras (locations_extras.ini), and maps in three"
-        " dimensions: octomaps (.bt, .ot) and clouds (.pcd, .ply). Imports all or nothing.",
+        " dimensions: octomaps (.bt, .ot) and clouds (.pcd, .ply). Either all of them are imported, or none.",
         example="midspan map import house.yaml --use",
     )  # fmt: skip
     come.add_argument("files", nargs="+", type=Path, metavar="FILE", help="the files")
@@ -34,14 +34,15 @@ def register_map_files(verbs: Any) -> None:
     come.add_argument("--use", action="store_true", help="use the first map from now on")
     go = add_verb(
         verbs, "export", _export_maps, "write a map, or all of them, to files",
-        "Writes a map for YARP (.map, with its images) or for ROS (.yaml), or all maps as YARP's collection (.ini); one"
-        " in three dimensions as .bt, .ot, .pcd or .ply. A cloud of an octomap has the centers of its occupied leaves.",
+        "Writes a map for YARP (.map, with its images) or for ROS (.yaml), or all maps as YARP's collection (.ini); a"
+        " map in three dimensions as .bt, .ot, .pcd or .ply. A cloud written from an octomap has the centers of the"
+        " occupied leaves.",
         example="midspan map export house.yaml house --image png",
     )  # fmt: skip
     go.add_argument("file", type=Path, metavar="FILE", help="a .map, .yaml, .ini, .bt, .ot, .pcd or .ply file")
     go.add_argument("name", nargs="?", help="name of the map (default: the one in use)")
     go.add_argument("--image", choices=("pgm", "png", "bmp"), default="pgm", help="format of the image of a .yaml")
-    go.add_argument("--resolution", type=float, metavar="METERS", default=0.05, help="cell size to convert a cloud")
+    go.add_argument("--resolution", type=float, metavar="METERS", default=0.05, help="cell size for converting a cloud")
 
 
 def _import_maps(args: argparse.Namespace) -> int:
@@ -49,12 +50,12 @@ def _import_maps(args: argparse.Namespace) -> int:
     if args.name is not None:
         named = [place for place, write in enumerate(writes) if write.kind in (MAP, MAP3D)]
         if len(named) != 1:
-            raise CliError(f"--name names one map, and the files have {len(named)}")
+            raise CliError(f"--name names one map, but the files have {len(named)}")
         writes[named[0]] = replace(writes[named[0]], name=args.name)
     maps = [write for write in writes if write.kind is MAP]
     if args.use:
         if not maps:
-            raise CliError("--use needs a map, and the files have none")
+            raise CliError("--use needs a map, but the files have none")
         writes.append(Write(CURRENT, THE_MAP, maps[0].name))
     names = [(write.kind.name, write.name) for write in writes]
     twice = {key for key in names if names.count(key) > 1}
@@ -112,7 +113,7 @@ def register_location_export(verbs: Any) -> None:
 def _export_locations(args: argparse.Namespace) -> int:
     form = args.file.suffix.lower()
     if form not in (".ini", ".geojson", ".yaml", ".yml") or (form == ".ini" and args.map is not None):
-        raise CliError(f"{args.file}: use the ending .ini (YARP, all maps), .geojson or .yaml (waypoints for Nav2)")
+        raise CliError(f"{args.file}: use the extension .ini (YARP, all maps), .geojson or .yaml (waypoints for Nav2)")
     with open_stored(args) as (_, stored):
         places = Places(stored.all(LOCATION), stored.all(OBJECT), stored.all(AREA), stored.all(PATH))
         extras = Extras(stored.all(BEHAVIOR), stored.all(LINK))

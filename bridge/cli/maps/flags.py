@@ -1,4 +1,4 @@
-"""``midspan map edit-flags``: the flags of a map's cells, for path planners."""
+"""``midspan map edit-flags``: edits the flags of a map's cells, for path planners."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def register(verbs: Any) -> None:
         example="midspan map edit-flags house --flag keep-out --points 1,1 2,1 2,3 1,3",
     )  # fmt: skip
     parser.add_argument("name", nargs="?", help="name of the map (default: the one in use)")
-    parser.add_argument("--flag", choices=sorted(_FLAGS), help="the new flag of the shape's cells")
+    parser.add_argument("--flag", choices=sorted(_FLAGS), help="the new flag for the shape's cells")
     shape = parser.add_mutually_exclusive_group()
     shape.add_argument("--points", nargs="+", type=_point, metavar="X,Y", help="a polygon's corners, three or more")
     shape.add_argument("--circle", type=_circle, metavar="X,Y,RADIUS", help="a circle")
     shape.add_argument("--area", metavar="NAME", help="a stored area")
     parser.add_argument("--enlarge", type=float, metavar="METERS", help="enlarge obstacles by this distance")
-    parser.add_argument("--clear-temporary", action="store_true", help="temporary and enlarged obstacles become free")
+    parser.add_argument("--clear-temporary", action="store_true", help="free temporary and enlarged obstacles")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -110,5 +110,5 @@ def _point(text: str) -> list[float]:
 def _circle(text: str) -> list[float]:
     numbers = _numbers(text, 3)
     if numbers[2] <= 0:
-        raise argparse.ArgumentTypeError(f"a circle's radius is above 0, not {numbers[2]:g}")
+        raise argparse.ArgumentTypeError(f"a circle's radius must be above 0, not {numbers[2]:g}")
     return numbers

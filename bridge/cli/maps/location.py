@@ -1,4 +1,4 @@
-"""``midspan location``: list, add, remove and export of locations, areas, paths, objects and links."""
+"""``midspan location``: lists, adds, removes and exports locations, areas, paths, objects and links."""
 
 from __future__ import annotations
 
@@ -51,11 +51,13 @@ _JSON: dict[str, Any] = {
 def _register_list_and_remove(verbs: Any) -> None:
     listing = add_verb(verbs, "list", _list, "list locations, areas with their behavior, paths, objects and links")
     listing.add_argument("--map", metavar="NAME", help="only those on this map")
-    listing.add_argument("--kind", choices=sorted(KINDS), help="only these")
+    listing.add_argument("--kind", choices=sorted(KINDS), help="only those of this kind")
     listing.add_argument("--json", action="store_true", help="print them as JSON")
-    remove = add_verb(verbs, "remove", _remove, "remove a location, or another kind")
-    remove.add_argument("name", help="its name")
-    remove.add_argument("--kind", choices=sorted(KINDS), default="location", help="its kind (default: location)")
+    remove = add_verb(verbs, "remove", _remove, "remove a location, or an entry of another kind")
+    remove.add_argument("name", help="the entry's name")
+    remove.add_argument(
+        "--kind", choices=sorted(KINDS), default="location", help="the entry's kind (default: location)"
+    )
 
 
 def _list(args: argparse.Namespace) -> int:
@@ -156,16 +158,16 @@ _OLD = 2.0
 def _register_add(verbs: Any) -> None:
     parser = add_verb(
         verbs, "add", _add, "store a location",
-        "Stores a location: a pose in meters and degrees, or the robot's current one from /tf.",
+        "Stores a location: a pose in meters and degrees, or the robot's current pose from /tf.",
         example="midspan location add kitchen 1.5 2 90; midspan location add dock --here",
     )  # fmt: skip
-    parser.add_argument("name", help="its name")
-    parser.add_argument("pose", nargs="*", type=float, metavar="X Y [DEGREES]", help="its pose")
+    parser.add_argument("name", help="the location's name")
+    parser.add_argument("pose", nargs="*", type=float, metavar="X Y [DEGREES]", help="the location's pose")
     parser.add_argument("--here", action="store_true", help="the robot's pose: its base in the map's frame, from /tf")
-    parser.add_argument("--map", metavar="NAME", help="its map (default: the one in use)")
-    parser.add_argument("--description", default="", help="for people")
+    parser.add_argument("--map", metavar="NAME", help="the location's map (default: the map in use)")
+    parser.add_argument("--description", default="", help="a description for people")
     parser.add_argument(
-        "--dock", nargs="?", const="", metavar="TYPE", help="it is a dock, of this type, for 'midspan dock'"
+        "--dock", nargs="?", const="", metavar="TYPE", help="mark it as a dock of this type, for 'midspan dock'"
     )
     parser.add_argument("--replace", action="store_true", help="replace an existing location of this name")
     parser.add_argument("--map-frame", default="map", metavar="FRAME", help="the map's frame, for --here")

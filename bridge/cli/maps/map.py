@@ -1,4 +1,4 @@
-"""``midspan map``: list, use, show, import, export, delete and edit-flags of the maps in the store, and explore."""
+"""``midspan map``: list, use, show, import, export, delete and edit-flags for the maps in the store, and explore."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     explore.register(verbs)
     delete = add_verb(verbs, "delete", _delete, "delete a map", "Deletes a map from the store, on all machines.")
     delete.add_argument("name", help="the map's name")
-    delete.add_argument("--3d", dest="three", action="store_true", help="the one in three dimensions")
+    delete.add_argument("--3d", dest="three", action="store_true", help="delete the 3D map of this name")
 
 
 def _list(args: argparse.Namespace) -> int:
@@ -47,7 +47,7 @@ def _list(args: argparse.Namespace) -> int:
     if not rows and others:
         return 0
     if not rows:
-        print("no map is stored; 'midspan map import FILE' brings one in")
+        print("no map is stored; 'midspan map import FILE' imports one")
         return 0
     table = Table(box=None, pad_edge=False)
     for column in ("", "map", "cells", "meters", "resolution", "origin x, y, degrees", "flags"):

@@ -72,7 +72,7 @@ def layer(name: str, value: Map3D, height: float) -> MapGrid2D:
     tree, edge = value.tree(), value.resolution
     keys, sizes = tree.keys().astype(np.int64), tree.edges()
     low = keys[:, 2]
-    wanted = math.floor(min(max(height / edge + 1e-9, -MIDDLE - 1), MIDDLE)) + MIDDLE  # 0.3 m is 3 cells of 0.1 m
+    wanted = math.floor(min(max(height / edge + 1e-9, -MIDDLE - 1), MIDDLE)) + MIDDLE  # + 1e-9: 0.3 / 0.1 is 3
     cut = (low <= wanted) & (wanted < low + sizes)
     if not cut.any():
         ends = [f"{(end - MIDDLE) * edge:g}" for end in (low.min(), (low + sizes).max())] if len(low) else ["none"]
@@ -92,7 +92,7 @@ def layer(name: str, value: Map3D, height: float) -> MapGrid2D:
 
 
 def export(args: argparse.Namespace) -> int:
-    """Write a 3D map in the format of the file's ending."""
+    """Write a 3D map in the format given by the file's extension."""
     with open_stored(args) as (_, stored):
         name, value = named_map3d(stored, args.name)
     form = args.file.suffix.lower()

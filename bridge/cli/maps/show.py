@@ -1,6 +1,6 @@
-"""``midspan map show``: a map with its flags, locations and areas, or a slice of one in 3D; on the terminal or as PNG.
+"""``midspan map show``: draws a map with flags, locations and areas, or a slice of a 3D map, on the terminal or as PNG.
 
-The drawing code loads slowly and is imported only when needed, since verbs that do not draw use this file's arguments.
+The drawing code loads slowly and is imported only when needed: commands that do not draw use this file's arguments.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def register(verbs: Any) -> None:
 
 
 def add_drawing_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of verbs that draw a map."""
+    """Add the arguments of commands that draw a map."""
     parser.add_argument("--png", type=Path, metavar="FILE", help="write a picture instead")
     parser.add_argument("--scale", type=int, default=0, metavar="PIXELS", help="pixels of a cell in the picture")
     parser.add_argument("--width", type=int, metavar="COLUMNS", help="columns in the terminal")

@@ -1,4 +1,4 @@
-"""A verb's access to the store over the hub: the copy of the configured daemon, or else another daemon's."""
+"""A command's access to the store over the hub: to the configured daemon's copy, or else to another daemon's."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The verbs that drive the robot: ``goto``, ``nav``, ``halt`` and ``teleop``."""
+"""The commands that drive the robot: ``goto``, ``nav``, ``halt`` and ``teleop``."""

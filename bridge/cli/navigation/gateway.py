@@ -1,4 +1,4 @@
-"""The gateway's state and services, for the verbs of the command line."""
+"""The gateway's state and services, for commands."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _documents(answers: Iterable[WorkerAnswer]) -> list[StatusDocument]:
 
 
 def check_daemon(client: CliClient) -> None:
-    """Raise `CliError` if the daemon is down and no other daemon has a gateway, since waiting would be useless."""
+    """Raise `CliError` if the daemon is down and no other daemon has a gateway: waiting would be useless."""
     state = client.daemon()
     if state.trouble:
         client.settle()
@@ -64,7 +64,7 @@ def no_answer(client: CliClient) -> str:
 
 
 def planner_away(client: CliClient, gateway: StatusDocument) -> Note | None:
-    """Return why the planner cannot drive, by a gateway's status document: absent, or nodes of it are not active."""
+    """Return why the planner cannot drive, from a gateway's status document: it is absent, or has inactive nodes."""
     inactive = inactive_nodes(gateway)
     if inactive is not None:
         return inactive

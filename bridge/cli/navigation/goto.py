@@ -34,8 +34,8 @@ _TERMINATED = (129, 143)
 def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Drives to locations or areas of the store in turn, or to a pose on the map, with the chosen planner, and shows"
-        " the progress. Ctrl-C, SIGTERM and SIGHUP cancel the goal. Exit code 0: arrived, 1: not arrived, 130, 143 and"
-        " 129: canceled by these signals."
+        " the progress. Ctrl-C, SIGTERM and SIGHUP cancel the goal. The exit code is 0 if the robot arrived, 1 if it"
+        " did not, and 130, 143 or 129 after these signals."
     )
     parser.epilog = (
         "Examples: midspan goto kitchen; midspan goto hall office; midspan goto 1.0 -2.0 90; midspan goto -1.5 2"
@@ -44,7 +44,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         "where",
         nargs="+",
         metavar="PLACE ... | X Y [DEGREES]",
-        help="names, or meters and degrees; default: any heading",
+        help="names, or meters and degrees; without DEGREES: any heading",
     )
     parser.add_argument("--frame", default="", help="frame of the pose (default: that of maps)")
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="cancel the goal if it takes longer")
@@ -107,14 +107,15 @@ class GoalProgress:
         self._due = 0.0
 
     def update(self, status: dict[str, Any]) -> None:
-        """Store a ``NavigationStatus`` for `refresh`; called on a thread of zenoh."""
+        """Store a ``NavigationStatus`` for `refresh`; called on a zenoh thread."""
         if status["goal_id"] == self._goal:
             self._news.append(status)
 
     def feedback(self, feedback: dict[str, Any]) -> None:
         """Update the distance from the planner's feedback.
 
-        Before its first path, Nav2 and RobotPathPlanner send 0.0, and `move_base` has none: then it is unknown.
+        The distance is unknown before the first path, when Nav2 and RobotPathPlanner send 0.0, and with `move_base`,
+        which sends none.
         """
         left = feedback.get("distance_remaining")
         known = isinstance(left, int | float) and math.isfinite(left) and left > 0.0
@@ -143,7 +144,7 @@ class GoalProgress:
             print(line, flush=True)
 
     def end(self) -> None:
-        """Leave the progress line."""
+        """End the progress line."""
         if self._screen:
             print()
 
@@ -168,10 +169,10 @@ def report_end(end: GoalEnd, signaled: int, done: str, trouble: str = "", *, as_
     """Print how a goal ended; return the exit code.
 
     Args:
-        end: of the goal.
+        end: how the goal ended.
         signaled: the exit code for the signal that canceled it, 0 without one.
         done: the text for a goal that succeeded.
-        trouble: why it has not succeeded completely.
+        trouble: why the goal has not succeeded completely, "" if it has.
         as_json: print one line of JSON instead.
     """
     state, code = STATES.get(end.status, "unknown"), int(end.result.get("error_code", 0))

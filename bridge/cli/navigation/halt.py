@@ -1,4 +1,4 @@
-"""``midspan halt``: stop every base, cancel every goal."""
+"""``midspan halt``: stops every base and cancels every goal."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bridge.text import clean, plural
 
 def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Publishes zero on every topic of velocities on the hub (the rules decide which sides it reaches), clears the"
+        "Publishes zero on every velocity topic on the hub (the rules decide which sides it reaches), clears the"
         " commands of each BaseControl and the goals of the gateway and Midspan's planners, and cancels every goal of"
         " every action. It is not an emergency stop: later commands are executed. Exit code 1 if something did not"
         " answer, or if it is not confirmed that the robot stands still."
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         client.settle()
         result = halt(client, Types(client), args.seconds)
         refused = warn_of_refusals(client, result.published)
-        warn_of_daemon(args, client.config, workers=False)  # not before: a daemon that hangs takes a second to ask
+        warn_of_daemon(args, client.config, workers=False)  # only now: a daemon that hangs delays this by a second
     if args.json:
         errors = {cancel.name: cancel.error for cancel in result.failed}
         errors |= {base: reason for base, reason in result.bases.items() if reason}
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     if result.trouble:
         raise CliError(result.trouble)
     if not (result.topics or result.cancels or result.bases):
-        raise CliError("nothing to halt: the hub has no topic of velocities, no action and no BaseControl")
+        raise CliError("nothing to halt: the hub has no velocity topic, no action and no BaseControl")
     return 1 if result.failed or any(result.bases.values()) or refused else 0
 
 

@@ -1,4 +1,4 @@
-"""``midspan nav startup``, ``shutdown`` and alike: commands for a planner's lifecycle managers, such as Nav2's."""
+"""``midspan nav startup``, ``shutdown`` and similar: commands for a planner's lifecycle managers, such as Nav2's."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from navigation.status import State, has_ended
 MANAGE, TRIGGER = "nav2_msgs/srv/ManageLifecycleNodes", "std_srvs/srv/Trigger"
 _STARTUP, _DEACTIVATE, _ACTIVATE, _RESET, _SHUTDOWN = "startup", "deactivate", "activate", "reset", "shutdown"
 COMMANDS = {_STARTUP: 0, _DEACTIVATE: 1, _ACTIVATE: 2, _RESET: 3, _SHUTDOWN: 4}
-"""Constants of `ManageLifecycleNodes.srv`; Nav2 names 1 and 2 PAUSE and RESUME, which are other verbs here."""
+"""Constants of `ManageLifecycleNodes.srv`; Nav2 names 1 and 2 PAUSE and RESUME, which are other commands here."""
 
 _DONE = {
     _STARTUP: "all its nodes are active",
@@ -35,11 +35,11 @@ _ACTIVE_SECONDS = 5.0
 
 
 def add_lifecycle_verbs(verbs: Any) -> None:
-    """Add the verbs below ``midspan nav``."""
+    """Add the commands below ``midspan nav``."""
     for verb, text in (
         (_STARTUP, "configure and activate the planner's nodes (Nav2); the robot does not move"),
         (_DEACTIVATE, "deactivate the planner's nodes; they stay configured"),
-        (_ACTIVATE, "activate them again"),
+        (_ACTIVATE, "activate the planner's nodes again"),
         (_RESET, "deactivate and clean up the planner's nodes, after which startup configures them again"),
         (_SHUTDOWN, "shut the planner's nodes down; to start again they need their launch file"),
     ):
@@ -77,7 +77,7 @@ def _planner(client: CliClient) -> Planner:
     except ClientError:
         if client.hub.graph.publishers(STATUS_TOPIC):
             raise CliError(no_answer(client)) from None
-        # without a gateway, nothing of Midspan drives the robot
+        # without a gateway, no part of Midspan drives the robot
     name = (gateway.planner if gateway is not None else "") or section.planner or "nav2"
     planner = section.other(name)
     if planner is None or not planner.managers:
@@ -107,13 +107,15 @@ def _missing(planner: Planner) -> str:
 
 def _command(client: CliClient, types: Types, manager: str, verb: str, seconds: float) -> None:
     if verb == _STARTUP and _is_active(client, types, manager):  # nodes that are active cannot be configured
-        print(f"{clean(manager)}: all its nodes are active already")
+        print(f"{clean(manager)}: all its nodes are already active")
         return
     caller = ServiceCaller(client, types, f"{manager}/manage_nodes", MANAGE)
     try:
         reply = caller.ask({"command": COMMANDS[verb]}, seconds)
     except ClientError as err:
-        raise CliError(f"{err}; the transition may go on: 'midspan nav status' shows the nodes' states") from None
+        raise CliError(
+            f"{err}; the transition may still continue: 'midspan nav status' shows the nodes' states"
+        ) from None
     finally:
         caller.close()
     if not reply["success"]:

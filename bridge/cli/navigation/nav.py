@@ -27,8 +27,8 @@ _DONE = {"stop": "stopped: no goal is under way", "pause": "paused", "resume": "
 def register(parser: argparse.ArgumentParser) -> None:
     verbs = add_verbs(parser, "Shows and controls the planner that drives the robot.", dest="nav_verb")
     for verb, text in (
-        ("status", "the planner's state, its reason and the goal"),
-        ("path", "the remaining waypoints"),
+        ("status", "show the planner's state, its reason and the goal"),
+        ("path", "show the remaining waypoints"),
         ("stop", "cancel the goal, whichever client sent it"),
         ("pause", "stand still; the client's goal stays active"),
         ("resume", "continue after a pause"),
@@ -67,7 +67,7 @@ def _ask(client: CliClient, types: Types, verb: str) -> int:
             raise
         return _stop_without_gateway(client, types, str(err))
     if not reply["success"]:
-        raise CliError(clean(reply["message"]) or f"it cannot be done: {verb}")
+        raise CliError(clean(reply["message"]) or f"the gateway refused the command: {verb}")
     print(clean(reply["message"]) or _DONE[verb])
     return 0
 
@@ -85,7 +85,7 @@ def _stop_without_gateway(client: CliClient, types: Types, why: str) -> int:
         raise CliError(f"{why}\nNor is the planner {planner} on the hub: the robot may still be moving{unsure}")
     (cancel,) = stopped.cancels
     if cancel.error:
-        text = f"{planner} did not take the stop ({clean(cancel.error)}): the robot may still be moving"
+        text = f"{planner} did not accept the stop ({clean(cancel.error)}): the robot may still be moving"
         raise CliError(f"{why}\n{text}{unsure}")
     if unsure:
         raise CliError(f"{why}{unsure}")
@@ -152,7 +152,7 @@ def _waypoints(client: CliClient, types: Types) -> list[dict[str, Any]]:
 
 def _draw(client: CliClient, status: dict[str, Any], path: list[dict[str, Any]], args: argparse.Namespace) -> int:
     """Draw the map, given the newest ``NavigationStatus`` and the path as ``PoseStamped``."""
-    # the other verbs of the navigation need no maps
+    # the other commands of navigation need no maps
     from bridge.cli.maps.location import robot_pose
     from bridge.cli.maps.store import named_map, store_of
     from yarp_compat.dev.locations import Map2DLocation

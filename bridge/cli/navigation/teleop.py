@@ -1,4 +1,4 @@
-"""``midspan teleop``: a base driven by the keyboard."""
+"""``midspan teleop``: drives a base with the keyboard."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bridge.text import clean
 
 RATE = 20.0
 HOLD_SECONDS = 0.6
-"""A key counts as held for so long after it came: keyboards repeat a key that is held after half a second."""
+"""Seconds for which a key counts as held after it arrives: keyboards repeat a held key only after half a second."""
 
 STEP = 1.1
 MOST_SPEED, MOST_TURN = 2.0, 3.0
@@ -52,7 +52,7 @@ class HeldKeys(NamedTuple):
 
 
 class Keys:
-    """The velocity that the pressed keys ask for, in m/s and rad/s."""
+    """The velocity that the pressed keys request, in m/s and rad/s."""
 
     def __init__(self, speed: float, turn: float) -> None:
         self.speed, self.turn = speed, turn
@@ -61,14 +61,14 @@ class Keys:
         self._until = 0.0
 
     def press(self, key: str, now: float) -> None:
-        """Take a key at a time in seconds."""
+        """Handle a key that arrives at a time in seconds."""
         if key in KEYS:
             self._wish, self._until = HeldKeys(*KEYS[key]), now + HOLD_SECONDS
         elif key in "qz":
             factor = STEP if key == "q" else 1.0 / STEP
             self.speed, self.turn = min(self.speed * factor, MOST_SPEED), min(self.turn * factor, MOST_TURN)
         else:
-            self._wish = HeldKeys()  # a key that means nothing stops, too
+            self._wish = HeldKeys()  # any other key stops the base
             self.ended = key in ("x", "\x03", "\x04")
 
     def velocity(self, now: float) -> tuple[float, float, float]:
@@ -79,12 +79,12 @@ class Keys:
 
 def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Drives a base on any side with the keyboard: publishes velocities on the hub while a key is held, then zero,"
-        " and nothing after it exits."
+        "Drives a base on any side with the keyboard: publishes velocities on the hub while a key is held, then zero"
+        " once, and nothing until the next key."
     )
     parser.epilog = HELP
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--topic", default="/cmd_vel", help="the topic of velocities (default /cmd_vel)")
+    parser.add_argument("--topic", default="/cmd_vel", help="the velocity topic (default /cmd_vel)")
     parser.add_argument(
         "--stamped",
         choices=_STAMPED,
@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     if not (0.0 < args.speed <= MOST_SPEED and 0.0 < args.turn <= MOST_TURN):
         raise CliError(f"--speed is at most {MOST_SPEED:g} m/s and --turn at most {MOST_TURN:g} rad/s, both above 0")
     if not (AVAILABLE and sys.stdin.isatty()):
-        raise CliError("teleop reads keys from a terminal of POSIX only; 'midspan topic pub' publishes from scripts")
+        raise CliError("teleop reads keys only from a POSIX terminal; 'midspan topic pub' publishes from scripts")
     topic = absolute(args.topic)
     with open_client(args) as client:
         section, types = client.config.navigation, Types(client)
@@ -139,7 +139,7 @@ def _drive(keys: Keys, terminal: int, publisher: VelocityPublisher) -> None:
         due = max(due + 1.0 / RATE, time.monotonic())
         velocity = keys.velocity(time.monotonic())
         publisher.follow()
-        if any(velocity) or not idle:  # one zero, then silence: whoever else drives is not overruled
+        if any(velocity) or not idle:  # one zero, then silence, so that others can drive
             publisher.publish(*velocity)
         idle = not any(velocity)
         _show(keys, velocity)

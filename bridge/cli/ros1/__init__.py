@@ -1,1 +1,1 @@
-"""Verbs for ROS 1."""
+"""Commands for ROS 1."""

@@ -17,15 +17,17 @@ def register(parser: argparse.ArgumentParser) -> None:
     actions = add_verbs(parser, "Runs parts of a ROS 1 system on machines without ROS 1.")
     master = add_verb(
         actions, "master", run_master, "run a ROS 1 master with parameters, as roscore does",
-        "Runs a ROS 1 master in the foreground, until Ctrl-C; the options here override the section ros1 of the"
-        " configuration. With 'ros1: {master: embedded}' the daemon runs one itself.", hub=False,
+        "Runs a ROS 1 master in the foreground, until Ctrl-C; the options here override the configuration's ros1"
+        " section. With 'ros1: {master: embedded}' the daemon runs a master itself.", hub=False,
     )  # fmt: skip
     add_config(master)
-    master.add_argument("-p", "--port", type=int, metavar="PORT", help="port on the configured address (11311)")
     master.add_argument(
-        "--listen", metavar="ADDRESS:PORT", help="address to listen at; with 0.0.0.0 other machines can connect"
+        "-p", "--port", type=int, metavar="PORT", help="port, on the configured address (default 11311)"
     )
-    master.add_argument("--purge", type=float, metavar="SECONDS", help="until a dead node is removed; 0: never")
+    master.add_argument(
+        "--listen", metavar="ADDRESS:PORT", help="address to listen on; with 0.0.0.0, other machines can connect"
+    )
+    master.add_argument("--purge", type=float, metavar="SECONDS", help="remove a dead node after this time; 0: never")
     master.add_argument("--forget", action="store_true", help="forget the nodes and parameters of the previous run")
 
 

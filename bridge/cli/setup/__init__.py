@@ -1,1 +1,1 @@
-"""The verbs that prepare a machine: configuration, keys, message packages, services."""
+"""The commands that prepare a machine: configuration, keys, message packages, services."""

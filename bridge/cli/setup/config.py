@@ -1,4 +1,4 @@
-"""``midspan config`` and ``midspan import``: configuration files, and the conversion of other bridges' files."""
+"""``midspan config`` and ``midspan import``: check and update configuration files, and convert other bridges' files."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 def register_config(parser: argparse.ArgumentParser) -> None:
     actions = add_verbs(parser, "Checks a configuration file, or prints examples and references.", dest="action")
-    check = add_verb(actions, "check", run_config, "check a file: every problem with its place and cure", hub=False)
+    check = add_verb(actions, "check", run_config, "check a file; report every problem with place and cure", hub=False)
     check.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: the daemon's)")
     check.add_argument("--json", action="store_true", help="print JSON")
     migrate = add_verb(
-        actions, "migrate", run_migrate, "update an older file to the current keys; comments stay", hub=False
+        actions, "migrate", run_migrate, "update an older file to the current keys, and keep its comments", hub=False
     )
     migrate.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the file (default: the daemon's)")
     migrate.add_argument("--print", action="store_true", help="print the new text without changing the file")
@@ -110,28 +110,30 @@ def _replace_file(file: Path, text: str) -> None:
         raise CliError(f"{old} already exists from an earlier migration; move it away")
     new.write_text(text, encoding="utf-8", newline="")
     shutil.copymode(file, new)
-    with contextlib.suppress(AttributeError, PermissionError):  # missing on Windows; only root may
+    with contextlib.suppress(AttributeError, PermissionError):  # Windows lacks it; elsewhere only root may
         os.chown(new, file.stat().st_uid, file.stat().st_gid)
     shutil.copy2(file, old)
     new.replace(file)
-    print(f"{file}: migrated; the former file is {old}")
+    print(f"{file}: migrated; the former text is kept in {old}")
 
 
 def register_import(parser: argparse.ArgumentParser) -> None:
     peers = add_verbs(
         parser,
-        "Converts another bridge's configuration. Reports entries without a counterpart by their line, on the"
-        " standard error and in the new file; then the exit code is 3.",
+        "Converts another bridge's configuration. Entries without a counterpart are reported with their line numbers,"
+        " on standard error and in the new file; in that case the exit code is 3.",
         "BRIDGE",
         dest="peer",
     )
-    ros1 = add_verb(peers, "ros1_bridge", run_import, "the parameter file of parameter_bridge (ros1_bridge)", hub=False)
+    ros1 = add_verb(
+        peers, "ros1_bridge", run_import, "convert the parameter file of ros1_bridge's parameter_bridge", hub=False
+    )
     ros1.add_argument(
         "--mapping-rules", type=Path, action="append", default=[], metavar="RULES",
-        help="a mapping-rule file that the bridge was built with, which Midspan reads unchanged (may be repeated)",
+        help="a mapping-rule file with which the bridge was built; Midspan reads it unchanged; may be repeated",
     )  # fmt: skip
     domain = add_verb(
-        peers, "domain_bridge", run_import, "domain_bridge's file: one configuration for each of its domains", hub=False
+        peers, "domain_bridge", run_import, "convert domain_bridge's file, to one configuration per domain", hub=False
     )
     for peer, kind, meta in ((ros1, "file", "FILE"), (domain, "folder", "FOLDER")):
         peer.add_argument("file", type=Path, metavar="FILE", help="the other bridge's file")
@@ -150,7 +152,7 @@ def run_import(args: argparse.Namespace) -> int:
     for note in notes:
         print(note, file=sys.stderr)
     if len(drafts) > 1 and args.output is None:
-        print(f"{len(drafts)} configurations, one for each domain: -o FOLDER writes them", file=sys.stderr)
+        print(f"{len(drafts)} configurations, one for each domain; -o FOLDER writes them to files", file=sys.stderr)
     return NOT_ALL if notes else 0
 
 

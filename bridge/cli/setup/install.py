@@ -35,7 +35,7 @@ def run_install(args: argparse.Namespace) -> int:
     if not sys.platform.startswith("linux"):
         raise CliError("systemd exists only on Linux; start 'midspan run' with this system's own service manager")
     if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,31}", args.user):
-        raise CliError(f"'{args.user}' is not a user's name")
+        raise CliError(f"'{args.user}' is not a user name")
     installation = Installation(args.root, args.user, dry_run=args.dry_run)
     try:
         lines = installation.uninstall() if args.uninstall else installation.install()
@@ -54,7 +54,7 @@ def register_completion(parser: argparse.ArgumentParser) -> None:
         " ~/.local/share/bash-completion/completions/midspan; zsh: into a folder of $fpath as _midspan; fish: into"
         " ~/.config/fish/completions/midspan.fish"
     )
-    parser.add_argument("shell", choices=SHELLS, help="which shell")
+    parser.add_argument("shell", choices=SHELLS, help="the shell")
     parser.set_defaults(run=run_completion)
 
 

@@ -29,10 +29,10 @@ def register(parser: argparse.ArgumentParser) -> None:
         " them. Without a folder: builds tf2_msgs, nav2_msgs and the others that come with Midspan, and makes them"
         " importable in this virtual environment.", hub=False,
     )  # fmt: skip
-    make.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="a package's folder, or a folder of such")
+    make.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="a package's folder, or one of packages")
     show = add_verb(verbs, "list", run, "list the message packages that are installed or built", hub=False)
     for verb in (make, show):
-        verb.add_argument("--cache", type=Path, metavar="FOLDER", help="the cache to use")
+        verb.add_argument("--cache", type=Path, metavar="FOLDER", help="folder of the cache")
         verb.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -100,4 +100,4 @@ def _show(rows: list[dict[str, str]]) -> None:
         table.add_row(row["package"], row["state"], row["version"], row["prefix"])
     make_console().print(table)
     if any(row["state"] == "missing" for row in rows):
-        print("Missing ones: `midspan interfaces build`")
+        print("To build the missing packages: `midspan interfaces build`")

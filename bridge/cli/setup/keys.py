@@ -25,8 +25,8 @@ example, for a robot and an operator's computer:
   midspan keys show
 
 The first 'make' creates the authority that signs all other certificates. Its key, ca.key, stays in this folder only:
-anyone who has it can make certificates of any name. Copy ca.pem and its own two files to each machine. A machine with
-an ADDRESS listens, one without connects; 'make' prints the configuration for each.
+anyone who has it can make certificates of any name. Copy ca.pem and the machine's own two files to each machine. A
+machine with an ADDRESS listens, a machine without one connects; 'make' prints the configuration for each.
 """
 
 
@@ -38,13 +38,15 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    make = add_verb(actions, "make", run, "make a machine's key and certificate, first the authority's", hub=False)
+    make = add_verb(
+        actions, "make", run, "make a machine's key and certificate; at first also the authority's", hub=False
+    )
     make.add_argument("name", metavar="NAME", help="the machine's name, as 'name' in its configuration")
     make.add_argument(
         "addresses", metavar="ADDRESS", nargs="*", help="names and addresses in addition to NAME, NAME.local"
     )
     make.add_argument(
-        "--days", type=_days, default=730, metavar="N", help=f"days until it expires (default 730, at most {MOST_DAYS})"
+        "--days", type=_days, default=730, metavar="N", help=f"days until expiry (default 730, at most {MOST_DAYS})"
     )
     make.add_argument("--replace", action="store_true", help="replace the certificate if it exists")
     show = add_verb(
@@ -74,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 def _make(folder: Path, args: argparse.Namespace) -> None:
     from bridge.hub.security.certificates import Authority, general_names
 
-    general_names(args.name, args.addresses)  # a mistake in the first call makes no authority
+    general_names(args.name, args.addresses)  # first, so that a mistake does not create the authority
     authority = Authority(folder)
     if not authority.exists():
         certificate = authority.make()
@@ -87,7 +89,7 @@ def _make(folder: Path, args: argparse.Namespace) -> None:
 
 
 def _next_steps(folder: Path, name: str, *, connects: bool) -> str:
-    """Return what to do on the machine; one that ``connects`` has no address that others could connect to."""
+    """Return what to do on the machine; if it ``connects``, it has no address for others to connect to."""
     keys = "/etc/midspan/keys"
     files = " ".join(str(folder / file) for file in ("ca.pem", f"{name}.pem", f"{name}.key"))
     return f"""\
@@ -114,7 +116,7 @@ _EITHER = """\
 
 
 def _snippet(folder: Path, name: str) -> str:
-    """Return the keys of ``hub.open`` for a machine that connects to the others of the folder that listen."""
+    """Return the keys of ``hub.open`` for a machine that connects to the folder's listening machines."""
     from bridge.hub.security.certificates import CertificateError
 
     others: list[Certificate] = []

@@ -1,1 +1,1 @@
-"""The verb ``yarp``."""
+"""The command ``yarp``."""

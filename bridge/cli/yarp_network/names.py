@@ -1,4 +1,4 @@
-"""The verbs of ``midspan yarp`` for names and connections: where, list, ping, connect and others."""
+"""The commands of ``midspan yarp`` for names and connections: where, list, ping, connect and others."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def register(verbs: Any) -> None:
     )  # fmt: skip
     name.add_argument("words", nargs="+", metavar="WORD", help="the command: query /port, get /port key, list, ...")
     ports = _add(verbs, "list", "all registered ports")
-    ports.add_argument("prefix", nargs="?", default="", help="only those at and below this name")
+    ports.add_argument("prefix", nargs="?", default="", help="only the port of this name, and ports below it")
     ports.add_argument("--json", action="store_true", help="print JSON")
     exists = _add(
-        verbs, "exists", "whether a port responds, or two are connected",
+        verbs, "exists", "check whether a port responds, or two are connected",
         "Exits with code 0 if the port is registered and responds, or if the first port writes to the second; else 1.",
     )  # fmt: skip
     exists.add_argument("port")
@@ -107,7 +107,7 @@ def _where(args: argparse.Namespace) -> int:
 
 def _name(args: argparse.Namespace) -> int:
     values = from_text(" ".join(args.words))
-    # unlike the usual carrier of name clients, this one preserves quotes
+    # the text carrier preserves quotes, unlike the usual carrier of name clients
     for line in text_client.ask(client(args).contact, values, timeout=args.timeout):
         if not line.startswith("*** "):
             print(clean(line))
@@ -203,7 +203,7 @@ def _subscription(answer: Any) -> str:
 
 def _done(answer: list[Any]) -> None:
     if answer != ["ok"]:
-        raise CliError("the name server rejected it: are both names port names, such as /robot/camera?")
+        raise CliError("the name server rejected the command: are both names port names, such as /robot/camera?")
 
 
 def _address(text: str) -> Address:

@@ -1,4 +1,4 @@
-"""The verbs of ``midspan yarp`` that send and receive messages: read, write, rpc."""
+"""The commands of ``midspan yarp`` that send and receive messages: read, write, rpc."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, to_text
 
 _WAITING = 1000
-"""Maximum number of messages queued for printing; further ones are only counted."""
+"""Maximum number of messages queued for printing; any further messages are only counted."""
 _RPC_TIMEOUT = 30.0
 
 
@@ -37,14 +37,14 @@ def register(verbs: Any) -> None:
         "Opens a port and prints the Bottles that it receives, one per line, until Ctrl-C.", hub=False,
     )  # fmt: skip
     read.add_argument("port", help="name of the port to open ('...': the name server chooses one)")
-    read.add_argument("source", nargs="?", help="the port to read from; without it, others connect to this one")
-    read.add_argument("--carrier", default="", help="how to connect to it: tcp (default), fast_tcp, udp, ...")
+    read.add_argument("source", nargs="?", help="the port to read from; without it, connect other ports")
+    read.add_argument("--carrier", default="", help="carrier of the connection: tcp (default), fast_tcp, udp, ...")
     read.add_argument("--count", type=int, metavar="N", help="exit after N messages")
-    read.add_argument("--envelope", action="store_true", help="print each message's envelope (its stamp) before it")
-    read.add_argument("--json", action="store_true", help="one JSON object per line: from, envelope, text")
+    read.add_argument("--envelope", action="store_true", help="print its envelope (stamp) before each message")
+    read.add_argument("--json", action="store_true", help="print one JSON object per line: from, envelope, text")
     write = add_verb(
         verbs, "write", _ended_by_signals(_write), "write lines as Bottles",
-        "Opens a port and writes each line of the standard input (or each --message) as a Bottle.",
+        "Opens a port and writes each line of standard input (or each --message) as a Bottle.",
         example="midspan yarp write ... /reader --message 'set speed 0.5'", hub=False,
     )  # fmt: skip
     write.add_argument("port", help="name of the port to open ('...': the name server chooses one)")
@@ -52,14 +52,14 @@ def register(verbs: Any) -> None:
     write.add_argument("--wait", action="store_true", help="wait for a connection before the first message")
     rpc = add_verb(
         verbs, "rpc", _rpc, "send commands to a port and print its replies",
-        "Sends each line of the standard input (or each --message) to a port and prints the replies.",
+        "Sends each line of standard input (or each --message) to a port and prints the replies.",
         example="midspan yarp rpc /robot/rpc --message 'get enc 0'", hub=False,
     )  # fmt: skip
     rpc.add_argument("port", help="the port to call")
-    rpc.add_argument("--admin", action="store_true", help="call the port itself rather than its owner ('[help]')")
+    rpc.add_argument("--admin", action="store_true", help="send administrative commands such as '[help]' to the port")
     for parser in (write, rpc):
         parser.add_argument(
-            "-m", "--message", action="append", metavar="TEXT", help="a message, instead of the standard input's lines"
+            "-m", "--message", action="append", metavar="TEXT", help="a message, instead of lines from standard input"
         )
     for parser in (read, write):
         parser.add_argument(
@@ -129,7 +129,9 @@ def _write(args: argparse.Namespace) -> int:
             if not reached and not args.targets:
                 print("no port is connected: not sent", file=sys.stderr)
             elif reached < len(args.targets):
-                raise CliError(f"{len(args.targets) - reached} of {len(args.targets)} targets did not accept it")
+                raise CliError(
+                    f"{len(args.targets) - reached} of {len(args.targets)} targets did not accept the message"
+                )
     except KeyboardInterrupt:
         pass
     finally:
@@ -165,7 +167,7 @@ def _values(line: str) -> list[Any]:
 
 
 def _refuse_taken(args: argparse.Namespace) -> None:
-    """Refuse a name that is in use, since the name server would reassign it."""
+    """Refuse a name that is in use, because the name server would reassign it."""
     if args.port != "..." and connections.exists(client(args), args.port, timeout=args.timeout):
         raise PortError(clean(f"{args.port} is in use by another program; '...' opens a port with a unique name"))
 
@@ -175,7 +177,7 @@ def _profile(args: argparse.Namespace) -> Profile:
 
 
 def _ended_by_signals(verb: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
-    """Make SIGTERM end a verb like Ctrl-C, so that its port is unregistered."""
+    """Make SIGTERM end a command as Ctrl-C does, so that its port is unregistered."""
 
     def run(args: argparse.Namespace) -> int:
         former = signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -18,7 +18,7 @@ from yarp_compat.naming.config import Address
 from yarp_compat.naming.server import GC_SECONDS, NameServer
 
 _EPILOG = """\
-The name server is the one in yarp.conf (which YARP's own programs use), or --server's. Options follow the verb:
+The name server is the one in yarp.conf (which YARP's own programs use), or --server's. Options follow the command:
 midspan yarp list --server 192.168.1.2:10000
 """
 
@@ -38,7 +38,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 def _register_server(verbs: Any) -> None:
     parser = add_verb(
         verbs, "server", _server, "run a name server",
-        "Runs a name server like yarpserver until Ctrl-C. It stores ports and persistent connections over restarts,"
+        "Runs a name server like yarpserver until Ctrl-C. It stores ports and persistent connections across restarts,"
         " and listens on loopback unless --host is given.", hub=False,
     )  # fmt: skip
     parser.add_argument(
@@ -46,8 +46,10 @@ def _register_server(verbs: Any) -> None:
     )
     parser.add_argument("--port", type=int, metavar="N", help=f"TCP port (default: yarp.conf's, {config.DEFAULT_PORT})")
     parser.add_argument("--write", action="store_true", help="write the address to yarp.conf, for programs to find")
-    parser.add_argument("--state", type=Path, metavar="FILE", help="its state (default: names.json next to yarp.conf)")
-    parser.add_argument("--forget", action="store_true", help="store nothing over restarts")
+    parser.add_argument(
+        "--state", type=Path, metavar="FILE", help="file of its state (default: names.json next to yarp.conf)"
+    )
+    parser.add_argument("--forget", action="store_true", help="store nothing across restarts")
     parser.add_argument(
         "--gc", type=float, default=GC_SECONDS, metavar="SECONDS",
         help="seconds between checks for dead ports (default %(default)g; 0: never)",
@@ -69,7 +71,7 @@ def _server(args: argparse.Namespace) -> int:
         if args.write:
             print(f"wrote {config.write(address)}")
         elif given != address:
-            print(f"programs find it if {config.file()} has '{address.host} {address.port} yarp' (--write writes it)")
+            print(f"programs find the server if {config.file()} has '{address.host} {address.port} yarp' (use --write)")
         print(f"{space} at {address.host} port {address.port}; web page: http://{address.host}:{address.port}/")
         sys.stdout.flush()
         while not stop.wait(3600):

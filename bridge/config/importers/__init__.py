@@ -1,1 +1,1 @@
-"""Configurations of other bridges, turned into Midspan's."""
+"""Converts configurations of other bridges into Midspan's."""

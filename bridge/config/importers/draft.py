@@ -1,4 +1,4 @@
-"""Files of an import: the other bridge's file, and the new configuration with comments on its sources."""
+"""The files of an import: the other bridge's file, and the new configuration with comments on its sources."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WIDTH = 116
 
 @dataclass(slots=True)
 class RuleDraft:
-    """One rule as in the file, with its source (``file:line``), and notes on keys without a counterpart."""
+    """One rule as it is written, with its source (``file:line``), and notes on keys without a counterpart."""
 
     source: str
     rule: dict[str, Any]
@@ -39,7 +39,7 @@ class Draft:
     rules: list[RuleDraft] = field(default_factory=list)
 
     def text(self) -> str:
-        """The YAML file."""
+        """Return the text of the YAML file."""
         return "\n".join(self._lines()) + "\n"
 
     def _lines(self) -> Iterator[str]:
@@ -63,7 +63,7 @@ class Draft:
 
 
 def comment(text: str, indent: str = "") -> list[str]:
-    """Return a text as lines of comment."""
+    """Return a text as comment lines."""
     continuation = f"{indent}#   " if text.startswith("- ") else f"{indent}# "
     return textwrap.wrap(
         text,
@@ -88,7 +88,7 @@ def _short(note: Problem) -> str:
 def missing(notes: Iterable[Problem]) -> list[str]:
     """Return paragraphs that list the entries without a counterpart."""
     lines = [f"- {_short(note)}" for note in notes]
-    return ["What has no counterpart here:", *lines] if lines else []
+    return ["Entries without a counterpart here:", *lines] if lines else []
 
 
 NOT_CARRIED = "not carried over"

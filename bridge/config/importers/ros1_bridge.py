@@ -1,7 +1,7 @@
-"""From ros1_bridge's parameter_bridge to Midspan.
+"""Converts a parameter file of ros1_bridge's parameter_bridge into a configuration.
 
 The file is one for ``rosparam load``: lists ``topics``, ``services_1_to_2`` and ``services_2_to_1``. The meaning of the
-keys is from ros1_bridge's README and ``src/parameter_bridge.cpp`` (https://github.com/ros2/ros1_bridge, master of
+keys is taken from ros1_bridge's README and ``src/parameter_bridge.cpp`` (https://github.com/ros2/ros1_bridge, master of
 2025-05-06): topics cross both ways, ``queue_size`` is ROS 1's (default 100), ``qos`` is for the publisher on ROS 2.
 A service crosses one way. In ``services_1_to_2``, clients on ROS 1 call a server on ROS 2, and the type is ROS 2's; in
 ``services_2_to_1``, clients on ROS 2 call a server on ROS 1, and the type is ROS 1's. ``package`` is an older spelling
@@ -24,7 +24,7 @@ from bridge.config.sections.section import Section
 
 MAX_DEPTH = 100_000
 
-# also as numbers of rmw_qos_liveliness_policy_t
+# names, and the numbers of rmw_qos_liveliness_policy_t
 _NEUTRAL = ("none", "0", "1", "liveliness_system_default", "liveliness_automatic")
 _SERVICES = {"services_1_to_2": ("ros2", "ros1"), "services_2_to_1": ("ros1", "ros2")}
 """The lists of services: the side of the server, and the side of the clients."""
@@ -125,14 +125,14 @@ def _topics(job: _Import) -> None:
             continue
         name = rules[0].rule["topic"]
         if name in seen:
-            job.notes.append(job.note(path, f"{name} is listed already, in line {seen[name]}", at_key=False))
+            job.notes.append(job.note(path, f"{name} is already listed in line {seen[name]}", at_key=False))
             continue
         seen[name] = job.document.values[path].line
         job.rules += rules
 
 
 def _rules(job: _Import, path: KeyPath) -> list[RuleDraft]:
-    """Return the rule of one topic, and another one if a QoS is forced, which is for ROS 2 only."""
+    """Return the rule of one topic, and, if a QoS is forced, a second rule, which is for ROS 2 only."""
     document = job.document
     topic, notes = checked(document, path, Ros1BridgeTopic)
     rule: dict[str, Any] = {
@@ -169,7 +169,7 @@ def _services(job: _Import) -> None:
                 continue
             name = rule.rule["topic"]
             if name in seen:
-                job.notes.append(job.note(path, f"{name} is listed already, in line {seen[name]}", at_key=False))
+                job.notes.append(job.note(path, f"{name} is already listed in line {seen[name]}", at_key=False))
                 continue
             seen[name] = job.document.values[path].line
             job.rules.append(rule)
@@ -195,7 +195,7 @@ def _service_rule(job: _Import, path: KeyPath, server: str, client: str) -> Rule
 
 
 def _others(job: _Import) -> None:
-    """Note the keys that are not lists of the bridge."""
+    """Add notes on the keys that are not lists of the bridge."""
     for key in job.document.data:
         if key not in _KNOWN:
             text = f"'{key_text((key,))}' is not a list of the parameter_bridge ({', '.join(_KNOWN)})"

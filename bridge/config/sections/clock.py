@@ -1,4 +1,4 @@
-"""The section ``clock``."""
+"""The section ``clock``: the time scale."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class ClockSection(Section):
     """The time scale of all stamps that Midspan makes."""
 
     source: Literal["system", "sim"] = setting(
-        "system", "`system`: the machine's; `sim`: the topic `/clock`, and ROS 1's master gets `/use_sim_time`."
+        "system", "`system`: the machine's clock; `sim`: the topic `/clock`, and ROS 1's master gets `/use_sim_time`."
     )
 
     @property

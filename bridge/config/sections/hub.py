@@ -24,12 +24,12 @@ class OpenSection(Section):
         None, "Folder of `ca.pem` and this daemon's `<name>.pem` and `<name>.key`; default /etc/midspan/keys."
     )
     certificate: Path | None = setting(None, "This machine's certificate (PEM), if it is not in `keys`.")
-    key: Path | None = setting(None, "Its private key (PEM), if it is not in `keys`.")
+    key: Path | None = setting(None, "This machine's private key (PEM), if it is not in `keys`.")
     ca: Path | None = setting(None, "Certificate of the authority that signed all others (PEM), if not in `keys`.")
     insecure: bool = setting(
         False, "Allow endpoints without TLS: any machine that reaches them may join, and none has a name."
     )
-    zenoh: dict[str, Any] | Path | None = setting(None, "zenoh configuration of its router, like `hub.router_zenoh`.")
+    zenoh: dict[str, Any] | Path | None = setting(None, "zenoh configuration of the router for other machines.")
 
     @property
     def opened(self) -> bool:
@@ -72,11 +72,11 @@ class HubSection(Section):
         " (peer, client), connect, listen, transport/link/tls, access_control.",
     )
     router_zenoh: dict[str, Any] | Path | None = setting(None, "The same for the daemon's router.")
-    shared_memory: bool = setting(True, "Large messages go through shared memory between this machine's workers.")
+    shared_memory: bool = setting(True, "Send large messages between this machine's workers through shared memory.")
     lane: bool = setting(
         True,
-        "Small messages go between the daemon's own workers over a Unix socket in the state folder, if the system has"
-        " such sockets (Linux); `false`: all over zenoh.",
+        "Send small messages between the daemon's own workers over a Unix socket in the state folder, if the system has"
+        " such sockets (Linux); `false`: send all messages over zenoh.",
     )
 
     @property
@@ -89,8 +89,8 @@ class HubSection(Section):
     def _listens_on_this_machine(cls, value: str) -> str:
         if not is_loopback(value):
             raise ValueError(
-                f"{value!r} is open to other machines; listen on 127.0.0.1, and let others in by hub.open, to which"
-                " 'midspan config migrate' brings it"
+                f"{value!r} is open to other machines; listen on 127.0.0.1, and let others in through hub.open, to"
+                " which 'midspan config migrate' moves the address"
             )
         return value
 
@@ -98,7 +98,7 @@ class HubSection(Section):
     def _open_fits(self) -> HubSection:
         taken = [place for place in self.open.listen if same_port(place, self.listen)]
         if self.open.opened and self.router is False:
-            msg = "hub.open needs the daemon's router, and hub.router is false"
+            msg = "hub.open needs the daemon's router, but hub.router is false"
         elif self.open.opened and self.listen.startswith(("tls/", "quic/")):
             msg = "with hub.open this machine's own programs join without TLS; write hub.listen: tcp/127.0.0.1:7447"
         elif taken:

@@ -11,7 +11,7 @@ from pydantic import Field
 from bridge.config.sections.section import Section, matching, setting
 
 Role = Literal["watch", "drive"]
-"""What a person may do: look, or command too."""
+"""What a person may do: only watch, or also command."""
 
 _ADDRESS = re.compile(r"(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[^\[\]:/\s]+)):(?P<port>\d{1,5})")
 
@@ -19,7 +19,7 @@ PersonName = Annotated[str, matching(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", "is not 
 
 
 class TokenSection(Section):
-    """A token by which a person or a program gets in."""
+    """A token with which a person or a program logs in."""
 
     role: Role = setting("drive", "`watch`: only watch; `drive`: also command.")
     sha256: str = Field(
@@ -30,16 +30,16 @@ class TokenSection(Section):
 class ServerSection(Section):
     """The section of a worker that listens at an address and port."""
 
-    enabled: bool = setting(False, "Whether it runs.")
+    enabled: bool = setting(False, "Whether the server runs.")
     listen: str = setting(..., "Address and port.")
 
     def conflict(self, config: Any) -> str:  # noqa: ARG002 - most sections are checked alone
-        """Return why it may not listen there with the other sections, "" if it may."""
+        """Return why the server may not listen there with the other sections as they are, "" if it may."""
         return ""
 
 
 def split(listen: str) -> tuple[str, int]:
-    """Address and port; raises `ValueError`."""
+    """Return address and port; raises `ValueError`."""
     match = _ADDRESS.fullmatch(listen)
     if match is None or int(match["port"]) > 65535:
         msg = f"{listen!r} is not an address with a port: write it as 127.0.0.1:8480 or [::1]:8480"
@@ -48,7 +48,7 @@ def split(listen: str) -> tuple[str, int]:
 
 
 def is_loopback_address(address: str) -> bool:
-    """Whether only programs of this machine reach what listens there."""
+    """Whether only programs on this machine can reach a listener at an address."""
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:

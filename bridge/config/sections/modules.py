@@ -13,22 +13,22 @@ from bridge.descriptors import all_modules
 class OwnModule(Section):
     """A module of your own."""
 
-    name: SmallName = Field(description="Its name on the hub: small letters, digits and underscores.")
+    name: SmallName = Field(description="Its name on the hub: lowercase letters, digits and underscores.")
     factory: Factory = Field(
         description="Its class as `package.module:Class`, in a package installed in Midspan's environment."
     )
-    options: dict[str, Any] = Field(default_factory=dict, description="Options that it starts with.")
+    options: dict[str, Any] = Field(default_factory=dict, description="Options for its class.")
 
 
 class ModulesSection(Section):
     """The modules that Midspan hosts, in one worker."""
 
-    enabled: Literal["auto", False] = setting("auto", "`auto`: modules that are switched on run; `false`: none runs.")
+    enabled: Literal["auto", False] = setting("auto", "`auto`: enabled modules run; `false`: no module runs.")
     own: tuple[OwnModule, ...] = setting((), "Modules of your own.")
 
     @property
     def sections(self) -> dict[str, Section]:
-        """The sections of the modules that are switched on, by name."""
+        """The sections of the enabled modules, by name."""
         enabled: dict[str, Section] = {name: part for name, part in self.shipped.items() if part.enabled}
         return enabled | {module.name: module for module in self.own}
 

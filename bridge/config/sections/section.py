@@ -61,12 +61,12 @@ def is_list_of_texts(annotation: Any) -> bool:
 
 
 def setting(default: Any, description: str, **limits: Any) -> Any:
-    """A key of a section, with limits of its value as `pydantic.Field` takes them: ``ge``, ``lt``, ``pattern``."""
+    """Define a key of a section; ``limits`` of its value are those of `pydantic.Field`: ``ge``, ``lt``, ``pattern``."""
     return Field(default=default, description=description, **limits)
 
 
 def subsection(section: type[Section], description: str) -> Any:
-    """A section within a section."""
+    """Define a section within a section."""
     return Field(default_factory=section, description=description)
 
 
@@ -79,17 +79,17 @@ def fields_of(sections: Mapping[str, tuple[str, str]]) -> dict[str, Any]:
 class SideSection(Section):
     """The section of a side."""
 
-    enabled: Enabled = setting("auto", "`auto`: if this machine has what it needs.")
+    enabled: Enabled = setting("auto", "`auto`: enabled if this machine has what the side needs.")
 
     def joins_as(self, other: Section) -> bool:
-        """Whether the side's network is joined as by another section, so that its worker need not start again."""
+        """Whether another section joins the side's network in the same way, so that the worker need not restart."""
         return self == other
 
 
 class ModuleSection(Section):
     """A module of Midspan; its key in `modules` is its name."""
 
-    enabled: bool = setting(False, "Whether it runs.")
+    enabled: bool = setting(False, "Whether the module runs.")
 
     @property
     def driven(self) -> tuple[str, ...]:
@@ -98,7 +98,7 @@ class ModuleSection(Section):
 
 
 def matching(pattern: str | re.Pattern[str], mistake: str) -> AfterValidator:
-    """Checks that a pattern matches a whole text; ``mistake`` follows the text in the error."""
+    """Return a validator that requires a pattern to match a whole text; ``mistake`` follows the text in the error."""
 
     def check(value: str | float) -> str | float:
         if isinstance(value, str) and not re.fullmatch(pattern, value):
@@ -150,9 +150,9 @@ PORT, PORT_OR_NONE = f"^{YARP_PORT.pattern}$", f"^({YARP_PORT.pattern})?$"
 
 
 def zenoh_endpoint(endpoint: str) -> str:
-    """Return a zenoh endpoint; raises `ValueError` if it lacks a protocol, or one of IP a host or a port.
+    """Return a zenoh endpoint; raises `ValueError` if it lacks a protocol, or, for an IP protocol, a host or a port.
 
-    Port 0 of a listener is any free one.
+    A listener may have port 0, which means any free port.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_-]*/\S+", endpoint):
         mistake = "is not a zenoh endpoint; give protocol and address, for example tcp/127.0.0.1:7447"
@@ -175,16 +175,17 @@ def zenoh_endpoint(endpoint: str) -> str:
 
 ZenohEndpoint = Annotated[str, AfterValidator(zenoh_endpoint)]
 SmallName = Annotated[
-    str, matching(r"[a-z][a-z0-9_]{0,62}", "is not a name: use small letters, digits and underscores, a letter first")
+    str,
+    matching(r"[a-z][a-z0-9_]{0,62}", "is not a name: use lowercase letters, digits and underscores, a letter first"),
 ]
 NodeName = Annotated[
     str, matching(r"[A-Za-z][A-Za-z0-9_]*", "is not a node name; use letters, digits and underscores, a letter first")
 ]
-"""A node's base name that ROS 1 and ROS 2 both take."""
+"""A node's base name that both ROS 1 and ROS 2 accept."""
 
 
 EMBEDDED = "embedded"
-"""Instead of a master's URI: Midspan's own master."""
+"""The value for Midspan's own master, in place of a master's URI."""
 
 
 def _master_uri(value: str) -> str:
@@ -207,7 +208,7 @@ MasterUri = Annotated[str, AfterValidator(_master_uri)]
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Whether only programs of this machine reach what listens at a zenoh endpoint."""
+    """Whether only programs on this machine can reach a listener at a zenoh endpoint."""
     protocol, _, address = endpoint.partition("/")
     if protocol.startswith(("unixsock", "unixpipe")):
         return True
@@ -219,6 +220,6 @@ def is_loopback(endpoint: str) -> bool:
 
 
 def same_port(one: str, other: str) -> bool:
-    """Whether two endpoints have one port of TCP (0 is any free one)."""
+    """Whether two endpoints have the same TCP port (0 is any free one)."""
     ports = [re.split(r"[?#]", place)[0].rpartition(":")[2] for place in (one, other)]
     return ports[0] == ports[1] != "0" and not one.startswith("quic/")

@@ -24,11 +24,13 @@ class StoreSection(Section):
         None, "A file of locations, areas, paths and objects (`locations.ini`), imported in the same way."
     )
     keys: int = setting(10_000, "Maximum number of values in the store.", ge=1, le=100_000)
-    megabytes: int = setting(1024, "Megabytes (1,048,576 bytes) of all values together.", ge=1, le=1 << 20)
-    deleted: int = setting(10_000, "Deleted names that the store remembers, at most.", ge=0, le=100_000)
+    megabytes: int = setting(
+        1024, "Maximum size of all values together, in megabytes (1,048,576 bytes).", ge=1, le=1 << 20
+    )
+    deleted: int = setting(10_000, "Maximum number of deleted names that the store remembers.", ge=0, le=100_000)
     deleted_days: float = setting(
         30.0,
-        "Days for which it remembers them. Machines away for longer bring deleted values back.",
+        "Days for which it remembers them. Machines that are offline for longer bring deleted values back.",
         gt=0,
         le=3650,
     )

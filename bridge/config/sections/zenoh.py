@@ -21,7 +21,7 @@ class DialectKey(Section):
     """A key of a dialect whose publishers announce nothing."""
 
     key: str | None = setting(None, "Only for `json`: the zenoh key, for example `robot/pose`.")
-    topic: str | None = setting(None, "The topic, for example `/pose`; with `json` by default the key after a slash.")
+    topic: str | None = setting(None, "The topic, for example `/pose`; default with `json`: a slash and the key.")
     type: _Type = Field(
         description="The message type, spelled as in ROS 2: `geometry_msgs/msg/Pose`; with `json` also a service's:"
         " `std_srvs/srv/SetBool`."
@@ -35,7 +35,7 @@ class DialectKey(Section):
 
     @property
     def hub_topic(self) -> str:
-        """The topic's name."""
+        """The topic's name on the hub."""
         return self.topic if self.topic is not None else f"/{self.key}"
 
     @property
@@ -56,7 +56,7 @@ class DialectKey(Section):
     @model_validator(mode="after")
     def _topic_is_legal(self) -> DialectKey:
         if (self.topic is not None or self.key is not None) and not ROS2_NAME.fullmatch(self.hub_topic):
-            msg = f"{self.hub_topic!r} is not a topic name; give a 'topic' of letters, digits and underscores, as /pose"
+            msg = f"{self.hub_topic!r} is not a topic name; give a 'topic' of letters, digits and underscores: /pose"
             raise ValueError(msg)
         if self.is_service and (self.direction == "both" or self.latched):
             msg = f"{self.type} is a service: give its 'direction', in (programs serve it) or out, and no 'latched'"
@@ -65,7 +65,7 @@ class DialectKey(Section):
 
 
 class Dialect(Section):
-    """One key dialect that is spoken on the zenoh network."""
+    """One key dialect that is used on the zenoh network."""
 
     dialect: Literal["ros2dds", "ros1", "json"] = Field(
         description="`ros2dds`: as zenoh-bridge-ros2dds; `ros1`: as zenoh-bridge-ros1; `json`: JSON on plain keys."
@@ -74,7 +74,7 @@ class Dialect(Section):
         None, "Not with `json`: the bridges' own namespace; default `/` (ros2dds) or `*` (ros1: `bridge_namespace`)."
     )
     keys: tuple[DialectKey, ...] = setting(
-        (), "`json`: all keys. Else: topics whose publishers announce nothing, as free_fleet's do."
+        (), "With `json`: all its keys. Otherwise: topics whose publishers announce nothing, such as free_fleet's."
     )
     latched: tuple[str, ...] = setting(
         _USUALLY_LATCHED,
@@ -89,7 +89,7 @@ class Dialect(Section):
         if json and self.namespace is not None:
             msg = "JSON keys have no namespace; write it into each key"
         elif json and not self.keys:
-            msg = "names no keys: JSON is spoken on the keys that are listed here"
+            msg = "names no keys: JSON is used only on the keys that are listed here"
         elif json and any(key.key is None for key in self.keys):
             msg = "an entry of keys has no 'key'"
         elif not json and any(key.topic is None for key in self.keys):
@@ -103,9 +103,9 @@ class Dialect(Section):
         elif self.dialect != "ros1" and self.latched != _USUALLY_LATCHED:
             msg = "'latched' here is only for ros1"
         elif self.dialect == "ros2dds" and not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", self.namespace or "/", re.ASCII):
-            msg = f"namespace {self.namespace!r} is not a ROS 2 namespace, as /robot1"
+            msg = f"namespace {self.namespace!r} is not a ROS 2 namespace, such as /robot1"
         elif self.dialect == "ros1" and not re.fullmatch(r"\*|[A-Za-z0-9_.-]+", self.namespace or "*", re.ASCII):
-            msg = f"namespace {self.namespace!r} is not a single part of a key, as robot1 or *"
+            msg = f"namespace {self.namespace!r} is not a single part of a key, such as robot1 or *"
         else:
             return self
         raise ValueError(msg)
@@ -117,12 +117,12 @@ class ZenohSection(SideSection):
     The sides are called ``zenoh_ros2dds``, ``zenoh_ros1`` and ``zenoh_json``; ``zenoh`` stands for the hub itself.
     """
 
-    enabled: Enabled = setting("auto", "`auto`: if a dialect is configured.")
+    enabled: Enabled = setting("auto", "`auto`: enabled if a dialect is configured.")
     router: ZenohEndpoint | None = setting(
         None, "Router of another zenoh network, for example `tcp/robot1:7447`; default: the hub's own network."
     )
     zenoh: dict[str, Any] | Path | None = setting(
-        None, "zenoh configuration of the sessions there (inline or a file); default: the hub's sessions'."
+        None, "zenoh configuration of the sessions there (inline or a file); default: that of the hub's sessions."
     )
     dialects: tuple[Dialect, ...] = setting((), "The dialects on that network; see below.")
 

@@ -10,10 +10,10 @@ from bridge.demo.topics_demo import messages
 
 ROS1, ROS2, ZENOH, YARP = "ROS 1", "ROS 2", "zenoh", "YARP"
 YARP_TEXT = "YARP text"
-"""The YARP program with lines of text."""
+"""The YARP program when it sends lines of text."""
 
 _MOVED = 0.4
-"""Minimum motion in meters or radians of a drive."""
+"""Minimum motion of a drive in meters or radians."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class CrossingCheck:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """One drive: its command (m/s, rad/s), the robot's x, y, yaw before and after, and its velocity in the end.
+    """One drive: its command (m/s, rad/s), the robot's x, y, yaw before and after, and its velocity at the end.
 
     ``received`` of ``sent`` commands reached the robot; ``seen``: the driver saw the pose change.
     """
@@ -53,7 +53,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """A bridged topic: the minimum number of messages, and a text in each."""
+    """What a bridged topic must deliver: the minimum number of messages, and a text in each."""
 
     name: str
     topic: str

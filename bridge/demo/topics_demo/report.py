@@ -1,7 +1,7 @@
-"""How a demo program reports what it received: JSON lines on its output, and commands on its input.
+"""Reports of what a demo program received, as JSON lines on its output, and commands on its input.
 
-The end of the input ends the program, so that none is left when the demo dies, not even one that waits forever for a
-process that died with it, like rospy for its master.
+A program exits at the end of its input, so that no program remains if the demo dies, not even one that waits forever
+for a process that died too, as rospy does for its master.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ EVERY = 0.5
 """Seconds between two reports."""
 
 LAST_SECONDS = 4
-"""A program that is still running this long after the end of its input is ended by the system, wherever it hangs."""
+"""Seconds after the end of its input at which the system ends a program that is still running, wherever it hangs."""
 
 _REMEMBERED = 2000
 
@@ -38,7 +38,7 @@ class TopicReceived:
         self._keys: OrderedDict[Hashable, None] = OrderedDict()
 
     def add(self, key: Hashable, detail: str) -> None:
-        """Count a message; a known key shows a duplicate in transit (None: messages cannot be distinguished)."""
+        """Count a message; a repeated key is a duplicate in transit (None: messages cannot be distinguished)."""
         with self._lock:
             self.count += 1
             self.detail = detail
@@ -112,7 +112,7 @@ class TopicsProgram:
 
 
 def serve(program: TopicsProgram, who: str) -> None:
-    """Run a program until the standard input ends."""
+    """Run a program until standard input ends."""
     ended = threading.Event()
     hello = threading.Thread(target=program.say_hello, args=(who, ended), name="hello", daemon=True)
     hello.start()

@@ -129,7 +129,7 @@ class Robot:
         self._scan.publish(scan)
 
     def _publish_image(self, now: rospy.Time) -> None:
-        """Publish the floor as seen by a camera above it."""
+        """Publish an image of the floor, as seen by a camera above it."""
         self._picture = export.draw(self._simulation)
         height, width = self._picture.shape[:2]
         image = Image(width=width, height=height, encoding="rgb8", step=3 * width, data=self._picture.tobytes())
@@ -156,7 +156,7 @@ def _transform(now: rospy.Time, parent: str, child: str, at: BasePose, height: f
 
 
 def main() -> int:
-    """Run until the standard input ends."""
+    """Run until standard input ends."""
     robot, ended = Robot(), threading.Event()
     moving = threading.Thread(target=robot.run, args=(ended,), name="simulation", daemon=True)
     moving.start()

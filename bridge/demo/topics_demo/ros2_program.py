@@ -1,4 +1,4 @@
-"""A ROS 2 program of the demo: subscribes to the robot, publishes greetings and drives; plain typed rclpy over DDS."""
+"""A ROS 2 program of the demo: subscribes to the robot, publishes greetings and drives, with plain rclpy over DDS."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Ros2Program(TopicsProgram):
 
 
 def main() -> int:
-    """Run until the standard input ends."""
+    """Run until standard input ends."""
     rclpy.init()
     serve(Ros2Program(), "ROS 2")
     return 0

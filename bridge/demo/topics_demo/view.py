@@ -1,4 +1,4 @@
-"""The output of the demo: every route, in a live table on a terminal, else in periodic lines; the checks."""
+"""The output of the demo: every route, in a live table on a terminal or else in periodic lines, and the checks."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class TopicsView:
         console.print(Text(verdict, style="bold red" if failed else "bold green"))
 
     def routes(self) -> list[dict[str, Any]]:
-        """Return every route as its worker reported it last."""
+        """Return every route as its worker last reported it."""
         return [
             {"worker": document.worker, **route.document()} for document in self._documents for route in document.routes
         ]

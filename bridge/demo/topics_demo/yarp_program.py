@@ -161,7 +161,7 @@ def _frames(payload: bytes) -> str:
 
 
 def main() -> int:
-    """Run until the standard input ends."""
+    """Run until standard input ends."""
     serve(YarpProgram(int(sys.argv[1])), "YARP")
     return 0
 

@@ -1,7 +1,7 @@
-"""A zenoh program of the demo: ROS 2 topics without ROS 2, by zenoh-ros2-sdk, which shares no code with Midspan.
+"""A zenoh program of the demo: ROS 2 topics without ROS 2, with zenoh-ros2-sdk, which shares no code with Midspan.
 
-Usage: ``python -m bridge.demo.topics_demo.zenoh_program ROUTER_PORT DOMAIN``. Message definitions and type hashes are
-from rosbags, passed to the SDK, which would otherwise fetch them from the network.
+Usage: ``python -m bridge.demo.topics_demo.zenoh_program ROUTER_PORT DOMAIN``. Message definitions and type hashes come
+from rosbags and are passed to the SDK, which would otherwise fetch them from the network.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class ZenohProgram(TopicsProgram):
 
     @override
     def close(self) -> None:
-        """Leave the network; a process that ends with an open zenoh session hangs."""
+        """Close the session, because a process that exits with an open zenoh session hangs."""
         for endpoint in self._endpoints:
             endpoint.close()
         ZenohSession.get_instance().close()
@@ -91,7 +91,7 @@ def _definition(type_: str) -> dict[str, str]:
 
 
 def main() -> int:
-    """Run until the standard input ends."""
+    """Run until standard input ends."""
     serve(ZenohProgram(int(sys.argv[1]), int(sys.argv[2])), "zenoh")
     return 0
 

@@ -12,7 +12,7 @@ from bridge.sides import Side, all_sides
 
 
 def _registered(descriptors: Iterable[Side | WorkerDescriptor | ModuleDescriptor]) -> Iterator[Check]:
-    """Yield the checks that descriptors name."""
+    """Yield the checks to which the descriptors refer."""
     for descriptor in descriptors:
         yield from imported(descriptor.checks) if descriptor.checks else ()
 

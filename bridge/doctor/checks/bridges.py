@@ -22,7 +22,7 @@ from bridge.state_file import state_folder
 from bridge.status import WorkerStatus
 
 FOREIGN = re.compile(r"(ros1?|ros_1|dynamic|static|parameter|simple)_bridge(_.*)?|ros1_to_ros2.*|.*zenoh_bridge.*")
-"""Last parts of other bridges' node names: ros1_bridge names its nodes ``ros_bridge`` on both sides."""
+"""The last part of a node name of another bridge; ros1_bridge names its nodes ``ros_bridge`` on both sides."""
 
 _CURE_FOREIGN = "stop the other bridge, or deny its topics in routing.rules"
 
@@ -65,7 +65,7 @@ def _on_ros1(context: CheckContext) -> list[Finding]:
             seen = f"ROS 1: Midspan daemon {entry.daemon} is on this master too ({entry.node} at {entry.uri})"
             cure = "if unintended, set ros1.enabled: false in one of them; one is active, the other is on standby"
         else:
-            seen = f"ROS 1: {entry.node} of Midspan daemon {entry.daemon} is dead, and still registered"
+            seen = f"ROS 1: {entry.node} of Midspan daemon {entry.daemon} is dead, but still registered"
             cure = f"it disappears when {entry.daemon} is restarted; 'rosnode cleanup' removes its registrations"
         findings.append(warn(seen, cure))
     return findings or [ok("ROS 1: no other bridge")]
@@ -104,7 +104,7 @@ def _foreign(side: str, nodes: Iterable[str]) -> list[Finding]:
     names = sorted(node for node in nodes if FOREIGN.fullmatch(node.rsplit("/", 1)[-1]))
     if not names:
         return []
-    return [fail(f"{side}: {', '.join(names)} looks like another bridge: shared topics come twice", _CURE_FOREIGN)]
+    return [fail(f"{side}: {', '.join(names)} looks like another bridge: shared topics arrive twice", _CURE_FOREIGN)]
 
 
 _SECONDS = 30.0

@@ -20,11 +20,11 @@ _AT_ONCE = 8
 """Endpoints that are tested at the same time."""
 
 SECONDS = 20.0
-"""Limit of the check: one test takes 10 s at most for each address."""
+"""Time limit of the check in seconds; one test takes at most 10 s for each address."""
 
 
 def check_connections(context: CheckContext) -> Findings:
-    """The certificates of ``hub.open``, and whether each of its endpoints connects."""
+    """Check the certificates of ``hub.open``, and that each of its endpoints connects."""
     opened = context.config.hub.open
     keys = check_keys(context)
     findings = [keys] if isinstance(keys, Finding) else list(keys)
@@ -69,7 +69,7 @@ def _tested(way: str, endpoint: str, identity: Identity | None, reported: Endpoi
 
 
 def _finding(seen: str, reason: Reason) -> Finding:
-    """A refusal does not end by itself; a machine may just be switched off."""
+    """Return a failure for a refusal, which does not end by itself; else a warning: the machine may just be off."""
     return fail(seen, reason.cure) if reason.state is EndpointState.REFUSED else warn(seen, reason.cure)
 
 
@@ -87,5 +87,5 @@ def _good(endpoint: EndpointStatus) -> bool:
 def _of_router(endpoint: EndpointStatus) -> Finding:
     seen = f"hub.open.{endpoint.way} {endpoint.endpoint}: {endpoint.state}"
     if _good(endpoint):
-        return ok(f"{seen}, by the router's report")
+        return ok(f"{seen}, according to the router")
     return warn(f"{seen}: {endpoint.reason}", endpoint.cure)

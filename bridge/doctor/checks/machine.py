@@ -1,4 +1,4 @@
-"""This machine: its limits, its clock against the others', and which libraries there are for it."""
+"""This machine: its limits, its clock compared with those of other machines, and the libraries available for it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from bridge.resources import FULL, RAISE, folder_trouble
 from bridge.status import StatusDocument
 
 WANTED = 4096
-"""A descriptor for each connection; a thousand topics with several each, and room for the rest."""
+"""Descriptors: one for each connection of a thousand topics with several connections each, and some spare ones."""
 
 
 def check_descriptors(context: CheckContext) -> Findings:
-    """This shell's limit, which a daemon started here would get, and how much of theirs the workers use."""
+    """Check this shell's limit, which a daemon started here would get, and how close the workers are to theirs."""
     if sys.platform == "win32":
         return skip("Windows has no such limit")
     import resource
@@ -32,7 +32,7 @@ def check_descriptors(context: CheckContext) -> Findings:
     _soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     findings: list[Finding] = []
     if hard != resource.RLIM_INFINITY and hard < WANTED:
-        findings.append(warn(f"at most {hard} files may be open at once; 1,000 topics need {WANTED}", RAISE))
+        findings.append(warn(f"at most {hard} files can be open at once; 1,000 topics need {WANTED}", RAISE))
     workers = [
         StatusDocument(daemon=context.daemon.name, worker=worker.worker, pid=worker.pid)
         for worker in context.daemon.document.workers
@@ -47,7 +47,7 @@ def check_descriptors(context: CheckContext) -> Findings:
 def _worker(name: str, process: psutil.Process) -> list[Finding]:
     try:
         used, (soft, _hard) = process.num_fds(), process.rlimit(psutil.RLIMIT_NOFILE)
-    except (psutil.Error, AttributeError):  # another user's, or no Linux
+    except (psutil.Error, AttributeError):  # another user's process, or not Linux
         return []
     if soft > 0 and used > FULL * soft:
         return [fail(f"{name} has {used} files open of {soft} allowed", RAISE)]
@@ -55,7 +55,7 @@ def _worker(name: str, process: psutil.Process) -> list[Finding]:
 
 
 def check_state(context: CheckContext) -> Findings:
-    """Whether the daemon can keep what it must know again."""
+    """Check that the daemon can store its state."""
     folder = state_file.state_folder(context.config, context.environ)
     if not folder.exists():
         return skip(f"{folder} does not exist yet; the daemon creates it")
@@ -64,7 +64,7 @@ def check_state(context: CheckContext) -> Findings:
 
 
 def check_kernels(_around: CheckContext) -> Findings:
-    """Whether what computes is compiled, of the sources that lie here."""
+    """Check that the kernels are compiled, and from the current sources."""
     state = kernels.state()
     if state.missing:
         refused = ", and RobotGoto and RobotPathPlanner refuse goals"
@@ -76,14 +76,14 @@ def check_kernels(_around: CheckContext) -> Findings:
 WARN_SECONDS = 0.02
 """Transforms of a moving robot are usually looked up within some tens of milliseconds."""
 FAIL_SECONDS = 0.5
-_CURE_CLOCK = "synchronize them: apt install chrony on both machines, one of them serving the time to the other"
+_CURE_CLOCK = "synchronize them: apt install chrony on both machines, and let one of them serve the time to the other"
 
 
 _CURE_TIME = "start the simulation or 'midspan play --clock', or set clock.source: system"
 
 
 def check_clocks(context: CheckContext) -> Findings:
-    """One finding for each daemon whose clock differs, and one if simulated time has no publisher."""
+    """Return a finding for each daemon whose clock differs, and one if simulated time has no publisher."""
     findings = _simulated_time(context)
     if not context.hub.clocks:
         return findings or skip("no worker reports its time")
@@ -110,7 +110,7 @@ def _simulated_time(context: CheckContext) -> list[Finding]:
     published = any(end.topic == CLOCK_TOPIC and end.kind is EndpointKind.PUBLISHER for end in hub.endpoints)
     if not context.config.clock.simulated or not hub.documents or published:
         return []
-    seen = f"clock.source is sim, and {CLOCK_TOPIC} has no publisher: programs on simulated time wait in sleep"
+    seen = f"clock.source is sim, but {CLOCK_TOPIC} has no publisher: programs on simulated time wait in sleep"
     return [fail(seen, _CURE_TIME)]
 
 
@@ -125,7 +125,7 @@ def check_wheels(context: CheckContext) -> Findings:
 
 
 def compare(context: CheckContext, requirements: Sequence[str], environment: Mapping[str, str]) -> Findings:
-    """Return what the requirements leave out on a system; each extra has the name of the side that needs it."""
+    """Return findings on the requirements that a system leaves out; an extra has the name of the side that needs it."""
     system = f"{environment['sys_platform']}, {environment['platform_machine']}"
     kinds = worker_kinds()
     findings: list[Finding] = []
@@ -138,13 +138,13 @@ def compare(context: CheckContext, requirements: Sequence[str], environment: Map
             findings.append(ok(f"{seen}; side {side} uses what is installed"))
             continue
         tell = fail if kind.enabled(context.config) is True else warn
-        cure = f"run 'midspan worker {side}' on a machine that has them, in the same hub; here {side}.enabled: false"
+        cure = f"run 'midspan worker {side}' on a machine that has them, on the same hub; here {side}.enabled: false"
         findings.append(tell(f"{seen}; so side {side} is not available", cure))
     return findings or ok(f"all dependencies have wheels for this system ({system})")
 
 
 def left_out(requirements: Sequence[str], environment: Mapping[str, str]) -> dict[str, list[str]]:
-    """By extra, the requirements whose markers leave them out on a system, as lists of names."""
+    """Return for each extra the names of the requirements that their markers leave out on a system."""
     missing: dict[str, list[str]] = {}
     for requirement in map(Requirement, requirements):
         marker = requirement.marker
@@ -155,6 +155,6 @@ def left_out(requirements: Sequence[str], environment: Mapping[str, str]) -> dic
 
 
 def extra_of(marker: str) -> str:
-    """The extra that a requirement in a package's metadata belongs to, "" where to none."""
+    """Return the extra to which a requirement in a package's metadata belongs, "" for none."""
     _, _, condition = marker.partition('extra == "')
     return condition.partition('"')[0]

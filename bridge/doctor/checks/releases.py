@@ -12,13 +12,13 @@ from bridge.text import listed
 
 _CURE_HASHES = (
     "nothing to do if their message packages have the same definitions as this machine's; otherwise rename their topics"
-    " by a rule"
+    " with a rule"
 )
 _CURE_MEMORY = "nothing to do: messages between Fast DDS 2 and Fast DDS 3 use UDP, at a lower rate for large ones"
 
 
 def check_releases(context: CheckContext) -> Findings:
-    """Name the DDS and the release of the nodes on the ROS 2 side and on the hub."""
+    """Report the DDS and the release of the nodes on the ROS 2 side and on the hub."""
     if context.hub.error or not context.hub.documents:
         return skip("no worker answers")
     findings = [finding for document in context.hub.of_side("ros2") for finding in _of_side(document.middlewares)]

@@ -30,7 +30,7 @@ _CURE_SIZE = "give it more: docker run --shm-size=1g, or mount -o remount,size=1
 
 
 def check_users(context: CheckContext) -> Findings:
-    """Check for other users: Fast DDS's shared memory delivers nothing to them, although the graph looks complete."""
+    """Check for other users, to whom Fast DDS's shared memory delivers nothing although the graph looks complete."""
     if context.config.ros2.enabled is False or not context.shm.is_dir():
         return skip("ROS 2 over shared memory is not used here")
     mine = {_daemons_user(context)}
@@ -54,7 +54,7 @@ def check_users(context: CheckContext) -> Findings:
 
 
 def check_size(context: CheckContext) -> Findings:
-    """Check the free space."""
+    """Check the size of the shared memory, and its free space."""
     if not context.shm.is_dir():
         return skip(f"no {context.shm} here")
     stat = os.statvfs(context.shm)
@@ -107,7 +107,7 @@ _SEGMENT = re.compile(r"(?:fastrtps|fastdds)_[0-9a-f]{16}")
 _PORT = re.compile(r"(?:fastrtps|fastdds)_port\d+")
 _LOCK = re.compile(r"FLOCK .* ([0-9a-f]+):([0-9a-f]+):(\d+) ")
 _YOUNG_SECONDS = 10.0
-"""A younger file may not be locked yet."""
+"""A file younger than this may not be locked yet."""
 
 _Lock = tuple[int, int, int]
 """Device (major, minor) and inode of a locked file."""
@@ -115,7 +115,7 @@ _Lock = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class SharedFile:
-    """One file; ``held``: a living process uses it, None if unknown; ``young``: just created."""
+    """A file; ``held``: whether a living process uses it, None if unknown; ``young``: whether it was just created."""
 
     path: Path
     uid: int
@@ -125,7 +125,7 @@ class SharedFile:
 
     @property
     def fast_dds(self) -> bool:
-        """Whether it belongs to Fast DDS."""
+        """Whether the file belongs to Fast DDS."""
         return not NAME.fullmatch(self.path.name)
 
     @property
@@ -135,7 +135,7 @@ class SharedFile:
 
     @property
     def port(self) -> bool:
-        """Whether it is a port of Fast DDS, which reuses a dead one when its number is used again."""
+        """Whether the file is a port of Fast DDS, which reuses a dead port when the port's number is used again."""
         return _PORT.fullmatch(self.path.name) is not None
 
 

@@ -1,4 +1,4 @@
-"""Message types: unknown ones, ones that cannot be built, and definitions that differ."""
+"""Message types that are unknown or cannot be built, and definitions that differ."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bridge.status import MapServerKeys, RefusedRoute, StatusDocument, refused_r
 
 _SHOWN = 20
 _TWICE = "already"
-"""The last word of the reason where a service has a server on both sides."""
+"""The last word of the reason if a service has a server on both sides."""
 _DIFFERS = ("differ", "RIHS01", "md5", "fingerprint")
 
 
@@ -38,7 +38,7 @@ def check_hashes(context: CheckContext) -> Findings:
 
 
 def check_compiler(context: CheckContext) -> Findings:
-    """Could `midspan interfaces build` make a ROS 2 message package that a program here lacks?"""
+    """Check that `midspan interfaces build` could build a ROS 2 message package that a program here lacks."""
     if context.config.ros2.enabled is False or available(context.config):
         return skip("no ROS 2 here")
     try:
@@ -61,7 +61,7 @@ def _refusals(context: CheckContext, *, differing: bool) -> list[Finding]:
 
 
 def _map_services(context: CheckContext) -> list[Finding]:
-    """What a real map server and Map2DServer both serve."""
+    """Return findings on the services that a side's own map server and Map2DServer both serve."""
     services = {
         (str(document.side), route.topic)
         for document in context.hub.documents
@@ -76,9 +76,9 @@ def _map_services(context: CheckContext) -> list[Finding]:
 
 
 def _of_map_server(context: CheckContext, route: RefusedRoute) -> bool:
-    """Whether a service is refused since a side's own map server has it, and a Map2DServer that takes maps from sides.
+    """Whether a service is refused because a side's own map server and a Map2DServer that takes maps both serve it.
 
-    Then each answers on its own side, with the same map, and neither needs another name.
+    In that case each answers on its own side, with the same map, and neither needs another name.
     """
     servers = [document for document in context.hub.documents if document.worker == "map2d_server"]
     takers = {server.zid for server in servers if server.other(MapServerKeys).taken}

@@ -1,4 +1,4 @@
-"""YARP: does the name server answer, and do this shell's programs and the daemon ask the same one?"""
+"""YARP: whether the name server answers, and whether this shell's programs and the daemon use the same one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_NAMED = 10  # clients in one line of the report
 
 
 def check_name_server(context: CheckContext) -> Findings:
-    """Does it answer?"""
+    """Check that the name server answers."""
     section = context.config.yarp
     if reason := _why_not(context):
         return skip(reason)
@@ -27,7 +27,7 @@ def check_name_server(context: CheckContext) -> Findings:
         if section.nameserver == "site":
             cure = "start yarpserver there, or let Midspan be the name server: yarp.nameserver: auto"
             return fail(str(err), cure)
-        return warn(str(err), "it is Midspan's own while its yarp worker runs (midspan status)")
+        return warn(str(err), "Midspan's own name server runs with its yarp worker (midspan status)")
     return ok(f"{client.address.host} port {client.address.port} answers: {len(ports)} ports")
 
 
@@ -47,12 +47,12 @@ def check_environment(context: CheckContext) -> Findings:
         return warn(f"there is no {_file(context)}: YARP programs of this shell find no name server", cure)
     if wanted is not None and (wanted.host, wanted.port) != (configured.host, configured.port):
         seen = f"yarp.address is {wanted.host}:{wanted.port}, {_file(context)} has {configured.host}:{configured.port}"
-        return warn(seen, "set both alike, unless they are one machine's two names")
+        return warn(seen, "set both to the same address, unless these are two names of one machine")
     return ok(f"{_file(context)} names {configured.host} port {configured.port}")
 
 
 def check_releases(context: CheckContext) -> Findings:
-    """Name the release of each YARP client of our ports, and the setting for those whose release is unknown."""
+    """Report the release of each YARP client of Midspan's ports, and the setting for clients of unknown release."""
     clients = {peer.port: (port, peer) for port in _module_ports(context) for peer in port.peers if peer.generation}
     if not clients:
         return skip("no YARP program is connected to a module's port")

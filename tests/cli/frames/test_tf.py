@@ -177,8 +177,8 @@ def test_errors_are_reported(
     monkeypatch.setattr("bridge.client.transforms.PATIENCE", 0.1)
     none = midspan("tf", "list", "--namespace", "r3")
     assert (none.code, none.out) == (1, "")
-    assert "no transform came on /r3/tf or /r3/tf_static" in none.err
-    assert "there is /r2/tf_static" in none.err
+    assert "no transform arrived on /r3/tf or /r3/tf_static" in none.err
+    assert "transforms are on /r2/tf_static" in none.err
 
 
 def test_transforms_that_are_not_bridged_are_listed(

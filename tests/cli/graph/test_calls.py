@@ -138,7 +138,7 @@ def test_goal_prints_feedback_and_result(midspan: Midspan, robot: Robot) -> None
 def test_timeout_and_ctrl_c_cancel_the_goal(midspan: Midspan, robot: Robot) -> None:
     outcome = midspan("action", "send", "/lookup", "{target_frame: slow}", "--timeout", "0.3")
     assert (outcome.code, outcome.out.split()[0]) == (1, "canceled")
-    assert "0.3 s are over" in outcome.err
+    assert "0.3 s have passed" in outcome.err
 
     def interrupt() -> None:
         until(lambda: len(robot.goals) == 2, "the goal is there")

@@ -101,7 +101,7 @@ def test_the_cause_is_reported_if_no_worker_or_router_answers(
     config = config_file(tmp_path, network)
     done = Midspan(config, capsys)(verb)
     assert done.code == 1
-    assert "no worker of Midspan" in done.err
+    assert "no Midspan worker" in done.err
     assert f"domain {network.domain}" in done.err
 
     nobody = f"tcp/127.0.0.1:{free_port()}"
@@ -152,7 +152,7 @@ def test_named_hub_is_used_despite_a_broken_file(
     printed = capsys.readouterr()
     assert "robot1" in printed.out or words[0] == "topic"
     assert printed.err.startswith("midspan: warning: midspan.yaml:")
-    assert printed.err.endswith("; the file is ignored, as --router names the hub\n")
+    assert printed.err.endswith("; the file is ignored, because --router names the hub\n")
     assert len(printed.err.splitlines()) == 1
     assert main(["doctor", "--only", "config", *hub]) == 1
     assert "midspan.yaml is valid" not in capsys.readouterr().out

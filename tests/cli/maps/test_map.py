@@ -219,7 +219,7 @@ def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> Non
         (["location", "add", "a", "1", "2", "--here"], "or --here"),
         (["location", "add", "a/b", "1", "2"], "has /"),
         (["location", "add", "a", "1", "2"], "no map is in use"),
-        (["location", "export", "x.txt"], "use the ending .ini"),
+        (["location", "export", "x.txt"], "use the extension .ini"),
     ],
     ids=lambda each: "_".join(each) if isinstance(each, list) else "",
 )

@@ -216,7 +216,7 @@ def test_ctrl_c_and_timeout_cancel_the_goal(rig: Rig, midspan: Midspan) -> None:
     assert "Ctrl-C: the goal is being canceled" in outcome.err
     outcome = beside(midspan, ["--timeout", "0.5", "kitchen"], lambda: None)
     assert outcome.code == 1
-    assert "0.5 s are over" in outcome.err
+    assert "0.5 s have passed" in outcome.err
     until(lambda: not rig.gateway.driving, "nothing drives")
 
 

@@ -66,7 +66,7 @@ def test_migrate_writes_the_file_and_keeps_a_copy(tmp_path: Path, capsys: pytest
     assert main(["config", "migrate", str(file)]) == 0
     assert (file.read_text(), (tmp_path / "old.yaml.old").read_text()) == (captured.out, text)
     assert file.stat().st_mode & 0o777 == 0o640
-    assert "the former file is" in capsys.readouterr().out
+    assert "the former text is kept in" in capsys.readouterr().out
     assert main(["config", "migrate", str(file)]) == 0
     assert capsys.readouterr().out == f"{file}: already has the current format\n"
     file.write_text(text)

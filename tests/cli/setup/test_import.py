@@ -123,10 +123,10 @@ services_2_to_1:
         "4:5: topics[0].queue_sise: unknown key 'queue_sise'",
         "8:7: topics[0].qos.deadline: Midspan's publishers on ROS 2 have no deadline",
         f"10:7: topics[0].qos.{lease}: Midspan's publishers on ROS 2 have no {lease}",
-        "11:5: topics[1]: /a is listed already, in line 2",
+        "11:5: topics[1]: /a is already listed in line 2",
         f"12:1: rate: 'rate' is not a list of the parameter_bridge ({known})",
         "14:38: services_2_to_1[0].timeout: unknown key 'timeout'",
-        "15:5: services_2_to_1[1]: /s is listed already, in line 14",
+        "15:5: services_2_to_1[1]: /s is already listed in line 14",
     ]
     assert "did you mean 'queue_size'?" in done.notes[0]
     for note in done.notes:

@@ -525,7 +525,9 @@ def test_clouds_and_layers_on_the_hub(tmp_path: Path) -> None:
         robot, driver = place.robot, place.module.driver
         layer = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
         sent = robot.send(-2.0, 0.0)
-        until(lambda: "the cloud /points has not come yet" in driver.status.reason, "the driver waits for a cloud", 30)
+        until(
+            lambda: "the cloud /points has not arrived yet" in driver.status.reason, "the driver waits for a cloud", 30
+        )
         robot.cloud = {**seen(-0.2), "fields": seen(-0.2)["fields"][:2]}
         until(lambda: "fields: no z" in place.module.health().text, "the health text names the missing field", 30)
         robot.cloud = {**seen(-0.2), "width": 100_000_000}
@@ -535,7 +537,9 @@ def test_clouds_and_layers_on_the_hub(tmp_path: Path) -> None:
             30,
         )
         robot.cloud = seen(-0.2)  # the floor
-        until(lambda: "the layer /layer has not come yet" in driver.status.reason, "the driver waits for the layer", 30)
+        until(
+            lambda: "the layer /layer has not arrived yet" in driver.status.reason, "the driver waits for the layer", 30
+        )
         assert not [command for command in robot.commands if any(command)]
         # in the odometry's frame, which is at x = 5: a cell 1.5 m behind the robot, and nothing else
         info = {"resolution": 0.1, "width": 2, "height": 1, "origin": {"position": {"x": -6.6, "y": -0.05}}}

@@ -111,9 +111,9 @@ def test_a_cloud_of_a_million_points_is_handled():
 
 def test_a_source_is_silent_before_its_first_message_and_after_its_timeout():
     obstacles = Obstacles(RobotGotoSection(obstacles=(CLOUD, LAYER)))
-    assert obstacles.silence(1.0) == "the cloud /points has not come yet"
+    assert obstacles.silence(1.0) == "the cloud /points has not arrived yet"
     obstacles.cloud("/points", 1.0, surface(1.0, 0.0, 0.7), EYE, HERE)
-    assert obstacles.silence(1.2) == "the layer /layer has not come yet"
+    assert obstacles.silence(1.2) == "the layer /layer has not arrived yet"
     obstacles.layer("/layer", np.empty((0, 2)))
     assert obstacles.silence(1.5) == ""
     assert "the cloud /points is silent: no message for 0.6 s" in obstacles.silence(1.6)
@@ -138,7 +138,7 @@ def test_a_layer_survives_a_clock_jump():
     obstacles.cloud("/points", 100.0, surface(1.0, 0.0, 0.7), EYE, HERE)
     obstacles.layer("/layer", np.array([(2.0, 3.0)]))
     obstacles.clear()
-    assert obstacles.silence(1.0) == "the cloud /points has not come yet"
+    assert obstacles.silence(1.0) == "the cloud /points has not arrived yet"
     np.testing.assert_allclose(obstacles.places(1.0, HERE, HERE), [(2.0, 3.0)])
 
 
