@@ -75,7 +75,7 @@ class LimitsSection(Section):
     message: int = setting(
         256,
         "Size of the largest message in megabytes (1,048,576 bytes), on every side and in both directions. Larger"
-        " messages are refused and counted as `large`.",
+        " messages are refused and counted as `large`; all others are bridged.",
         ge=1,
         le=256,
     )

@@ -82,13 +82,13 @@ def _export_maps(args: argparse.Namespace) -> int:
                 raise CliError("a collection has all maps: omit the name, or write a .map or .yaml")
             maps = stored.all(MAP)
             _save(lambda: save_maps(maps, args.file))
-            print(f"{len(maps)} maps to {args.file}")
+            print(f"{len(maps)} maps exported to {args.file}")
             return 0
         grid = named_map(stored, args.name)
     if args.file.suffix.lower() not in (".map", ".yaml", ".yml"):
         raise CliError(f"{args.file} has an unknown extension: use .map (YARP), .yaml (ROS), .ini or one for 3D")
     _save(lambda: grid.save(args.file, **({} if args.file.suffix.lower() == ".map" else {"image": args.image})))
-    print(f"{clean(grid.name)} to {args.file}")
+    print(f"{clean(grid.name)} exported to {args.file}")
     return 0
 
 
@@ -131,5 +131,5 @@ def _export_locations(args: argparse.Namespace) -> int:
             write(args.file, to_waypoints(chosen))
     except MapFileError as err:
         raise CliError(str(err)) from None
-    print(f"to {args.file}" + (f" and {extras_file(args.file)}" if form == ".ini" else ""))
+    print(f"exported to {args.file}" + (f" and {extras_file(args.file)}" if form == ".ini" else ""))
     return 0

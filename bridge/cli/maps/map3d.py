@@ -106,7 +106,7 @@ def export(args: argparse.Namespace) -> int:
     except WireError as err:
         raise CliError(str(err)) from None
     args.file.write_bytes(data)
-    print(f"{clean(name)} to {args.file}")
+    print(f"{clean(name)} exported to {args.file}")
     return 0
 
 

@@ -76,7 +76,7 @@ def draw(
         if grid.width() * grid.height() * max(args.scale, 1) ** 2 > 1 << 28:
             raise CliError("the picture would have more than 268 million pixels; give a smaller --scale")
         picture(grid, locations, areas, args.scale, path).save(args.png, "PNG")
-        print(f"{clean(grid.name)} to {args.png}")
+        print(f"{clean(grid.name)} drawn in {args.png}")
         return
     from bridge.display import drawing
     from bridge.text import make_console

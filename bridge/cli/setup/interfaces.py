@@ -29,7 +29,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         " them. Without a folder: builds tf2_msgs, nav2_msgs and the others that come with Midspan, and makes them"
         " importable in this virtual environment.", hub=False,
     )  # fmt: skip
-    make.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="a package's folder, or one of packages")
+    make.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="the folder of a package, or of packages")
     show = add_verb(verbs, "list", run, "list the message packages that are installed or built", hub=False)
     for verb in (make, show):
         verb.add_argument("--cache", type=Path, metavar="FOLDER", help="folder of the cache")

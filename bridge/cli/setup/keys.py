@@ -39,7 +39,11 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     make = add_verb(
-        actions, "make", run, "make a machine's key and certificate; at first also the authority's", hub=False
+        actions,
+        "make",
+        run,
+        "make a machine's key and certificate; the first call also makes the authority's",
+        hub=False,
     )
     make.add_argument("name", metavar="NAME", help="the machine's name, as 'name' in its configuration")
     make.add_argument(

@@ -29,7 +29,7 @@ class OpenSection(Section):
     insecure: bool = setting(
         False, "Allow endpoints without TLS: any machine that reaches them may join, and none has a name."
     )
-    zenoh: dict[str, Any] | Path | None = setting(None, "zenoh configuration of the router for other machines.")
+    zenoh: dict[str, Any] | Path | None = setting(None, "zenoh configuration of this router, like `hub.router_zenoh`.")
 
     @property
     def opened(self) -> bool:
