@@ -109,7 +109,7 @@ class RoomsDemo(DemoRun):
 
     @contextmanager
     def _course(self) -> Iterator[RobotTracker]:
-        """Connect to the hub, with a longer time limit each time, since a busy router responds slowly."""
+        """Connect to the hub, with a longer time limit each time, because a busy router responds slowly."""
         self._progress.begin()
         for patience in itertools.chain((0.5, 1.0, 2.0), itertools.repeat(4.0)):
             try:

@@ -57,7 +57,7 @@ def _address(config: Config) -> str:
     from bridge.web.section import WebSection
 
     if not config.section(WebSection).enabled:
-        raise CliError("the console is switched off: set web.enabled in the configuration")
+        raise CliError("the console is disabled: set web.enabled in the configuration")
     daemon = ask_daemon(config)
     if daemon is None:
         raise CliError(f"no daemon named '{config.name}' runs here; start it with 'midspan run'")

@@ -114,7 +114,7 @@ class Rule(Section):
         None, "New name; with `regex`, groups as `\\1`; with a glob, `*` and `**` keep what they matched there."
     )
     rate: float | None = setting(
-        None, "Maximum messages per second; the newest cross. For topics only, like the next four.", gt=0, le=10000
+        None, "Maximum messages per second; the newest ones cross. Only for topics, like the next four.", gt=0, le=10000
     )
     priority: Literal["state", "command", "stream"] | None = setting(
         None,

@@ -89,7 +89,7 @@ class TopicPort(Section):
     carrier: str | None = setting(None, "With `port`: the carrier of the connection, for example `fast_tcp`.")
     profile: ProfileName | None = setting(
         None,
-        "The YARP release whose wire format the port uses; by default the port's answer, or else `yarp.profile`.",
+        "The YARP release whose wire format the port uses; not set: Midspan asks the port, else uses `yarp.profile`.",
     )
     latched: bool = setting(False, "Keep the last message from YARP for late joiners.")
     frame: str = setting("", "Frame of messages whose YARP type has none.")
