@@ -33,6 +33,7 @@ class Key:
     description: str
     section: type[BaseModel] | None
     is_list: bool
+    required: bool
 
 
 def keys(model: type[BaseModel]) -> Iterator[Key]:
@@ -47,6 +48,7 @@ def keys(model: type[BaseModel]) -> Iterator[Key]:
             info.description or "",
             section,
             is_list,
+            info.is_required(),
         )
 
 
@@ -237,7 +239,7 @@ def _reference_section(title: str, model: type[BaseModel], description: str, pat
 
 def _shown(key: Key) -> str:
     if key.default is None:
-        return "the machine's name" if key.name == "name" else "needed"
+        return "needed" if key.required else "the machine's name"
     return "none" if key.default == "null" else f"`{key.default}`"
 
 
