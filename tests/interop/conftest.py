@@ -17,7 +17,7 @@ ON_BOTH_MASTERS = {
     "test_a_clean_stop_leaves_nothing_on_the_master", "test_the_goal_of_a_ros_1_client_continues_and_is_canceled",
     "test_the_goal_of_a_hub_client_continues_and_a_killed_planner_is_lost",
 }  # fmt: skip
-"""Tests in which the master has a part, also run on Midspan's own; `make test-embedded-master` runs all on it."""
+"""Tests in which the master matters; they also run on Midspan's own (`make test-embedded-master` runs all on it)."""
 
 
 @pytest.hookimpl(trylast=True)  # as in tests/contract
@@ -30,7 +30,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let the tests of a file with one shared mix follow each other; pytest groups by the place in the parameters."""
+    """Group the tests of a file by their shared mix, because pytest groups them by the parameter's position."""
     first: dict[object, int] = {}
 
     def place(position: int, item: pytest.Item) -> int:
@@ -43,7 +43,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def embedded() -> bool:
-    """Whether the deployment has Midspan's own ROS 1 master."""
+    """Return whether the deployment has Midspan's own ROS 1 master."""
     return EMBEDDED
 
 
@@ -56,14 +56,14 @@ def deployment(tmp_path: Path, *, embedded: bool) -> Iterator[Deployment]:
 
 @pytest.fixture
 def running(deployment: Deployment) -> Deployment:
-    """A deployment with the default rules, both sides joined."""
+    """A deployment with the default rules, which both sides have joined."""
     deployment.start()
     return deployment
 
 
 @pytest.fixture(scope="module")
 def of_all_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deployment]:
-    """A running deployment for a file."""
+    """A running deployment that the tests of a file share."""
     with Deployment(tmp_path_factory.mktemp("shared")) as deployment:
         deployment.start()
         yield deployment
@@ -71,14 +71,14 @@ def of_all_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deploymen
 
 @pytest.fixture
 def shared(of_all_tests: Deployment) -> Iterator[Deployment]:
-    """The deployment of the file, whose tests use separate topics; programs are stopped after each test."""
+    """The file's deployment. Its tests use separate topics, and programs are stopped after each test."""
     yield of_all_tests
     of_all_tests.stop_programs()
 
 
 @pytest.fixture(scope="module")
 def shared_mix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedMix]:
-    """A mix for the tests of a file with the same options, which are its parameter; none: the defaults."""
+    """A mix for tests of a file with the same options, which are the parameter; without it, the defaults."""
     mix = SharedMix(tmp_path_factory, **getattr(request, "param", {}))
     yield mix
     mix.close()

@@ -29,6 +29,6 @@ def test_unlisted_topics_do_not_cross(deployment: Deployment) -> None:
     subscription = ros1.subscribe("/cmd_vel", TWIST)
     out = ros2.advertise("/robot1/cmd_vel", TWIST)
     assert cross(ros2, out, ros1, subscription, twist(0.1)) == twist(0.1)
-    until(lambda: len(deployment.explain("/unnamed")) == 2, "both sides have decided on it", 20)
+    until(lambda: len(deployment.explain("/unnamed")) == 2, "both sides have decided on /unnamed", 20)
     assert {line["decision"] for line in deployment.explain("/unnamed")} == {"denied"}
     assert not deployment.route("ros2", "/unnamed", "out")

@@ -61,7 +61,7 @@ class Siege:
         return f"/{word}{self._names}"
 
     def route(self, side: str, topic: str, direction: str, **drops: int) -> dict[str, Any]:
-        """Return the route of a topic, once it has these counts of drops."""
+        """Return the route of a topic, once it reports these counts of dropped messages."""
 
         def counted() -> dict[str, Any] | None:
             route = self.deployment.route(side, topic, direction)
@@ -72,7 +72,7 @@ class Siege:
         return result
 
     def refusal(self, topic: str) -> dict[str, Any]:
-        """Return why a topic does not cross, once reported."""
+        """Return the decision that refuses a topic, once it is reported."""
         reported = lambda: [line for line in self.deployment.explain(topic) if line["decision"] == "refused"]  # noqa: E731
         return until(reported, f"{topic} is refused", 30, every=0.1)[0]
 
@@ -82,7 +82,7 @@ class Siege:
         return str(until(reported, f"a warning about {topic}", 30, every=0.1)[0])
 
     def hostile(self, topic: str, serve: Callable[[socket.socket], None], type_: str = STRING) -> None:
-        """A ROS 1 node whose publication of a topic is served by ``serve``, registered with the real master."""
+        """Register a ROS 1 publisher of a topic with the real master; ``serve`` handles its connections."""
         uri = self.stack.enter_context(publisher(serve))
         self._names += 1
         node = f"/hostile{self._names}"
@@ -111,7 +111,7 @@ def besieged(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Siege]:
 
 @pytest.fixture
 def siege(besieged: Siege) -> Iterator[Siege]:
-    """The deployment; the valid topic must still cross after each test."""
+    """The deployment; after each test, the valid topic must still cross."""
     yield besieged
     besieged.still_flows()
 
@@ -122,7 +122,7 @@ def header(**fields: str) -> bytes:
 
 
 def says(*parts: bytes) -> Callable[[socket.socket], None]:
-    """Return a publisher that sends this to each subscriber, and then nothing."""
+    """Return a publisher that sends these bytes to each subscriber, and then nothing."""
 
     def serve(sock: socket.socket) -> None:
         sock.recv(65536)
@@ -162,7 +162,7 @@ def test_invalid_ros1_headers(siege: Siege, said: bytes, why: str) -> None:
 
 
 def test_invalid_ros1_messages(siege: Siege) -> None:
-    """The text in the message is longer than the message, the message is empty, or bytes are left over."""
+    """The message is shorter than its text, or empty, or has trailing bytes."""
     topic = siege.name("lying")
     good = frame(text("good"))
     siege.hostile(
@@ -170,7 +170,7 @@ def test_invalid_ros1_messages(siege: Siege) -> None:
     )
     route = siege.route("ros1", topic, "in", bad=3)
     assert "std_msgs/String" in route["error"]
-    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the valid one after them crosses")
+    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the valid message after them crosses")
 
 
 def test_an_impossible_ros1_length(siege: Siege) -> None:
@@ -184,7 +184,7 @@ def test_64_megabytes_on_ros1_with_a_limit_of_16(siege: Siege) -> None:
     siege.hostile(topic, says(header(), frame(bytes(64 * MEGABYTE)), frame(text("small"))))
     route = siege.route("ros1", topic, "in", large=1)
     assert f"{64 * MEGABYTE} bytes, limits.message allows {LIMIT * MEGABYTE}" in route["error"]
-    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the small one after it crosses")
+    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the small message after it crosses")
 
 
 LOOP = "=" * 80 + "\nMSG: loop_msgs/Loop\nloop_msgs/Loop again\n"
@@ -227,7 +227,7 @@ def test_ros1_names_with_illegal_characters(siege: Siege) -> None:
 
 
 def test_hostile_ros1_subscribers(siege: Siege) -> None:
-    """Raw connections to the node: invalid headers, another md5, and one that is admitted and never reads."""
+    """Raw connections to the node: invalid headers, another md5, and a subscriber that is admitted and never reads."""
     topic = siege.name("outward")
     subscription = siege.ros1.subscribe(topic, STRING)
     out = siege.ros2.advertise(topic, STRING)
@@ -257,7 +257,7 @@ def test_hostile_ros1_subscribers(siege: Siege) -> None:
         for number in range(40):
             siege.ros2.publish(out, {"data": f"{number}" + "x" * 400_000})
         seen = lambda: any(m["data"].startswith("39x") for m in siege.ros1.wait(subscription, 100_000, 0.2))  # noqa: E731
-        until(seen, "the other subscriber receives messages all the time", 30)
+        until(seen, "the other subscriber keeps receiving messages", 30)
 
 
 def test_hostile_requests_to_the_ros1_node(siege: Siege) -> None:
@@ -274,7 +274,7 @@ def test_hostile_requests_to_the_ros1_node(siege: Siege) -> None:
         request = urllib.request.Request(uri, body.encode())
         with contextlib.suppress(urllib.error.URLError), urllib.request.urlopen(request, timeout=20) as answer:
             assert b"fault" in answer.read()
-    # 100 GB are announced: rejected at once, without reading a byte
+    # a request that announces 100 GB is rejected at once, without reading a byte
     host, port = uri.removeprefix("http://").rstrip("/").split(":")
     with socket.create_connection((host, int(port)), timeout=20) as sock:
         sock.sendall(b"POST / HTTP/1.1\r\nContent-Length: 100000000000\r\n\r\n<a>")
@@ -285,7 +285,10 @@ def test_hostile_requests_to_the_ros1_node(siege: Siege) -> None:
 
 
 def test_invalid_cdr_on_ros2(siege: Siege) -> None:
-    """Truncated, big-endian, with trailing bytes, or not CDR; each from a real rclpy publisher of raw bytes."""
+    """CDR that is truncated, big-endian, or followed by other bytes, and bytes that are not CDR.
+
+    Each is published by a real rclpy publisher of raw bytes.
+    """
     topic = siege.name("raw")
     out = siege.ros2.advertise(topic, STRING)
     subscription = siege.zenoh.subscribe(topic, STRING)
@@ -304,7 +307,10 @@ def test_invalid_cdr_on_ros2(siege: Siege) -> None:
         assert route["drops"]["bad"] == count, label
         assert "std_msgs/msg/String" in route["error"], label
     siege.ros2.ask("publish_raw", id=out, hex=good.hex())
-    until(lambda: siege.zenoh.wait(subscription, 1, 0.2) == [{"data": "good"}], "only the valid one after them crosses")
+    until(
+        lambda: siege.zenoh.wait(subscription, 1, 0.2) == [{"data": "good"}],
+        "only the valid message after them crosses",
+    )
     assert "bad 5" in siege.deployment.command("explain", topic).stdout
 
 
@@ -317,20 +323,20 @@ def test_64_megabytes_on_ros2_with_a_limit_of_16(siege: Siege) -> None:
     route = siege.route("ros2", topic, "in", large=1)
     assert "limits.message" in route["error"]
     siege.ros2.publish(out, {"data": "small"})
-    until(lambda: siege.route("ros2", topic, "in")["messages"] == 1, "a small one crosses")
+    until(lambda: siege.route("ros2", topic, "in")["messages"] == 1, "a small message crosses")
 
 
 # -- zenoh -------------------------------------------------------------------------------------------------------------
 
 
 def test_invalid_samples_on_the_hub(siege: Siege) -> None:
-    """Missing and invalid attachments, invalid CDR, too large samples; refused toward ROS 1 and ROS 2."""
+    """Missing or invalid attachments, invalid CDR and too large samples are refused toward ROS 1 and ROS 2."""
     topic = siege.name("hub")
     subscription = siege.ros1.subscribe(topic, STRING)
     out = siege.zenoh.advertise(topic, STRING)
     siege.zenoh.hub_publish_until(out, {"data": "probe"}, lambda: siege.ros1.wait(subscription, 1, 0.2))
     key = topic_key(0, topic, "std_msgs/msg/String", siege.zenoh.registry.ros2("std_msgs/msg/String").type_id)
-    # blocking: each sample counts, and zenoh would drop some on a busy machine
+    # blocking, because each sample is counted, and zenoh would drop some on a busy machine
     raw = siege.session().declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
     good = b"\0\1\0\0" + struct.pack("<I", 5) + b"good\0"
     sides = ("ros1", "ros2")
@@ -356,7 +362,7 @@ def test_invalid_samples_on_the_hub(siege: Siege) -> None:
     attached = pack_attachment(1, 1, bytes(16))
     refused(lambda: raw.put(huge, attachment=attached), "large", f"{64 * MEGABYTE} bytes")
     siege.zenoh.publish(out, {"data": "good"})
-    until(lambda: {"data": "good"} in siege.ros1.wait(subscription, 100_000, 0.2), "a valid one crosses")
+    until(lambda: {"data": "good"} in siege.ros1.wait(subscription, 100_000, 0.2), "a valid sample crosses")
 
 
 def test_invalid_tokens_on_the_hub(siege: Siege) -> None:
@@ -394,7 +400,7 @@ def topic_token(siege: Siege, topic: str, dds_type: str, type_hash: str) -> str:
 
 
 def test_invalid_control_queries(siege: Siege) -> None:
-    """The control plane replies to each with an error, and to the next valid one as usual."""
+    """The control plane replies to each invalid query with an error, and still replies to the next valid query."""
     session = siege.session()
     for payload in (
         b"",

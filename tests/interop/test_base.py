@@ -40,14 +40,14 @@ class RosLike:
         self._last: tuple[int, Pose] = (-1, Pose(0.0, 0.0, 0.0))
 
     def command(self, x: float, turn: float) -> None:
-        # unused axes have distinct values, so that swapped axes would be noticed
+        # the unused axes have distinct values, which reveal swapped axes
         linear, angular = {"x": x, "y": 0.5, "z": 0.25}, {"x": 0.125, "y": 0.75, "z": turn}
         self._peer.publish(self._out, {"linear": linear, "angular": angular})
 
     def pose(self, after_ns: int) -> Pose:
         while self._last[0] < after_ns:
             new = self._listen()
-            assert new, f"no odometry of {after_ns / 1e9:.2f} s, the last is of {self._last[0] / 1e9:.2f} s"
+            assert new, f"no odometry after {after_ns / 1e9:.2f} s, the last is of {self._last[0] / 1e9:.2f} s"
             self._heard += len(new)
             self._last = pose_of(new[-1])
         return self._last[1]
@@ -60,7 +60,7 @@ class RosLike:
 
 
 class YarpProgram:
-    """A program that writes to BaseControl's port and reads its odometry, only through YARP."""
+    """A program that writes to BaseControl's port and reads the odometry, only through YARP."""
 
     def __init__(self, names: NameClient) -> None:
         self._writer = Writer("/square/command:o", naming=names).open()
@@ -128,13 +128,13 @@ class Robot:
         return sum(source["commands"] for source in reply.value["inputs"].values())
 
     def truth(self) -> Pose:
-        """Return the robot's true pose now."""
+        """Return the robot's current true pose."""
         result: tuple[int, Pose] = (-1, Pose(0.0, 0.0, 0.0))
 
         def current() -> bool:
             nonlocal result
             result = pose_of(self.far.wait(self._truth, 1)[-1])
-            return result[0] > self.now - 30_000_000  # it is published at 50 Hz
+            return result[0] > self.now - 30_000_000  # the true pose is published at 50 Hz
 
         until(current, "the true pose is published", 20)
         return result[1]
@@ -152,7 +152,7 @@ class Paced:
         self.pose = program.pose
 
     def command(self, x: float, turn: float) -> None:
-        """Command until it is received: late commands are dropped after a process stalled."""
+        """Command until BaseControl has received it. Commands that are late after a process stalled are dropped."""
         accepted, again = self._received, -math.inf
 
         def received() -> bool:
@@ -173,7 +173,7 @@ class _Stopped:
 
 
 def moved(start: Pose, pose: Pose) -> Pose:
-    """Return a pose relative to another."""
+    """Return a pose relative to ``start``."""
     dx, dy = pose.x - start.x, pose.y - start.y
     cos, sin = math.cos(start.theta), math.sin(start.theta)
     theta = math.remainder(pose.theta - start.theta, 2 * math.pi)
@@ -206,7 +206,7 @@ def test_squares_through_every_side(deployment: Deployment) -> None:
 
 
 def connected(robot: Robot, program: Program) -> None:
-    """Wait until the program's commands move the robot and its odometry arrives; the robot stands again afterwards."""
+    """Wait until the program's commands move the robot and odometry arrives; then stop the robot."""
     begin = robot.truth()
 
     def moves() -> bool:
@@ -247,7 +247,7 @@ def test_the_base_stops_when_its_commanders_worker_is_killed_and_resumes_with_th
     connected(robot, program)
 
     def turns() -> float:
-        """Command for some ticks; return by how many radians the robot turned in the last one."""
+        """Command for some ticks, and return the angle that the robot turned in the last one, in radians."""
         before = robot.truth()
         for _ in range(3):
             before = robot.truth()
@@ -256,7 +256,7 @@ def test_the_base_stops_when_its_commanders_worker_is_killed_and_resumes_with_th
         return abs(math.remainder(robot.truth()[2] - before[2], math.tau))
 
     def stands() -> bool:
-        """Kill the worker, and again if the next one takes over before the robot stands."""
+        """Kill the worker, and return whether the robot stands before the next worker takes over."""
         os.kill(deployment.worker("ros1")["pid"], signal.SIGKILL)
         end = time.monotonic() + 2.0
         while time.monotonic() < end:
@@ -264,6 +264,6 @@ def test_the_base_stops_when_its_commanders_worker_is_killed_and_resumes_with_th
                 return True
         return False
 
-    until(lambda: turns() > 0.2 * TICK, "it turns", 20)
-    until(stands, "it stands despite commands of the program", 20)
-    until(lambda: turns() > 0.2 * TICK, "it turns through the next worker", 40)
+    until(lambda: turns() > 0.2 * TICK, "the robot turns", 20)
+    until(stands, "the robot stands despite the program's commands", 20)
+    until(lambda: turns() > 0.2 * TICK, "the robot turns through the next worker", 40)

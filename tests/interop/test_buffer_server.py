@@ -28,7 +28,7 @@ SUCCEEDED = 4
 
 @pytest.fixture
 def buffer(running: Deployment) -> Iterator[TransformBuffer]:
-    """A module's buffer: map to base moves at 1 m/s for 10 s, base to laser is fixed."""
+    """A module's buffer: the base moves in the map at 1 m/s for 10 s, and the laser is fixed on the base."""
     transform_buffer = TransformBuffer()
     for n in range(101):
         transform_buffer.set_transform(
@@ -41,7 +41,7 @@ def buffer(running: Deployment) -> Iterator[TransformBuffer]:
 
 
 class Ros1:
-    """tf2_ros.BufferClient."""
+    """A ROS 1 program that uses tf2_ros.BufferClient."""
 
     def __init__(self, deployment: Deployment) -> None:
         self._peer = deployment.keep(Peer(CLIENT, ROS1_PYTHON, deployment.master.env))
@@ -57,7 +57,7 @@ class Ros1:
 
 
 class Ros2:
-    """rclpy's action client, used like in tf2_ros.BufferClient of ROS 2, which has no wheel."""
+    """rclpy's action client used as in ROS 2's tf2_ros.BufferClient, for which there is no wheel."""
 
     ERRORS = ("", "LookupException", "ConnectivityException", "ExtrapolationException", "InvalidArgumentException")
 
@@ -97,10 +97,10 @@ def stamp_of(ns: int) -> dict[str, int]:
 
 
 def assert_answers(client: Ros1 | Ros2, buffer: TransformBuffer) -> None:
-    """Check all lookups of a BufferClient."""
+    """Check every kind of lookup of a BufferClient."""
     result = until(
         lambda: (text := client.lookup("map", "laser", START + S // 4)) and len(text) == 8 and text,
-        "a goal arrives: goals during discovery may be lost", 60,
+        "a lookup succeeds, although goals during discovery may be lost", 60,
     )  # fmt: skip
     assert result == pytest.approx((START + S // 4, 0.25, 2, 0, 0, 0, 0.6, 0.8))
     full = client.lookup("base", "base", START, target_stamp=START + S, fixed="map")

@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.long, pytest.mark.alone, pytest.mark.timeout(300)]
 STRING, TF = "std_msgs/String", "tf2_msgs/TFMessage"
 NODES, PUBLISHED, SUBSCRIBED = 13, 8, 7
 SECONDS = 90.0
-"""Seconds within which everything arrives, on a machine so busy that links have to be restored."""
+"""Seconds within which everything arrives, even if the machine is so busy that links have to be restored."""
 
 PAUSE = 1.0
 """Seconds that /tf may pause between two sides."""
@@ -65,7 +65,7 @@ def join(make: Callable[[], Any], topics: str) -> Joined:
 
 
 def assert_received(deployment: Deployment, node: PeerLike, end: int, topic: str) -> None:
-    """Check that only the topic's name arrives: once, unless a link was lost, whose publishers return with theirs."""
+    """Check that only the topic's name arrives, and once, unless a restored link repeats latched messages."""
     messages = node.wait(end, 1, SECONDS)
     most = len(messages) if "restored the direct link" in deployment.daemon.output() else 1
     assert messages == [{"data": topic}] * max(1, most)
@@ -83,7 +83,7 @@ class Transforms:
 
     @property
     def across(self) -> Peer:
-        """The rclpy program that receives them."""
+        """The rclpy program that receives the transforms."""
         return self._across
 
     def until_arriving(self, since: float) -> None:
@@ -135,7 +135,7 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
 
 
 def test_tf_continues_after_the_queue_of_a_ros2_program_was_full(site: tuple[Deployment, Names]) -> None:
-    """A default ROS 2 program has room for 512 messages in shared memory; a reader waits for those that are lost."""
+    """A ROS 2 program's shared memory holds 512 messages by default, and a reader waits for those that are lost."""
     deployment, _ = site
     try:
         transforms, sender, other = Transforms(deployment), deployment.ros1(), deployment.ros2()

@@ -1,4 +1,4 @@
-"""`clock.source` changed by a reload, with a real master; and simulated time without a publisher of `/clock`."""
+"""A reload changes `clock.source`, with a real master; and simulated time has no publisher of `/clock`."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def test_simulated_time_begins_and_ends_by_a_reload(running: Deployment) -> None
     until(lambda: simulated(running), "the master has /use_sim_time", 40, every=0.1)
     until(lambda: running.joined(), "all sides have joined again", 40, every=0.1)
     after = {side: running.worker(side)["pid"] for side in before}
-    assert not set(before.values()) & set(after.values()), "every side uses the clock"
+    assert not set(before.values()) & set(after.values()), "every worker was restarted, to use the new clock"
 
     until(
         lambda: all(NOBODY in str(running.worker(side).get("warnings")) for side in before),
-        "status warns of every side",
+        "the status of every side has the warning",
         20,
         every=0.2,
     )
@@ -48,13 +48,16 @@ def test_simulated_time_begins_and_ends_by_a_reload(running: Deployment) -> None
         every=0.2,
     )
     until(
-        lambda: "/clock is silent" in str(running.worker("ros2").get("warnings")), "its end is reported", 20, every=0.2
+        lambda: "/clock is silent" in str(running.worker("ros2").get("warnings")),
+        "the clock's silence is reported",
+        20,
+        every=0.2,
     )
 
     running.configure()
     running.hang_up()
     until(
-        lambda: running.worker("ros1").get("pid") not in {None, after["ros1"]} and running.joined(), "they restart",
+        lambda: running.worker("ros1").get("pid") not in {None, after["ros1"]} and running.joined(), "workers restart",
         40, every=0.1,
     )  # fmt: skip
     assert "set clock.source to sim, or the parameter to false" in str(running.worker("ros1")["warnings"])

@@ -1,4 +1,4 @@
-"""The robot continues to drive within seconds after the system clock was set, back or forward."""
+"""The robot drives on within seconds after the system clock was set back or forward."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.support.shifted_clock import ShiftedClock
 from tests.support.wait import until
 
 SECONDS = 12.0
-"""Time for the first meter after a jump; it takes 4 s if no people block the robot."""
+"""Seconds for the first meter after a jump; the drive takes 4 s if no people block the robot."""
 
 
 class ShiftedChain(Chain):
@@ -27,7 +27,7 @@ class ShiftedChain(Chain):
         self.clock = ShiftedClock(folder, 3600)
 
     def run(self) -> None:
-        """Start the daemon, which is not forked: the clock is loaded when a process starts."""
+        """Start the daemon in a new process, not a fork, because the shifted clock is loaded when a process starts."""
         self.daemon = Process([*MIDSPAN, "run", "--config", self.file], self.clock.environment)
 
     def until_it_drives(self, meters: float, seconds: float) -> None:
@@ -56,10 +56,14 @@ def test_the_robot_keeps_driving(tmp_path: Path, shifts: tuple[int, ...]) -> Non
         for shift in shifts:
             chain.clock.set(shift)
             set_at = time.monotonic()
-            until(lambda: chain.output().count("the system clock was set ") >= 2, "simulator and modules noticed", 10)
+            until(
+                lambda: chain.output().count("the system clock was set ") >= 2,
+                "simulator and modules report the jump",
+                10,
+            )
             chain.until_it_drives(1.0, SECONDS)
             assert time.monotonic() - set_at < SECONDS + 10
             assert request.ended is None, request.reason
-        if len(shifts) == 1 and shifts[0]:  # only once: the drive takes 20 s
+        if len(shifts) == 1 and shifts[0]:  # only in one case, because the drive takes 20 s
             until(lambda: request.ended, "the goal ends", 90)
             assert chain.distance_to("kitchen") < 0.3, request.reason

@@ -41,7 +41,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     "get_parameter_types": {"types": [3]},
     "set_parameters": {"results": [{"successful": True}]},
 }
-"""A node's parameter services, and what each replies."""
+"""A node's parameter services, and the reply of each."""
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def session_config(deployment: Deployment) -> zenoh.Config:
 
 
 def until_explained(deployment: Deployment, name: str, decision: str, direction: str = "in") -> dict[str, Any]:
-    """Return the line of ``explain`` about a name, once it has this decision."""
+    """Return the line of ``explain`` about a name, once the decision is this one."""
 
     def explained() -> dict[str, Any] | None:
         lines = [line for line in deployment.explain(name) if (line["topic"], line["direction"]) == (name, direction)]
@@ -85,7 +85,7 @@ def until_explained(deployment: Deployment, name: str, decision: str, direction:
 
 
 def executed(native: CyclonePeer, server: int) -> list[bytes]:
-    """Return the requests that a server on Cyclone DDS received, without header and padding."""
+    """Return the requests that a server on Cyclone DDS has received, without header and padding."""
     framed = [unwrap(request) for request in native.requests(server)]
     return [request.payload.rstrip(b"\0") for request in framed if request is not None]
 
@@ -127,11 +127,13 @@ def test_clients_of_each_side_call_a_service_of_cyclone_dds(shared: Deployment) 
 
 
 def test_name_served_on_two_kinds_of_dds(shared: Deployment) -> None:
-    """The server on Fast DDS is called, that on Cyclone DDS gets no request; explain and doctor name them."""
+    """The server on Fast DDS is called, and the one on Cyclone DDS gets no request; explain and doctor name both."""
     native, ros2, service = cyclone(shared), shared.ros2(), Service(Registry(), SET_BOOL)
     server = native.serve("/twice", TYPE, service.response(success=False))
     fast = ros2.ask("serve", service="/twice", type=TYPE, reply={"success": True, "message": "lit"})["id"]
-    until(lambda: "calls go to /" in until_explained(shared, "/twice", "bridged")["why"], "explain names it", 30)
+    until(
+        lambda: "calls go to /" in until_explained(shared, "/twice", "bridged")["why"], "explain names the server", 30
+    )
     shared.until_route("ros1", "/twice", "out", state="active")
     ros1 = shared.ros1()
     ros1.ask("await_service", service="/twice", seconds=20)
@@ -149,7 +151,7 @@ def test_name_served_on_two_kinds_of_dds(shared: Deployment) -> None:
 
 
 def test_actions_of_cyclone_dds(shared: Deployment) -> None:
-    """Clients of each side have their goal accepted and get its result, from the same server."""
+    """A client on each side has its goal accepted and gets its result, all from the same server."""
     native = cyclone(shared)
     service = Service(Registry(), f"{ACTION}_GetResult")
     servers = native.act("/cyclone_go", ACTION, result=service.response(status=4))
@@ -180,7 +182,7 @@ def test_goal_on_cyclone_dds_is_canceled(shared: Deployment) -> None:
     until_explained(shared, "/cyclone_stop/_action/cancel_goal", "bridged")
 
     def halted() -> bool:
-        """Return whether goals were canceled: a node that has just started is not yet prepared for calls."""
+        """Return whether the goals were canceled. A node that has just started is not yet ready for calls."""
         printed = shared.command("halt", "--json", "--seconds", "1")
         return "/cyclone_stop" not in json.loads(printed.stdout)["errors"]
 
@@ -237,7 +239,7 @@ def shows(deployment: Deployment, *texts: str) -> bool:
 
 
 def graph_message_of_humble() -> bytes:
-    """Return a ``ParticipantEntitiesInfo`` of Humble, whose identifiers have 24 bytes: one node with a publisher."""
+    """Return a ``ParticipantEntitiesInfo`` of Humble, whose GIDs have 24 bytes, for a node with one publisher."""
     gid = bytes(range(24))
     node = cdr_string("/") + cdr_string("humble_node") + struct.pack("<II", 0, 1) + gid
     return b"\0\1\0\0" + gid + struct.pack("<I", 1) + node
@@ -272,7 +274,7 @@ def test_a_node_with_graph_messages_of_humble_is_found_by_its_endpoints(shared: 
     subscription = ros1.subscribe("/range", "sensor_msgs/Range")
 
     def range_received() -> list[Any]:
-        native.put(ranges, message[:-4])  # without the variance of later releases
+        native.put(ranges, message[:-4])  # Humble's Range lacks the variance of later releases
         return ros1.wait(subscription, 1, 0.2)
 
     assert until(range_received, "a Range of Humble on ROS 1", 30)[0]["range"] == 2.5

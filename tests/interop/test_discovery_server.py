@@ -31,7 +31,7 @@ def _server(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.usefixtures("_server")
 def test_programs_of_a_discovery_server_are_bridged(deployment: Deployment) -> None:
-    """Also those that start later, and after the worker was killed."""
+    """Programs that start later, or that were bridged before the worker was killed, are included."""
     deployment.start()
     ros1, ros2 = deployment.ros1(), deployment.ros2()
     ends = {

@@ -1,6 +1,6 @@
-"""`midspan doctor` is all OK for each documented configuration, with the middlewares and programs that it names.
+"""`midspan doctor` reports only OK for each documented configuration, run with the middlewares and programs it names.
 
-If a program is not started yet, doctor names it, and nothing fails. One roscore and one ROS domain serve the whole
+If a program is not started yet, doctor names it, and no check fails. One roscore and one ROS domain serve the whole
 file. Checks of the machine (compiler, shared memory, clock) are excluded: they do not depend on the configuration.
 """
 
@@ -45,7 +45,7 @@ VOLATILE = ("daemon", "types", "type-hash", "keys")
 
 ALL_CHECKS = frozenset(check.id for check in CHECKS) - MACHINE_CHECKS
 MOST = ALL_CHECKS - {"two-bridges"}
-"""Without the check that takes 5 s; its result is the same in most deployments."""
+"""All checks but the one that takes 5 s, whose result is the same in most deployments."""
 
 NO_WORKER = {Phase.OFF.value, Phase.UNAVAILABLE.value}
 OF_MODULES = "modules"
@@ -91,7 +91,7 @@ class Fresh:
         self.stack.enter_context(Process([ros2_python(), PEERS / script, *words], environment))
 
     def robot(self) -> None:
-        """The ports of a robot on YARP."""
+        """Open the ports of a robot on YARP."""
         for port in ("/cer/laser:o", "/baseControl/odometry:o"):
             self.stack.enter_context(Writer(port, naming=self.names))
         self.stack.enter_context(Reader("/baseControl/control:i", naming=self.names))
@@ -123,18 +123,18 @@ class Fresh:
         self._until(lambda problems: not problems, checks)
 
     def until_it_waits(self, *patterns: str) -> None:
-        """Wait until doctor gives exactly these warnings, one for each pattern, and no failure."""
+        """Wait until doctor reports exactly these warnings, one for each pattern, and no failure."""
         self._until(lambda problems: matches(problems, patterns), MOST)
 
     def _until(self, fits: Callable[[list[str]], bool], checks: Iterable[str]) -> None:
-        """Wait for the expected problems: of the volatile checks first, then of all. Checks may time out under load."""
+        """Wait for the expected problems, first of the volatile checks, then of all. Checks may time out under load."""
         problems: list[str] = []
 
         def expected(which: Iterable[str]) -> bool:
             problems[:] = self.problems(*which)
             return fits(problems)
 
-        until(self.is_up, "all workers and modules answer", SECONDS, every=0.5)
+        until(self.is_up, "all workers and modules respond", SECONDS, every=0.5)
         for which in (VOLATILE, checks):
             with contextlib.suppress(AssertionError):
                 until(lambda which=which: expected(which), "doctor finds the expected problems", SECONDS, every=0.5)  # type: ignore[misc]
@@ -159,7 +159,7 @@ def from_file(name: str) -> Config:
 
 
 def from_pages() -> Config:
-    """Return the README's first configuration with the sections that the pages of modules and simulator add to it."""
+    """Return the README's first configuration, with the sections from the pages about modules and the simulator."""
     blocks = [(page, yaml.safe_load(code)) for page, code in configurations()]
     (config,) = (block for page, block in blocks if page == "README.md")
     modules: Config = {}
@@ -183,7 +183,7 @@ def master() -> Iterator[RosMaster]:
 def fresh(
     master: RosMaster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Iterator[Callable[[Config], Fresh]]:
-    """Start deployments in folders with short paths: pytest's own are too long for Unix sockets."""
+    """Start deployments in folders with short paths, because pytest's own are too long for Unix sockets."""
 
     def midspan(site: Fresh, *words: str) -> Any:
         for name, value in site.shell.items():

@@ -1,6 +1,6 @@
-"""``midspan map explore`` as a whole: the daemon with simulator, Mapper2D, planner and driver, and the verb.
+"""``midspan map explore`` as a whole: the command, and a daemon with simulator, Mapper2D, planner and driver.
 
-Everything is in lock-step, so that a busy machine only takes longer.
+Everything runs in lock-step, so that a busy machine only takes longer.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ WALLS = [
     [[2.4, 1.2], [2.4, 3]],
     [[3.6, 0], [3.6, 1.8]],
 ]
-"""A floor of 15 square meters whose walls make an S of it."""
+"""A floor of 15 square meters, whose walls form an S."""
 
 MODULES = ("base_control", "robot_goto", "robot_path_planner", "mapper2d")
 STEP = 0.1
@@ -35,7 +35,7 @@ SECONDS = 60.0
 
 
 class Floor:
-    """The daemon on a floor, and the program that lets time pass."""
+    """The daemon on a floor, and the program that advances the time."""
 
     def __init__(self, folder: Path) -> None:
         plan = folder / "floor.yaml"
@@ -63,7 +63,7 @@ class Floor:
         until(lambda: self._client.ready, "the simulator is on the hub", SECONDS)
 
     def step(self) -> None:
-        """Let time pass until all modules have finished it."""
+        """Advance the time by one step, and wait until all modules have finished it."""
         answered, replies = threading.Event(), list[Any]()
         request = {"seconds": STEP, "wait_for": list(MODULES), "patience": SECONDS}
 
@@ -97,8 +97,8 @@ def test_an_unknown_floor_is_explored_until_it_is_complete(floor: Floor) -> None
         assert verb.popen.returncode == 0, verb.output()
     *goals, end = lines
     assert (end["status"], end["reached"]) == ("complete", end["goals"])
-    assert len(goals) == end["goals"] >= 2, "one view does not show the floor"
-    assert 12.0 < end["area"] < 15.0, "only free cells within the walls"
+    assert len(goals) == end["goals"] >= 2, "a single view cannot show the whole floor"
+    assert 12.0 < end["area"] < 15.0, "the area counts only free cells within the walls"
     daemon = floor.midspan.daemon
     assert daemon is not None
     assert "TF_REPEATED_DATA" not in daemon.output()

@@ -1,4 +1,4 @@
-"""A package of ``types.folders`` with files in the syntax of only one ROS version, between real programs.
+"""Real programs use a package of ``types.folders`` whose files are each written in the syntax of one ROS version.
 
 Each program has the package in its own ROS version's syntax, independently of Midspan's registry: genpy generates the
 classes of ROS 1, rosidl builds the package of ROS 2.
@@ -21,7 +21,7 @@ from tests.peers.ros2.network import ROS2_PEER, ros2_environment, ros2_python
 FOLDER = {
     "msg/Inner.msg": "Header header\nint32 x\n",  # ROS 1 syntax
     "msg/Note.msg": "builtin_interfaces/Duration length\nstring<=8 name\nbool LOUD=true\n",  # ROS 2 syntax
-    "msg/Outer.msg": "Inner[] items\nNote[2] notes\nbool done\n",  # syntax of both
+    "msg/Outer.msg": "Inner[] items\nNote[2] notes\nbool done\n",  # syntax of both versions
     "srv/Ask.srv": "Outer wanted\n------\nNote[] notes\nInner last\n",
     "action/Go.action": "Inner start\n--- # result\nNote[] notes\n---\nOuter at\n",
 }
@@ -71,12 +71,12 @@ Sides = dict[str, tuple[Peer, "Messages"]]
 
 
 def full(own: str, nested: dict[str, str]) -> str:
-    """Return a full definition as in connection headers."""
+    """Return a full definition, as in connection headers."""
     return own + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in nested.items())
 
 
 class Messages:
-    """The same messages in either ROS version's spelling."""
+    """The same messages, spelled as in either ROS version."""
 
     def __init__(self, *, ros1: bool) -> None:
         self._sec, self._nanosec = ("secs", "nsecs") if ros1 else ("sec", "nanosec")
@@ -92,7 +92,7 @@ class Messages:
 
 
 def plain(message: Any) -> Any:
-    """Return a message without the sequence number, which only ROS 1 has in headers."""
+    """Return a message without the sequence number, because only ROS 1 has one in headers."""
     if isinstance(message, dict):
         return {key: plain(value) for key, value in message.items() if key != "seq"}
     return [plain(value) for value in message] if isinstance(message, list) else message
@@ -100,7 +100,7 @@ def plain(message: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def sides(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sides]:
-    """The daemon, and a program of each ROS version with its spelling of the messages."""
+    """The daemon, and a program of each ROS version that spells the messages its own way."""
     folder = tmp_path_factory.mktemp("folders")
     for path, text in FOLDER.items():
         file = folder / "types" / "mixed_msgs" / path

@@ -25,7 +25,7 @@ MOUNT[:3, 3] = 0.5, 0.25, 1.0
 
 
 class Speaker:
-    """A ROS program that publishes a frame, and another one that is mounted on it."""
+    """A ROS program that publishes a moving frame, and a static frame mounted on it."""
 
     def __init__(self, peer: Peer, words: tuple[str, str], parent: str, child: str, mounted: str, x: float) -> None:
         self.peer, self.words, self.parent, self.child, self.x = peer, words, parent, child, x
@@ -37,7 +37,7 @@ class Speaker:
 
 
 class Listener:
-    """A ROS program's frames."""
+    """The frames that a ROS program receives."""
 
     def __init__(self, peer: Peer) -> None:
         self.peer, self.buffer, self.taken = peer, TransformBuffer(), [0, 0]
@@ -108,7 +108,7 @@ def test_a_chain_of_frames_from_three_sides_is_the_same_on_all(deployment: Deplo
                 np.testing.assert_allclose(result.translation, want[:3, 3], atol=1e-9)
                 until(
                     lambda one=listener: all(one.lookup("map", n) for n in ("beacon", "bumper")),
-                    "and all mounted frames",
+                    "ROS has all mounted frames",
                     60,
                     0.1,
                 )

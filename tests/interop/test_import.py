@@ -76,7 +76,7 @@ ACTION = "nav2_msgs/NavigateToPose"
 
 
 def imported(peer: str, file: Path, folder: Path) -> list[Path]:
-    """Import a file by the command; return the written files."""
+    """Import a file with the command, and return the written files."""
     output = folder / "imported.yaml" if peer == "ros1_bridge" else folder
     done = subprocess.run(
         [*MIDSPAN, "import", peer, str(file), "-o", str(output)],
@@ -90,7 +90,7 @@ def imported(peer: str, file: Path, folder: Path) -> list[Path]:
 
 
 def placed(file: Path, **sections: dict) -> None:
-    """Give an imported file the test's own ports, master and folders."""
+    """Set an imported file's ports, master and folders to those of the test."""
     config = yaml.safe_load(file.read_text(encoding="utf-8"))
     for name, keys in sections.items():
         config[name] = {**config.get(name, {}), **keys} if isinstance(keys, dict) else keys
@@ -119,12 +119,12 @@ def test_the_example_of_ros1_bridge(deployment: Deployment, tmp_path: Path) -> N
         until(lambda name=service: "no rule allows it" in str(deployment.explain(name)), f"{service} is refused", 20)
     # unlisted topics do not cross
     ros1.advertise("/other", STRING)
-    until(lambda: "no rule allows it" in str(deployment.explain("/other")), "the other is decided on", 20)
+    until(lambda: "no rule allows it" in str(deployment.explain("/other")), "/other is refused", 20)
     assert deployment.route("ros1", "/other", "in") is None
 
 
 def served(server: Peer, client: Peer, name: str, called: str) -> None:
-    """Check that a server replies to a client that calls it by another name."""
+    """Check that a server replies to a client that calls the service by another name."""
     reply = {"success": True, "message": name}
     server.ask("serve", service=name, type=SERVICE, reply=reply)
 
@@ -165,7 +165,7 @@ class TwoDomains:
 
 @pytest.fixture
 def two_domains(tmp_path: Path) -> Iterator[TwoDomains]:
-    """An imported domain bridge in use."""
+    """An imported domain bridge, running."""
     two_domains = TwoDomains(tmp_path)
     yield two_domains
     for process in reversed(two_domains.open):
@@ -194,6 +194,6 @@ def test_a_domain_bridge(two_domains: TwoDomains) -> None:
     second.ask("act", action="/go", type=ACTION)
     goal = first.ask("send_goal", action="/go", type=ACTION, goal={"behavior_tree": "x"}, seconds=40.0)["id"]
     assert first.ask("goal", id=goal, until={"status": 4}, seconds=40.0)["accepted"]
-    # one copy of each, although the daemons discover each other
+    # one copy of each topic, although the daemons discover each other
     topics = second.graph()["topics"]
     assert [name for name in topics if "domain" in name] == []

@@ -35,7 +35,9 @@ def test_reload_with_a_valid_and_with_an_invalid_file(running: Deployment) -> No
     assert running.daemon is not None
     daemon = running.daemon
     until(
-        lambda: "rules" in daemon.output() and "midspan.yaml:2" in daemon.output(), "the error names line and cure", 20
+        lambda: "rules" in daemon.output() and "midspan.yaml:2" in daemon.output(),
+        "the error names the line and the fix",
+        20,
     )
     count = len(ros2.wait(subscription, 1))
     ros1.publish(out, {"data": "after"})
@@ -71,7 +73,7 @@ def test_commands_queued_for_a_suspended_worker_are_dropped(running: Deployment)
         until(lambda pid=pid: is_stopped(pid), f"{side} is suspended")
         for _ in range(10):
             ros2.publish(out, twist(9.0))
-        # the commands must be stale when the worker resumes
+        # by the time the worker resumes, the commands must be stale
         assert not [m for m in ros1.wait(subscription, 10_000, 1.5)[before:] if m["linear"]["x"] == 9.0], side
         os.kill(pid, signal.SIGCONT)
 

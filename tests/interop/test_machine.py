@@ -1,6 +1,6 @@
-"""Failures of the machine: broken configuration files, a full or read-only disk, no file descriptors.
+"""Failures of the machine: broken configuration files, a full or read-only disk, no free file descriptors.
 
-The routes continue to carry messages during each of them.
+The routes keep carrying messages during each of them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ needs_root = pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, re
 
 
 class Flow:
-    """One topic in each direction between real rospy and rclpy programs, for checks that messages still cross."""
+    """One topic in each direction between real rospy and rclpy programs, to check that messages still cross."""
 
     def __init__(self, deployment: Deployment) -> None:
         self._ros1, self._ros2 = deployment.ros1(), deployment.ros2()
@@ -137,7 +137,7 @@ def test_a_hundred_broken_configurations(running: Deployment) -> None:
 
 @contextmanager
 def small_disk() -> Iterator[Path]:
-    """Mount a file system of 3 MB, in a folder whose path is short enough for the daemon's socket."""
+    """Mount a 3 MB file system, in a folder whose path is short enough for the daemon's socket."""
     with tempfile.TemporaryDirectory(prefix="midspan-") as name:
         folder = Path(name)
         subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", name], check=True)
@@ -149,7 +149,7 @@ def small_disk() -> Iterator[Path]:
 
 
 def fill(disk: Path) -> Path:
-    """Fill the file system to the last byte; return the file that does."""
+    """Fill the file system to the last byte, and return the file that fills it."""
     litter = disk / "litter"
     with litter.open("wb", buffering=0) as file:
         try:
@@ -256,7 +256,7 @@ def test_no_descriptors_left(running: Deployment) -> None:
         topics = [f"/{side}_{number}" for number in range(12)]
         inboxes = [receiver.subscribe(topic, STRING) for topic in topics]
         out = [program.advertise(topic, STRING) for topic in topics]
-        until(lambda s=side: NO_DESCRIPTORS in str(running.worker(s).get("warnings")), "a warning", 20)
+        until(lambda s=side: NO_DESCRIPTORS in str(running.worker(s).get("warnings")), "the warning", 20)
         flow.check()
         status = running.command("status").stdout
         assert NO_DESCRIPTORS in status
@@ -283,7 +283,7 @@ def test_no_descriptors_left(running: Deployment) -> None:
 
 
 def test_a_router_without_descriptors(running: Deployment) -> None:
-    """Programs cannot join, but joined ones continue; the log has the reason, and the router recovers."""
+    """Programs cannot join, but the joined ones continue; the log has the reason, and the router recovers."""
     assert running.daemon is not None
     daemon = running.daemon
     flow = Flow(running)

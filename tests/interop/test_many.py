@@ -14,7 +14,7 @@ STRING = "std_msgs/String"
 COUNT = 1000
 
 
-@pytest.mark.timeout(300)  # both waits and the start, on a busy machine
+@pytest.mark.timeout(300)  # for the start and both waits on a busy machine
 def test_a_thousand_topics(running: Deployment) -> None:
     ros1, ros2 = running.ros1(), running.ros2()
     ids = [ros1.advertise(f"/many/t{number}", STRING, latched=True) for number in range(COUNT)]

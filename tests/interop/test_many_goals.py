@@ -25,7 +25,7 @@ def test_a_thousand_concurrent_goals_end_as_their_servers_report(running: Deploy
 
 
 def assert_all_end(pair: Pair) -> None:
-    """Check that all goals end; all are executing before the first one ends."""
+    """Check that all goals end, and that all are executing before the first one ends."""
     acting = {o: pair.act(pair.name(o), held=True, outcome=o, depth=GOALS) for o in OUTCOMES}
     goals = {outcome: list[int]() for outcome in OUTCOMES}
     for _ in range(GOALS // len(OUTCOMES)):
@@ -36,7 +36,7 @@ def assert_all_end(pair: Pair) -> None:
             result = pair.goal_within(goal, SECONDS, accepted=outcome != "reject")
             assert result["ends"] == int(
                 pair.sides[1] == ROS1 and outcome == "reject"
-            )  # for actionlib that is a final state
+            )  # in actionlib, a rejection is a final state
     for goal in goals["cancel"]:
         pair.client.ask("cancel", id=goal)
     for outcome in ("succeed", "abort"):

@@ -1,6 +1,6 @@
 """A real rclpy program publishes a cloud, rospy receives and saves the layer, and rclpy gets the stored map.
 
-It also saves Mapper2D's map by the service of slam_toolbox.
+The rclpy program also saves Mapper2D's map through slam_toolbox's service.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
 
 
 def value(message: dict[str, Any], x: float, y: float) -> int:
-    """Return a cell of a layer; -1 outside of it."""
+    """Return the value of a layer's cell, or -1 outside of the layer."""
     info, origin = message["info"], message["info"]["origin"]["position"]
     column, row = int((x - origin["x"]) / info["resolution"]), int((y - origin["y"]) / info["resolution"])
     inside = 0 <= column < info["width"] and 0 <= row < info["height"]

@@ -1,4 +1,4 @@
-"""Maps between real rospy and rclpy programs and a YARP client, through the whole daemon and its Map2DServer."""
+"""Real rospy and rclpy programs and a YARP client share maps, through the whole daemon and its Map2DServer."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_changes_of_one_side_reach_all_others_at_once(deployment: Deployment) ->
         def current() -> str:
             return str(texts.ask(["current"], timeout=30)[0])
 
-        # YARP writes: both ROS versions receive it, early and late
+        # YARP writes a map: ROS 1 and ROS 2 receive it, with early and with late subscribers
         ros1, ros2 = deployment.ros1(), deployment.ros2()
         on_ros1 = ros1.subscribe("/map", GRID)
         on_ros2, mask = (
@@ -68,7 +68,7 @@ def test_changes_of_one_side_reach_all_others_at_once(deployment: Deployment) ->
         assert asked(ros1, "/change_map", "nav_msgs/LoadMap", map_url="../office.yaml")["result"] != 0
         assert current() == "office"
 
-        # a mapper on ROS 1 publishes a map: it is stored, and nothing else is published on its topic
+        # a mapper on ROS 1 publishes a map: the store gets it, and nobody else publishes on the mapper's topic
         slam = grid("slam", wall=9)
         mapper = deployment.ros1()
         out = mapper.advertise("/map", GRID, latched=True)
@@ -76,7 +76,7 @@ def test_changes_of_one_side_reach_all_others_at_once(deployment: Deployment) ->
         until(lambda: "slam" in maps.maps, "the mapper's map is in the store", 30, 0.1)
         assert maps.maps["slam"] == slam
         until_heard(ros2, on_ros2, slam)
-        until(lambda: current() == "slam", "it is current", 30, 0.1)
+        until(lambda: current() == "slam", "the mapper's map is the current one", 30, 0.1)
         until(lambda: not deployment.route("ros1", "/map", "out"), "nothing is echoed", 30, 0.1)
 
 
@@ -99,7 +99,7 @@ def newest(peer: Peer, heard: int) -> dict[str, Any]:
 
 
 def until_heard(peer: Peer, heard: int, wanted: MapGrid2D) -> None:
-    """Wait until this is the newest map that a program has received."""
+    """Wait until a program's newest received map is this one."""
 
     def same() -> bool:
         result = newest(peer, heard)
@@ -109,7 +109,7 @@ def until_heard(peer: Peer, heard: int, wanted: MapGrid2D) -> None:
 
 
 def asked(peer: Peer, service: str, type_: str, *, waits: bool = True, **request: Any) -> dict[str, Any]:
-    """Call a service once it exists: the ROS 2 program waits for it by itself."""
+    """Call a service once it exists, and return the reply. The ROS 2 program waits for the service by itself."""
     if waits:
         peer.ask("await_service", service=service, seconds=30.0)
     call = peer.ask("call", service=service, type=type_, request=request, seconds=30.0)["id"]

@@ -1,4 +1,4 @@
-"""roscore is killed while move_base drives: with the stand-in on rospy, the whole daemon, and a program on the hub."""
+"""roscore is killed while move_base drives: with move_base's rospy stand-in, the whole daemon, and a hub program."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class HubProgram(HubNode):
         return self.on(lambda: self.client.send({"pose": FAR}, lambda g, r, why: self.ended.append((g.status, r, why))))
 
     def active(self) -> list[bytes]:
-        """Return the unfinished goals of the newest list."""
+        """Return the unfinished goals in the newest status list."""
         return [goal for goal, state in self.lists[-1].items() if not state.ended] if self.lists else []
 
     def drives_on(self, goal: bytes) -> None:
@@ -72,12 +72,12 @@ def program(running: Deployment) -> HubProgram:
 def stand_in(running: Deployment, program: HubProgram) -> Iterator[Process]:
     with Process([ROS1_PYTHON, STAND_IN, "0.5", "5.0"], running.master.env) as process:
         until(lambda: program.client.ready, "the planner is on the hub", SECONDS)
-        until(lambda: program.lists == [{}], "its first list is empty", SECONDS)
+        until(lambda: program.lists == [{}], "the planner's first list is empty", SECONDS)
         yield process
 
 
 def native_goal(running: Deployment) -> tuple[Peer, int]:
-    """A goal of a ROS 1 client that is being executed."""
+    """Return a ROS 1 client and its goal, which is being executed."""
     peer = running.ros1("native")
     sent = peer.ask("send_goal", action=ACTION, type="move_base_msgs/MoveBase", goal={"target_pose": FAR})["id"]
     assert peer.ask("goal", id=sent, until={"accepted": True})["accepted"]
@@ -86,7 +86,11 @@ def native_goal(running: Deployment) -> tuple[Peer, int]:
 
 def without_a_master(running: Deployment) -> None:
     running.master.kill()
-    until(lambda: "no ROS 1 master" in str(running.worker("ros1").get("warnings")), "its loss is noticed", SECONDS)
+    until(
+        lambda: "no ROS 1 master" in str(running.worker("ros1").get("warnings")),
+        "the master's loss is noticed",
+        SECONDS,
+    )
 
 
 def test_the_goal_of_a_ros_1_client_continues_and_is_canceled(
@@ -98,13 +102,17 @@ def test_the_goal_of_a_ros_1_client_continues_and_is_canceled(
     without_a_master(running)
     program.drives_on(goal)
     running.master.start()
-    until(lambda: running.worker("ros1")["network"] == running.master.call("getParam", "/run_id"), "joined", SECONDS)
+    until(
+        lambda: running.worker("ros1")["network"] == running.master.call("getParam", "/run_id"),
+        "the worker joins the new master",
+        SECONDS,
+    )
     program.drives_on(goal)
     assert all(state is GoalState.EXECUTING for listed in program.lists[1:] for state in listed.values())
     program.on(lambda: program.client.cancel(goal))
     assert peer.ask("goal", id=sent, until={"ends": 1})["status"] == 5, "PREEMPTED, as reported by its client"
-    until(lambda: program.lists[-1][goal] is GoalState.CANCELED, "the list reports it", SECONDS)
-    until(lambda: program.moving[-1] == 0.0, "it stands", SECONDS)
+    until(lambda: program.lists[-1][goal] is GoalState.CANCELED, "the list reports the cancellation", SECONDS)
+    until(lambda: program.moving[-1] == 0.0, "the base stands", SECONDS)
     assert stand_in.popen.poll() is None
 
 
@@ -116,17 +124,17 @@ def test_the_goal_of_a_hub_client_continues_and_a_killed_planner_is_lost(
     without_a_master(running)
     program.drives_on(sent.id)
     program.on(sent.cancel)
-    until(lambda: program.ended, "it ends", SECONDS)
+    until(lambda: program.ended, "the goal ends", SECONDS)
     assert program.ended.pop()[0] is GoalState.CANCELED
     sent = program.send()
     until(lambda: program.active() == [sent.id], "another goal is listed, still without a master", SECONDS)
     program.drives_on(sent.id)
     stand_in.signal(signal.SIGKILL)
-    until(lambda: program.ended, "the client receives the end", SECONDS)
+    until(lambda: program.ended, "the client's goal ends", SECONDS)
     ((_, result, reason),) = program.ended
-    assert (sent.accepted, result) == (True, None), "this is not a result of the planner"
+    assert (sent.accepted, result) == (True, None), "the planner sent no result"
     # zenoh may deliver the loss of the action's services before the reply that names the cause
     lost, left = "lost sight of the goal: its action server /move_base left", "left before it answered"
     assert reason == lost or reason.endswith(left)
     until(lambda: not program.there, "the planner leaves the hub", SECONDS)
-    assert program.lists[-1][sent.id] is GoalState.EXECUTING, "no list contains its end"
+    assert program.lists[-1][sent.id] is GoalState.EXECUTING, "no list contains the goal's end"

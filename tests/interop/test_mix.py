@@ -1,4 +1,4 @@
-"""Clients on every side with planners on every side; the table of results is printed at the end of the run."""
+"""Clients on every side with planners on every side. The table of results is printed at the end of the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stand-in for move_base behaves like measurements of the real one, so that tests with it are meaningful."""
+"""The stand-in for move_base behaves as measured on the real one, so that tests with it are meaningful."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SECONDS = 30.0
 
 
 class Direct:
-    """A rospy program that uses actionlib's topics directly."""
+    """A rospy program that publishes and subscribes to actionlib's topics directly."""
 
     def __init__(self, peer: Peer) -> None:
         self.peer = peer
@@ -36,7 +36,7 @@ class Direct:
         for end in (self._goals, self._cancels, self._simple):
             until(
                 lambda end=end: peer.ask("connections", id=end)["count"],
-                "the stand-in is connected to the goals",
+                "the stand-in has subscribed to the goals",
                 SECONDS,
             )
         until(lambda: peer.wait(self._statuses, 1, 0.5), "the stand-in publishes its status", SECONDS)
@@ -53,12 +53,12 @@ class Direct:
         self.peer.publish(self._simple, pose(x))
 
     def listed(self) -> dict[str, tuple[int, str]]:
-        """Return state and text of each goal in the newest status list."""
+        """Return the state and the text of each goal in the newest status list."""
         newest = self.peer.wait(self._statuses, 1, 1.0)[-1]
         return {item["goal_id"]["id"]: (item["status"], item["text"]) for item in newest["status_list"]}
 
     def is_in(self, name: str, state: int) -> str:
-        """Return the text of a goal, once it is in a state."""
+        """Return the text of a goal, once the goal is in this state."""
         until(lambda: self.listed().get(name, (-1, ""))[0] == state, f"{name} is in state {state}", SECONDS)
         return self.listed()[name][1]
 
@@ -95,7 +95,7 @@ def test_the_stand_in_behaves_like_measurements_of_move_base(direct: Direct) -> 
     assert direct.is_in("second", PREEMPTED) == ""
     assert len(direct.listed()) >= 3  # a list with many goals
 
-    # an unknown frame, or one with a slash: active forever, reported again in each control cycle
+    # a goal in an unknown frame, or in one with a slash, stays active forever and is published again in each cycle
     before = len(direct.peer.wait(direct.targets, 0, 0.0))
     direct.goal("lost", 1.0, frame="/map")
     assert len(direct.peer.wait(direct.targets, before + 5, SECONDS)) >= before + 5
@@ -116,12 +116,12 @@ def test_the_stand_in_behaves_like_measurements_of_move_base(direct: Direct) -> 
     direct.goal("late", 1.0, secs=1_900_000_000)
     assert "before the timestamp of the last cancel request" in direct.is_in("late", RECALLED)
     direct.cancel("never seen", secs=2_000_000_001)
-    direct.is_in("never seen", RECALLING)  # a goal arrives on a separate connection, and could arrive first
+    direct.is_in("never seen", RECALLING)  # goals have a separate connection, so the goal could overtake the cancel
     direct.goal("never seen", 1.0, secs=2_100_000_000)
     direct.is_in("never seen", RECALLED)
     direct.goal("again", 1.0, secs=2_100_000_000)
     direct.is_in("again", SUCCEEDED)
-    direct.goal("again", 500.0, secs=2_100_000_001)  # ignored, as it is listed
+    direct.goal("again", 500.0, secs=2_100_000_001)  # ignored, because its id is listed
     direct.goal("last", 1.0, secs=2_100_000_002)
     direct.is_in("last", SUCCEEDED)
     assert direct.listed().get("again", (SUCCEEDED, ""))[0] == SUCCEEDED

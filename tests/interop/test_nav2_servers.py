@@ -36,7 +36,7 @@ class Nav2Rig:
         until(lambda: "ready" in self.nav2.output(), "Nav2 is up", SECONDS)
 
     def inactive(self) -> dict[str, str]:
-        """Return the states of the nodes that are not active, as the gateway reports them."""
+        """Return the states of the nodes that are not active, as reported by the gateway."""
         gateway = next((d for d in self.deployment.status() if d.get("worker") == "gateway"), {})
         return {name.lstrip("/"): state for name, state in gateway.get("inactive_nodes", {}).items()}
 

@@ -1,4 +1,4 @@
-"""The stand-ins for Nav2 behave like its sources, and like measurements of it; see `tests/peers/ros2/nav2.py`."""
+"""The stand-ins for Nav2 behave like Nav2's sources, and as measured on Nav2; see `tests/peers/ros2/nav2.py`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BEHAVIORS = {
 
 
 class Direct:
-    """A client of all actions, and the robot."""
+    """A client of all of Nav2's actions, and the robot's base."""
 
     def __init__(self, **options: Any) -> None:
         self.base = Base.ros2()
@@ -46,7 +46,7 @@ class Direct:
         return int(sent["id"])
 
     def end(self, goal: int) -> tuple[int, int, str]:
-        """Return status, code and text of a goal once it ends."""
+        """Return the status, error code and error text of a goal, once it ends."""
         seen = self.peer.ask("goal", id=goal, until={"ends": 1}, seconds=SECONDS)
         assert seen["ends"] == 1, seen
         return seen["status"], seen["result"]["error_code"], seen["result"]["error_msg"]
@@ -55,10 +55,10 @@ class Direct:
         self.peer.ask("cancel", id=goal)
 
     def moves(self) -> None:
-        until(lambda: self.base.moves, "it moves", SECONDS)
+        until(lambda: self.base.moves, "the base moves", SECONDS)
 
     def stands(self) -> None:
-        until(lambda: not self.base.moves, "it stands", SECONDS)
+        until(lambda: not self.base.moves, "the base stands", SECONDS)
 
     def close(self) -> None:
         for program in (self.peer, self.nav2, self.base):
@@ -75,7 +75,7 @@ def direct() -> Iterator[Direct]:
 def test_goals_end_with_the_codes_of_nav2(direct: Direct) -> None:
     assert direct.end(direct.goto(1.0)) == (SUCCEEDED, 0, "")
     direct.stands()
-    assert direct.end(direct.goto(999.0)) == (ABORTED, 208, "")  # a code, and no text
+    assert direct.end(direct.goto(999.0)) == (ABORTED, 208, "")  # an error code without a text
     assert direct.end(direct.goto(1.0, frame="nowhere")) == (ABORTED, 0, "")
 
     # a new goal ends the old one ABORTED without a code, and the robot keeps driving
@@ -98,7 +98,7 @@ def test_the_tree_aborts_while_the_controller_keeps_driving(direct: Direct) -> N
     again = direct.goto(FAR + 100.0)  # its path replaces the abandoned one
     feedback = direct.peer.ask("goal", id=again, until={"feedback": 5}, seconds=SECONDS)["feedback"]
     assert len(feedback) >= 5
-    assert len(direct.base.changes()) == before, "it never stood"
+    assert len(direct.base.changes()) == before, "the base never stood"
     direct.cancel(again)
     direct.stands()
 
@@ -139,7 +139,7 @@ def test_assisted_teleop_drives_until_it_is_canceled(direct: Direct) -> None:
         direct.peer.publish(out, {"linear": {"x": 0.5}})
         return direct.base.moves
 
-    until(teleoperated, "it moves", SECONDS, 0.2)
+    until(teleoperated, "the base moves", SECONDS, 0.2)
     direct.cancel(goal)
     assert direct.end(goal)[0] == CANCELED
     direct.stands()

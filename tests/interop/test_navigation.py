@@ -1,6 +1,6 @@
 """A driving robot during faults, in the whole deployment: simulator, localizer, planner, gateway.
 
-``benchmarks/nav_faults.py`` tests each fault in isolation, and more faults.
+``benchmarks/nav_faults.py`` tests each fault in isolation, and further faults.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ VIEWS = Path(__file__).parents[2] / "configs" / "views"
 
 
 def missing_topics(chain: Chain) -> set[str]:
-    """Return topics in the views of rviz and Foxglove without a counterpart in the deployment."""
+    """Return the topics in the views of RViz and Foxglove that the deployment does not have."""
     graph = chain.client.node.hub.graph
     present = {end.topic for end in (*graph.publishers(), *graph.subscriptions())}
     texts = [file.read_text() for file in (VIEWS / "navigation.rviz", VIEWS / "navigation.foxglove.json")]
@@ -31,12 +31,14 @@ def missing_topics(chain: Chain) -> set[str]:
 
 
 def stops_and_reports(chain: Chain, fault: str, word: str) -> None:
-    """Let a sensor fail during the drive: the wheels stop, the client receives the reason, then the robot continues."""
+    """Make a sensor fail while driving: the wheels stop, the client gets the reason, then the robot continues."""
     since = time.monotonic()
     chain.fail(fault)
     chain.until_still(20)
     until(
-        lambda: any(word in reason for _, reason in chain.statuses_since(since)), f"the client receives the {word}", 20
+        lambda: any(word in reason for _, reason in chain.statuses_since(since)),
+        f"the client receives the reason: {word}",
+        20,
     )
     chain.until_still(20)
     chain.mend(fault)
@@ -55,7 +57,7 @@ def test_faults_during_a_drive(tmp_path: Path) -> None:
         assert request.ended is None
         until(
             lambda: chain.statuses_since(request.began)[-1][0] == "moving",
-            "the client receives that the drive continues",
+            "the client is informed that the drive continues",
             20,
         )
 

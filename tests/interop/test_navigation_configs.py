@@ -1,7 +1,7 @@
-"""The unchanged deployments of configs/ with external planners, with stand-ins for ROS's programs.
+"""The unchanged deployments of configs/ with external planners; stand-ins replace the ROS programs.
 
-The paper's second scenario: a robot on YARP, driven by ROS 1's move_base with amcl and map_server, with a YARP client;
-and Nav2 with a YARP client.
+In the paper's second scenario, a YARP client sends a robot on YARP, which ROS 1's move_base drives with amcl and
+map_server. The other deployment is Nav2 with a YARP client.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SECONDS = 40.0
 
 
 class Site:
-    """A deployment of a file, with its own ports and networks, and with a robot's name server if the file needs one."""
+    """A deployment of a file on its own ports and networks, with a robot's name server if the file needs one."""
 
     def __init__(self, deployment: Deployment, file: str) -> None:
         self.deployment, self._stack = deployment, ExitStack()
@@ -61,10 +61,10 @@ class Site:
         self.deployment.keep(Process([python, PEERS / script, *words], env))
 
     def client(self) -> Navigation2DClient:
-        """A YARP program that only uses places."""
+        """Return a YARP program that knows only names of places."""
 
         def opened() -> Navigation2DClient | None:
-            # the name server may be the yarp worker's, which starts after those of ROS; a port is registered shortly
+            # the yarp worker may run the name server, and starts after the ROS workers; a port is registered shortly
             # before it is open, and may have to use another number
             try:
                 return self._stack.enter_context(Navigation2DClient(naming=self.names, timeout=SECONDS))
@@ -100,7 +100,7 @@ def until_the_map_is_known(client: Navigation2DClient) -> None:
 
 
 def assert_goes(client: Navigation2DClient, place: str) -> None:
-    """Send the robot to a place; the planner may be discovered shortly after its entry point."""
+    """Send the robot to a place. The gateway's entry point may exist shortly before the planner is discovered."""
     until(lambda: bool(client.gotoTargetByLocationName(place)), f"{place} is accepted as a goal", SECONDS, every=0.5)
     reached = NavigationStatusEnum.navigation_status_goal_reached
     until(lambda: client.status == reached, f"{place} is reached", SECONDS, every=0.1)
@@ -124,14 +124,14 @@ def test_a_yarp_robot_is_driven_by_move_base_and_localized_by_amcl(site: Site) -
             (1.6, 2.4), abs=0.1
         )
 
-    until(arrived, "the frames report its arrival", SECONDS, every=0.2)
+    until(arrived, "the frames report the robot's arrival", SECONDS, every=0.2)
     assert local.map_id == "apartment"  # the map of the locations, although /map has no name
     assert covariance.numpy().shape == (3, 3)
     assert covariance.numpy()[0, 0] == pytest.approx(0.04)
     commands = []
     while (message := wheels.read_now()) is not None:
         commands.append(message.values)
-    assert commands, "its wheels receive nothing"
+    assert commands, "the wheels receive commands"
     assert commands[-1][0] == 3
 
 

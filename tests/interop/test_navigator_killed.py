@@ -10,7 +10,7 @@ from tests.peers.navigation.mix_clients import ROS1, YARP, ZENOH
 from tests.peers.navigation.mix_faults import STANDS_SECONDS
 
 SHORT_LEASE = {"navigation": {"patience": 2 * PATIENCE}}
-"""So the new navigator has 13 s to start, on a busy machine too."""
+"""This patience gives the new navigator 13 s to start, which is enough on a busy machine too."""
 
 DEFAULT_LEASE = SHORT_LEASE | {"nav2": {"lease": {}}}
 thorough = pytest.mark.thorough
@@ -29,12 +29,12 @@ def test_bt_navigator_is_killed_and_restarted(mix: Mix, client: str) -> None:
     watch.until(lambda: mix.statuses[-1][1]["error_code"] == NO_NAVIGATOR, "the planner is unreachable", STANDS_SECONDS)
     assert mix.state() == "moving", watch
     wait(watch, PATIENCE - 3.0)
-    assert gateway.end() == "", f"its goal ended; {watch}"
+    assert gateway.end() == "", f"the client's goal ended; {watch}"
     assert mix.state() == "moving", watch
     mix.restart_navigator()
     progress = gateway.progress()
-    watch.until(lambda: gateway.progress() > progress and mix.driving(), "its goal continues")
+    watch.until(lambda: gateway.progress() > progress and mix.driving(), "the client's goal continues")
     watch.close()
     gateway.cancel()
-    watch.until(lambda: gateway.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
+    watch.until(lambda: gateway.end() == "canceled", "the client's goal is canceled", STANDS_SECONDS)
     assert_ends_once(watch)

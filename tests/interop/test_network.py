@@ -34,7 +34,7 @@ ROOT = Path(__file__).parents[2]
 STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
 GUEST = ROOT / "tests" / "peers" / "hub" / "guest.py"
 STALE = 0.6
-"""Seconds after which a command is too old: twice the configured timeout, to allow for a busy machine."""
+"""Age in seconds from which a command is stale: twice the configured timeout, to allow for a busy machine."""
 
 
 class Pair:
@@ -88,7 +88,7 @@ class Pair:
         until(lambda: self.machines() == expected, f"the robot trusts {names}", 40, every=0.3)
 
     def machines(self) -> list[tuple[str, bool]]:
-        """Return the machines that are connected to the robot, and whether each is trusted."""
+        """Return the machines that are connected to the robot, each with whether it is trusted."""
         status = json.loads(self.robot.run(*MIDSPAN, "status", "--json", "--config", self.files["robot"]))
         machines = [
             (machine["name"], machine["trusted"])
@@ -219,7 +219,7 @@ def test_a_link_is_cut_and_restored(pair: Pair, seconds: float) -> None:
         f"a command {restored - min(later):.1f} s old arrived after the link was restored"
     )
     for peer, subscriber in seen.items():
-        until(lambda p=peer, s=subscriber: {"data": "changed"} in p.wait(s, 10_000, 0.2), "state is complete", 40)
+        until(lambda p=peer, s=subscriber: {"data": "changed"} in p.wait(s, 10_000, 0.2), "the last state arrives", 40)
         assert peer.wait(subscriber, 10_000, 0.1)[-1] == {"data": "changed"}
     ros1.ask("counted", id=numbers, now=True)
     for peer, publisher in state.items():
@@ -256,5 +256,5 @@ def test_a_guest_reaches_only_the_external_listener(pair: Pair) -> None:
     args = [pair.folder / "keys", "tls/robot1:7448", f"tcp/{pair.cable.addresses[1]}:0"]
     report = json.loads(pair.operator.run(sys.executable, GUEST, *args, env={**os.environ, "PYTHONPATH": str(ROOT)}))
     assert [link.partition("/")[0] for link in report["links"]] == ["tls"]
-    assert report["topics"], "it discovers the robot's graph"
+    assert report["topics"], "the guest discovers the robot's graph"
     assert 66.0 not in [message["linear"]["x"] for message in pair.ros1.wait(commands, 10_000, 0.5)]

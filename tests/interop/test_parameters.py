@@ -46,12 +46,12 @@ def test_parameters_are_shared_in_both_directions(deployment: Deployment) -> Non
     _a_reload_applies_other_rules(deployment, ros1, ros2)
     assert deployment.stop_daemon() == 0
     left = ros1.ask("get_param", name="/nav/controller")["value"]
-    assert {name: value for name, value in left.items() if value != {}} == {"trise": 3}, "the copies are deleted"
+    assert {name: value for name, value in left.items() if value != {}} == {"trise": 3}, "only the copies are deleted"
     assert ros1.ask("get_param", name="/robot/speed")["value"] == 2.5
 
 
 def _ros1_parameters_appear_on_a_node(ros1: Peer, ros2: Peer) -> None:
-    """The parameters are ROS 1's: a ROS 2 program discovers their node, reads and sets them, and receives events."""
+    """ROS 1 owns the parameters: a ROS 2 program discovers their node, reads and sets them, and receives events."""
     node = "/ns/robot_parameters"
     names = ["speed", "name", "limits.turn", "ranges"]
     assert ros2.ask("get_of", node=node, names=names)["values"] == [1.5, "r1", 2, [1.0, 2.5]]
@@ -70,7 +70,7 @@ def _ros1_parameters_appear_on_a_node(ros1: Peer, ros2: Peer) -> None:
         events = ros2.wait(received, 1, 0.5)
         return any(_changed(event, node, "limits.turn") for event in events)
 
-    until(changes, "a change is an event", 30)
+    until(changes, "an event reports the change", 30)
     ros1.ask("set_param", name="/robot/extra", value="new")
     assert ros2.ask("get_of", node=node, names=["extra"])["values"] == ["new"]
 
@@ -80,7 +80,7 @@ def _changed(event: dict[str, Any], node: str, name: str) -> bool:
 
 
 def _node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
-    """The parameters are a ROS 2 node's: rospy reads and sets them; the node can reject and change values."""
+    """A ROS 2 node owns the parameters: rospy reads and sets them, and the node can reject and change values."""
 
     def in_ros1(name: str) -> Any:
         return ros1.ask("get_param", name=f"/nav/controller/{name}")["value"]
@@ -91,14 +91,14 @@ def _node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
     until(lambda: ros2.ask("own", name="FollowPath.speed")["value"] == 2.0, "the node has ROS 1's value", 30)
     ros2.ask("refuse", names=["mode"])
     ros1.ask("set_param", name="/nav/controller/mode", value="fast")
-    until(lambda: in_ros1("mode") == "slow", "the rejected value is reset", 30)
+    until(lambda: in_ros1("mode") == "slow", "ROS 1 has the old value again after a rejection", 30)
     ros2.ask("refuse", names=[])
     assert ros2.ask("change", name="tries", value=9)["successful"]
-    until(lambda: in_ros1("tries") == 9, "the node's own change is in ROS 1", 30)
+    until(lambda: in_ros1("tries") == 9, "ROS 1 has the value that the node changed", 30)
 
 
 def _unusual_names_are_reported(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
-    """ROS 1 sets parameters that the node declares without a value, that it lacks, and below another's name."""
+    """ROS 1 sets a parameter without a default, one that the node lacks, and one below another parameter's name."""
     namespace = "/nav/controller"
     assert ros1.ask("get_param", name=f"{namespace}/exposure")["value"] == 7500
     ros1.ask("set_param", name=f"{namespace}/late", value=3)
@@ -110,7 +110,7 @@ def _unusual_names_are_reported(deployment: Deployment, ros1: Peer, ros2: Peer) 
         return {item.partition(": ")[0] for item in warnings if item.startswith(f"parameter {namespace}")}
 
     wanted = {f"parameter {namespace}/exposure/1", f"parameter {namespace}/trise"}
-    until(lambda: wanted <= reported(), "status has both", 30)
+    until(lambda: wanted <= reported(), "status reports both", 30)
 
 
 def _a_reload_applies_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
@@ -123,7 +123,7 @@ def _a_reload_applies_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer
 
 @pytest.mark.parametrize("owner", ["ros2", "ros1"])
 def test_parameters_of_a_hub_node(deployment: Deployment, owner: str) -> None:
-    """A native node of the hub, declared like rmw_zenoh's, and one without a rule."""
+    """One native hub node, declared as rmw_zenoh does, has a rule; another one has none."""
     deployment.master.start()
     deployment.configure(routing={"parameters": [{"ros1": "/copy", "node": "/ns/named", "owner": owner}]})
     ros1 = deployment.ros1()
@@ -132,7 +132,7 @@ def test_parameters_of_a_hub_node(deployment: Deployment, owner: str) -> None:
     for service in [*named.services, *unnamed.services]:
         until(lambda service=service: "private" in _decisions(named, "ros1", service), f"a decision on {service}", 30)
     if owner == "ros2":
-        until(lambda: ros1.ask("get_param", name="/copy/limits/top")["value"] == 1.5, "the copy in ROS 1", 30)
+        until(lambda: ros1.ask("get_param", name="/copy/limits/top")["value"] == 1.5, "ROS 1 has the copy", 30)
         ros1.ask("set_param", name="/copy/speed", value=0.75)
         until(lambda: named.values["speed"] == 0.75, "the node has the value that ROS 1 set", 30)
         ros2 = deployment.keep(Peer(PROGRAM, ros2_python(), ros2_environment(), "reader"))

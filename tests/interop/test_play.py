@@ -1,4 +1,4 @@
-"""A ROS 1 bag is played: RViz 2's client library, a YARP reader, Mapper2D and a rospy node receive it, on its time."""
+"""A ROS 1 bag is played to RViz 2's client library, a YARP reader, Mapper2D and rospy, all on the bag's time."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def names() -> Iterator[Names]:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator[Deployment]:
-    """A deployment on the time of /clock with Mapper2D."""
+    """A deployment with Mapper2D that takes its time from /clock."""
     mapper = {"enabled": True, "map_frame": "odom", "width": 8, "height": 8, "resolution": 0.1, "period": 0.2}
     with Deployment(tmp_path_factory.mktemp("site")) as deployment:
         deployment.start(
@@ -83,14 +83,14 @@ def test_each_side_and_the_mapper_receive_a_ros_1_bag_on_its_time(site: Deployme
     scans, frames = rviz.subscribe("/scan", SCAN), rviz.subscribe("/tf_static", TF, latched=True)
     grids, velocities = rviz.subscribe("/mapper2d/map", GRID, latched=True), rviz.subscribe("/cmd_vel", TWIST)
     ports = yarp.subscribe("/scan", SCAN)
-    assert rospy.ask("now")["seconds"] == 0.0  # it waits for the clock
+    assert rospy.ask("now")["seconds"] == 0.0  # rospy waits for the clock
     with play(site, bag, "--clock", "--rate", "2", "--loop") as player:
         received = rviz.wait(scans, 10)
         assert [round(value, 2) for value in received[-1]["ranges"]] == [2.0] * 180
         assert received[-1]["header"]["frame_id"] == "laser"
         assert rviz.wait(frames, 1)[0]["transforms"][0]["child_frame_id"] == "laser"
         assert yarp.wait(ports, 3, 30)[-1]["header"]["frame_id"] == "laser"
-        until(lambda: in_the_bag(rospy.ask("now")["seconds"]), "rospy is in the bag's time", 20)
+        until(lambda: in_the_bag(rospy.ask("now")["seconds"]), "rospy uses the bag's time", 20)
 
         def mapped() -> list[dict[str, Any]]:
             return [grid for grid in rviz.wait(grids, 1) if grid["data"].count(100) > 50]
@@ -98,7 +98,7 @@ def test_each_side_and_the_mapper_receive_a_ros_1_bag_on_its_time(site: Deployme
         walls = until(mapped, "the mapper has walls", 40, every=0.2)
         assert in_the_bag(walls[-1]["header"]["stamp"]["sec"])
         player.signal(signal.SIGINT)
-        until(lambda: player.popen.poll() is not None, "it ends", 10)
+        until(lambda: player.popen.poll() is not None, "the player ends", 10)
     assert player.popen.poll() == 0
     assert rviz.wait(velocities, 0) == []
 
@@ -110,7 +110,7 @@ def test_requested_velocities_reach_each_side_and_end_with_zero(site: Deployment
         for peer, end in ends:
             until(lambda peer=peer, end=end: zero(peer.wait(end, 1)), "zero is received", 30)  # type: ignore[misc]
             assert [item["linear"]["x"] for item in peer.wait(end, 1)][-2:] == [0.25, 0.0]
-        until(lambda: player.popen.poll() is not None, "it ends", 10)
+        until(lambda: player.popen.poll() is not None, "the player ends", 10)
         assert "the robot may move: /cmd_vel" in player.output()
 
 
@@ -129,7 +129,7 @@ def test_a_rospy_program_steps_and_resumes_on_the_bags_time(site: Deployment, ba
             assert rospy.ask("result", id=call, seconds=20)["reply"]["success"]
             assert len(rospy.wait(scans, count)) == count
         at = START / NS + 0.2
-        until(lambda: rospy.ask("now")["seconds"] == pytest.approx(at), "its time is that of the second scan", 10)
+        until(lambda: rospy.ask("now")["seconds"] == pytest.approx(at), "rospy's time is that of the second scan", 10)
         call = rospy.ask("call", service=PAUSE, type="std_srvs/SetBool", request={"data": False})["id"]
         assert rospy.ask("result", id=call, seconds=20)["reply"]["success"]
         assert len(rospy.wait(scans, 21)) == 21

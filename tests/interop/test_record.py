@@ -48,7 +48,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator
             yarp={"enabled": True, "nameserver": "site", "address": names.endpoint, "poll": 0.1},
             routing={"rules": [{"topic": "/home", "deny": True}]},
         )
-        until(lambda: deployment.worker("record").get("state") == "running", "it records", 30)
+        until(lambda: deployment.worker("record").get("state") == "running", "the daemon records", 30)
         yield deployment
 
 
@@ -56,11 +56,11 @@ class Recorded(Protocol):
     """A deployment whose recorder reports its status."""
 
     def worker(self, side: str, /) -> dict[str, Any]:
-        """Return the status of a worker, empty if it does not answer."""
+        """Return the status of a worker, or an empty one if it does not respond."""
 
 
 def until_written(deployment: Recorded, send: Callable[[], None], *topics: str, seconds: float = 40.0) -> None:
-    """Send again until the recorder has written a message of each topic; a failure reports its last status."""
+    """Send until the recorder has written a message of each topic; a failure names the recorder's last status."""
     document: dict[str, Any] = {}
     missing = list(topics)
 
@@ -141,9 +141,10 @@ def test_a_recorded_goal_is_converted_for_rosbag_and_for_rosbags(recorded: Deplo
     topics = [f"{action}/_action/{part}" for action in goals for part in ("feedback", "status")]
 
     def send_goals() -> None:
-        """Send a goal to each: feedback is not latched, and the recorder may have missed that of the first goal.
+        """Send a goal to each server. Feedback is not latched, and the recorder may have missed that of the first goal.
 
-        The clients need not receive it: their goals end right after it, and a result has its own path through the hub.
+        The clients need not receive it, because their goals end right after it, and a result has its own path through
+        the hub.
         """
         for action, (client, request) in goals.items():
             goal = client.ask("send_goal", action=action, seconds=30.0, **request)["id"]
@@ -182,9 +183,9 @@ def test_a_topic_that_is_not_bridged_is_recorded_on_its_side(recorded: Deploymen
     file = tmp_path / "home.mcap"
     command = ["record", "/home", "-o", file, "--config", recorded.file]
     with Process([*MIDSPAN, *command]) as recorder:
-        until(lambda: written_by_verb(recorded, file) or recorder.popen.poll(), "it is written", 40, every=0.1)
+        until(lambda: written_by_verb(recorded, file) or recorder.popen.poll(), "a message is written", 40, every=0.1)
         recorder.signal(signal.SIGINT)
-        until(lambda: recorder.popen.poll() is not None, "it ends", 20)
+        until(lambda: recorder.popen.poll() is not None, "the recorder exits", 20)
     assert recorder.popen.poll() == 0, recorder.output()
     contents = read(file)
     assert contents.texts("/home") == ["at home"]
@@ -198,7 +199,9 @@ def test_messages_reported_as_written_survive_kill_9_and_the_daemon_continues(re
     robot = recorded.zenoh()
     kind = "std_msgs/msg/String"
     out = robot.hub.publisher("/many", kind, registry.ros2(kind).type_id, Qos(depth=1000))
-    until(lambda: any("record" in e.node for e in robot.hub.graph.subscriptions("/many")), "it is recorded", 30)
+    until(
+        lambda: any("record" in e.node for e in robot.hub.graph.subscriptions("/many")), "the recorder subscribes", 30
+    )
     sent = 0
     recording: dict[str, Any] = {}
     end = time.monotonic() + 20.0
@@ -226,7 +229,7 @@ def test_messages_reported_as_written_survive_kill_9_and_the_daemon_continues(re
 
 
 def written_by_verb(deployment: Deployment, file: Path) -> bool:
-    """Return whether the verb that writes this file has written a message; it publishes a status like a worker."""
+    """Return whether the command that writes this file has written a message; it publishes a status like a worker."""
     recordings = [document.get("recording", {}) for document in deployment.status()]
     return any(recording.get("file") == str(file) and recording["messages"] for recording in recordings)
 

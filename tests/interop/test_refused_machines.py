@@ -1,4 +1,4 @@
-"""Two daemons whose certificates are from different authorities: each reports it once, and clears it later."""
+"""Two daemons whose certificates are from different authorities: each reports the refusal once, and clears it later."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OFF = {"enabled": False}
 
 
 class Daemon:
-    """`midspan run`, or only the router's worker as run by systemd."""
+    """`midspan run`, or only the router's worker, as systemd runs it."""
 
     def __init__(self, folder: Path, name: str, keys: Path, run: list[str], **opened: Any) -> None:
         self.name = name
@@ -67,9 +67,14 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
     robot = Daemon(short, "robot1", short / "a", run, listen=[place])
     operator = Daemon(short, "operator1", short / "b", run, connect=[place])
     with robot.process, operator.process:
-        until(lambda: operator.lines(f"hub.open.connect {place}: refused: the other machine's certificate"), "operator")
-        until(lambda: robot.lines(f"hub.open.listen {place}: a machine"), "the robot's log")
-        assert until(lambda: robot.endpoint().get("state") == "refused" and robot.endpoint(), "status")["cure"]
+        until(
+            lambda: operator.lines(f"hub.open.connect {place}: refused: the other machine's certificate"),
+            "refusal logged",
+        )
+        until(lambda: robot.lines(f"hub.open.listen {place}: a machine"), "the robot logs the refusal")
+        assert until(lambda: robot.endpoint().get("state") == "refused" and robot.endpoint(), "the robot's status")[
+            "cure"
+        ]
         assert operator.endpoint()["state"] == "refused"
         text = robot.midspan("status")
         assert f"hub.open.listen {place} refused for " in text
@@ -78,7 +83,7 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
         assert "FAIL" in operator.midspan("doctor", "--only", "keys")
         assert "from another authority" in robot.midspan("doctor", "--only", "keys")
         assert len(operator.lines("hub.open.connect")) == 1
-        assert len(robot.lines("hub.open.listen")) <= 2, "refused, and refused by the other machine"
+        assert len(robot.lines("hub.open.listen")) <= 2, "more than one line for each direction of the refusal"
         operator.process.stop()
         until(lambda: robot.lines("no machine is refused any longer"), "the robot clears the report")
         assert robot.endpoint()["state"] == "listening"

@@ -46,13 +46,13 @@ class Rig:
 
 @pytest.fixture(scope="module", params=["jazzy", pytest.param("kilted", marks=pytest.mark.thorough)])
 def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """The rig of all tests; the parameter is the release of Midspan's side."""
+    """The rig that all tests share; the parameter is the ROS 2 release of Midspan's side."""
     with Deployment(tmp_path_factory.mktemp("releases")) as deployment:
         yield Rig(deployment, request.param)
 
 
 def crossing(source: Peer, sink: Peer, topic: str) -> list[Any]:
-    """Return what crosses on a volatile topic, and on a latched one whose subscriber is late."""
+    """Return the messages that cross on a volatile topic, and on a latched topic with a late subscriber."""
     publisher, subscription = source.advertise(topic, TEXT), sink.subscribe(topic, TEXT)
 
     def received() -> list[Any]:
@@ -119,7 +119,7 @@ def test_actions_whose_fields_differ(rig: Rig, native: str) -> None:
         assert (state["accepted"], state["status"]) == (True, 4), state
         return client.ask("goal", id=goal, until={"feedback": 1}, seconds=1)["feedback"]
 
-    (feedback,) = until(driven, "feedback, which is lost before its publisher is discovered", 40)
+    (feedback,) = until(driven, "feedback arrives; it is lost until its publisher is discovered", 40)
     assert (feedback["distance_remaining"], feedback["number_of_poses_remaining"]) == (2.5, 2)
     received, *_ = server.ask("goals", id=served, count=1, seconds=20)["goals"]
     goals = received["poses"]["goals"] if native == "server" else received["poses"]
@@ -133,7 +133,7 @@ def test_actions_whose_fields_differ(rig: Rig, native: str) -> None:
 
 
 def test_parameters_are_shared_with_nodes_of_other_releases(rig: Rig) -> None:
-    """A node's are in ROS 1, and ROS 1's are those of a node; each is set from the other side."""
+    """ROS 1 has a copy of one node's parameters, and another node has ROS 1's; each copy can be set."""
     ros1, ros2 = rig.ros1, rig.ros2
 
     def in_ros1(name: str) -> Any:
@@ -149,7 +149,7 @@ def test_parameters_are_shared_with_nodes_of_other_releases(rig: Rig) -> None:
 
 
 def test_status_reports_that_shared_memory_is_not_used(rig: Rig) -> None:
-    """Fast DDS 2 and 3 share none; the side stays on shared memory for programs on its own version."""
+    """Fast DDS 2 and 3 share no memory segments. The side keeps shared memory for programs on its own version."""
     if rig.side == "kilted":
         rig.deployment.ros2()
 

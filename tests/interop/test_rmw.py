@@ -1,4 +1,4 @@
-"""A node of rmw_zenoh on the hub of a running daemon receives every message, and its messages arrive."""
+"""A rmw_zenoh node on the hub of a running daemon receives every message, and its messages arrive."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COUNT = 20
 
 
 def test_the_velocities_of_a_ros1_program_arrive_up_to_the_stop(shared: Deployment) -> None:
-    """The node used to receive only the first 0.2 m/s, and never the stop."""
+    """The hub node used to receive only the first 0.2 m/s, and never the stop."""
     ros1, node = shared.ros1(), shared.zenoh()
     received = node.subscribe("/cmd_vel", TWIST)
     out = ros1.advertise("/cmd_vel", TWIST)
@@ -29,7 +29,7 @@ def test_the_velocities_of_a_ros1_program_arrive_up_to_the_stop(shared: Deployme
     until(lambda: ros1.publish(out, probe) or node.wait(received, 1, 0.2), "the route exists")
     speeds = [0.2] * 10 + [0.0] * 10
     before = _settled(node, received)
-    for number, speed in enumerate(speeds, 1):  # of queued commands only the newest is kept
+    for number, speed in enumerate(speeds, 1):  # one at a time, because of queued commands only the newest is kept
         ros1.publish(out, {"linear": {"x": speed}})
         node.wait(received, before + number)
     assert [message["linear"]["x"] for message in node.wait(received, before + COUNT)][before:] == speeds
@@ -103,7 +103,7 @@ def test_the_feedback_of_an_action_arrives_completely(shared: Deployment) -> Non
 
 
 def test_nav2_of_lyrical_is_driven_from_ros1_and_ros2(shared: Deployment) -> None:
-    """Its version of NavigateToPose has two more fields of feedback."""
+    """Lyrical's version of NavigateToPose has two more feedback fields."""
     settings, parts = shared.settings("bt_navigator"), names("/lyrical")
     assert settings.router is not None
     node = ReleaseNode(settings.router, settings.domain, "bt_navigator", LYRICAL)
@@ -140,7 +140,7 @@ def test_the_messages_of_midspan_topic_pub_arrive_completely(shared: Deployment)
 
 
 def _settled(program: Any, received: int) -> int:
-    """Return how many messages arrived, once the last probe has arrived."""
+    """Return how many messages have arrived, once the last probe has."""
     counts = [-1]
 
     def settled() -> bool:

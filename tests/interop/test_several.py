@@ -1,4 +1,4 @@
-"""Several real daemons on the same networks: one is active, nothing arrives twice, and another takes over."""
+"""Several real daemons on the same networks: one is active, no message arrives twice, and another takes over."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_nothing_arrives_twice_in_a_triangle(several: Several, joined: bool, nod
 
 
 def assert_each_arrives_once(made: list[Flow], count: int, rate: float) -> None:
-    """Publish on all flows at once: each number reaches each sink, once."""
+    """Publish on all flows at once, and check that each number reaches each sink exactly once."""
     pour(made, count, rate)
     for flow in made:
         tallies = flow.tallies()
@@ -75,7 +75,7 @@ def test_nothing_arrives_twice_in_a_ring_and_either_daemon_takes_over(
     subscription = late.subscribe("/state", "std_msgs/String", latched=True, depth=10)
     assert [m["data"] for m in late.wait(subscription, 1, 10)] == ["kept"]
     several.start(killed)
-    until(lambda: killed.status("ros2").get("standby"), "the first one stands by", 30, every=0.2)
+    until(lambda: killed.status("ros2").get("standby"), "the restarted daemon is on standby", 30, every=0.2)
     for flow in created:
         flow.end(now=True)
     quiet(created)
@@ -94,14 +94,19 @@ def test_another_daemon_takes_over_from_a_killed_or_suspended_worker(several: Se
     took = [flow.silence(at, 2.5) for flow in created]
     print(f"taken over after {took}")
     assert max(took) <= TAKEOVER_SECONDS
-    until(lambda: hit.status("ros2").get("standby"), "its successor stands by", 30, every=0.2)
+    until(lambda: hit.status("ros2").get("standby"), "the restarted worker is on standby", 30, every=0.2)
     (name,) = set(active(daemons, "ros2"))
     (stopped,) = (d for d in daemons if d.name == name)
     at = stopped.signal(signal.SIGSTOP)
     took = [flow.silence(at, 2.5) for flow in created]
     print(f"taken over after {took}")
     stopped.signal(signal.SIGCONT)
-    until(lambda: stopped.status("ros2").get("state") in ("standby", "running"), "it resumes", 30, every=0.2)
+    until(
+        lambda: stopped.status("ros2").get("state") in ("standby", "running"),
+        "the suspended daemon resumes",
+        30,
+        every=0.2,
+    )
     for flow in created:
         flow.end(now=True)
     quiet(created)

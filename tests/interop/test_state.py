@@ -11,7 +11,7 @@ STRING = "std_msgs/String"
 
 
 def late(program: Any, topic: str, count: int, type_: str = STRING, seconds: float = 40) -> list[dict]:
-    """Return what a late joiner receives, once ``count`` have arrived or the time is over."""
+    """Return the messages that a late subscriber receives, once there are ``count`` or the time is over."""
     subscription = program.subscribe(topic, type_, latched=True, depth=100)
     program.wait(subscription, count, seconds)
     messages: list[dict] = program.wait(subscription, count + 1, 0.5)
@@ -30,7 +30,7 @@ def test_three_latched_ros1_publishers_reach_late_ros2_and_zenoh(shared: Deploym
         assert sorted(m["data"] for m in late(joiner, "/note", 3)) == ["note 0", "note 1", "note 2"]
     # zenoh-ros2-sdk 0.1.8 queries the caches with zenoh's default consolidation, which returns one reply per key, and
     # only once, from the publishers that it knows by then
-    messages = until(lambda: late(sdk, "/note", 1, seconds=5), "zenoh-ros2-sdk joins late", 30)
+    messages = until(lambda: late(sdk, "/note", 1, seconds=5), "a late zenoh-ros2-sdk subscriber receives the note", 30)
     assert {m["data"] for m in messages} <= {"note 0", "note 1", "note 2"}
     publishers[0].stop()
     shared.until_route("ros2", "/note", "out", sources=2)

@@ -30,7 +30,7 @@ thorough = pytest.mark.thorough
 def test_stop_while_it_brakes(mix: Mix, client: str) -> None:
     """bt_navigator reports its goal's end 50 ms after the cancel request, even if the robot still moves."""
     watch = drive_in(mix, client)
-    wait(watch, 1.5)  # until it is at full speed
+    wait(watch, 1.5)  # until the robot is at full speed
     watch.allowance = 1.5
     assert_stops(watch)
     assert mix.clients[client].end() == "canceled", mix.clients[client].end()
@@ -43,14 +43,14 @@ def test_pause_while_the_controller_brakes(mix: Mix) -> None:
     watch = drive_in(mix, YARP)
     watch.allowance = 1.5
     watch.ask("pause", [YARP])
-    watch.until(lambda: not watch.base.moves, "it stands", STANDS_SECONDS)
-    watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
+    watch.until(lambda: not watch.base.moves, "the base stands", STANDS_SECONDS)
+    watch.until(lambda: watch.mix.state() == "paused", "the navigation is paused", STANDS_SECONDS)
     watch.close()
     cancel(watch)
 
 
 def drive_with_move_base(mix: Mix, client: str) -> Watch:
-    """Let a client drive at full speed."""
+    """Let a client drive at full speed with move_base."""
     start_driving(mix, mix.clients[client])
     watch = Watch(mix, client)
     wait(watch, 1.5)
@@ -64,7 +64,7 @@ def test_stop_of_move_base_while_the_base_brakes(mix: Mix, client: str) -> None:
     watch.ask("stop", [YARP, ROS2, ZENOH, ROS1])
     assert_refused_or_stands(watch)
     wait_until_stands(watch)
-    watch.allowance = 1.5  # it brakes for a second, and the planner may report its goal's end earlier
+    watch.allowance = 1.5  # the base brakes for a second, and the planner may report its goal's end earlier
     watch.close()
 
 
@@ -75,6 +75,6 @@ def test_pause_of_move_base_while_the_base_brakes(mix: Mix) -> None:
     watch.ask("pause", [ROS2])
     assert_refused_or_stands(watch)
     wait_until_stands(watch)
-    watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
+    watch.until(lambda: watch.mix.state() == "paused", "the navigation is paused", STANDS_SECONDS)
     watch.close()
     cancel(watch)

@@ -13,17 +13,17 @@ from tests.peers.navigation.mix_clients import ROS1, ROS2, YARP, ZENOH, RosClien
 from tests.peers.navigation.mix_faults import STANDS_SECONDS, Watch, start_driving
 
 STRICT = 0.01
-"""Seconds, as the processes record times after the event."""
+"""Seconds of tolerance, because the processes record times after the event."""
 
 CYCLE = 0.4
-"""Seconds, as the planner releases its goal, and stops the robot, in its next control cycle."""
+"""Seconds of the control cycle, in which the planner releases its goal and stops the robot."""
 
 END_SECONDS = 30.0
 thorough = pytest.mark.thorough
 
 
 def assert_ends(mix: Mix, name: str, number: int) -> None:
-    """Drive, stop the daemon by a signal, and check the base and the client's goal."""
+    """Drive, stop the daemon with a signal, and check that the base stands and the client's goal ends once."""
     client = mix.clients[name]
     start_driving(mix, client)
     watch = Watch(mix, name)
@@ -34,12 +34,13 @@ def assert_ends(mix: Mix, name: str, number: int) -> None:
     if isinstance(client, RosClient | ZenohClient):
         watch.until(client.end, "the client's goal has an end", END_SECONDS)
         watch.until(
-            lambda: mix.deployment.daemon is not None and mix.deployment.daemon.popen.poll() is not None, "gone"
+            lambda: mix.deployment.daemon is not None and mix.deployment.daemon.popen.poll() is not None,
+            "the daemon has exited",
         )
-        assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
+        assert client.ends() == 1, f"the client's goal had {client.ends()} ends; {watch}"
         known = min(watch.base.stands_after(watch.began), mix.released(watch.began))
         early = known - client.ended_at()
-        assert early < STRICT, f"its goal ended {early:.2f} s before its release, or before the base stood; {watch}"
+        assert early < STRICT, f"the goal ended {early:.2f} s before its release or before the base stood; {watch}"
     watch.close()
 
 
@@ -58,5 +59,5 @@ def test_a_stop_of_the_daemon_ends_a_goal_of_nav2(deployment: Deployment, client
 @pytest.mark.long
 @pytest.mark.parametrize("run", range(4))
 def test_every_goal_has_an_end(deployment: Deployment, run: int) -> None:
-    """One client of forty used to wait forever for its end."""
+    """One client out of forty used to wait forever for the end of its goal."""
     assert_ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), (ROS2, ZENOH)[run % 2], signal.SIGKILL)

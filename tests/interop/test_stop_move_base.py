@@ -1,4 +1,4 @@
-"""Stops, pauses and goals while the path to ROS 1's move_base fails; the reference is the base's own program."""
+"""Stops, pauses and goals while the path to ROS 1's move_base fails, checked against the base's own program."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.peers.navigation.mix_faults import (
 from tests.support.wait import until
 
 GATEWAY = (YARP, ROS2, ZENOH)
-"""Clients whose goals the gateway executes; they also reach its services while ROS 1 is unreachable."""
+"""Clients whose goals the gateway executes. They reach the gateway's services even if ROS 1 is unreachable."""
 
 thorough = pytest.mark.thorough
 
@@ -41,15 +41,15 @@ def wait_until_stands(watch: Watch, what: str = "the base stands") -> None:
 
 
 def wait(watch: Watch, seconds: float) -> None:
-    """Poll until this time after the fault."""
+    """Keep polling until this many seconds after the fault."""
     watch.until(lambda: time.monotonic() > watch.began + seconds, "the fault lasts for a while")
 
 
 def cancel(watch: Watch) -> None:
-    """Cancel the client's goal as usual; it ends once."""
+    """Cancel the client's goal as usual; the goal ends once."""
     client = watch.mix.clients[watch.client]
     client.cancel()
-    watch.until(lambda: client.end() == "canceled", "its goal is canceled", STANDS_SECONDS)
+    watch.until(lambda: client.end() == "canceled", "the client's goal is canceled", STANDS_SECONDS)
     wait_until_stands(watch)
     assert_ends_once(watch)
 
@@ -57,11 +57,11 @@ def cancel(watch: Watch) -> None:
 def assert_ends_once(watch: Watch) -> None:
     client = watch.mix.clients[watch.client]
     if isinstance(client, RosClient | ZenohClient):
-        assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
+        assert client.ends() == 1, f"the client's goal had {client.ends()} ends; {watch}"
 
 
 def assert_refused_or_stands(watch: Watch) -> None:
-    """Check that unconfirmed stops are reported as such, or that the base stands."""
+    """Check that unconfirmed stops are reported as unconfirmed, or that the base stands."""
     for name, (_, answer) in watch.answers.items():
         assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
 
@@ -76,11 +76,11 @@ def test_stop_while_the_master_is_dead(deployment: Deployment, client: str) -> N
     assert_refused_or_stands(watch)
     wait_until_stands(watch, "the stop reaches move_base over the remaining connections")
     watch.until(
-        lambda: watch.mix.state() in ("idle", "aborted"), "its end is reported without a master", STANDS_SECONDS
+        lambda: watch.mix.state() in ("idle", "aborted"), "the status reports the end without a master", STANDS_SECONDS
     )
     watch.close()
     watch.ask("stop", [*GATEWAY, COMMAND])
-    assert not any(answer for _, answer in watch.answers.values()), f"it stands, and a stop is not ok; {watch}"
+    assert not any(answer for _, answer in watch.answers.values()), f"the base stands, and a stop failed; {watch}"
     if not watch.own:
         assert_ends_once(watch)
 
@@ -102,7 +102,7 @@ def test_halt_while_the_master_is_dead(deployment: Deployment) -> None:
 def test_a_goal_is_followed_while_the_master_is_dead(deployment: Deployment, client: str) -> None:
     mix = Mix.over(deployment, MOVE_BASE)
     mix.clients[client].goto(6.0)
-    until(lambda: mix.base.moves and mix.state() == "moving", "it moves", SECONDS)
+    until(lambda: mix.base.moves and mix.state() == "moving", "the base moves", SECONDS)
     watch = Watch(mix, client, own=client == ROS1)
     mix.kill_master()
     watch.until(lambda: mix.state() == "goal_reached", "the status shows that the goal is reached", STANDS_SECONDS)
@@ -118,25 +118,25 @@ def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: st
     watch.ask("pause", [asks])
     assert_refused_or_stands(watch)
     wait_until_stands(watch, "the pause is pending until it reaches move_base")
-    watch.until(lambda: watch.mix.state() == "paused", "it is paused", STANDS_SECONDS)
-    watch.until(watch.mix.back, "everything is back")
+    watch.until(lambda: watch.mix.state() == "paused", "the navigation is paused", STANDS_SECONDS)
+    watch.until(watch.mix.back, "all workers are back")
     assert not watch.base.moves, f"the pause is still pending; {watch}"
     watch.close()
     watch.ask("resume", [asks])
-    watch.until(lambda: watch.base.moves, "it keeps driving", STANDS_SECONDS)
+    watch.until(lambda: watch.base.moves, "the base keeps driving", STANDS_SECONDS)
     cancel(watch)
 
 
 @pytest.mark.parametrize("client", [ZENOH, pytest.param(ROS2, marks=thorough)])
 def test_the_ros1_worker_is_killed_as_the_robot_starts(deployment: Deployment, client: str) -> None:
-    """Odometry that ended before the robot moved does not prove that it stands."""
+    """Odometry that ended before the robot moved does not prove that the robot stands."""
     mix = Mix.over(deployment, MOVE_BASE)
     start_driving(mix, mix.clients[client], progress=1)
     watch = Watch(mix, client)
     kill_workers("ros1")(mix)
     wait(watch, 1.5)
     watch.close()
-    watch.until(mix.back, "everything is back")
+    watch.until(mix.back, "all workers are back")
     cancel(watch)
 
 
@@ -150,16 +150,16 @@ def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> No
 @thorough
 @pytest.mark.parametrize("client", [YARP, ROS1])
 def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client: str) -> None:
-    """Without clients of the gateway's action: their goals end with their server, even if the robot drives on."""
+    """Excludes clients of the gateway's action: their goals end with its server, even if the robot drives on."""
     watch = drive(deployment, client)
     kill_workers("ros1", "gateway")(watch.mix)
     end = time.monotonic() + 40.0
     while time.monotonic() < end:
-        watch.ask("stop", GATEWAY, lost=True)  # without a gateway, calls fail at once
+        watch.ask("stop", GATEWAY, lost=True)  # calls fail at once while the gateway is missing
         if any(not answer for _, answer in watch.answers.values()):
             break
     assert any(not answer for _, answer in watch.answers.values()), f"no stop was confirmed; {watch}"
-    watch.until(watch.mix.back, "everything is back")
+    watch.until(watch.mix.back, "all workers are back")
     watch.until(lambda: watch.mix.state() in ("idle", "aborted"), "the status shows no goal")
     watch.close()
     if not watch.own:
@@ -171,13 +171,13 @@ def test_new_goal_after_the_ros1_worker_was_killed(deployment: Deployment, other
     watch = drive(deployment, ROS2)
     first = watch.mix.clients[ROS2]
     assert isinstance(first, RosClient)
-    watch.client = ""  # the new goal cancels the first one, while the robot may keep driving
+    watch.client = ""  # the first goal is canceled for the new one, and the robot may keep driving meanwhile
     kill_workers("ros1")(watch.mix)
     wait(watch, 0.3)
     watch.mix.clients[other].goto(AWAY / 2)
     watch.client = other
     watch.until(lambda: first.end() == "canceled", "the new goal replaces the first one")
-    watch.until(watch.mix.back, "everything is back")
+    watch.until(watch.mix.back, "all workers are back")
     progress = watch.mix.clients[other].progress()
     watch.until(lambda: watch.mix.clients[other].progress() > progress and watch.base.moves, "the new goal is executed")
     watch.close()

@@ -1,4 +1,4 @@
-"""Stops after a Nav2 server crashed, and of another client's path; the reference is the base's own program."""
+"""Stops after a Nav2 server crashed, and stops of another client's path, checked against the base's own program."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.support.wait import until
 ALL = (YARP, ROS1, ROS2, ZENOH)
 PATIENCE = 10.0
 NO_NAVIGATOR = 20011
-"""The status's code while the planner is unreachable."""
+"""The error code in the status while the planner is unreachable."""
 
 PATH = {"path": {"header": {"frame_id": "map"}, "poses": [pose(AWAY)]}}
 thorough = pytest.mark.thorough
@@ -28,18 +28,18 @@ def drive(deployment: Deployment, client: str, **options: object) -> Watch:
 
 
 def drive_in(mix: Mix, client: str) -> Watch:
-    """Let a client drive with Nav2 in a mix."""
+    """Let a client drive with Nav2 in this mix."""
     start_driving(mix, mix.clients[client])
     return Watch(mix, client, own=(NAV2, client) in OWN)
 
 
 def wait(watch: Watch, seconds: float) -> None:
-    """Poll until this time after the fault."""
+    """Keep polling until this many seconds after the fault."""
     watch.until(lambda: time.monotonic() > watch.began + seconds, "the fault lasts for a while")
 
 
 def assert_stops(watch: Watch, *callers: str) -> None:
-    """Let clients request a stop, which reaches whatever moves the base."""
+    """Let clients request a stop, which must reach whatever moves the base."""
     watch.ask("stop", callers or ALL)
     for name, (_, answer) in watch.answers.items():
         assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
@@ -52,7 +52,7 @@ def assert_stops(watch: Watch, *callers: str) -> None:
 def assert_ends_once(watch: Watch) -> None:
     client = watch.mix.clients[watch.client]
     if isinstance(client, RosClient | ZenohClient):
-        assert client.ends() == 1, f"its goal had {client.ends()} ends; {watch}"
+        assert client.ends() == 1, f"the client's goal had {client.ends()} ends; {watch}"
 
 
 def assert_path_stops(mix: Mix) -> None:
@@ -64,9 +64,9 @@ def assert_path_stops(mix: Mix) -> None:
 
 
 def assert_goal_stops(mix: Mix, client: RosClient) -> None:
-    """Stop the base through the gateway once a client's goal moves it; the client's goal is canceled."""
-    until(lambda: mix.base.moves, "it moves", SECONDS)
-    until(lambda: mix.state() == "moving", "the status shows that it moves", STANDS_SECONDS)
+    """Stop the base through the gateway while a client's goal moves it; that goal is canceled."""
+    until(lambda: mix.base.moves, "the base moves", SECONDS)
+    until(lambda: mix.state() == "moving", "the status is moving", STANDS_SECONDS)
     watch = Watch(mix, "")
     wait(watch, 0.5)
     assert_stops(watch)
@@ -92,7 +92,7 @@ def test_bt_navigator_is_not_restarted(deployment: Deployment) -> None:
     watch = drive(deployment, ZENOH, navigation={"patience": PATIENCE})
     watch.mix.planner.kill("bt_navigator")
     client = watch.mix.clients[ZENOH]
-    watch.until(client.end, "the waiting time ends")
+    watch.until(client.end, "the client's goal ends after the gateway's patience")
     assert client.ended_at() - watch.began > PATIENCE - 1.0, watch
     watch.close()
     assert_stops(watch)

@@ -1,4 +1,4 @@
-"""Goals and stops while the ros2 worker is killed; the reference is the base's own program."""
+"""Goals and stops while the ros2 worker is killed, checked against the base's own program."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.peers.navigation.mix_faults import STANDS_SECONDS, Watch, kill_worker
 
 PATIENT = {"navigation": {"patience": 30.0}}
 MISSING = PATIENT | {"base_side": "ros1", "nav2": {"navigator": (), "controller": ("--tf-tolerance", "0.5")}}
-"""The base is on ROS 1: transforms reach Nav2 through the killed worker."""
+"""The base is on ROS 1, so transforms reach Nav2 through the killed worker."""
 TOLERANT = MISSING | {"nav2": {"navigator": ("--tf-tolerance", "0.5"), "controller": ("--tf-tolerance", "inf")}}
 thorough = pytest.mark.thorough
 
@@ -39,17 +39,19 @@ def assert_continues(watch: Watch) -> None:
     """Kill the ros2 worker; the client's goal continues after its restart."""
     client, mix = watch.mix.clients[watch.client], watch.mix
     os.kill(mix.pid("ros2"), signal.SIGKILL)
-    watch.until(lambda: not watch.base.moves or time.monotonic() > watch.began + 3.0, "it is disconnected")
+    watch.until(
+        lambda: not watch.base.moves or time.monotonic() > watch.began + 3.0, "the base stands, or 3 s have passed"
+    )
     progress = client.progress()
-    watch.until(mix.back, "everything is back")
+    watch.until(mix.back, "all workers are back")
 
     def drives() -> object:
         return client.progress() > progress and mix.driving() and watch.base.moves
 
-    watch.until(lambda: client.end() or drives(), "it goes on")
+    watch.until(lambda: client.end() or drives(), "the drive continues")
     assert client.end() == "", f"its goal ended: {client.end()} ({client.why()}); {watch}"
     wait(watch, time.monotonic() - watch.began + 1.5)
-    assert watch.base.moves, f"it drives; {watch}"
+    assert watch.base.moves, f"the base stands; {watch}"
     assert client.end() == "", f"its goal ended: {client.end()} ({client.why()}); {watch}"
     watch.close()
     client.cancel()

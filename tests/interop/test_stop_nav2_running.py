@@ -1,7 +1,7 @@
 """Stops while Nav2's servers keep running: bt_navigator aborts, or another client moves the base.
 
-The tests share a daemon and Nav2 with the default options. Those of `tests.interop.test_stop_nav2` start their own on
-the same ROS domain, and a second daemon would stand by there.
+The tests share a daemon and Nav2 with the default options. The tests of `tests.interop.test_stop_nav2` start their own
+daemon on the same ROS domain, where a second daemon would be on standby.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ def test_stop_after_bt_navigator_aborted(mix: Mix, client: str) -> None:
     wait(watch, 0.5)
     assert_stops(watch, *ALL, COMMAND)
     assert_ends_once(watch)
-    start_driving(watch.mix, watch.mix.clients[client])  # as without a fault
+    start_driving(watch.mix, watch.mix.clients[client])  # the same start as without a fault
     watch.mix.clients[client].cancel()
-    until(lambda: not watch.base.moves, "it stands", STANDS_SECONDS)
+    until(lambda: not watch.base.moves, "the base stands", STANDS_SECONDS)
 
 
 def test_no_end_is_reported_while_the_base_moves_after_bt_navigator_aborted(mix: Mix) -> None:
@@ -69,5 +69,5 @@ def test_stop_of_a_behavior_of_another_client(mix: Mix, action: str) -> None:
             client.peer.publish(out, {"linear": {"x": 0.5}})
             return mix.base.moves
 
-        until(teleoperated, "it moves", SECONDS, 0.2)
+        until(teleoperated, "the base moves", SECONDS, 0.2)
     assert_goal_stops(mix, client)

@@ -21,8 +21,9 @@ from tests.support.wait import until
 CONFIGS = Path(__file__).parents[2] / "configs"
 SIDEBOARD = (3.4, 1.1)
 BOARDS = [(2.05, 2.55), (2.25, 2.35), (2.45, 2.15)]
-"""Places under the dining table on the straight line from the dock, which the camera must see for the robot to drive
-around them. The middle and the far end of the tabletop are visible briefly or not at all, depending on the path."""
+"""Places under the dining table, on the straight line from the dock to the goal. The robot drives around them only if
+the camera sees them. The middle and the far end of the tabletop are visible briefly or not at all, depending on the
+path."""
 
 
 @pytest.mark.thorough
@@ -52,4 +53,4 @@ def test_a_goal_on_the_far_side_of_a_table_is_reached_without_contact(deployment
     assert [value(layer, *cell) for cell in BOARDS] == [100] * len(BOARDS)
     contacts = [message["data"] for message in ros1.wait(bumps, 1)]
     assert len(contacts) > 50
-    assert not any(contacts), "it ran into something"
+    assert not any(contacts), "the robot ran into something"

@@ -64,7 +64,7 @@ THREE_D = [
 
 
 def within(part: Any, whole: Any) -> bool:
-    """Return whether a message has these fields; bytes may be bytes or a list."""
+    """Return whether the whole contains these fields; bytes may be bytes or a list."""
     if isinstance(part, dict):
         return all(within(value, whole[key]) for key, value in part.items())
     if isinstance(part, list) and part and not isinstance(part[0], int):
@@ -99,13 +99,13 @@ NOT_INSTALLED = {
         {**GRID, "info": SIZES, "header": {"frame_id": "map"}},
     ),
 }
-"""Messages of packages that Debian does not have: in the spelling of ROS 1, and in that of ROS 2 and the hub."""
+"""Messages of packages that Debian does not have: as ROS 1 spells them, and as ROS 2 and the hub do."""
 GET = "octomap_msgs/GetOctomap"
 
 
 @pytest.mark.thorough
 def test_types_of_missing_packages_cross_in_every_direction(shared: Deployment) -> None:
-    """A ROS 1 program uses definitions, a ROS 2 program packages built by Midspan, a zenoh program only names."""
+    """A ROS 1 program has definitions, a ROS 2 program packages built by Midspan, and a zenoh program only names."""
     registry = Registry(ros1_packages=Path("/nonexistent"))
     programs: dict[str, Any] = {"ros1": shared.ros1(), "ros2": shared.ros2(), "zenoh": shared.zenoh()}
     for kind in NOT_INSTALLED:
@@ -131,7 +131,7 @@ def test_types_of_missing_packages_cross_in_every_direction(shared: Deployment) 
 
 
 def called(side: str, program: Any, service: str) -> dict[str, Any]:
-    """Return the response of a GetOctomap, once its server exists."""
+    """Return a GetOctomap response, once the service has a server."""
     if side == "zenoh":
         result: dict[str, Any] = program.call(service, GET).result(30.0)
     else:
@@ -176,7 +176,7 @@ def test_explain_lists_the_connections_of_ros1(shared: Deployment) -> None:
 
 
 def test_a_start_pose_without_covariance_reaches_a_localizer_with_one(shared: Deployment) -> None:
-    """Real amcl (1.17.3) uses zero covariances literally, and puts all particles on one point."""
+    """Real amcl (1.17.3) uses zero covariances literally, and puts all particles at one point."""
     start = {"pose": {"pose": {"orientation": {"w": 1.0}}, "covariance": [0.0] * 36}}
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2()}
     for (from_, sender), (_, hearer) in itertools.permutations(programs.items(), 2):
@@ -217,38 +217,39 @@ for _ in range(20):
     publisher.publish(new)
     rospy.sleep(0.05)
 """
-"""A program that waits for a subscriber: the probe is the first, and only it receives the first message."""
+"""A program that waits for a subscriber. The probe is its first subscriber, so only the probe gets the first
+message."""
 
 
 def from_the_first_on(shared: Deployment, topic: str, kind: str, *said: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return what a ROS 2 program receives from another program, then the first and later messages of such a one."""
+    """Return what a ROS 2 program receives from a publisher, then from a program that waits for a subscriber."""
     hearer, other = shared.ros2(), shared.ros1()
     subscription = hearer.subscribe(topic, kind)
     out = other.advertise(topic, kind)
     before, first, later = said
-    cross(other, out, hearer, subscription, before)  # all endpoints exist
+    cross(other, out, hearer, subscription, before)  # so that all endpoints exist
     program = json.dumps([topic, kind, first, later])
     subprocess.run([ROS1_PYTHON, "-c", FIRST, program], env=shared.master.env, check=True, timeout=60)
-    until(lambda: len(hearer.wait(subscription, 10, 0.1)) >= 10, "later ones arrive")
+    until(lambda: len(hearer.wait(subscription, 10, 0.1)) >= 10, "later messages arrive")
     return hearer.wait(subscription, 10)
 
 
 def test_a_program_that_waits_for_a_subscriber_is_received(shared: Deployment) -> None:
-    """The probe of such a program is its first subscriber, and its only message may go there."""
+    """The probe of such a program is its first subscriber, and the program's only message may go to the probe."""
     sent = [{"data": text} for text in ("before", "first", "later")]
     received = from_the_first_on(shared, "/once", STRING, *sent)
     assert [message for message in sent if message in received] == sent
 
 
 def test_a_command_to_the_probe_is_not_delivered_late(shared: Deployment) -> None:
-    """Such messages wait until the route exists. Velocities must not, as their commander may have stopped by then."""
+    """Messages to the probe wait until the route exists. Velocities must not: their sender may have stopped by then."""
     sent = [{"linear": {"x": speed}} for speed in (3.0, 1.0, 2.0)]
     received = from_the_first_on(shared, "/cmd_vel_once", "geometry_msgs/Twist", *sent)
     assert {message["linear"]["x"] for message in received} == {3.0, 2.0}
 
 
 def test_no_loop_whatever_the_names_of_nodes(shared: Deployment) -> None:
-    """All three publish and subscribe on one topic; users' nodes have the names of the bridge's own nodes."""
+    """Three programs publish and subscribe on one topic; two have the names of the bridge's own nodes."""
     ros1, ros2, zenoh = shared.ros1("midspan_ros2"), shared.ros2("midspan"), shared.zenoh()
     programs: dict[str, Any] = {"ros1": ros1, "ros2": ros2, "zenoh": zenoh}
     subscriptions = {name: program.subscribe("/all", STRING, depth=200) for name, program in programs.items()}
@@ -289,7 +290,7 @@ def test_custom_types_between_ros1_and_ros2(shared: Deployment) -> None:
 
 
 def test_a_type_that_only_a_connection_header_defines(shared: Deployment) -> None:
-    """No package, no folder: the definition comes from rospy's connection header, the ROS 2 package is built."""
+    """The definition comes from rospy's connection header, because no package has it; the ROS 2 package is built."""
     ros1, far = shared.ros1(), shared.zenoh()
     point = "=" * 80 + "\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
     text = "string name\nint16[] blob\ngeometry_msgs/Point at\n" + point

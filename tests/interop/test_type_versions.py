@@ -1,6 +1,6 @@
 """Real programs with two versions of a package at once: ROS 1 and ROS 2 Jazzy have the older one, Kilted the newer one.
 
-Fields were renamed and retyped between them; rules of the configuration relate them (`tests.messages.fleet`).
+Fields were renamed and retyped between the versions; rules of the configuration map them (`tests.messages.fleet`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MESSAGES = 5
 
 
 class Rig:
-    """A daemon, programs on ROS 1, Jazzy and Kilted, and nodes of the hub with each version."""
+    """A daemon, programs on ROS 1, Jazzy and Kilted, and hub nodes with each version."""
 
     def __init__(self, deployment: Deployment, folder: Path) -> None:
         write_versions(folder)
@@ -61,21 +61,21 @@ class Rig:
         self.hashes = dict(zip(("old", "new"), self.registry.releases.hashes(WHEEL), strict=True))
 
     def hub_node(self, version: str) -> ReleaseNode:
-        """Return a node of rmw_zenoh with a version of the package."""
+        """Return a rmw_zenoh node with this version of the package."""
         release, domain = {"old": JAZZY, "new": KILTED}[version], self.deployment.settings("peer").domain
         node = ReleaseNode(self.deployment.endpoint, domain, f"hub_{version}", release)
         self.deployment.keep(_Closing(node))
         return node
 
     def topic(self, name: str, version: str) -> Topic:
-        """Return a topic of the hub with a version of the type."""
+        """Return a hub topic with this version of the type."""
         return Topic(name, WHEEL, self.hashes[version], Qos(depth=100))
 
     def encode(self, version: str, message: dict[str, Any]) -> bytes:
         return MessageWriter(self.registry.schema(WHEEL, self.hashes[version])).message(message)
 
     def loads(self, version: str, subscription: ReleaseSubscription) -> list[tuple[int, float]]:
-        """Return number and speed of the messages that a subscription of the hub has received."""
+        """Return the number and speed of each message that a hub subscription has received."""
         schema = self.registry.schema(WHEEL, self.hashes[version])
         read = [MessageReader(schema, sample.payload).message() for sample in subscription.samples]
         return [(m["load"], m["rpm" if version == "old" else "speed"]) for m in read if m["name"]]
@@ -97,7 +97,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 
 def numbered(messages: list[dict[str, Any]]) -> list[tuple[int, float]]:
-    """Return number and speed of the messages after the first contact."""
+    """Return the number and speed of each message after the first contact."""
     return [(m["load"], m["rpm"] if "rpm" in m else m["speed"]) for m in messages if m["name"]]
 
 
@@ -119,17 +119,21 @@ def test_publishers_of_two_versions_on_one_topic(rig: Rig) -> None:
             any(load == m.get("load") for m in decoded(rig, version, end)) for version, end in hub.items()
         )
 
-    until(lambda: matched("rpm", 101), "Jazzy's publisher is received by all", 60)
-    until(lambda: matched("speed", 102), "Kilted's publisher is received by all", 60)
+    until(lambda: matched("rpm", 101), "all subscriptions receive from Jazzy's publisher", 60)
+    until(lambda: matched("speed", 102), "all subscriptions receive from Kilted's publisher", 60)
     for number in range(MESSAGES):
         for at, field in enumerate(peers):
             peers[field].publish(
                 ends[field], {"name": "n", "load": 2 * number + at, "code": code[field], field: number + 0.5}
             )
     expected = [(n, n // 2 + 0.5) for n in range(2 * MESSAGES)]
-    until(lambda: len(numbered(rig.ros1.wait(ros1, 1, 0.1))) >= len(expected), "ROS 1 has received all", 40)
+    until(lambda: len(numbered(rig.ros1.wait(ros1, 1, 0.1))) >= len(expected), "ROS 1 has received all messages", 40)
     for version, end in hub.items():
-        until(lambda v=version, e=end: len(rig.loads(v, e)) >= len(expected), f"the hub's {version} has", 40)
+        until(
+            lambda v=version, e=end: len(rig.loads(v, e)) >= len(expected),
+            f"the hub's {version} subscription has received all messages",
+            40,
+        )
         assert sorted(rig.loads(version, end)) == expected
     assert sorted(numbered(rig.ros1.wait(ros1, 1, 0.1))) == expected
     text = until(lambda: "has" in (t := rig.explained(name)) and t, "explain names the version", 20, every=0.1)
@@ -143,7 +147,7 @@ def decoded(rig: Rig, version: str, end: ReleaseSubscription) -> list[dict[str, 
 
 
 def test_subscriptions_of_two_versions_on_one_topic(rig: Rig) -> None:
-    """Each receives the messages in its version, on DDS and on the hub, and no others."""
+    """Each subscription receives the messages in its version, on DDS and on the hub, and no others."""
     name, old, new = "/commands", rig.hub_node("old"), rig.hub_node("new")
     hub = {
         "old": ReleaseSubscription(old, rig.topic(name, "old")),
@@ -159,12 +163,14 @@ def test_subscriptions_of_two_versions_on_one_topic(rig: Rig) -> None:
         publish(load=101)
         return all(peer.wait(end, 1, 0.1) for peer, end in dds.items()) and all(end.samples for end in hub.values())
 
-    until(matched, "all are matched", 60)
+    until(matched, "all endpoints are matched", 60)
     for number in range(MESSAGES):
         publish(name="n", load=number, rpm=number + 0.5)
     expected = [(number, number + 0.5) for number in range(MESSAGES)]
     for peer, end in dds.items():
-        until(lambda p=peer, e=end: len(numbered(p.wait(e, 1, 0.1))) >= MESSAGES, f"{peer} has received all", 40)
+        until(
+            lambda p=peer, e=end: len(numbered(p.wait(e, 1, 0.1))) >= MESSAGES, f"{peer} has received all messages", 40
+        )
         messages = peer.wait(end, 1, 0.1)
         assert numbered(messages) == expected
         assert {m["load"] for m in messages if not m["name"]} == {101}
@@ -180,7 +186,7 @@ def test_subscriptions_of_two_versions_on_one_topic(rig: Rig) -> None:
 
 
 def test_late_subscriptions_of_two_versions_receive_latched_messages(rig: Rig) -> None:
-    """Also those of the version that no subscription had when the message was sent."""
+    """They also receive a message in a version that no subscription had when it was sent."""
     name, end = "/latched_wheels", rig.ros1.advertise("/latched_wheels", TOPIC_TYPE, latched=True)
     rig.ros1.publish(end, {"name": "n", "load": 1, "code": "7", "rpm": 1.5})
     rig.deployment.until_route("ros2", name, "out", state="active")
@@ -193,22 +199,26 @@ def test_late_subscriptions_of_two_versions_receive_latched_messages(rig: Rig) -
 
 
 def test_latched_publishers_of_two_versions_on_one_topic(rig: Rig) -> None:
-    """Late subscriptions on ROS 1 and the hub receive the last message of both, in their version."""
+    """Late subscriptions on ROS 1 and the hub receive the last message of both publishers, in their own version."""
     name, values = "/latched_sources", {rig.jazzy: {"rpm": 1.5, "code": "7"}, rig.kilted: {"speed": 2.5, "code": 7}}
     for load, (peer, fields) in enumerate(values.items(), 1):
         end = peer.advertise(name, TOPIC_TYPE, latched=True, depth=1)
         peer.publish(end, {"name": "n", "load": load, **fields})
     rig.deployment.until_route("ros1", name, "out", state="active")
     late, expected = rig.ros1.subscribe(name, TOPIC_TYPE), [(1, 1.5), (2, 2.5)]
-    until(lambda: sorted(numbered(rig.ros1.wait(late, 2, 0.1))) == expected, "ROS 1 has received both", 40)
+    until(lambda: sorted(numbered(rig.ros1.wait(late, 2, 0.1))) == expected, "ROS 1 has received both messages", 40)
     for version in ("old", "new"):
         topic = replace(rig.topic(name, version), qos=Qos(durability=Durability.TRANSIENT_LOCAL, depth=10))
         hub = ReleaseSubscription(rig.hub_node(version), topic)
-        until(lambda v=version, e=hub: sorted(rig.loads(v, e)) == expected, f"the hub's {version} has both", 40)
+        until(
+            lambda v=version, e=hub: sorted(rig.loads(v, e)) == expected,
+            f"the hub's {version} subscription has both messages",
+            40,
+        )
 
 
 def test_a_service_of_the_newer_version(rig: Rig) -> None:
-    """A client on ROS 1 calls Kilted's server; explain names what is rounded."""
+    """A client on ROS 1 calls Kilted's server; explain names the field that is rounded."""
     served = rig.kilted.ask("serve", service="/of_kilted", type=SERVICE, reply={"offset": 0.5})["id"]
     rig.deployment.until_route("ros1", "/of_kilted", "out", state="active")
     rig.ros1.ask("await_service", service="/of_kilted", seconds=30)
@@ -216,7 +226,7 @@ def test_a_service_of_the_newer_version(rig: Rig) -> None:
     assert rig.ros1.ask("result", id=call, seconds=40)["reply"] == {"offset": 0.5}
     assert rig.kilted.ask("requests", id=served, count=1, seconds=20)["requests"] == [{"goal": 1.5}]
     rounded = "fleet_msgs/srv/Calibrate_Response.offset is rounded to float32"
-    until(lambda: rounded in rig.explained("/of_kilted"), "explain names it", 20, every=0.1)
+    until(lambda: rounded in rig.explained("/of_kilted"), "explain names the rounded field", 20, every=0.1)
 
 
 def test_clients_of_two_versions_call_one_server(rig: Rig) -> None:
@@ -242,7 +252,7 @@ def test_an_action(rig: Rig, native: str) -> None:
 
 
 def test_servers_of_two_versions_with_one_name(rig: Rig) -> None:
-    """DDS delivers a request to both, so neither is called; the texts name the versions, and the cure."""
+    """DDS delivers a request to both servers, so neither is called; the texts name the versions and the fix."""
     servers = {"older": rig.jazzy, "newer": rig.kilted}
     for peer in servers.values():
         peer.ask("serve", service="/twice", type=SERVICE, reply={"offset": 0.5})
@@ -253,7 +263,9 @@ def test_servers_of_two_versions_with_one_name(rig: Rig) -> None:
         ]
         return decisions if len(decisions) == len(servers) else []
 
-    barred, second = sorted(until(refused, "both are refused", 40, every=0.1), key=lambda d: "already" in d["why"])
+    barred, second = sorted(
+        until(refused, "both servers are refused", 40, every=0.1), key=lambda d: "already" in d["why"]
+    )
     assert "is served with different versions of fleet_msgs/srv/Calibrate" in barred["why"]
     folders = rig.folder / "old", rig.folder / "new"
     assert all(f"{folder}'s version" in second["why"] for folder in folders), second["why"]
@@ -261,7 +273,7 @@ def test_servers_of_two_versions_with_one_name(rig: Rig) -> None:
 
 
 def test_publishers_of_two_versions_on_the_hub(rig: Rig) -> None:
-    """ROS 1 and Jazzy receive the messages of both once, in the older version."""
+    """ROS 1 and Jazzy receive the messages of both publishers once, in the older version."""
     name, nodes = "/hub_wheels", {version: rig.hub_node(version) for version in ("old", "new")}
     publishers = {version: ReleasePublisher(node, rig.topic(name, version)) for version, node in nodes.items()}
     peers = {"ROS 1": rig.ros1, "Jazzy": rig.jazzy}

@@ -1,4 +1,4 @@
-"""An older Midspan and this one on one hub exchange topics, services and the store, and agree on the active one."""
+"""An older Midspan and this one on one hub exchange topics, services and the store, and one of them is active."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ STRING, SET_BOOL = "std_msgs/String", "std_srvs/SetBool"
 
 @pytest.fixture(scope="module")
 def old(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The tree of the older release."""
+    """The source tree of the older release."""
     return older_tree(tmp_path_factory.mktemp("older"))
 
 
 class Deployment:
-    """A hub, a zenoh network with a program on it, and workers of either release between them."""
+    """A hub, a zenoh network with a program on it, and workers of both releases between them."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -61,14 +61,14 @@ class Deployment:
         return self.ends.enter_context(python(tree, WORKER, *texts))
 
     def states(self) -> dict[str, str]:
-        """Return each daemon's state as this release receives it."""
+        """Return each daemon's state, as received by this release."""
         answers = self.far.hub.ask("status", {})
         return {
             a.daemon: a.value["state"] for a in answers if isinstance(a.value, dict) and a.worker == "zenoh_ros2dds"
         }
 
     def midspan(self, tree: Path, *words: str) -> str:
-        """Return the output of a tree's command line."""
+        """Return the output of a command line of this source tree."""
         config = self.config("looks")
         with python(tree, WORKER, *words, "--config", config) as process:
             assert process.popen.wait(60) == 0, process.output()
@@ -84,11 +84,11 @@ def deployment(tmp_path: Path) -> Iterator[Deployment]:
 
 @pytest.mark.parametrize("carrier", ["old", "new"])
 def test_topics_and_services_cross(deployment: Deployment, old: Path, carrier: str) -> None:
-    """The worker has one release, the command line the other; a node of this release is on the hub."""
+    """The worker is of one release and the command line of the other; a node of this release is on the hub."""
     tree, other = (old, ROOT) if carrier == "old" else (ROOT, old)
     deployment.worker(tree, carrier)
     far, program = deployment.far, deployment.program()
-    until(lambda: deployment.states() == {carrier: "running"}, "its reply is understood", 60)
+    until(lambda: deployment.states() == {carrier: "running"}, "this release understands the worker's status", 60)
 
     out, subscription = program.advertise("/from_side", STRING), far.subscribe("/from_side", STRING)
     far.publish_until(program, out, {"data": "in"}, lambda: far.wait(subscription, 1, 0.2))
@@ -104,11 +104,11 @@ def test_topics_and_services_cross(deployment: Deployment, old: Path, carrier: s
     far.serve("/of_hub", SET_BOOL, reply={"success": True, "message": "from the hub"})
     until(lambda: program.tokens("/of_hub", "SS"), "the program discovers the server", 30)
 
-    def reported() -> bool:  # its token arrives shortly before zenoh can route to it
+    def reported() -> bool:  # the token arrives shortly before zenoh can route to the server
         reply = program.call("/of_hub", SET_BOOL, {"data": True}).result()["reply"]
         return reply == {"success": True, "message": "from the hub"}
 
-    until(reported, "the reply", every=0.1)
+    until(reported, "the hub's server replies", every=0.1)
     text = deployment.midspan(other, "service", "call", "/of_side", SET_BOOL, "{data: true}")
     assert "from the side" in text
     assert re.search(rf"{carrier}.*running|running.*{carrier}", deployment.midspan(other, "status"), re.DOTALL)
@@ -119,19 +119,19 @@ def test_one_of_them_is_active_and_the_other_takes_over(deployment: Deployment, 
     trees = {"old": old, "new": ROOT}
     second = next(name for name in trees if name != first)
     active = deployment.worker(trees[first], first)
-    until(lambda: deployment.states() == {first: "running"}, "the first is active", 60)
+    until(lambda: deployment.states() == {first: "running"}, "the first worker is active", 60)
     deployment.worker(trees[second], second)
-    until(lambda: deployment.states() == {first: "running", second: "standby"}, "the second is on standby", 60)
+    until(lambda: deployment.states() == {first: "running", second: "standby"}, "the second worker is on standby", 60)
     far, program = deployment.far, deployment.program()
     out, subscription = program.advertise("/numbers", STRING), far.subscribe("/numbers", STRING)
     far.publish_until(program, out, {"data": "begin"}, lambda: far.wait(subscription, 1, 0.2))
     for number in range(50):
         program.publish(out, {"data": str(number)})
-    until(lambda: {"data": "49"} in far.wait(subscription, 1), "the last has arrived", 30)
+    until(lambda: {"data": "49"} in far.wait(subscription, 1), "the last message has arrived", 30)
     numbers = [message["data"] for message in far.wait(subscription, 1) if message["data"].isdigit()]
-    assert sorted(numbers, key=int) == [str(number) for number in range(50)], "none is lost, none arrives twice"
+    assert sorted(numbers, key=int) == [str(number) for number in range(50)], "each message arrives once"
     active.stop()
-    until(lambda: deployment.states() == {second: "running"}, "the second has taken over", 60)
+    until(lambda: deployment.states() == {second: "running"}, "the second worker has taken over", 60)
     far.publish_until(program, out, {"data": "after"}, lambda: {"data": "after"} in far.wait(subscription, 1, 0.2))
 
 
@@ -144,7 +144,11 @@ def test_both_share_one_store(old: Path, tmp_path: Path) -> None:
             stores[name] = OtherStore(process)
             stores[name].ask("put", f"before {name}", 1.5)
         for name, other in (("old", "new"), ("new", "old")):
-            until(lambda name=name, other=other: stores[name].ask("look")[1] == [other], "they discover each other", 60)
+            until(
+                lambda name=name, other=other: stores[name].ask("look")[1] == [other],
+                "the stores discover each other",
+                60,
+            )
         both = {"before old": 1.5, "before new": 1.5}
         for store in stores.values():
             store.until(both)
@@ -156,10 +160,10 @@ def test_both_share_one_store(old: Path, tmp_path: Path) -> None:
         stores["new"].ask("delete", "before old")
         for store in stores.values():
             store.until({"kitchen": 3.5})
-            assert store.ask("look")[2] == 0, "each knew of the other's changes"
+            assert store.ask("look")[2] == 0, "the stores had conflicting changes"
 
 
 def test_the_older_release_announces_no_version(old: Path) -> None:
-    """Otherwise these tests would not show differences of releases."""
+    """If it did, these tests would not show differences between releases."""
     result = subprocess.run(["grep", "-rl", "hub.wire.version", old / "bridge"], capture_output=True, check=False)
     assert result.stdout == b""

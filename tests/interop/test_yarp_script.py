@@ -22,7 +22,12 @@ def test_a_script_exchanges_messages_with_ros1_and_ros2(deployment: Deployment) 
         try:
             for peer, subscription in velocity.items():
                 assert peer.wait(subscription, 1, 30)[0]["angular"]["z"] == -1.5
-            until(lambda s=sender, g=goal, r=script: s.publish(g, pose) or r.poll() is not None, "it receives", 30, 0.1)
+            until(
+                lambda s=sender, g=goal, r=script: s.publish(g, pose) or r.poll() is not None,
+                "the script receives",
+                30,
+                0.1,
+            )
             assert output_lines(script) == ["map 0 3.5 1.0"]
         finally:
             script.kill()

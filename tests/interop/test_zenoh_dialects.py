@@ -30,7 +30,7 @@ def blocks(language: str) -> list[str]:
 
 @pytest.fixture
 def programs(deployment: Deployment) -> Iterator[dict[str, Any]]:
-    """The daemon with all dialects on the hub's own network, and a program on each."""
+    """The daemon with all dialects on the hub's own network, and a program on each side and dialect."""
     keys = [
         {"key": f"json/{a}_{b}_{label}", "topic": f"/{a}_{b}_{label}", "type": type_.replace("/", "/msg/")}
         for a, b in (("ros1", "json"), ("ros2", "json"), ("json", "ros1"), ("json", "ros2"))
@@ -57,7 +57,7 @@ def programs(deployment: Deployment) -> Iterator[dict[str, Any]]:
 
 
 def test_real_programs_and_every_dialect(programs: dict[str, Any], deployment: Deployment) -> None:
-    """A text in each direction, and a map that was published once to late joiners; then the documented script."""
+    """Texts cross in each direction, late joiners receive a latched map, and the documented script works."""
     pairs = [(a, b) for a in ("ros1", "ros2") for b in ("ros2dds", "ros1keys", "json")]
     for from_, to in pairs + [(b, a) for a, b in pairs]:
         name = f"/{from_}_{to}_text"
