@@ -1,4 +1,4 @@
-"""Fixtures of the contract suite. An adapter joins by one line in ``SIDES``."""
+"""Fixtures of the contract suite. An adapter joins the suite with one line in ``SIDES``."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ APART = ("ros1_embedded_master", "ros2_kilted", "ros2_cyclone")
 """Sides that only `make test-all` runs."""
 
 IN_TURN = (("ros1", "ros2", "own"), ("zenoh_ros2dds", "zenoh_ros1"))
-"""Sides with programs and workers in processes, and dialects of one side: `make test` runs each test on one of each."""
+"""Groups of sides (with separate processes; dialects of one side): `make test` runs each test on one side of each."""
 
 BASIC = {
     "test_side_to_hub", "test_hub_to_side", "test_latched_before_the_bridge_started",
@@ -71,18 +71,18 @@ ANY_OS = {
     "test_from_the_hub_to_a_server_of_the_side",
     "test_from_the_side_to_a_server_of_the_hub",
 }
-"""Tests that `make test` runs on a side without what Windows lacks: messages and calls, both ways."""
+"""Tests of messages and calls, both ways, that `make test` also runs on a side without what Windows lacks."""
 
 
 def _lane_on_any_os(item: pytest.Item) -> bool:
-    """Return whether a test needs the lane on a side that cannot have it, since it has no Unix sockets."""
+    """Return whether a test needs the lane on a side that cannot have one, because it has no Unix sockets."""
     params = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
     return bool(params.get("side") == "ros1_any_os" and params.get("lane"))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests on the other sides as `thorough`."""
+    """Mark the tests on all other sides as `thorough`."""
     items[:] = [item for item in items if not _lane_on_any_os(item)]
     for item in items:
         if (
@@ -109,20 +109,20 @@ def side(request: pytest.FixtureRequest, hubs: HubNetwork) -> Iterator[Side]:
 
 @pytest.fixture
 def lane() -> bool:
-    """Whether small messages between the daemon's sessions, including the far end, bypass zenoh."""
+    """Return whether small messages between the daemon's sessions, including the far end, bypass zenoh."""
     return LANE
 
 
-@pytest.hookimpl(trylast=True)  # else the tests have other names in a whole run, which loads this file later
+@pytest.hookimpl(trylast=True)  # otherwise the tests have other names in a complete run, which loads this file later
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run tests of all sides also without the lane."""
+    """Run the tests of all sides without the lane, too."""
     if metafunc.definition.originalname in BASIC:
         metafunc.parametrize("lane", [LANE, False] if LANE else [False], ids=["lane", "zenoh"] if LANE else ["zenoh"])
 
 
 @pytest.fixture
 def far(request: pytest.FixtureRequest, hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Iterator[HubSide]:
-    """The far end of every route: a node of rmw_zenoh, or, in tests of the lane, a session on the daemon's lanes."""
+    """The far end of every route: an rmw_zenoh node, or, in tests of the lane, a session on the daemon's lanes."""
     folder = tmp_path / "state" / "contract" / "lane"
     hub = Hub.open(hubs.settings("far", lane=folder if lane else None))
     registry = Registry(folders=PEER_FOLDERS)
@@ -136,7 +136,7 @@ def far(request: pytest.FixtureRequest, hubs: HubNetwork, tmp_path: Path, *, lan
 
 @pytest.fixture
 def config(side: Side, hubs: HubNetwork, tmp_path: Path, *, lane: bool) -> Callable[..., Config]:
-    """Return a function that makes configurations for the side: ``config(rules=[...], default="allow")``."""
+    """Return a function that creates configurations for the side: ``config(rules=[...], default="allow")``."""
     folders = [CUSTOM_FOLDER] if side.tells_empty_types else [CUSTOM_FOLDER, OWN_FOLDER]
 
     def make(**routing: Any) -> Config:

@@ -1,4 +1,4 @@
-"""The side in memory of the contract suite: only the engine, with a real hub."""
+"""The contract suite's in-memory side: only the engine, with a real hub."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class FakePeer:
             return list(self._heard[endpoint])
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """Execute the commands for services; see `tests.peers.peer`."""
+        """Execute the service commands of `tests.peers.peer`."""
         if do == "serve":
             number, name = next(self._ids), service_name(params["type"])
             serving = self._servings[number] = Serving(self._registry, name, params)

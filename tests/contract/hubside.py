@@ -74,7 +74,7 @@ class HubSide:
             return list(self._heard[endpoint])
 
     def wait_without(self, endpoint: int, probe: str, count: int) -> list[dict[str, Any]]:
-        """Return all messages but the probes, once ``count`` of these have arrived."""
+        """Return all messages but the probes, once ``count`` others have arrived."""
 
         def others() -> list[dict[str, Any]]:
             return [m for m in self._heard[endpoint] if m["data"] != probe]
@@ -90,7 +90,7 @@ class HubSide:
             self._subscriptions.pop(endpoint).close()
 
     def hub_publish_until(self, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> None:
-        """Publish repeatedly until a message arrives, since the route may not exist yet for the first ones."""
+        """Publish until a message arrives on the side, because the route may not exist yet for the first ones."""
 
         def once() -> Any:
             self.publish(endpoint, message)
@@ -99,7 +99,7 @@ class HubSide:
         until(once, "a message from the hub arrives on the side", 20)
 
     def publish_until(self, peer: PeerLike, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> int:
-        """Publish repeatedly from a peer on the side until a message arrives on the hub; return how often."""
+        """Publish from a peer on the side until a message arrives on the hub; return how many were published."""
         count = itertools.count(1)
 
         def once() -> Any:
@@ -126,12 +126,12 @@ class HubSide:
         until(lambda: not self.publishers(topic), f"no publisher of {topic} on the hub", seconds)
 
     def status(self) -> dict[str, Any]:
-        """Return the bridge worker's status; the router replies, too."""
+        """Return the bridge worker's status, ignoring the router's reply."""
 
         def answers() -> list[dict[str, Any]]:
             return [a.value for a in self.hub.ask("status", {}) if isinstance(a.value, dict) and a.worker != "router"]
 
-        return until(answers, "the status")[0]
+        return until(answers, "the worker reports its status")[0]
 
     def serve(self, service: str, type_: str, **params: Any) -> Serving:
         """Serve on the hub until ``server.close``."""
@@ -141,22 +141,22 @@ class HubSide:
         return serving
 
     def call(self, service: str, type_: str, **request: Any) -> Calling:
-        """Call a server as soon as the hub has one."""
+        """Call a service as soon as the hub has a server for it."""
         name = service_name(type_)
         client = self._clients.get(service)
         if client is None:
             client = self.hub.client(service, name, self.registry.service_ros2(name).type_id)
             self._clients[service] = client
-        # its token arrives after a previous server's tokens have been withdrawn
+        # the server's token arrives after a previous server's tokens have been withdrawn
         until(lambda: self.hub.graph.servers(service) and client.ready, f"a server of {service} on the hub", 60)
         return Calling(self.registry, name, request, client.call)
 
     def route(self, topic: str, direction: str) -> Any:
-        """Return one route as a dictionary, None without one."""
+        """Return one route as a dictionary, or None if it does not exist."""
         return next((r for r in self.status()["routes"] if r["topic"] == topic and r["direction"] == direction), None)
 
     def takes(self, topic: str, direction: str, *, lane: bool) -> bool:
-        """Return whether all messages of a route have crossed the hub by the lane, or all over zenoh."""
+        """Return whether messages of a route have crossed, and the route uses the lane, or, without ``lane``, zenoh."""
         routes = [r for r in self.status()["routes"] if (r["hub_topic"], r["direction"]) == (topic, direction)]
         transport = "lane" if lane else "zenoh"
         return bool(routes and routes[0]["way"] == transport and routes[0]["ways"][transport])

@@ -1,4 +1,4 @@
-"""The custom side of the contract suite: the example of docs/develop/add_a_side.md, in a real worker process."""
+"""The contract suite's custom side: the example of docs/develop/add_a_side.md, in a real worker process."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class OwnPeer:
         self._node.publish(end, json.dumps(self._whole(end.type, message)).encode())
 
     def _whole(self, name: str, message: dict[str, Any]) -> dict[str, Any]:
-        """Return the message with all fields, and octets as lists, as the suite expects."""
+        """Return a message with all its fields, and octets as lists, as the suite expects."""
         return to_json(self._registry, name, from_json(self._registry, name, message))
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
@@ -102,7 +102,7 @@ class OwnWorker(WorkerProcess):
 
 
 class OwnSide(Side):
-    """A network of datagrams; like DDS it has no central process that could crash."""
+    """A network of datagrams. Like DDS, it has no central process that could crash."""
 
     name = "datagrams"
     tells_listeners = False

@@ -84,7 +84,7 @@ class PlainPeer:
 
 
 class PlainSide(Ros1Side):
-    """Midspan's own master per test, in this process."""
+    """An instance of Midspan's own master per test, in this process."""
 
     has_services = False
 

@@ -1,4 +1,4 @@
-"""The far end of the contract suite as a node of rmw_zenoh."""
+"""The contract suite's far end as an rmw_zenoh node."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.peers.zenoh.rmw import RmwNode
 class RmwSide(HubSide):
     """Publishes and subscribes on the hub with zenoh's advanced publishers and subscribers, as rmw_zenoh does.
 
-    Services, the graph and the control plane are those of a hub session of Midspan, which has no topics.
+    A Midspan hub session without topics provides the services, the graph and the control plane.
     """
 
     def __init__(self, hub: Hub, registry: Registry, router: str) -> None:

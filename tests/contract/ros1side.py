@@ -33,7 +33,7 @@ class Ros1Side(Side):
         peer = self._master.peer(f"peer{next(self._names)}")
         self._open.append(peer)
         for name in CUSTOM_TYPES:
-            # genpy's text of an empty message is empty
+            # genpy's definition of an empty message has no line break
             peer.ask("define", type=name, definition=self._registry.ros1(name).definition.rstrip("\n"))
         return peer
 
@@ -55,12 +55,12 @@ class Ros1Side(Side):
 
 
 class EmbeddedMasterSide(Ros1Side):
-    """Midspan's own master per test."""
+    """An instance of Midspan's own master per test."""
 
     embedded = True
 
 
 class Ros1AnyOsSide(Ros1Side):
-    """The same, with a worker that has nothing of what Windows and macOS lack: no epoll, fork, AF_UNIX or SIGHUP."""
+    """The same, with a worker without everything that Windows or macOS lacks: epoll, fork, AF_UNIX and SIGHUP."""
 
     any_os = True

@@ -1,6 +1,6 @@
-"""The interface of a side to the contract suite: its network, real programs on it, and the bridge's worker.
+"""The contract suite's interface to a side: its network, real programs on it, and the bridge's worker.
 
-An adapter joins the suite by one subclass here and one line in ``conftest.py``.
+An adapter joins the suite with one subclass here and one line in ``conftest.py``.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from tests.support.wait import until
 
 CUSTOM_FOLDER = Path(__file__).parent / "msgs"
 OWN_FOLDER = Path(__file__).parent / "own"
-"""Types without a folder for the bridge, if the side's protocol suffices to describe them: an empty message."""
+"""Types that the bridge needs no folder for if the side's protocol describes them well enough: an empty message."""
 
 PEER_FOLDERS = (CUSTOM_FOLDER, OWN_FOLDER)
 IMPORTS = ("bridge.cli.daemon.run", "bridge.daemon.worker_main", "bridge.adapters.worker")
-"""The imports of a worker of each side."""
+"""The modules that a worker of each side imports."""
 
 CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap", "own_msgs/Ping")
 
@@ -74,20 +74,20 @@ class Side(ABC):
         """Start a new real program on the side."""
 
     def mortal(self) -> PeerLike:
-        """Start a program that will be killed, and whose exit the side notices without delay."""
+        """Start a program that the test will kill, and whose exit the side notices without delay."""
         return self.peer()
 
     @abstractmethod
     def bridge(self, config: Config) -> Bridge:
-        """Start the bridge's worker for this side; return when it has joined."""
+        """Start the bridge's worker for this side, and return when it has joined."""
 
     @abstractmethod
     def restart_network(self) -> None:
-        """Kill and restart the network; programs on it are gone."""
+        """Kill and restart the network, which removes the programs on it."""
 
     @abstractmethod
     def config(self) -> dict[str, Any]:
-        """Return the configuration's section of this side, by name."""
+        """Return the configuration's sections for this side, by name."""
 
     def close(self) -> None:
         """Stop everything that was started."""
@@ -103,12 +103,12 @@ class WorkerProcess:
         any_os: bool = False,
     ) -> None:  # fmt: skip
         words = ["worker", side, "--supervised"]
-        if any_os:  # without what Windows lacks
+        if any_os:  # a worker without the features that Windows lacks
             env = as_on("windows", env)
-            config.state.mkdir(parents=True, exist_ok=True)  # by the daemon; the worker locks a file there
+            config.state.mkdir(parents=True, exist_ok=True)  # the daemon's task; the worker locks a file there
             self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True)
         else:
-            preloaded = "LD_PRELOAD" in env  # which a fork of a process without it does not have
+            preloaded = "LD_PRELOAD" in env  # a fork of a process without it would not have it
             imports = [] if preloaded else [*IMPORTS, f"bridge.adapters.{side}.edge"]
             self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True, imports=imports)
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
@@ -137,7 +137,7 @@ class WorkerProcess:
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
 
     def stop(self) -> None:
-        """Stop the worker like the supervisor."""
+        """Stop the worker as the supervisor does."""
         if self.process.popen.poll() is None:
             self._send({"stop": True})
             try:

@@ -23,7 +23,7 @@ OPEN = Qos(Reliability.BEST_AVAILABLE, Durability.BEST_AVAILABLE, deadline_ns=BE
 
 
 def publisher(far: HubSide, topic: str, type_name: str = STRING, qos: Qos = OPEN) -> Callable[[dict[str, Any]], None]:
-    """Create a hub publisher; return a function that publishes one message."""
+    """Create a hub publisher, and return a function that publishes one message with it."""
     endpoint = far.hub.publisher(topic, type_name, far.registry.ros2(type_name).type_id, qos)
     return lambda message: endpoint.put(from_json(far.registry, type_name, message))
 
@@ -53,7 +53,7 @@ def test_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
 
 
 def test_the_side_keeps_the_last_message(side: Side, bridge: Bridge, far: HubSide) -> None:
-    """Like messages of a DDS publisher with BEST_AVAILABLE, which is transient local."""
+    """A DDS publisher with BEST_AVAILABLE is transient local, so its messages are retained, too."""
     if not side.tells_latching:
         pytest.skip("this side does not show which topics are latched")
     publish = publisher(far, "/open_state")
@@ -107,7 +107,7 @@ def test_policies_that_rmw_does_not_define(side: Side, bridge: Bridge, far: HubS
 
 @pytest.mark.parametrize("side", ["ros2"], indirect=True)
 def test_rclpy_programs_with_best_available(side: Side, bridge: Bridge, far: HubSide) -> None:
-    """Fast DDS resolves the policies when the endpoint is made; the graph then shows the result."""
+    """Fast DDS resolves the policies when an endpoint is created; the graph then shows the result."""
     peer = Peer(PROGRAM, ros2_python(), ros2_environment(), "best_available")
     try:
         out = peer.advertise("/dds_open", "std_msgs/String")

@@ -1,4 +1,4 @@
-"""Changes of the graph are followed; a network that dies is joined again, and a bridge that dies is replaced."""
+"""The bridge follows changes of the graph, rejoins a network that died, and is replaced if it dies itself."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def test_a_route_goes_with_its_publisher_and_comes_again(side: Side, bridge: Bri
 def test_a_route_out_goes_with_its_publisher(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     out = far.advertise("/going", STRING)
-    until(lambda: peer.graph()["publishers"].get("/going"), "published on the side", 15)
+    until(lambda: peer.graph()["publishers"].get("/going"), "/going is published on the side", 15)
     far.drop(out)
-    until(lambda: not peer.graph()["publishers"].get("/going"), "gone from the side", 15)
+    until(lambda: not peer.graph()["publishers"].get("/going"), "/going is no longer published on the side", 15)
 
 
 def test_a_killed_program_takes_its_routes_along(side: Side, bridge: Bridge, far: HubSide) -> None:
@@ -67,7 +67,7 @@ def test_a_clean_stop_leaves_nothing(side: Side, far: HubSide, config) -> None:
     out = far.advertise("/theirs", STRING, latched=True)
     far.publish(out, {"data": "x"})
     far.until_published("/mine")
-    until(lambda: peer.graph()["publishers"].get("/theirs"), "published on the side", 15)
+    until(lambda: peer.graph()["publishers"].get("/theirs"), "/theirs is published on the side", 15)
     bridge.stop()
     _until_graph_is(peer, before)
     far.until_unpublished("/mine")
@@ -79,7 +79,7 @@ def test_killed_and_started_again(side: Side, far: HubSide, config) -> None:
     far_out = far.advertise("/from_hub", STRING)
     bridge = side.bridge(config())
     far.until_published("/survivor")
-    until(lambda: peer.graph()["publishers"].get("/from_hub"), "published on the side", 15)
+    until(lambda: peer.graph()["publishers"].get("/from_hub"), "/from_hub is published on the side", 15)
     bridge.kill()
     side.bridge(config())
     subscription = far.subscribe("/survivor", STRING)
@@ -91,7 +91,7 @@ def test_killed_and_started_again(side: Side, far: HubSide, config) -> None:
 
 
 def _until_graph_is(peer: PeerLike, before: dict) -> None:
-    """Compare only endpoints: a ROS master keeps the types of topics that no longer exist."""
+    """Wait for these endpoints; types are ignored, because a ROS master keeps those of topics that no longer exist."""
     kinds = ("publishers", "subscriptions")
     end = time.monotonic() + 10
     while True:

@@ -24,9 +24,9 @@ def test_three_latched_publishers_to_the_hub(side: Side, bridge: Bridge, far: Hu
     ids = [p.advertise("/state", STRING, latched=True, depth=1) for p in peers]
     _publish(peers, ids, "early")
     far.until_published("/state", 3)
-    _publish(peers, ids, "old")  # live from here on
+    _publish(peers, ids, "old")  # from here on, messages cross live
     _publish(peers, ids, "state")
-    _until_late(far, "/state", ["state 0", "state 1", "state 2"], "the last of each crossed")
+    _until_late(far, "/state", ["state 0", "state 1", "state 2"], "the last message of each publisher crossed")
     assert _late(far, "/state", 3) == ["state 0", "state 1", "state 2"]
     peers[1].drop(ids[1])
     until(lambda: len(far.publishers("/state")) == 2, "the closed publisher left the hub", 15)
@@ -85,7 +85,9 @@ def test_static_transforms_of_three_broadcasters_to_the_side(side: Side, bridge:
     ids = [far.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1) for _ in range(3)]
     for number, id_ in enumerate(ids):
         far.publish(id_, _transforms(f"sensor{number}"))
-    until(lambda: (far.route("/tf_static", "out") or {}).get("messages", 0) >= 3, "three messages", 15, every=0.1)
+    until(
+        lambda: (far.route("/tf_static", "out") or {}).get("messages", 0) >= 3, "three messages crossed", 15, every=0.1
+    )
     assert _frames(_late_peer_tf(side)) == ["sensor0", "sensor1", "sensor2"]
     far.drop(ids[2])
     until(lambda: far.route("/tf_static", "out")["sources"] == 2, "a broadcaster left", 15, every=0.1)
@@ -98,13 +100,13 @@ def test_transforms_that_are_not_latched_pass_beside_static_ones(side: Side, bri
     out = moving.advertise("/robot/tf", "tf2_msgs/TFMessage")
     far.until_published("/robot/tf", 1)
     fixed.publish(fixed.advertise("/robot/tf", "tf2_msgs/TFMessage", latched=True, depth=1), _transforms("fixed"))
-    until(lambda: _frames(_late_tf(far, "/robot/tf")) == ["fixed"], "the static one is retained", 15)
+    until(lambda: _frames(_late_tf(far, "/robot/tf")) == ["fixed"], "the static transform is retained", 15)
 
     def alone() -> bool:
         moving.publish(out, _transforms("moving"))
         return _frames(far.wait(subscription, 10_000, 0.2)) == ["moving"]
 
-    until(alone, "only the moving one arrives", 15)
+    until(alone, "only the moving transform arrives", 15)
     assert _frames(_late_tf(far, "/robot/tf")) == ["fixed"]
 
 
@@ -123,9 +125,9 @@ def test_a_program_that_advertises_again_without_latching_and_with(side: Side, b
                 peer.publish(out, {"data": text})
                 return {"data": text} in far.wait(subscription, 1, 0.2)
 
-            until(crossed, "it is received", 15)
-            # the lane is faster than zenoh, over which the first late one may receive it live; retained messages reach
-            # each
+            until(crossed, "the volatile message is received", 15)
+            # the first late subscription may still receive the message live over zenoh, which is slower than the lane;
+            # each late subscription would receive a retained message
             _until_late(far, "/mode", [], "nothing is retained")
         peer.drop(out)
 
@@ -136,7 +138,7 @@ def _publish(peers: list[PeerLike], ids: list[int], text: str) -> None:
 
 
 def _until_late(far: HubSide, topic: str, expected: list[str], what: str) -> None:
-    """Wait until a late subscription receives exactly these messages; a failure shows what each one received."""
+    """Wait until a late subscription receives exactly these messages; a failure lists what each one received."""
     received = Counter[str]()
 
     def once() -> bool:

@@ -1,4 +1,4 @@
-"""The network of examples/own_side: subscriptions that open while a latched message is published."""
+"""The network of examples/own_side, with subscriptions that open while a latched message is published."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.support.wait import until
 
 
 def test_a_latched_message_that_arrives_by_two_paths_is_delivered_once() -> None:
-    """Received live and from the cache, in either order; an older message after a newer one is dropped."""
+    """A message may arrive live and from the cache, in either order. An older message after a newer one is dropped."""
     group = free_group()
     received: list[str] = []
     node = Node(group, "127.0.0.1", "/listener")
@@ -29,13 +29,13 @@ def test_a_latched_message_that_arrives_by_two_paths_is_delivered_once() -> None
             publisher.sendto(json.dumps(sent).encode(), (address, int(port)))
         sent = {"from": "ab.2", "topic": "/mode", "message": "end"}
         publisher.sendto(json.dumps(sent).encode(), (address, int(port)))
-        until(lambda: "end" in received, "all are received")
+        until(lambda: "end" in received, "all messages are received")
     node.close()
     assert received == ["2", "b1", "3", "end"]
 
 
 def test_a_latched_message_that_was_lost_is_asked_for_again() -> None:
-    """A datagram can be lost; a program that only one side considers dead is received again by that side."""
+    """A datagram can be lost. A program that only one side considers dead is received again by that side."""
     group = free_group()
     received: list[str] = []
     node = Node(group, "127.0.0.1", "/listener")
@@ -50,7 +50,7 @@ def test_a_latched_message_that_was_lost_is_asked_for_again() -> None:
             publisher.sendto(json.dumps(text).encode(), (address, int(port)))
 
         node.open("sub", "/mode", "t", latched=True, take=lambda message, _: received.append(json.loads(message)))
-        hello([7])  # its datagram was lost
+        hello([7])  # the datagram with message 7 was lost
         request, listener = publisher.recvfrom(65536)
         assert json.loads(request) == {"again": ["ab.1"]}
         sent = {"from": "ab.1", "topic": "/mode", "message": "on", "source": "", "number": 7}

@@ -34,9 +34,11 @@ def test_deny_rename_and_rate(side: Side, far: HubSide, config) -> None:
     before = until(lambda: _count(far, "/fast_stream", 1), "the probe is counted", 10, every=0.1)
     for n in range(20):
         peer.publish(fast, {"data": str(n)})
-    route = until(lambda: _count(far, "/fast_stream", _seen(before) + 20), "all fast messages seen", 10, every=0.1)
+    route = until(
+        lambda: _count(far, "/fast_stream", _seen(before) + 20), "all fast messages are counted", 10, every=0.1
+    )
     assert route["drops"]["rate"] - before["drops"]["rate"] >= 15
-    # earlier probes than the received one are counted if they preceded the match with the hub's subscription
+    # probes before the received one are counted if they preceded the match with the hub's subscription
     until(
         lambda: 0 <= far.route("/fast_stream", "in")["messages"] - len(far.wait(at_fast, 0)) < probes,
         "received messages are counted",
@@ -44,7 +46,7 @@ def test_deny_rename_and_rate(side: Side, far: HubSide, config) -> None:
     )
     assert not far.publishers("/secret/not")
     assert not far.publishers("/never")
-    until(lambda: [line["decision"] for line in far.explain("/secret/not")] == ["denied"], "explain reports it")
+    until(lambda: [line["decision"] for line in far.explain("/secret/not")] == ["denied"], "explain reports the denial")
 
 
 def test_default_deny_is_an_allow_list(side: Side, far: HubSide, config) -> None:
@@ -77,7 +79,7 @@ def test_reload_touches_only_what_changed(side: Side, far: HubSide, config) -> N
     peer.publish(kept, {"data": "two"})
     assert [m["data"] for m in far.wait_without(subscription, "one", 1)] == ["two"]
     assert far.publishers("/kept")[0].gid == gid
-    # more may have crossed than were received: the first ones, before the far end's subscription was known
+    # more may have crossed than were received, because the far end's subscription was not known for the first ones
     until(
         lambda: far.route("/kept", "in")["messages"] >= len(far.wait(subscription, 2)), "the route continues to count"
     )
@@ -94,7 +96,7 @@ def _seen(route: dict) -> int:
 
 
 def test_static_transforms_that_are_denied_leave_both_ways(side: Side, far: HubSide, config) -> None:
-    """They outlive their broadcasters, but not the rule that allows them."""
+    """Static transforms outlive their broadcasters, but not the rule that allows them."""
     bridge = side.bridge(config())
     peer = side.peer()
     frame = {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": "lens"}]}
@@ -103,10 +105,10 @@ def test_static_transforms_that_are_denied_leave_both_ways(side: Side, far: HubS
     outwards = far.advertise("/out/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1)
     far.publish(outwards, frame)
     far.until_published("/in/tf_static")
-    until(lambda: peer.graph()["publishers"].get("/out/tf_static"), "published on the side", 15)
+    until(lambda: peer.graph()["publishers"].get("/out/tf_static"), "the transforms are published on the side", 15)
     far.drop(outwards)
-    until(lambda: far.route("/out/tf_static", "out")["sources"] == 0, "its broadcaster left", 15, every=0.1)
+    until(lambda: far.route("/out/tf_static", "out")["sources"] == 0, "the broadcaster has left", 15, every=0.1)
     assert peer.graph()["publishers"].get("/out/tf_static")
     bridge.reload(config(rules=[{"topic": "/*/tf_static", "deny": True}]))
     far.until_unpublished("/in/tf_static")
-    until(lambda: not peer.graph()["publishers"].get("/out/tf_static"), "gone from the side", 15)
+    until(lambda: not peer.graph()["publishers"].get("/out/tf_static"), "no publisher is left on the side", 15)

@@ -50,15 +50,15 @@ def test_a_call_from_the_side_reaches_a_server_on_the_hub(side: Side, bridge: Br
     peer = side.peer()
 
     def called() -> bool:
-        """Call until it succeeds, as a client of the side may have to discover the server first."""
+        """Call the service, which can fail until a client on the side has discovered the server."""
         return result(peer, peer.ask("call", service="/do", type=SET, request={"data": True})["id"])["reply"] == YES
 
-    until(called, "the reply", 60)
+    until(called, "the server replies", 60)
     assert serving.requests()[0] == {"data": True}
     before = far.route("/do", "out")["replies"]
     calls = [peer.ask("call", service="/do", type=SET, request={"data": False})["id"] for _ in range(5)]
     assert [result(peer, call)["reply"] for call in calls] == [YES] * 5
-    until(lambda: far.route("/do", "out")["replies"] == before + 5, "counted", every=0.1)
+    until(lambda: far.route("/do", "out")["replies"] == before + 5, "the replies are counted", every=0.1)
 
 
 def test_a_slow_server_does_not_delay_others(side: Side, bridge: Bridge, far: HubSide) -> None:
@@ -131,12 +131,12 @@ def test_rules_of_services(side: Side, far: HubSide, config) -> None:
         peer.ask("serve", service=name, type=SET, reply=YES)
     assert far.call("/robot/go", SET).result()["reply"] == YES
     assert far.call("/do", SET).result()["reply"] == YES
-    until(lambda: [line["decision"] for line in far.explain("/secret")] == ["denied"], "explain reports it", 20)
+    until(lambda: [line["decision"] for line in far.explain("/secret")] == ["denied"], "explain reports the denial", 20)
     assert not far.hub.graph.servers("/secret")
 
 
 def test_a_service_with_servers_on_both_sides_is_not_bridged(side: Side, bridge: Bridge, far: HubSide) -> None:
-    """A call must reach only one server, so calls stay local; explain gives the cure."""
+    """A call must reach only one server, so calls stay local; explain names the fix."""
     far.serve("/do", SET, reply=YES)
     far.until_route("/do", "out", 60)
     peer = side.peer()

@@ -1,4 +1,4 @@
-"""Topics cross in both directions: completely, in order and once."""
+"""Topics cross in both directions: every message arrives once and in order."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) ->
     assert [m["data"] for m in far.wait_without(subscription, "probe", 50)] == expected
     until(
         lambda: peer.publish(out, {"data": "probe"}) or far.takes("/chatter", "in", lane=lane),
-        "its transport",
+        "the route uses the expected transport",
         every=0.1,
     )
 
@@ -34,12 +34,12 @@ def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) ->
     _until_heard(far, out, peer, subscription)
     for n in range(50):
         far.publish(out, {"data": f"number {n}"})
-    until(lambda: {"data": "number 49"} in peer.wait(subscription, 51, 0.2), "the last one")
+    until(lambda: {"data": "number 49"} in peer.wait(subscription, 51, 0.2), "the last message")
     got = [m["data"] for m in peer.wait(subscription, 51) if m["data"] != "probe"]
     assert got == [f"number {n}" for n in range(50)]
     until(
         lambda: far.publish(out, {"data": "probe"}) or far.takes("/orders", "out", lane=lane),
-        "its transport",
+        "the route uses the expected transport",
         every=0.1,
     )
 
@@ -60,7 +60,7 @@ def test_same_topic_both_ways_does_not_loop(side: Side, bridge: Bridge, far: Hub
     far.publish(from_far, {"data": "end"})
     expected = [f"peer {n}" for n in range(10)]
     assert [m["data"] for m in far.wait_without(at_far, "probe", 11)] == [*expected, "end"]
-    until(lambda: [m["data"] for m in peer.wait(at_peer, 22, 0.2)].count("end") == 2, "both ends")
+    until(lambda: [m["data"] for m in peer.wait(at_peer, 22, 0.2)].count("end") == 2, "both end messages")
     received = [m["data"] for m in peer.wait(at_peer, 23, 0.5)]
     assert [m for m in received if m.startswith("far")] == [f"far {n}" for n in range(10)]
     assert [m for m in received if m.startswith("peer")] == expected
@@ -122,18 +122,18 @@ def test_octomap_from_a_folder(side: Side, bridge: Bridge, far: HubSide) -> None
     out = peer.advertise("/octomap_binary", "octomap_msgs/Octomap", latched=True)
     far.until_route("/octomap_binary", "in", 90)
 
-    def crossed() -> bool:  # a route may exist shortly before zenoh's programs have discovered it
+    def crossed() -> bool:  # a route may exist shortly before zenoh programs discover it
         peer.publish(out, tree)
         return bool(far.until_route("/octomap_binary", "in")["messages"])
 
-    until(crossed, "it crosses", 20, every=0.5)
+    until(crossed, "a message crosses", 20, every=0.5)
     subscription = far.subscribe("/octomap_binary", "octomap_msgs/Octomap", latched=True)
     got = _without_stamp(far.wait(subscription, 1))
     assert got == [tree] * max(len(got), 1)
 
 
 def _bare(message: dict) -> dict:
-    """Return the fields of a message without the one that ROS 2's C and IDL add to an empty message."""
+    """Return a message without the field that ROS 2's C code and IDL add to an empty message."""
     return {name: value for name, value in message.items() if name != EMPTY_MEMBER}
 
 

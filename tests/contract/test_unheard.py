@@ -13,7 +13,7 @@ from tests.support.wait import until
 
 STRING = "std_msgs/String"
 SOON = 2.0
-"""Replaces `bridge.routing.hub_end.UNHEARD` and the engine's poll period (s), if the worker is in this process."""
+"""Seconds; replaces `bridge.routing.hub_end.UNHEARD` and the engine's poll period if the worker is in this process."""
 
 PERIOD = 0.05
 """Seconds between two messages, far below `bridge.routing.hub_end.QUICK`."""

@@ -1,4 +1,4 @@
-"""A program on the hub drives a base on a side, in the form that the base subscribes to."""
+"""A hub program drives a base on a side, with the message type that the base subscribes to."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Output:
 
 
 class Driver:
-    """A program on the hub that publishes velocities in the form that the base subscribes to."""
+    """A hub program that publishes velocities in the type that the base subscribes to."""
 
     def __init__(self, far: HubSide) -> None:
         form = VelocityForm(CMD_VEL)
@@ -55,7 +55,7 @@ class Driver:
         )
 
     def drives(self, base: PeerLike, end: int) -> Callable[[], bool]:
-        """Return a function that publishes a velocity, and returns whether the base has received it."""
+        """Return a function that publishes a velocity and returns whether the base has received it."""
 
         def driven() -> bool:
             self._publisher.publish(SPEED)
@@ -72,11 +72,13 @@ def test_velocities_have_the_form_that_the_base_subscribes_to(
     side.bridge(config())
     base = side.peer()
     stamped = base.subscribe(CMD_VEL, BASES[TWIST_STAMPED])
-    until(lambda: subscribers(far.hub.graph, CMD_VEL) == {TWIST_STAMPED: [side.name]}, "its form is announced", 20)
-    obstacle = Output(far, TWIST)  # another program's publisher, whose form must not decide
+    until(
+        lambda: subscribers(far.hub.graph, CMD_VEL) == {TWIST_STAMPED: [side.name]}, "the base's type is announced", 20
+    )
+    obstacle = Output(far, TWIST)  # another program's publisher, whose type must not decide
     driver = Driver(far)
     until(driver.drives(base, stamped), "the base receives stamped velocities", 20)
-    if side.name == "ros1":  # its master stores one type per topic, now the one that Midspan publishes
+    if side.name == "ros1":  # the master stores one type per topic, which is now the one that Midspan publishes
         return
     obstacle.close()
     base.drop(stamped)
@@ -91,7 +93,7 @@ def test_velocities_have_the_form_that_the_base_subscribes_to(
 def test_a_rule_converts_the_velocities_of_another_program(
     side: Side, far: HubSide, config: Callable[..., Any], source: str, form: str
 ) -> None:
-    """Nav2 of Kilted drives a base on ROS 1; a planner that publishes ``Twist`` drives a base of Kilted."""
+    """Nav2 of Kilted drives a base on ROS 1, and a planner that publishes ``Twist`` drives a base of Kilted."""
     side.bridge(config(rules=[{"topic": CMD_VEL, "to": side.name, "stamped": form == TWIST_STAMPED}]))
     base = side.peer()
     end = base.subscribe(CMD_VEL, BASES[form])

@@ -1,4 +1,4 @@
-"""The YARP side of the contract suite: a separate name server, and programs with ports named ``/topic@/node``."""
+"""The contract suite's YARP side: a separate name server, and programs with ports named ``/topic@/node``."""
 
 from __future__ import annotations
 

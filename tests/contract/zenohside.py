@@ -1,6 +1,6 @@
-"""The zenoh dialects of the contract suite: bridges like zenoh's plugins, see `tests.peers.zenoh.programs`.
+"""The contract suite's zenoh dialects: bridges like zenoh's plugins; see `tests.peers.zenoh.programs`.
 
-The adapter runs in the test's process, since it needs no middleware but zenoh.
+The adapter runs in the test's process, because it needs no middleware but zenoh.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
 
 PERIOD = 0.25
-"""Seconds between beacons of the ros1 dialect, for all bridges: the plugin's period of 1 s makes the suite slow."""
+"""Seconds between beacons of the ros1 dialect, for all bridges. The plugin's 1 s would make the suite slow."""
 
 
 class ZenohBridge:

@@ -1,4 +1,4 @@
-"""External listeners of two machines with a bad network between them: late messages, recovery, effects on others."""
+"""The network between the external listeners of two machines is bad: late messages, recovery, effects on others."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.thorough
 TWIST, IMAGE = "geometry_msgs/msg/Twist", "sensor_msgs/msg/Image"
 TIMEOUT = 0.3
 LATE = 0.6
-"""Twice the rule's time-out, for a busy machine."""
+"""Seconds: twice the rule's timeout, to allow for a busy machine."""
 
 
 @dataclass
@@ -102,7 +102,7 @@ def link(tmp_path: Path) -> Iterator[Link]:
 @pytest.mark.alone
 def test_commands_from_a_stalled_link_are_not_executed(link: Link) -> None:
     subscription, mouth = Subscriber(link.engine.hub, "/chat"), advertise(link.operator, "/chat")
-    until(mouth.matched, "the other topic")
+    until(mouth.matched, "the other topic has a subscriber")
     link.command(0.5)
     for seconds in (0.2, 1.0):
         link.proxy.freeze()
@@ -117,7 +117,7 @@ def test_commands_from_a_stalled_link_are_not_executed(link: Link) -> None:
 
 def test_a_lossy_link_delivers_state_but_no_late_commands(link: Link) -> None:
     subscription, mouth = Subscriber(link.engine.hub, "/chat"), advertise(link.operator, "/chat")
-    until(mouth.matched, "the other topic")
+    until(mouth.matched, "the other topic has a subscriber")
     link.proxy.loss = 0.05
     texts = [str(number) for number in range(10)]
     for name in texts:
@@ -153,9 +153,7 @@ def test_a_half_open_connection_is_closed_and_reconnected(link: Link, direction:
     link.proxy.thaw()
     thawed = time.monotonic()
     until(link.drives, "commands arrive again")
-    print(
-        f"half-open ({direction}): noticed after {noticed:.1f} s, back {time.monotonic() - thawed:.1f} s after its end"
-    )
+    print(f"half-open ({direction}): noticed after {noticed:.1f} s, back {time.monotonic() - thawed:.1f} s after it")
     assert link.latest() < LATE
 
 
@@ -173,7 +171,7 @@ def test_cut_connections_are_restored_with_all_state(link: Link) -> None:
         until(link.drives, "commands arrive again")
     print(f"cut three times: {time.monotonic() - started:.1f} s")
     changing.put(b"newest")
-    until(lambda: plan.texts()[-1] == "newest", "the state is complete")
+    until(lambda: plan.texts()[-1] == "newest", "the last state has arrived")
     assert set(subscription.texts()) == {"first"}
     Subscriber(link.operator, "/map", LATCHED).expect("first")
     assert link.latest() < LATE
@@ -181,7 +179,7 @@ def test_cut_connections_are_restored_with_all_state(link: Link) -> None:
 
 @pytest.mark.alone
 def test_a_slow_link_does_not_delay_other_subscribers(link: Link) -> None:
-    """50 kB/s for a stream of 3 MB/s: the robot's own subscribers receive all of it, and commands stay fresh."""
+    """The link carries 50 kB/s of a 3 MB/s stream: local subscribers receive all of it, and commands stay fresh."""
     qos = Qos(Reliability.RELIABLE, depth=5)
     arrived: list[float] = []
 
@@ -222,4 +220,4 @@ def test_state_arrives_over_a_slow_link(link: Link) -> None:
     big = advertise(link.engine.hub, "/map", LATCHED)
     big.put(b"m" * 400_000)
     subscription = Subscriber(link.operator, "/map", LATCHED)
-    until(lambda: subscription.texts() == ["m" * 400_000], "the map", 30)
+    until(lambda: subscription.texts() == ["m" * 400_000], "the map arrives", 30)

@@ -1,6 +1,6 @@
-"""A goal whose server, client, bridge worker or ROS master is killed meanwhile ends exactly once.
+"""A goal ends exactly once if its server, client, bridge worker or ROS master is killed meanwhile.
 
-`benchmarks/goals_in_danger.py` does the same many times.
+`benchmarks/goals_in_danger.py` repeats this many times.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tests.peers.daemon.deployment import Deployment
 pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 FREE = {"client killed", "master killed"}
-"""Faults during which the goal may continue, so that its server decides how it ends."""
+"""Faults that the goal may survive, so that its server decides how it ends."""
 
 
 @pytest.fixture(scope="module")

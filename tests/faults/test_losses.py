@@ -1,6 +1,6 @@
-"""Each loss once, in one deployment: all messages flow again without intervention, completely, and no stale ones.
+"""Each loss once, in one deployment: all messages flow again without intervention, all of them and no stale ones.
 
-`benchmarks/recovery.py` does the same many times, one worker at a time, and prints the times.
+`benchmarks/recovery.py` repeats this many times, one worker at a time, and prints the durations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 
 class Fields:
-    """roscore, the daemon, and programs of each side that exchange messages; restarted after a failed test."""
+    """A roscore, the daemon, and programs on each side that exchange messages; restarted after a failed test."""
 
     def __init__(self) -> None:
         self._field: Field | None = None
@@ -74,7 +74,7 @@ def test_repeatedly_killed_workers_leave_no_more_than_one_does(fields: Fields) -
 
 
 def test_the_successor_of_a_killed_daemon_does_not_wait_for_leases(fields: Fields) -> None:
-    """The killed daemon's leases last 20 s; benchmarks/recovery.py requires the successor within 3 s."""
+    """The killed daemon's leases last 20 s. benchmarks/recovery.py requires that the successor is active within 3 s."""
     with fields.one() as field:
         outcome = cases.daemon(field)
         assert outcome.good, f"{outcome}\n{field.words()}"

@@ -1,4 +1,4 @@
-"""A separate hub for each test that requests one."""
+"""Hubs for tests: one router for each module, and a domain for each test."""
 
 from __future__ import annotations
 
@@ -18,6 +18,6 @@ def shared_network() -> Iterator[HubNetwork]:
 
 @pytest.fixture
 def network(shared_network: HubNetwork, request: pytest.FixtureRequest) -> HubNetwork:
-    """A domain of the test's own on the module's router."""
+    """A separate domain for each test, on the module's router."""
     shared_network.domain = 1 + sum(request.node.name.encode()) * 7 % 200
     return shared_network

@@ -1,4 +1,4 @@
-"""Questions and answers between Midspan's own programs."""
+"""Requests and replies between Midspan's own programs."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def test_all_sessions_that_serve_a_verb_respond(network: HubNetwork):
     ):
         for number, hub in enumerate((a, b, c)):
             hub.serve("twice", lambda params, number=number: {"number": number, "value": 2 * params["value"]})
-        until(lambda: len(cli.graph.nodes()) == 4, "all linked")
-        until(lambda: len(cli.ask("twice", {"value": 21})) == 3, "all answer")
+        until(lambda: len(cli.graph.nodes()) == 4, "all sessions are linked")
+        until(lambda: len(cli.ask("twice", {"value": 21})) == 3, "all sessions reply")
         answers = {(x.daemon, x.worker): x for x in cli.ask("twice", {"value": 21})}
         assert answers[("robot1", "ros2")] == WorkerAnswer("robot1", "ros2", {"number": 1, "value": 42})
         assert set(answers) == {("robot1", "ros1"), ("robot1", "ros2"), ("robot2", "ros1")}
@@ -62,7 +62,7 @@ def test_malformed_query_is_rejected(network: HubNetwork, question: bytes):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b, network.program() as program:
         a.serve("verb", lambda _params: 1)
         key = f"@midspan/{a.domain}/test/test/verb"
-        until(lambda: b.ask("verb", {}), "reachable")
+        until(lambda: b.ask("verb", {}), "the session is reachable")
         (reply,) = program.get(key, payload=question, timeout=40)
         assert b"error" in reply.ok.payload.to_bytes()
         assert [x.value for x in b.ask("verb", {})] == [1]

@@ -1,4 +1,4 @@
-"""Links to other machines have a time limit of TCP, those within this one none."""
+"""Links to other machines have a TCP time limit, and links within this machine have none."""
 
 from __future__ import annotations
 

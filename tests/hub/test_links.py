@@ -1,4 +1,4 @@
-"""Missing direct links between two sessions are made again; sessions that have ended are given up."""
+"""Sessions restore missing direct links between them, and stop looking for sessions that have ended."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def hubs() -> Iterator[QuickHub]:
 
 
 def cut(port: int) -> None:
-    """Cut the links between peers: connections of this process where neither end is the router's port."""
+    """Cut the links between peers: this process's connections that do not use the router's port at either end."""
     mine = psutil.Process().net_connections("tcp")
     listening = {c.laddr.port for c in mine if c.status == psutil.CONN_LISTEN} - {port}
     between = [c for c in mine if c.status == psutil.CONN_ESTABLISHED and c.laddr.port in listening]
@@ -37,42 +37,46 @@ def cut(port: int) -> None:
 
 def test_single_lost_link_is_restored(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
-        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked")
+        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "the sessions are linked")
         received: list[bytes] = []
-        hubs.serve_conflicting_list(5)  # a liar is not believed
+        hubs.serve_conflicting_list(5)  # conflicting lists are not trusted
         second.serve("say", lambda params: received.append(params["word"]))
         cut(int(hubs.endpoint.rpartition(":")[2]))
         until(lambda: second.zid not in first.neighbors() or first.mesh.mended + second.mesh.mended, "the link is lost")
-        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked again")
-        until(lambda: first.mesh.mended + second.mesh.mended, "one of them reports it")
+        until(
+            lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "the sessions are linked again"
+        )
+        until(lambda: first.mesh.mended + second.mesh.mended, "one session reports the restored link")
         until(lambda: first.ask("say", {"word": "again"}, worker="two") and received, "messages arrive")
 
 
 def test_missing_link_is_established(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without an event for it, the session compares its links with the router's peers."""
+    """The session compares its links with the router's peers, even if no event reports the missing link."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.3)
     monkeypatch.setattr(links.Mesh, "_on_event", lambda *_: None)
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
-        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked")
+        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "the sessions are linked")
         cut(int(hubs.endpoint.rpartition(":")[2]))
         until(
             lambda: second.zid not in first.neighbors() or first.mesh.mended + second.mesh.mended,
-            "they are not linked",
+            "the link is lost",
         )
-        until(lambda: first.mesh.mended + second.mesh.mended, "one of them has mended it")
-        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked again")
+        until(lambda: first.mesh.mended + second.mesh.mended, "one session has restored the link")
+        until(
+            lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "the sessions are linked again"
+        )
 
 
 def test_links_are_compared_during_the_search_for_a_closed_session(
     hubs: QuickHub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise commands that come and go would keep a session from noticing a missing link."""
+    """Otherwise commands that come and go would prevent a session from noticing a missing link."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
     with Hub.open(hubs.settings("one")) as first:
         with Hub.open(hubs.settings("two", "two")) as second:
-            until(lambda: second.zid in first.neighbors(), "they are linked")
+            until(lambda: second.zid in first.neighbors(), "the sessions are linked")
             left = second.zid
-        until(lambda: left in first.mesh.lost, "it is looked for")
+        until(lambda: left in first.mesh.lost, "the closed session is searched for")
         hubs.list_also("abcd")
         until(lambda: "abcd" in first.mesh.lost, "the links are compared", 30)
         assert left in first.mesh.lost
@@ -83,8 +87,8 @@ def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pyt
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
     with Hub.open(hubs.settings("one")) as hub:
         hubs.list_also("abcd")
-        until(lambda: "abcd" in hub.mesh.lost, "it is looked for")
-        until(lambda: not hub.mesh.lost, "it is given up")
+        until(lambda: "abcd" in hub.mesh.lost, "the unreachable session is searched for")
+        until(lambda: not hub.mesh.lost, "the search ends")
         answered = hubs.answered
         until(lambda: hubs.answered > answered + 3, "the links are compared again")
         assert not hub.mesh.lost
@@ -92,10 +96,10 @@ def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pyt
 
 def test_router_without_a_response_is_queried_again(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
-        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "they are linked")
+        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "the sessions are linked")
         hubs.unanswered = 4
         cut(int(hubs.endpoint.rpartition(":")[2]))
-        until(lambda: first.mesh.mended + second.mesh.mended, "the link is there again")
+        until(lambda: first.mesh.mended + second.mesh.mended, "the link is restored")
         assert not hubs.unanswered
 
 
@@ -103,8 +107,8 @@ def test_search_for_a_closed_session_ends(hubs: QuickHub, monkeypatch: pytest.Mo
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 1.0)
     with Hub.open(hubs.settings("one")) as first:
         with Hub.open(hubs.settings("two", "two")) as second:
-            until(lambda: second.zid in first.neighbors(), "they are linked")
-        until(lambda: second.zid not in first.neighbors(), "the link's end is known")
+            until(lambda: second.zid in first.neighbors(), "the sessions are linked")
+        until(lambda: second.zid not in first.neighbors(), "the end of the link is noticed")
         until(lambda: not first.mesh.lost, "the search has ended")
         assert not first.mesh.mended
 

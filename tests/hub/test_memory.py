@@ -1,4 +1,4 @@
-"""Shared memory, and what is left when a session ends."""
+"""Shared memory, and what a session leaves behind when it ends."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_large_messages_with_and_without_shared_memory(first: bool, second: bool
         subscriber = Subscriber(b, "/image", STREAM)
         publisher = advertise(a, "/image", STREAM)
         matched(publisher)
-        # held by the listener, they are more than the pool has room for: the rest goes over the network
+        # the listener holds the messages, which exceed the pool's size, so the last ones use the network
         for number in range(10):
             payload = bytes([number]) * 6_000_000
             seen = len(subscriber.samples)
@@ -48,13 +48,13 @@ def test_large_messages_with_and_without_shared_memory(first: bool, second: bool
 
 
 def segments(pid: int) -> set[Path]:
-    """Files of shared memory that a process has mapped."""
+    """Return the files of shared memory that a process has mapped."""
     lines = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines()
     return {Path(line.split()[-1]) for line in lines if "/dev/shm/" in line}
 
 
 def send_big(network: HubNetwork, number: signal.Signals) -> set[Path]:
-    """One session sends a large message to another, in two processes; check the sender's exit and its segments."""
+    """Send a large message from one process to another, end the sender with a signal, and return its segments."""
     with network.hub_peer("listener") as listener, network.hub_peer("sender") as sender:
         subscription_id = listener.ask("subscription", topic="/image")["id"]
         publisher = sender.ask("publisher", topic="/image", latched=False)["id"]
@@ -73,7 +73,7 @@ def send_big(network: HubNetwork, number: signal.Signals) -> set[Path]:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and /dev/shm")
 def test_no_pool_is_left_of_a_killed_session():
-    """What a killed process left is removed when the next one uses zenoh's shared memory."""
+    """The next process that uses zenoh's shared memory removes what a killed process left."""
     with HubNetwork() as network:
         killed = send_big(network, signal.SIGKILL)
         send_big(network, signal.SIGKILL)
@@ -82,7 +82,7 @@ def test_no_pool_is_left_of_a_killed_session():
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and /dev/shm")
 def test_a_small_map_takes_neither_a_pool_nor_book_keeping():
-    """Zenoh would lock the whole pool into the memory of both; the book-keeping takes 11 MB of a process."""
+    """Zenoh would lock the whole pool into the memory of both processes, and its metadata takes 11 MB of each."""
     with HubNetwork() as network, network.hub_peer("listener") as listener, network.hub_peer("sender") as sender:
         subscription_id = listener.ask("subscription", topic="/map")["id"]
         publisher = sender.ask("publisher", topic="/map", latched=False)["id"]
@@ -96,7 +96,7 @@ def test_a_small_map_takes_neither_a_pool_nor_book_keeping():
 
 
 def test_program_that_does_not_close_its_session_exits():
-    """Zenoh's threads would keep the interpreter for ever."""
+    """Without a cleanup at exit, zenoh's threads would keep the interpreter running forever."""
     with HubNetwork() as network:
         env = {"PYTHONPATH": str(ROOT), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
         command = [sys.executable, "-c", PROGRAM, network.endpoint]
@@ -117,5 +117,5 @@ def test_subscription_forgets_closed_publishers(qos: Qos):
             publisher.close()
         assert len(subscriber.subscription.sources) < 200
         stays.put(b"still")
-        until(lambda: subscriber.texts()[-1] == "still", "the remaining one is received")
+        until(lambda: subscriber.texts()[-1] == "still", "the remaining publisher is received")
         assert subscriber.subscription.lost == 0

@@ -1,4 +1,4 @@
-"""Two daemons of one name: on two joined machines, and at one router."""
+"""Two daemons with the same name: on two joined machines, or on one router."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def joined(stack: ExitStack, *names: str) -> tuple[Machine, Machine]:
     second = Machine(names[1], 2, connect=[place])
     stack.callback(second.close)
     for machine in (first, second):
-        until(lambda machine=machine: len(machine.answers()) == 4, "both machines are joined")
+        until(lambda machine=machine: len(machine.answers()) == 4, "both machines have joined")
     return first, second
 
 
@@ -80,7 +80,7 @@ def test_machines_with_the_same_name_are_reported_and_distinguished(
         assert "set another 'name'" in warning
         machine.warning()
     lines = [record for record in caplog.records if record.name == "bridge.hub.namesakes"]
-    assert [line.levelno for line in lines] == [logging.WARNING] * 2, "one line of each router"
+    assert [line.levelno for line in lines] == [logging.WARNING] * 2, "each router logs one line"
     for machine, number in ((first, 1), (second, 2)):
         answers = distinct(machine.answers(), machine.hub.zid)
         assert sorted(a.worker for a in answers if a.daemon == "robot1") == ["ros1", "router"]
@@ -114,7 +114,7 @@ def test_invalid_answers_are_passed_on(value: object) -> None:
 
 
 class Daemon:
-    """A daemon with its router, and a worker ``ros1`` that answers ``status``; the endpoint may be shared."""
+    """A daemon with a router, whose endpoint may be shared, and a worker ``ros1`` that answers ``status``."""
 
     def __init__(self, stack: ExitStack, endpoint: str, folder: Path, number: int, name: str = "robot1") -> None:
         folder.mkdir(exist_ok=True)
@@ -131,7 +131,7 @@ class Daemon:
         self.hub.serve("status", lambda _params: {"number": number})
 
     def warning(self) -> str:
-        """Return what the router reports, in its state's text in standby, else in its status document."""
+        """Return the router's warning: in standby, its state's text, otherwise from its status document."""
         text = self.router.health().text
         documents = [a.value for a in self.hub.ask("status", {}, worker="router")]
         return "; ".join([text, *(warning for document in documents for warning in document["warnings"])])
@@ -159,14 +159,14 @@ def test_daemons_with_the_same_name_at_one_router(
             assert "another daemon on this hub is also named 'robot1'" in text
             assert "set another 'name'" in text
             assert daemon is second or other.identity.place in text
-            numbers = until(lambda d=daemon: len(d.numbers()) == 2 and d.numbers(), "both workers answer")
+            numbers = until(lambda d=daemon: len(d.numbers()) == 2 and d.numbers(), "both workers respond")
             own_number, other_number = {first: (1, 2), second: (2, 1)}[daemon]
             assert numbers == {"robot1": own_number, f"robot1 ({other.identity.place})": other_number}
             answers = daemon.hub.ask("status", {}, daemon="robot1")
             mine = own_answers(answers, daemon.hub.zid, daemon.identity)
             assert [answer.value["number"] for answer in mine if answer.worker == "ros1"] == [own_number]
         levels = [record.levelno for record in caplog.records if record.name == "bridge.hub.namesakes"]
-        assert levels == [logging.WARNING] * 2, "one line of each router"
+        assert levels == [logging.WARNING] * 2, "each router logs one line"
     until(lambda: "robot1'" not in first.warning(), "the warning ends")
 
 
@@ -175,7 +175,7 @@ def test_daemons_with_different_names_are_not_reported(stack: ExitStack, tmp_pat
     first = Daemon(stack, endpoint, tmp_path / "a", 1)
     second = Daemon(stack, endpoint, tmp_path / "a", 2, name="robot2")
     for daemon, number in ((first, 1), (second, 2)):
-        until(lambda d=daemon: len(d.numbers()) == 2, "both workers answer")
+        until(lambda d=daemon: len(d.numbers()) == 2, "both workers respond")
         assert "another daemon" not in daemon.warning()
         assert daemon.numbers()[daemon.config.name] == number
 

@@ -1,4 +1,4 @@
-"""Sessions that open although shared memory is full or refused."""
+"""Sessions open even if shared memory is full or refused."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def config(*, shared_memory: bool = True) -> zenoh.Config:
 
 
 class Opened:
-    """Stands in for `zenoh.open`: refuses shared memory with a reason."""
+    """A stand-in for `zenoh.open` that refuses shared memory with a reason."""
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
@@ -42,7 +42,7 @@ class Opened:
         return self
 
     def is_closed(self) -> bool:
-        """Answer `panics`, which otherwise keeps this session for the tests after this one."""
+        """Report that the session is closed, because `panics` would otherwise keep it for the tests after this one."""
         return True
 
 
@@ -200,7 +200,7 @@ sender.close(), receiver.close()
     ],
 )
 def test_large_messages_arrive_with_a_full_folder(case: str, how: str, trouble: str) -> None:
-    """``how``: whether the book-keeping is created when the session opens, or before the first large message."""
+    """``how``: whether the pool's metadata is created when the session opens, or before the first large message."""
     if not shutil.which("unshare"):
         pytest.skip("needs unshare")
     mount = 'mount -t tmpfs -o size=40m tmpfs /dev/shm || exit 97; exec "$@"'

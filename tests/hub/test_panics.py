@@ -1,4 +1,4 @@
-"""A process knows whether its zenoh sessions can still declare."""
+"""A process detects whether its zenoh sessions can still declare."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tests.peers.hub.network import HubNetwork
 
 
 class PanicException(BaseException):
-    """What Python receives if Rust panics in a call."""
+    """The exception that Python receives if Rust panics in a call."""
 
 
 class Declaring:
-    """A session that only declares, or fails to."""
+    """A session that can only declare key expressions, or fails to."""
 
     def __init__(self, error: BaseException | None) -> None:
         self._error = error

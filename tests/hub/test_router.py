@@ -1,4 +1,4 @@
-"""The router: started, found out about, gone and come back."""
+"""The router starts, reports its state, stops and returns."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_router_runs_and_reports_its_status():
     try:
         assert worker.health().state == "running"
         with Hub.open(HubNetwork(run=False).settings("a", router=endpoint)) as hub:
-            until(lambda: hub.ask("status", {}, worker="router", timeout=0.5), "it answers")
+            until(lambda: hub.ask("status", {}, worker="router", timeout=0.5), "the router responds")
             (answer,) = hub.ask("status", {}, worker="router")
             assert answer.daemon == "robot1"
             check_document(answer.value, "router")
@@ -45,7 +45,7 @@ def test_router_runs_and_reports_its_status():
         worker.stop()
         worker.stop()
     assert not port_held(endpoint)
-    until(lambda: set(threading.enumerate()) <= before, "its threads have ended")
+    until(lambda: set(threading.enumerate()) <= before, "the router's threads have ended")
 
 
 def test_probe_identifies_the_router():
@@ -73,7 +73,7 @@ def test_a_second_router_is_refused_or_stands_by():
             health = standby.health()
             assert (health.state, "daemon test" in health.text) == ("standby", True)
             network.stop_router()
-            until(lambda: standby.health().state == "running", "it takes over")
+            until(lambda: standby.health().state == "running", "the standby router takes over")
             router = probe_router(network.endpoint)
             assert router is not None
             assert router.daemon == "robot1"
@@ -113,7 +113,7 @@ def test_session_opens_before_the_router_and_joins_it_later():
         with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
             subscriber = Subscriber(b, "/map", LATCHED)
             advertise(a, "/map", LATCHED, "x")
-            # a bound for hanging, not a measurement
+            # detects only hangs
             assert time.monotonic() - start < 15
             assert [n.node for n in a.graph.nodes()] == ["a"]
             network.start_router()
@@ -128,7 +128,7 @@ def test_session_rejoins_a_restarted_router():
         publisher = advertise(a, "/map", LATCHED, "one")
         subscriber.expect("one")
         network.stop_router()
-        # the direct link goes on
+        # the direct link still works
         publisher.put(b"two")
         subscriber.expect("one", "two")
         network.start_router()
@@ -149,12 +149,12 @@ def test_clients_link_only_to_routers_and_reconnect():
         publisher = advertise(a, "/map", LATCHED, "one")
         subscriber.expect("one")
         network.stop_router()
-        until(lambda: len(a.graph.nodes()) == 1, "they lost each other")
+        until(lambda: len(a.graph.nodes()) == 1, "the sessions have lost each other")
         network.start_router()
         see_each_other(a, b)
         matched(publisher)
         publisher.put(b"two")
-        until(lambda: "two" in subscriber.texts(), "the data is back")
+        until(lambda: "two" in subscriber.texts(), "data arrives again")
         assert subscriber.texts().count("one") == subscriber.texts().count("two") == 1
 
 

@@ -1,4 +1,4 @@
-"""The threads of zenoh's library: incoming messages never block calls on other threads."""
+"""zenoh's threads: incoming messages never block calls on other threads."""
 
 from __future__ import annotations
 
@@ -59,4 +59,4 @@ def test_latched_publishers_close_at_once_while_messages_come(network: HubNetwor
     ran = subprocess.run(
         [sys.executable, "-c", PROGRAM, endpoint], capture_output=True, text=True, timeout=100, check=True
     )
-    assert float(ran.stdout) < 5.0  # zenoh gives up waiting after 10 s
+    assert float(ran.stdout) < 5.0  # zenoh would stop waiting only after 10 s

@@ -1,4 +1,4 @@
-"""What dead zenoh sessions leave in shared memory."""
+"""Shared memory that dead zenoh sessions leave behind."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_files_with_the_same_inode_numbers_on_another_device_are_no_pools(tmp_pa
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and /dev/shm")
 def test_a_killed_sender_leaves_an_orphan_with_its_listener(tmp_path: Path) -> None:
-    """The reason for `pools.orphans`: if a later zenoh releases the memory of dead processes, it is obsolete."""
+    """The reason for `pools.orphans`. If a later zenoh releases the memory of dead processes, `orphans` is obsolete."""
     with HubNetwork() as network, network.hub_peer("listener") as listener:
         subscription_id = listener.ask("subscription", topic="/image")["id"]
         for number in range(1, 4):
@@ -88,7 +88,7 @@ def test_a_killed_sender_leaves_an_orphan_with_its_listener(tmp_path: Path) -> N
 
                 until(holds, "the listener has the sender's pool")
                 sender.stop(0)
-        # only by the listener's locks, since other programs of this machine start and exit
+        # judged only by the listener's locks, because other programs on this machine start and exit
         locks = Path("/proc/locks").read_text(encoding="utf-8").splitlines(keepends=True)
         (tmp_path / "locks").write_text("".join(line for line in locks if f" {listener.pid} " in line))
         assert shared_memory.orphans(proc=tmp_path) >= 2
@@ -96,6 +96,6 @@ def test_a_killed_sender_leaves_an_orphan_with_its_listener(tmp_path: Path) -> N
 
 
 def pool_size(line: str) -> int:
-    """Bytes of a mapping, by its line in /proc/<pid>/maps."""
+    """Return the size of a mapping in bytes, from its line in /proc/<pid>/maps."""
     first, last = line.split()[0].split("-")
     return int(last, 16) - int(first, 16)

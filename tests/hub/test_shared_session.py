@@ -1,4 +1,4 @@
-"""Several nodes on one session: each has its name and endpoints, receives others once, and closes independently."""
+"""Several nodes share a session: each has its name and endpoints, receives each message once, and closes separately."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_each_node_receives_the_others_once_and_not_itself(qos: Qos, one: Hub, t
         (name, Subscriber(hub, "/t", qos, **how)) for name, hub in hubs.items() for how in ({}, {"type_hash": "*"})
     ]
     says = {name: advertise(hub, "/t", qos) for name, hub in hubs.items()}
-    until(lambda: all(len(hub.graph.subscriptions("/t")) == 6 for hub in hubs.values()), "all are seen")
+    until(lambda: all(len(hub.graph.subscriptions("/t")) == 6 for hub in hubs.values()), "all subscriptions are seen")
     for publisher in says.values():
         matched(publisher)
     count = 20
@@ -90,7 +90,10 @@ def test_late_joiners_receive_latched_messages_of_the_others(qos: Qos, session: 
     says = [
         advertise(hub, "/map", qos, "old", text) for hub, text in ((first_node, "1"), (second_node, "2"), (far, "far"))
     ]
-    until(lambda: len(first_node.graph.publishers("/map")) == len(far.graph.publishers("/map")) == 3, "all are seen")
+    until(
+        lambda: len(first_node.graph.publishers("/map")) == len(far.graph.publishers("/map")) == 3,
+        "all publishers are seen",
+    )
     subscribers = [
         Subscriber(first_node, "/map", qos),
         Subscriber(second_node, "/map", qos),
@@ -110,7 +113,7 @@ def test_late_joiners_receive_latched_messages_of_the_others(qos: Qos, session: 
 
 
 def test_history_and_live_messages_arrive_without_gaps_or_duplicates(one: Hub, two: Hub) -> None:
-    """A node joins while its neighbor goes on, on another thread."""
+    """A node joins while its neighbor continues to publish on another thread."""
     deep = replace(LATCHED, depth=200)
     publisher = advertise(one, "/map", deep, *(str(n) for n in range(100)))
     joiners = []
@@ -135,7 +138,7 @@ def test_all_have_their_names_and_numbers(one: Hub, two: Hub, far: Hub) -> None:
     Serving(two)
     one.client("/do", SERVICE, SERVICE_HASH)
     graph = far.graph
-    until(lambda: len(graph.endpoints()) == 4 and len(graph.nodes()) == 3, "all are seen")
+    until(lambda: len(graph.endpoints()) == 4 and len(graph.nodes()) == 3, "all nodes and endpoints are seen")
     assert {(node.node, node.zid) for node in graph.nodes()} == {("one", one.zid), ("two", one.zid), ("far", far.zid)}
     assert {(e.kind.value, e.node, e.zid) for e in graph.endpoints()} == {
         ("publisher", "one", one.zid),
@@ -156,7 +159,10 @@ def test_ros_2_sees_each_node_by_its_name(network: HubNetwork, one: Hub, two: Hu
             info = sdk.ask("topic_info", topic="/chatter")["info"] or {"publishers": [], "subscribers": []}
             return {(kind, end["node_name"].strip("/")) for kind in ("publishers", "subscribers") for end in info[kind]}
 
-        until(lambda: seen() == {("publishers", "one"), ("publishers", "two"), ("subscribers", "two")}, "all seen")
+        until(
+            lambda: seen() == {("publishers", "one"), ("publishers", "two"), ("subscribers", "two")},
+            "all endpoints are seen",
+        )
 
 
 def test_local_and_remote_calls_are_answered_once(one: Hub, two: Hub, far: Hub) -> None:
@@ -177,7 +183,7 @@ def test_a_node_does_not_call_itself(one: Hub, two: Hub) -> None:
     assert not caller.ready
     assert call(caller)[0].wait(0) == "no server of /do is on the hub"
     Serving(two, answer=lambda _: b"the neighbor's")
-    until(lambda: caller.ready, "the neighbor serves it")
+    until(lambda: caller.ready, "the neighbor's server is seen")
     assert call(caller)[0].wait() == b"the neighbor's"
     assert mine.held == []
 
@@ -187,11 +193,11 @@ def test_closed_clients_and_servers_are_detected(session: HubSession) -> None:
     serving = Serving(server)
     first, abandon = call(client(first_caller), b"one")
     call(client(second_caller), b"two")
-    until(lambda: len(serving.held) == 2, "both are asked")
+    until(lambda: len(serving.held) == 2, "both requests have arrived")
     second_caller.close()
-    until(lambda: serving.abandoned == [b"two"], "its node has left")
+    until(lambda: serving.abandoned == [b"two"], "the call of the closed node is abandoned")
     abandon()
-    until(lambda: serving.abandoned == [b"two", b"one"], "it no longer waits")
+    until(lambda: serving.abandoned == [b"two", b"one"], "the abandoned call is reported")
     assert first.ends == []
     last, _ = call(client(first_caller), b"last")
     server.close()
@@ -207,7 +213,7 @@ def test_closed_node_removes_only_its_own_endpoints(session: HubSession, far: Hu
     stays.serve("verb", lambda _: "stays")
     goes.serve("verb", lambda _: "goes")
     see_each_other(stays, far)
-    until(lambda: len(far.graph.endpoints()) == 5, "all are seen")
+    until(lambda: len(far.graph.endpoints()) == 5, "all endpoints are seen")
     gaps: list[set[str]] = []
 
     def check() -> None:
@@ -218,8 +224,8 @@ def test_closed_node_removes_only_its_own_endpoints(session: HubSession, far: Hu
     unwatch = far.graph.watch(check)
     goes.close()
     goes.close()
-    until(lambda: {node.node for node in far.graph.nodes()} == {"stays", "far"}, "its node is gone")
-    until(lambda: {end.node for end in far.graph.endpoints()} == {"stays"}, "its ends are gone")
+    until(lambda: {node.node for node in far.graph.nodes()} == {"stays", "far"}, "the closed node is gone")
+    until(lambda: {end.node for end in far.graph.endpoints()} == {"stays"}, "the closed node's endpoints are gone")
     assert [answer.value for answer in far.ask("verb", {})] == ["stays"]
     Subscriber(far, "/t", LATCHED).expect("kept")
     speaker = advertise(far, "/u")
@@ -227,7 +233,7 @@ def test_closed_node_removes_only_its_own_endpoints(session: HubSession, far: Hu
     speaker.put(b"on")
     subscriber.expect("on")
     unwatch()
-    assert gaps == [], "what stays was on the graph all the time"
+    assert gaps == [], "the other node's endpoints stayed on the graph"
     assert says.matched()
     with pytest.raises(HubClosedError):
         goes.publisher("/t", STRING, STRING_HASH, STREAM)
@@ -236,26 +242,26 @@ def test_closed_node_removes_only_its_own_endpoints(session: HubSession, far: Hu
     session.close()
     with pytest.raises(HubClosedError):
         Hub.on(session, "late", "late")
-    until(lambda: {n.node for n in far.graph.nodes()} == {"far"}, "all have left")
+    until(lambda: {n.node for n in far.graph.nodes()} == {"far"}, "all nodes of the session have left")
 
 
 def test_message_published_in_a_callback_is_received(one: Hub, two: Hub) -> None:
-    """As a brake does: the callback runs on the thread that publishes, which holds no lock that it needs."""
+    """As a brake does, the callback runs on the publishing thread, which holds no lock that the callback needs."""
     answers = advertise(two, "/answer")
     subscriber = Subscriber(one, "/answer")
     two.subscription("/ask", STRING, STRING_HASH, STREAM, lambda sample: answers.put(b"re " + sample.data()))
     one.publisher("/ask", STRING, STRING_HASH, STREAM).put(b"you")
-    assert subscriber.texts() == ["re you"], "before put returned"
+    assert subscriber.texts() == ["re you"], "the answer arrives before put returns"
 
 
 PATIENT = {
     "transport": {"link": {"tx": {"queue": {"congestion_control": {"block": {"wait_before_close": 30_000_000}}}}}}
 }
-"""zenoh gives up a link that does not take what must not be lost after 5 s, by default."""
+"""By default, zenoh closes a link that does not accept a reliable message within 5 s."""
 
 
 def test_stalled_reader_does_not_block_other_nodes(network: HubNetwork) -> None:
-    """Samples from another node, which the stalled reader must get too, reach the other readers meanwhile."""
+    """Meanwhile, the other readers receive messages from another node, which the stalled reader must receive, too."""
     settings, read, ended = replace(network.settings("x"), shared_memory=False), threading.Event(), threading.Event()
     with (
         Hub.open(replace(settings, node="stands")) as stands,
@@ -269,7 +275,7 @@ def test_stalled_reader_does_not_block_other_nodes(network: HubNetwork) -> None:
         stands.keyspace("values").subscribe("**", lambda _: None)
         stands.subscription("/stop", TYPE, HASH, STREAM, lambda _: read.wait(60.0) and None)
         odometry = advertise(second_node, "/odom")
-        until(lambda: len(second_node.graph.subscriptions("/odom")) == 2, "both are seen")
+        until(lambda: len(second_node.graph.subscriptions("/odom")) == 2, "both subscriptions are seen")
         matched(stop)
 
         def send() -> None:
@@ -283,7 +289,7 @@ def test_stalled_reader_does_not_block_other_nodes(network: HubNetwork) -> None:
             for number in range(100):
                 odometry.put(b"%d" % number)
                 until(lambda number=number: len(subscriber.samples) > number, f"message {number} arrives", 5.0)
-            assert not ended.is_set(), "it was sent: this shows nothing"
+            assert not ended.is_set(), "the link was not congested, so the test shows nothing"
         finally:
             read.set()
             sending.join(30.0)

@@ -1,4 +1,4 @@
-"""Tests of merging the user's zenoh configuration into Midspan's."""
+"""The user's zenoh configuration is merged into Midspan's."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ def test_a_yarp_robot_is_driven_by_move_base_and_localized_by_amcl(site: Site) -
     commands = []
     while (message := wheels.read_now()) is not None:
         commands.append(message.values)
-    assert commands, "the wheels receive commands"
+    assert commands, "the wheels receive nothing"
     assert commands[-1][0] == 3
 
 

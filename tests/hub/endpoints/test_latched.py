@@ -1,4 +1,4 @@
-"""Latched publishers: late subscribers receive the last messages of each of them."""
+"""Late subscribers receive the last messages of each latched publisher."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_latched_message_disappears_with_its_publisher(network: HubNetwork, qos:
         publishers = [advertise(a, "/map", qos, name) for name in ("one", "two", "three")]
         Subscriber(b, "/map", qos).expect("one", "two", "three")
         publishers[1].close()
-        until(lambda: len(b.graph.publishers("/map")) == 2, "it left")
+        until(lambda: len(b.graph.publishers("/map")) == 2, "the publisher has left")
         Subscriber(b, "/map", qos).expect("one", "three")
 
 
@@ -83,7 +83,7 @@ def test_latched_messages_disappear_with_their_session(network: HubNetwork):
             publisher = advertise(c, "/map", LATCHED, "goes")
             Subscriber(b, "/map", LATCHED).expect("stays", "goes")
             assert publisher.gid != bytes(16)
-        until(lambda: len(b.graph.publishers("/map")) == 1, "it left")
+        until(lambda: len(b.graph.publishers("/map")) == 1, "the session has left")
         Subscriber(b, "/map", LATCHED).expect("stays")
 
 
@@ -99,7 +99,7 @@ def test_publishers_after_the_subscription(network: HubNetwork):
 
 
 def test_history_and_live_messages_without_gaps_or_duplicates(network: HubNetwork):
-    """A subscription joins while its publisher publishes; it receives every message from one of them to the last."""
+    """A subscription that joins while a publisher publishes receives every message from some message up to the last."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         deep = replace(LATCHED, depth=200)
@@ -110,7 +110,7 @@ def test_history_and_live_messages_without_gaps_or_duplicates(network: HubNetwor
             if number % 20 == 0:
                 joiners.append(Subscriber(b, "/map", deep))
         for joiner in joiners:
-            until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last one arrives")
+            until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last message arrives")
             assert joiner.texts() == [str(n) for n in range(200)]
             assert joiner.subscription.lost == 0
 
@@ -140,7 +140,7 @@ def test_keep_all_keeps_many(network: HubNetwork):
 
 
 def test_own_latched_messages_are_not_received(network: HubNetwork):
-    """Zenoh's locality does not apply to caches; the hub's does."""
+    """Zenoh's locality does not apply to caches, so the hub applies its own."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         own_publisher = advertise(a, "/map", LATCHED, "own")
@@ -217,7 +217,7 @@ def test_messages_dropped_by_a_link_are_recovered():
 
 
 def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
-    """A live sample skips numbers: the missing samples are queried, and are delivered in order before it."""
+    """A live sample skips numbers. The missing samples are queried, and delivered in order before that sample."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         subscriber = Subscriber(b, "/map", replace(LATCHED, depth=10))
@@ -225,7 +225,7 @@ def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
         subscriber.expect("one")
         source = subscriber.subscription.sources[publisher.gid]
         subscriber.samples.clear()
-        # as if the first had never come
+        # as if the first sample had never arrived
         with subscriber.subscription._lock:
             source.sequence = 0
         publisher.put(b"two")
@@ -254,7 +254,7 @@ def test_reply_on_another_key_is_ignored(network: HubNetwork) -> None:
 
 
 def test_stalled_peer_does_not_delay_closing_a_latched_publisher(network: HubNetwork):
-    """A heartbeat waits for that peer; with zenoh's own, every publisher that closes meanwhile would wait too."""
+    """A heartbeat waits for that peer. With zenoh's own heartbeats, every closing publisher would wait, too."""
     queue = {"congestion_control": {"block": {"wait_before_close": 60_000_000}}}
     patient = {"transport": {"link": {"tx": {"queue": queue}}}}
     blocking = Qos(history=History.KEEP_ALL)
@@ -282,22 +282,22 @@ def test_stalled_peer_does_not_delay_closing_a_latched_publisher(network: HubNet
             looks = [-1]
 
             def stalled() -> bool:
-                """Return whether nothing was sent during three heartbeats, counted in polls, as we may be paused."""
+                """Return whether nothing was sent during three heartbeats, counted in polls, as the test may stall."""
                 looks[:] = [*looks, sent["MB"]] if looks[-1] == sent["MB"] else [sent["MB"]]
                 return len(looks) * 0.02 > 3 * HEARTBEAT
 
-            until(stalled, "the link is congested, and the heartbeat under way")
+            until(stalled, "the link is congested, and a heartbeat is pending")
             full, before = sent["MB"], time.monotonic()
             leaving.close()
             assert time.monotonic() - before < 8.0
-            assert sent["MB"] == full, "the link is not congested: this shows nothing"
+            assert sent["MB"] == full, "the link was not congested, so the test shows nothing"
         finally:
             go_on.set()
             pushing.join(10.0)
 
 
 def test_publisher_without_a_reply_is_queried_again(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
-    """A link that is being made shows the publisher's token, while its cache is not reached yet."""
+    """While a link is being established, the publisher's token may be visible before its cache can be reached."""
     monkeypatch.setattr(latched, "AGAIN_SECONDS", (0.2, 0.2, 0.2))
     key, events = "late/cache", Events()
     executor, ends, delays = SerialExecutor("test-asking"), SerialExecutor("test-ends"), DelayedCalls("test-delays")
@@ -325,7 +325,7 @@ def test_publisher_without_a_reply_is_queried_again(network: HubNetwork, monkeyp
 
 
 def test_query_that_its_history_no_longer_needs_ends() -> None:
-    """Otherwise the subscription would hold the samples of that session for good."""
+    """Otherwise the subscription would hold that session's samples forever."""
     jobs: list[Callable[[], object]] = []
     executor, events = cast("Any", SimpleNamespace(submit=jobs.append)), Events()
     unused = cast("Any", None)
@@ -337,7 +337,7 @@ def test_query_that_its_history_no_longer_needs_ends() -> None:
 
 
 class Events(list[str]):
-    """What a history reports."""
+    """Records what a history reports."""
 
     def on_query(self, _zid: str) -> None:
         self.append("asked")

@@ -1,4 +1,4 @@
-"""Endpoints of other releases whose types have other fields than here: Nav2's actions, messages and services."""
+"""Endpoints of other releases, in which types have other fields than here: Nav2's actions, messages and services."""
 
 from __future__ import annotations
 
@@ -150,20 +150,20 @@ def test_topics_of_another_release_in_both_directions(
     peer = ReleaseTypes(node(release))
     received: list[dict[str, Any]] = []
     publisher = ReleasePublisher(peer.node, peer.topic("/in", type_name, qos))
-    publisher.put(peer.encode(type_name, there))  # a late subscription receives it if it is latched
+    publisher.put(peer.encode(type_name, there))  # a late subscription receives the message if the topic is latched
     own.on(lambda: own.node.subscription("/in", type_name, received.append, qos))
     if qos.latched:
         until(lambda: received, "the cached message arrives")
         publisher.put(peer.encode(type_name, there))
-        until(lambda: len(received) == 2, "the next one arrives")
+        until(lambda: len(received) == 2, "the next message arrives")
     else:
-        until(lambda: (publisher.put(peer.encode(type_name, there)), received)[1], "it arrives", every=0.05)
+        until(lambda: (publisher.put(peer.encode(type_name, there)), received)[1], "the message arrives", every=0.05)
     assert all(within(here, message) for message in received)
     out = own.on(lambda: own.node.publisher("/out", type_name, qos))
     out.publish(here)
     heard = ReleaseSubscription(peer.node, peer.topic("/out", type_name, qos))
-    until(lambda: qos.latched or (out.publish(here), heard.samples)[1], "it is matched", every=0.05)
-    until(lambda: heard.samples, "it arrives")
+    until(lambda: qos.latched or (out.publish(here), heard.samples)[1], "the subscription is matched", every=0.05)
+    until(lambda: heard.samples, "the message arrives")
     messages = [peer.decode(type_name, sample.payload) for sample in heard.samples]
     common = {name: value for name, value in there.items() if name in here}
     assert all(within(common, message) for message in messages)
@@ -179,13 +179,17 @@ def test_a_tool_receives_each_message_once_and_unconverted(network: HubNetwork, 
         payloads: list[bytes] = []
         tool.hub.subscription("/out", TRACE, ANY_HASH, Qos(depth=100), lambda sample: payloads.append(sample.data()))
         out = own.on(lambda: own.node.publisher("/out", TRACE))
-        until(lambda: (out.publish({"timestamp": 1}), heard.samples and payloads)[1], "both are matched", every=0.05)
-        # even if the link lost the original
+        until(
+            lambda: (out.publish({"timestamp": 1}), heard.samples and payloads)[1],
+            "both subscriptions are matched",
+            every=0.05,
+        )
+        # also if the link lost the original
         (converted,) = out._publisher._more.values()
         converted.send(out.encoded({"timestamp": 5}), pack_attachment(1000, 1, out._publisher.gid))
-        until(lambda: heard.samples[-1].sequence == 1000, "the other release receives it")
+        until(lambda: heard.samples[-1].sequence == 1000, "the other release receives the message")
         out.publish({"timestamp": 9})
-        until(lambda: decoded(payloads[-1], type_hash) == 9, "the last one arrives")
+        until(lambda: decoded(payloads[-1], type_hash) == 9, "the last message arrives")
         times = [decoded(payload, type_hash) for payload in payloads]
         assert set(times) == {1, 9}
         assert times.count(9) == 1
@@ -196,7 +200,7 @@ def decoded(payload: bytes, type_hash: str) -> int:
 
 
 def test_servers_of_two_releases(own: HubNode, node: Nodes) -> None:
-    """The server with the own version of the type is called; the other one when it has left."""
+    """The server with the hub's version of the type is called. The other server is called after the first has left."""
     clear = "nav2_msgs/srv/ClearEntireCostmap"
     lyrical, jazzy = ReleaseTypes(node(LYRICAL)), ReleaseTypes(node(JAZZY))
     requests: list[str] = []
@@ -211,24 +215,24 @@ def test_servers_of_two_releases(own: HubNode, node: Nodes) -> None:
 
     serve(lyrical, {"success": True})
     client = own.on(lambda: own.node.client("/clear", clear))
-    until(lambda: client.ready, "there is a server")
+    until(lambda: client.ready, "a server is seen")
     assert client.ask({}, 20.0) == {"response": {}}
     other = serve(jazzy, {})
-    until(lambda: len(own.hub.graph.servers("/clear")) == 2, "both are seen")
-    until(lambda: (client.ask({}, 20.0), requests[-1] == "jazzy")[1], "the other one is called", every=0.05)
+    until(lambda: len(own.hub.graph.servers("/clear")) == 2, "both servers are seen")
+    until(lambda: (client.ask({}, 20.0), requests[-1] == "jazzy")[1], "the other server is called", every=0.05)
     other.close()
-    until(lambda: len(own.hub.graph.servers("/clear")) == 1, "it has left")
+    until(lambda: len(own.hub.graph.servers("/clear")) == 1, "the server has left")
 
     def lyrical_called() -> bool:
-        with suppress(ClientError):  # zenoh still sees the other one
+        with suppress(ClientError):  # zenoh may still see the server that left
             assert client.ask({}, 20.0) == {"response": {}}
         return requests[-1] == "lyrical"
 
-    until(lyrical_called, "the first one is called again", every=0.05)
+    until(lyrical_called, "the first server is called again", every=0.05)
 
 
 def test_a_client_of_lyrical_gets_the_value_of_an_added_field(own: HubNode, node: Nodes) -> None:
-    """Zero would mean failure."""
+    """With a value of zero, the reply would mean failure."""
     clear = "nav2_msgs/srv/ClearEntireCostmap"
     peer = ReleaseTypes(node(LYRICAL))
 
@@ -255,7 +259,9 @@ def test_a_value_that_another_version_cannot_hold_is_logged_once(
     with HubNode(network.settings("midspan"), registry) as own:
         publisher = own.on(lambda: own.node.publisher("/wheel", WHEEL, qos))
         received = ReleaseSubscription(node(KILTED), newer)
-        until(lambda: (publisher.publish({"code": "1"}), received.samples)[1], "the other version matches", every=0.05)
+        until(
+            lambda: (publisher.publish({"code": "1"}), received.samples)[1], "the other version is matched", every=0.05
+        )
         for code in ("two", "three"):
             publisher.publish({"code": code})
         count = len(received.samples)

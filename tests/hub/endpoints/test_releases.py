@@ -78,7 +78,7 @@ def test_a_subscription_of_each_release_receives_each_message_once(hub: Hub, nod
     publisher = advertise(hub, "/chatter", priority="command")
     matched(publisher)
     put_all(publisher, numbered(20))
-    until(lambda: len(received.samples) >= 20, "all arrive")
+    until(lambda: len(received.samples) >= 20, "all messages arrive")
     assert received.texts() == numbered(20)
     assert [sample.sequence for sample in received.samples] == list(range(1, 21))
     assert {sample.gid for sample in received.samples} == {publisher.gid}
@@ -90,7 +90,7 @@ def test_a_publisher_of_each_release_is_received_once(hub: Hub, node: Nodes, rel
     publisher = ReleasePublisher(node(release), CHATTER)
     arrives(publisher, received)
     put_all(publisher, numbered(20))
-    until(lambda: "19" in received.texts(), "the last one arrives")
+    until(lambda: "19" in received.texts(), "the last message arrives")
     assert [text for text in received.texts() if text != "first"] == numbered(20)
     assert (received.subscription.lost, received.subscription.refused) == (0, 0)
     assert {sample.gid for sample in received.samples} == {publisher.gid}
@@ -100,7 +100,7 @@ def test_a_publisher_of_each_release_is_received_once(hub: Hub, node: Nodes, rel
 def test_latched_messages_reach_late_subscriptions_of_each_release(hub: Hub, node: Nodes, release: Release) -> None:
     advertise(hub, "/map", replace(LATCHED, depth=2), "1", "2", "3")
     received = ReleaseSubscription(node(release), replace(MAP, qos=replace(LATCHED, depth=5)))
-    until(lambda: len(received.samples) >= 2, "both arrive")
+    until(lambda: len(received.samples) >= 2, "both messages arrive")
     assert received.texts() == ["2", "3"]
     assert [sample.sequence for sample in received.samples] == [2, 3]
 
@@ -124,17 +124,17 @@ def test_subscriptions_of_two_releases_and_of_any_hash_receive_each_message_once
     with Hub.open(network.settings("other")) as other:
         same, all_hashes = Subscriber(other, "/chatter"), Subscriber(other, "/chatter", type_hash=ANY_HASH)
         publisher = advertise(hub, "/chatter")
-        until(lambda: len(hub.graph.subscriptions("/chatter")) == 4, "all are seen")
+        until(lambda: len(hub.graph.subscriptions("/chatter")) == 4, "all subscriptions are seen")
         last: list[ReleaseSubscription | Subscriber] = [humble, jazzy, same, all_hashes]
 
         def put() -> bool:
             publisher.put(b"first")
             return all(received.samples for received in last)
 
-        until(put, "all are matched", every=0.05)
+        until(put, "all subscriptions are matched", every=0.05)
         put_all(publisher, numbered(20))
         for received in last:
-            until(lambda received=received: "19" in received.texts(), "the last one arrives")
+            until(lambda received=received: "19" in received.texts(), "the last message arrives")
             assert [text for text in received.texts() if text != "first"] == numbered(20)
             numbers = [sample.sequence for sample in received.samples]
             assert len(set(numbers)) == len(numbers)
@@ -146,14 +146,14 @@ def test_a_key_without_a_hash_exists_only_while_such_a_subscription_does(hub: Hu
     received = ReleaseSubscription(node(HUMBLE), CHATTER)
     matched(publisher)
     publisher.put(b"1")
-    until(lambda: received.texts() == ["1"], "it arrives")
+    until(lambda: received.texts() == ["1"], "the message arrives")
     received.close()
     until(lambda: not publisher.matched(), "no subscription is left")
     assert publisher.pass_over()
     again = ReleaseSubscription(node(HUMBLE), CHATTER)
     matched(publisher)
     publisher.put(b"3")
-    until(lambda: again.texts() == ["3"], "it arrives")
+    until(lambda: again.texts() == ["3"], "the message arrives")
     assert again.samples[0].sequence == 3
 
 
@@ -162,7 +162,7 @@ def test_a_volatile_subscription_without_a_hash_receives_no_cached_message(hub: 
     received = ReleaseSubscription(node(HUMBLE), replace(MAP, qos=STREAM))
     matched(publisher)
     publisher.put(b"live")
-    until(lambda: received.texts(), "it arrives")
+    until(lambda: received.texts(), "the message arrives")
     assert received.texts() == ["live"]
 
 
@@ -170,11 +170,11 @@ def test_a_closed_publisher_leaves_no_key_behind(hub: Hub, node: Nodes) -> None:
     publisher = advertise(hub, "/map", LATCHED, "old")
     peer = node(HUMBLE)
     first = ReleaseSubscription(peer, MAP)
-    until(lambda: first.texts() == ["old"], "it arrives")
+    until(lambda: first.texts() == ["old"], "the message arrives")
     publisher.close()
     late = ReleaseSubscription(node(HUMBLE), MAP)
     new = advertise(hub, "/map", LATCHED, "new")
-    until(lambda: "new" in late.texts(), "it arrives")
+    until(lambda: "new" in late.texts(), "the new message arrives")
     assert late.texts() == ["new"]
     assert {sample.gid for sample in late.samples} == {new.gid}
 
@@ -184,24 +184,24 @@ def test_a_closed_publisher_leaves_no_key_behind(hub: Hub, node: Nodes) -> None:
 
 def test_an_endpoint_without_a_hash_counts_as_one_of_the_hash_that_others_announce(hub: Hub, node: Nodes) -> None:
     humble = ReleasePublisher(node(HUMBLE), CHATTER)
-    (endpoint,) = until(lambda: hub.graph.publishers("/chatter"), "it is seen")
+    (endpoint,) = until(lambda: hub.graph.publishers("/chatter"), "the publisher is seen")
     assert (endpoint.type_hash, endpoint.gid) == (NO_HASH, humble.gid)
     jazzy = ReleasePublisher(node(JAZZY), CHATTER)
-    until(lambda: len(hub.graph.publishers("/chatter")) == 2, "both are seen")
+    until(lambda: len(hub.graph.publishers("/chatter")) == 2, "both publishers are seen")
     assert {end.type_hash for end in hub.graph.publishers("/chatter")} == {HASH}
     jazzy.close()
-    until(lambda: len(hub.graph.publishers("/chatter")) == 1, "one is left")
+    until(lambda: len(hub.graph.publishers("/chatter")) == 1, "one publisher is left")
     assert hub.graph.publishers("/chatter")[0].type_hash == NO_HASH
 
 
 def test_endpoints_of_the_hub_without_a_hash(hub: Hub, node: Nodes) -> None:
-    """Routes create such endpoints for topics and services that only Humble's nodes announce."""
+    """Routes create such endpoints for topics and services that only nodes of Humble announce."""
     peer = node(HUMBLE)
     received = Subscriber(hub, "/chatter", type_hash=NO_HASH)
     publisher = ReleasePublisher(peer, CHATTER)
     arrives(publisher, received)
     publisher.put(b"1")
-    until(lambda: "1" in received.texts(), "it arrives")
+    until(lambda: "1" in received.texts(), "the message arrives")
     ReleaseServer(peer, SERVICE, lambda request: b"re " + request)
     client = hub.client(SERVICE.name, SERVICE.type_name, NO_HASH)
     assert answered(client, b"go") == b"re go"
@@ -212,15 +212,15 @@ def test_endpoints_of_the_hub_without_a_hash(hub: Hub, node: Nodes) -> None:
 
 def answered(client, request: bytes) -> object:
     replies: list[object] = []
-    until(lambda: client.ready, "there is a server")
+    until(lambda: client.ready, "the server is seen")
     client.call(request, replies.append)
-    return until(lambda: replies, "it ends")[0]
+    return until(lambda: replies, "the call ends")[0]
 
 
 @EACH_RELEASE
 @pytest.mark.parametrize("service", [SERVICE, ACTION_PART], ids=["service", "action"])
 def test_a_client_of_each_release_is_answered(hub: Hub, node: Nodes, release: Release, service: Topic) -> None:
-    """The first call must not be lost, although the server does not yet know of the client."""
+    """The first call must not be lost, although the server has not yet discovered the client."""
 
     def answer(request: bytes, done: Done) -> Callable[[], None]:
         done(b"re " + request)
@@ -251,9 +251,9 @@ def test_of_two_releases_servers_the_one_with_the_clients_hash_is_called(hub: Hu
     humble = ReleaseServer(node(HUMBLE), SERVICE, lambda _: b"humble")
     assert answered(client, b"1") == b"humble"
     jazzy = ReleaseServer(node(JAZZY), SERVICE, lambda _: b"jazzy")
-    until(lambda: answered(client, b"2") == b"jazzy", "the other one is called")
+    until(lambda: answered(client, b"2") == b"jazzy", "the other server is called")
     jazzy.close()
-    until(lambda: len(hub.graph.servers(SERVICE.name)) == 1, "it has left")
+    until(lambda: len(hub.graph.servers(SERVICE.name)) == 1, "the server has left")
     assert answered(client, b"3") == b"humble"
     assert humble.requests.count(b"3") == 1
 
@@ -262,10 +262,10 @@ def test_a_pending_call_of_a_server_without_a_hash_ends_when_the_server_leaves(h
     peer = node(HUMBLE)
     client = hub.client(SERVICE.name, SERVICE.type_name, HASH)
     server = ReleaseServer(peer, SERVICE, lambda _: until(lambda: False, "never", 0.01) or b"")
-    until(lambda: client.ready, "there is a server")
+    until(lambda: client.ready, "the server is seen")
     ended: list[object] = []
     client.call(b"go", ended.append)
-    until(lambda: server.requests, "it is called")
+    until(lambda: server.requests, "the server is called")
     with closing(peer):
         pass
     until(lambda: ended, "the call ends")
@@ -298,21 +298,21 @@ def group_of(publisher: ReleasePublisher) -> str:
 def test_a_publisher_with_buffers_serves_the_hub_in_the_cpu_group(
     hub: Hub, node: Nodes, topic: Topic, first: str, type_hash: str
 ) -> None:
-    """In 0.10.5, subscriptions that announce no backend receive nothing. The GID follows from the whole token."""
+    """In 0.10.5, subscriptions that announce no backend receive nothing. The GID is derived from the whole token."""
     peer = node(LYRICAL)
     received = Images(hub, topic, type_hash=type_hash) if first == "subscription" else None
     publisher = ReleasePublisher(peer, topic)
-    until(lambda: hub.graph.publishers(topic.name), "it is seen")
+    until(lambda: hub.graph.publishers(topic.name), "the publisher is seen")
     received = received or Images(hub, topic, type_hash=type_hash)
-    until(lambda: group_of(publisher) in publisher.discovered(), "the group is used")
+    until(lambda: group_of(publisher) in publisher.discovered(), "the publisher has discovered the group")
     arrives(publisher, received)
     put_all(publisher, numbered(20))
-    until(lambda: "19" in received.texts(), "the last one arrives")
+    until(lambda: "19" in received.texts(), "the last message arrives")
     assert [text for text in received.texts() if text != "first"] == numbered(20)
     assert {sample.gid for sample in received.samples} == {publisher.gid}
     assert (received.subscription.lost, received.subscription.refused) == (0, 0)
     known = topic is IMAGE or first == "publisher"
-    if known:  # a subscription that joins the group later was counted without one, if the publisher saw it so
+    if known:  # a subscription that announces the group late may already be counted as one without a group
         assert publisher.put(b"once more") == [group_of(publisher)]
 
 
@@ -325,10 +325,10 @@ def test_the_hub_does_not_cost_a_publisher_with_buffers_a_message_for_each_subsc
     lyrical = ReleaseSubscription(node(LYRICAL), IMAGE)
     with Hub.open(network.settings("other")) as other:
         received = [Images(hub, IMAGE), Images(other, IMAGE)]
-        until(lambda: len(publisher.discovered()) == 3, "all are discovered")
+        until(lambda: len(publisher.discovered()) == 3, "all subscriptions are discovered")
         assert publisher.put(b"1") == [group_of(publisher)]
         for subscription in (lyrical, *received):
-            until(lambda s=subscription: s.texts() == ["1"], "it arrives")
+            until(lambda s=subscription: s.texts() == ["1"], "the message arrives")
 
 
 def test_numbers_that_other_keys_used_are_no_losses(hub: Hub, node: Nodes) -> None:
@@ -336,10 +336,10 @@ def test_numbers_that_other_keys_used_are_no_losses(hub: Hub, node: Nodes) -> No
     publisher = ReleasePublisher(node(LYRICAL), IMAGE)
     received = Images(hub, IMAGE)
     ReleaseSubscription(node(JAZZY), IMAGE)
-    until(lambda: len(publisher.discovered()) == 2, "both are discovered")
+    until(lambda: len(publisher.discovered()) == 2, "both subscriptions are discovered")
     arrives(publisher, received)
     put_all(publisher, numbered(5))
-    until(lambda: "4" in received.texts(), "the last one arrives")
+    until(lambda: "4" in received.texts(), "the last message arrives")
     numbers = [sample.sequence for sample in received.samples]
     assert numbers == list(range(numbers[0], numbers[-1] + 1, 2))
     assert received.subscription.lost == 0
@@ -348,12 +348,12 @@ def test_numbers_that_other_keys_used_are_no_losses(hub: Hub, node: Nodes) -> No
 def test_serialized_messages_on_the_key_and_messages_of_the_group_arrive_in_order(hub: Hub, node: Nodes) -> None:
     publisher = ReleasePublisher(node(LYRICAL), IMAGE)
     received = Images(hub, IMAGE)
-    until(publisher.discovered, "it is discovered")
+    until(publisher.discovered, "the subscription is discovered")
     arrives(publisher, received)
     for number in range(0, 20, 2):
         publisher.put(str(number).encode())
         publisher.put_serialized(str(number + 1).encode())
-    until(lambda: "19" in received.texts(), "the last one arrives")
+    until(lambda: "19" in received.texts(), "the last message arrives")
     assert [text for text in received.texts() if text != "first"] == numbered(20)
 
 
@@ -363,7 +363,7 @@ def test_images_of_the_hub_reach_each_release_once(hub: Hub, node: Nodes, releas
     publisher = hub.publisher(IMAGE.name, IMAGE.type_name, HASH, STREAM)
     matched(publisher)
     put_all(publisher, numbered(20))
-    until(lambda: len(received.samples) >= 20, "all arrive")
+    until(lambda: len(received.samples) >= 20, "all messages arrive")
     assert received.texts() == numbered(20)
 
 
@@ -373,7 +373,7 @@ def test_images_of_each_release_reach_the_hub_once(hub: Hub, node: Nodes, releas
     publisher = ReleasePublisher(node(release), IMAGE)
     arrives(publisher, received)
     put_all(publisher, numbered(20))
-    until(lambda: "19" in received.texts(), "the last one arrives")
+    until(lambda: "19" in received.texts(), "the last message arrives")
     assert [text for text in received.texts() if text != "first"] == numbered(20)
 
 
@@ -388,13 +388,13 @@ def test_only_subscriptions_in_the_group_announce_it(hub: Hub, node: Nodes) -> N
     watch = peer.session.liveliness().declare_subscriber(f"@ros2_lv/*/{hub.zid}/*/*/MS/**", handler, history=True)
     image, chatter = Images(hub, IMAGE), Subscriber(hub, "/chatter")
     hub.publisher(IMAGE.name, IMAGE.type_name, HASH, STREAM)
-    until(lambda: len(tokens) == 2, "both are announced")
+    until(lambda: len(tokens) == 2, "both endpoints are announced")
     assert {token.split("/")[9]: token.split("/")[13:] for token in tokens} == {
         "%image": ["backends:cpu:"], "%chatter": [],
     }  # fmt: skip
     image.subscription.close()
     chatter.subscription.close()
-    until(lambda: not tokens, "both are withdrawn")
+    until(lambda: not tokens, "both endpoints are withdrawn")
     watch.undeclare()
 
 

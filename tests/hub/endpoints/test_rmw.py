@@ -1,4 +1,4 @@
-"""Topics between the hub and rmw_zenoh, whose publishers and subscriptions are zenoh's advanced ones."""
+"""Topics between the hub and rmw_zenoh, which uses zenoh's advanced publishers and subscribers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ EACH_LATCHED = pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], id
 
 
 def key(network: HubNetwork, topic: str) -> str:
-    """The key of a topic of the hub."""
+    """Return the key of a hub topic."""
     return topic_key(network.domain, topic, TYPE, HASH)
 
 
@@ -53,13 +53,13 @@ def key(network: HubNetwork, topic: str) -> str:
 @EACH_QOS
 @pytest.mark.parametrize("priority", ["command", "state", "stream"])
 def test_a_subscription_receives_every_message(network: HubNetwork, qos: Qos, priority: str) -> None:
-    """Nodes once received only the first message of a volatile topic, as all had the same source number."""
+    """Nodes once received only the first message of a volatile topic, because all had the same source number."""
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/cmd_vel"), qos)
         publisher = advertise(a, "/cmd_vel", qos, priority=priority)
         matched(publisher)
         publisher.put(b"first")
-        received.expect("first")  # until then a latched subscription asks for stored messages, and skips older ones
+        received.expect("first")  # until then a latched subscription queries stored messages, and skips older ones
         sent = ["0.2"] * 10 + ["0.0"] * 10
         for text in sent:
             publisher.put(text.encode())
@@ -87,7 +87,7 @@ def test_all_messages_arrive_around_one_that_is_too_large_for_the_shared_memory(
         sent = [b"%d" % number for number in range(10)]
         for payload in (*sent[:5], large := bytes(LARGE + 1), *sent[5:]):
             publisher.put(payload)
-        until(lambda: len(received.payloads) == len(sent) + 1, "all arrive")
+        until(lambda: len(received.payloads) == len(sent) + 1, "all messages arrive")
         assert received.payloads == [*sent[:5], large, *sent[5:]]
         assert received.missed == 0
 
@@ -97,7 +97,7 @@ def test_source_numbers_go_on_past_the_last_one(network: HubNetwork, qos: Qos) -
     with network.program() as program, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/chatter"), qos)
         publisher = program.declare_publisher(key(network, "/chatter"))
-        until(lambda: publisher.matching_status.matching, "matched")  # type: ignore[attr-defined]
+        until(lambda: publisher.matching_status.matching, "the publisher is matched")  # type: ignore[attr-defined]
         infos = source_infos(publisher, first=SOURCE_NUMBERS - 2)
         for number in range(5):
             publisher.put(b"%d" % number, attachment=bytes(33), source_info=next(infos))
@@ -126,7 +126,9 @@ def test_the_messages_of_a_standby_that_takes_over_arrive_from_the_first_on(netw
                 matched(publisher)
                 for number in range(3):
                     publisher.put(f"{name} {number}".encode())
-                until(lambda name=name: f"{name} 2" in received.texts(), f"{received.texts()} has the last")
+                until(
+                    lambda name=name: f"{name} 2" in received.texts(), f"{received.texts()} contains the last message"
+                )
         assert received.texts() == [f"{name} {number}" for name in ("active", "standby") for number in range(3)]
 
 
@@ -139,7 +141,7 @@ def test_a_late_subscription_receives_the_cached_messages(
         early = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=10))
         sent = [str(number) for number in range(10)]
         publisher = advertise(a, "/map", replace(qos, depth=published), *sent)
-        until(lambda: early.texts()[-1:] == sent[-1:], "all messages have arrived, so that none arrives live below")
+        until(lambda: early.texts()[-1:] == sent[-1:], "all messages have arrived, so none can arrive live below")
         early.close()
         received = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=requested))
         received.expect(*sent[-expected:])
@@ -163,7 +165,7 @@ def test_values_of_a_store_arrive_in_any_order_of_their_times(network: HubNetwor
         for name, body, age in (("new", b"", 1), ("older", b"", 2), ("deleted", None, 2), ("last", b"", 0)):
             space.send(KeyItem(f"location/{name}", body, ns=now - age * 1000, writer="aa" * 8))
         expected = [("new", "PUT"), ("older", "PUT"), ("deleted", "DELETE"), ("last", "PUT")]
-        until(lambda: received[-1:] == expected[-1:], "the last one arrives")
+        until(lambda: received[-1:] == expected[-1:], "the last value arrives")
         assert [change for change in received if change[0] != "probe"] == expected
         end.undeclare()
 
@@ -194,7 +196,7 @@ def test_cached_messages_are_received_late(network: HubNetwork, qos: Qos, first:
         publisher = RmwPublisher(rmw, key(network, "/map"), replace(qos, depth=5), first=first)
         for number in range(10):
             publisher.put(b"%d" % number)
-        until(lambda: early.texts()[-1:] == ["9"], "all messages have arrived, so that none arrives live below")
+        until(lambda: early.texts()[-1:] == ["9"], "all messages have arrived, so none can arrive live below")
         early.subscription.close()
         for depth, expected in ((1, ["9"]), (5, ["5", "6", "7", "8", "9"]), (20, ["5", "6", "7", "8", "9"])):
             late = Subscriber(a, "/map", replace(qos, depth=depth))
@@ -240,7 +242,7 @@ def test_messages_that_a_link_dropped_are_recovered_both_ways() -> None:
             ours.put(b"ours " + text.encode())
             theirs.put(b"theirs " + text.encode())
         at_hub.expect(*(f"{whose} {text}" for whose in ("ours", "theirs") for text in ("one", "two", "three")))
-        until(lambda: [t for t in at_rmw.texts() if t.startswith("ours")][2:], "all of ours are recovered")
+        until(lambda: [t for t in at_rmw.texts() if t.startswith("ours")][2:], "all messages of the hub are recovered")
         assert [t for t in at_rmw.texts() if t.startswith("ours")] == ["ours one", "ours two", "ours three"]
         assert at_hub.subscription.lost == 0
 
@@ -260,7 +262,7 @@ def test_a_frozen_node_leaves_after_the_lease_of_its_own_session(network: HubNet
         for name, lease in leases.items():
             nodes.append(network.rmw_process(name, lease))
             ends.callback(nodes[-1].stop, 0.0)
-        until(lambda: present() == leases.keys() and len(a.graph.subscriptions()) == 2, "both are there")
+        until(lambda: present() == leases.keys() and len(a.graph.subscriptions()) == 2, "both nodes are seen")
         frozen = time.monotonic()
         for node in nodes:
             node.signal(signal.SIGSTOP)

@@ -1,4 +1,4 @@
-"""zenoh-ros2-sdk, an independent program in a separate process on the same hub, in both directions."""
+"""zenoh-ros2-sdk, an independent program in a separate process, exchanges messages with the hub in both directions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f
 
 
 def cdr(text: str) -> bytes:
-    """A std_msgs/String in CDR."""
+    """Return a std_msgs/String in CDR."""
     data = text.encode() + b"\0"
     return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
 
@@ -45,11 +45,11 @@ def test_sdk_node_discovers_our_endpoints(hub: Hub, sdk: Peer):
     )
     hub.subscription("/robot/chatter", STRING, STRING_HASH, STREAM, lambda _sample: None)
 
-    def seen_by_sdk() -> dict[str, Any] | None:  # it queries the network each time, and uses the replies in time
+    def seen_by_sdk() -> dict[str, Any] | None:  # the SDK queries the network each time, and ignores late replies
         info: dict[str, Any] | None = sdk.ask("topic_info", topic="/robot/chatter")["info"]
         return info if info and len(info["publishers"]) == len(info["subscribers"]) == 1 else None
 
-    info = until(seen_by_sdk, "it sees both")
+    info = until(seen_by_sdk, "the SDK sees both endpoints")
     assert info["topic_types"] == [STRING]
     for seen, qos in ((info["publishers"], "2:1:,3:,:,:,,"), (info["subscribers"], "::,10:,:,:,,")):
         (endpoint,) = seen
@@ -60,7 +60,7 @@ def test_sdk_node_discovers_our_endpoints(hub: Hub, sdk: Peer):
 def test_we_discover_endpoints_of_an_sdk_node(hub: Hub, sdk: Peer):
     publisher = sdk.advertise("/chatter", "std_msgs/String", latched=True, depth=5)
     sdk.subscribe("/map", "nav_msgs/OccupancyGrid", best_effort=True)
-    until(lambda: len(hub.graph.endpoints()) == 2, "seen")
+    until(lambda: len(hub.graph.endpoints()) == 2, "both endpoints are seen")
     (talker,), (listener,) = hub.graph.publishers(), hub.graph.subscriptions()
     assert (talker.topic, talker.type_name, talker.type_hash) == ("/chatter", STRING, STRING_HASH)
     assert (talker.node, talker.namespace, talker.origin, talker.pending) == ("sdk_talker", "/", None, False)
@@ -68,7 +68,7 @@ def test_we_discover_endpoints_of_an_sdk_node(hub: Hub, sdk: Peer):
     assert (listener.topic, listener.type_name, listener.node) == ("/map", "nav_msgs/msg/OccupancyGrid", "sdk_listener")
     assert listener.qos.reliability is Reliability.BEST_EFFORT
     sdk.drop(publisher)
-    until(lambda: not hub.graph.publishers(), "its end is seen")
+    until(lambda: not hub.graph.publishers(), "the publisher's end is seen")
 
 
 def test_sdk_subscriber_receives_our_messages(hub: Hub, sdk: Peer):
@@ -85,9 +85,9 @@ def test_we_receive_messages_of_an_sdk_publisher(hub: Hub, sdk: Peer):
     samples: list[HubSample] = []
     hub.subscription("/chatter", STRING, STRING_HASH, STREAM, samples.append)
     talker = sdk.advertise("/chatter", "std_msgs/String")
-    until(lambda: hub.graph.publishers("/chatter"), "seen")
+    until(lambda: hub.graph.publishers("/chatter"), "the publisher is seen")
     before = time.time_ns()
-    # the SDK does not report a match: it repeats the first message until it is received
+    # the SDK does not report matches, so the first message is repeated until it is received
     until(lambda: sdk.publish(talker, {"data": "first"}) or samples, "the first message arrives")
     sdk.publish(talker, {"data": "second"})
     until(lambda: samples[-1].data() == cdr("second"), "the second message arrives")
@@ -99,22 +99,22 @@ def test_we_receive_messages_of_an_sdk_publisher(hub: Hub, sdk: Peer):
 
 
 def test_sdk_subscriber_receives_our_latched_messages(hub: Hub, sdk: Peer, network: HubNetwork):
-    """One per session: the SDK's query lets zenoh keep but the newest reply of each session for one key."""
+    """One message per session: the SDK's query lets zenoh keep only the newest reply of a session for each key."""
     with Hub.open(network.settings("other")) as other:
         for session, text in ((hub, "one"), (other, "two")):
             publisher = session.publisher("/map", STRING, STRING_HASH, LATCHED)
             publisher.put(cdr("old"))
             publisher.put(cdr(text))
-        until(lambda: len(sdk.graph()["publishers"].get("/map", ())) == 2, "it sees both")
+        until(lambda: len(sdk.graph()["publishers"].get("/map", ())) == 2, "the SDK sees both publishers")
 
         def asked() -> list[str]:
-            """Return what a new subscriber gets: it queries once, those that zenoh's router has announced by then."""
+            """Return what a new subscriber receives with its only query of the caches that the router has announced."""
             listener = sdk.subscribe("/map", "std_msgs/String", latched=True)
             return sorted(m["data"] for m in sdk.wait(listener, 2, 2.0))
 
-        first = until(asked, "the caches are known to it")
-        assert set(first) <= {"one", "two"}, "only the newest"
-        until(lambda: asked() == ["one", "two"], "both answer")
+        first = until(asked, "the SDK receives from a cache")
+        assert set(first) <= {"one", "two"}, "only the newest messages arrive"
+        until(lambda: asked() == ["one", "two"], "both caches reply")
 
 
 def test_only_subscriptions_to_any_hash_receive_another_hash(hub: Hub, sdk: Peer):

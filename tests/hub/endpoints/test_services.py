@@ -1,4 +1,4 @@
-"""Servers and clients on the hub: one reply or one clear error to each call."""
+"""Servers and clients on the hub: each call gets one reply or one clear error."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class Called:
         self._ended.set()
 
     def wait(self, seconds: float = 40.0) -> bytes | str:
-        """The reply, or the error's text."""
-        assert self._ended.wait(seconds), "the call ends"
+        """Return the reply, or the error's text."""
+        assert self._ended.wait(seconds), "the call has not ended"
         (result,) = self.ends
         return str(result) if isinstance(result, CallError) else result
 
 
 class Serving:
-    """A server that replies as a test requests: at once with ``answer``, or later with `held`."""
+    """A server that replies as the test requests: at once with ``answer``, or later through `held`."""
 
     def __init__(
         self,
@@ -90,13 +90,13 @@ def test_servers_and_clients_are_on_the_graph(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         server = Serving(a).server
         caller = client(b)
-        until(lambda: b.graph.servers("/do") and a.graph.clients("/do"), "seen")
+        until(lambda: b.graph.servers("/do") and a.graph.clients("/do"), "server and client are seen")
         (seen,), (asking,) = b.graph.servers("/do"), a.graph.clients("/do")
         assert (seen.gid, asking.gid) == (server.gid, caller.gid)
         assert (seen.type_name, seen.type_hash, seen.node) == (SERVICE, HASH, "a")
         server.close()
         caller.close()
-        until(lambda: not b.graph.servers() and not a.graph.clients(), "gone")
+        until(lambda: not b.graph.servers() and not a.graph.clients(), "server and client are gone")
 
 
 def test_a_slow_call_does_not_delay_others(network: HubNetwork) -> None:
@@ -115,7 +115,7 @@ def test_many_calls_at_once_end_each_with_its_own_reply(network: HubNetwork) -> 
         serving = Serving(a)
         caller = client(b)
         calls = [call(caller, b"%d" % n)[0] for n in range(1000)]
-        until(lambda: len(serving.held) == 1000, "all asked")
+        until(lambda: len(serving.held) == 1000, "all requests have arrived")
         for request, done in reversed(serving.held):
             done(request)
         assert [called.wait() for called in calls] == [b"%d" % n for n in range(1000)]
@@ -125,7 +125,7 @@ def test_an_error_of_the_server_has_its_text(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         serving = Serving(a)
         called, _ = call(client(b))
-        until(lambda: serving.held, "asked")
+        until(lambda: serving.held, "the request has arrived")
         serving.held[0][1](CallError("the map is ünknown"))
         assert called.wait() == "the map is ünknown"
 
@@ -135,7 +135,7 @@ def test_second_reply_to_a_call_is_ignored(network: HubNetwork) -> None:
         serving = Serving(a)
         caller = client(b)
         called, abandon = call(caller)
-        until(lambda: serving.held, "asked")
+        until(lambda: serving.held, "the request has arrived")
         for result in (b"first", b"second", CallError("third")):
             serving.held[0][1](result)
         assert called.wait() == b"first"
@@ -157,12 +157,12 @@ def test_a_server_that_closes_ends_its_calls(network: HubNetwork) -> None:
         serving = Serving(a)
         caller = client(b)
         called, _ = call(caller)
-        until(lambda: serving.held, "asked")
+        until(lambda: serving.held, "the request has arrived")
         serving.server.close()
         assert called.wait() == "the server of /do left before it answered"
         assert serving.abandoned == [b"go"]
         serving.held[0][1](b"too late")
-        until(lambda: not caller.ready, "seen")
+        until(lambda: not caller.ready, "the server's end is seen")
         assert call(caller)[0].wait(0) == "no server of /do is on the hub"
         assert len(called.ends) == 1
 
@@ -176,10 +176,10 @@ def test_dead_server_ends_its_calls_and_its_successor_is_called(network: HubNetw
                 peer.ask("serve", name="/do", type=SERVICE, hash=HASH, hold=True)
                 until(lambda: caller.ready, "the server is seen")
                 called, _ = call(caller)
-                until(lambda peer=peer: peer.ask("requests")["count"], "it was asked")
+                until(lambda peer=peer: peer.ask("requests")["count"], "the request has arrived")
                 peer.signal(9)
                 assert str(called.wait()).startswith("the server of /do left before it answered")
-            until(lambda: not caller.ready, "its end is seen")
+            until(lambda: not caller.ready, "the server's end is seen")
 
 
 def test_lost_server_ends_calls_while_other_threads_query_and_declare(network: HubNetwork) -> None:
@@ -188,7 +188,7 @@ def test_lost_server_ends_calls_while_other_threads_query_and_declare(network: H
         server.ask("serve", name="/do", type=SERVICE, hash=HASH, hold=True)
         caller.ask("collide")
         call_id = caller.ask("call", name="/do", type=SERVICE, hash=HASH)["id"]
-        until(lambda: server.ask("requests")["count"], "it was asked")
+        until(lambda: server.ask("requests")["count"], "the request has arrived")
         server.signal(9)
         result = caller.ask("result", id=call_id, seconds=20.0)["result"]
         assert result.startswith("the server of /do left before it answered")
@@ -204,7 +204,7 @@ def test_lost_server_ends_its_calls_after_its_successor_has_joined(network: HubN
         server.ask("serve", name="/do", type=SERVICE, hash=HASH, hold=True)
         caller = client(b)
         called, _ = call(caller)
-        until(lambda: server.ask("requests")["count"], "it was asked")
+        until(lambda: server.ask("requests")["count"], "the request has arrived")
         successor.ask("serve", name="/do", type=SERVICE, hash=HASH)
         until(lambda: len(b.graph.servers("/do")) == 2, "the successor is seen")
         server.signal(9)
@@ -220,7 +220,7 @@ def test_abandoned_call_notifies_only_the_server(network: HubNetwork) -> None:
         caller = client(b)
         called, abandon = call(caller, b"dull")
         kept, _ = call(caller, b"kept")
-        until(lambda: len(serving.held) == 2, "asked")
+        until(lambda: len(serving.held) == 2, "both requests have arrived")
         abandon()
         until(lambda: serving.abandoned, "the server knows")
         for _, done in serving.held:
@@ -230,16 +230,16 @@ def test_abandoned_call_notifies_only_the_server(network: HubNetwork) -> None:
 
 
 def test_calls_under_another_hash_are_abandoned_and_numbered_with_the_clients_others(network: HubNetwork) -> None:
-    """Their GID is the same, and servers distinguish calls by GID and number."""
+    """These calls have the client's GID, and servers distinguish calls by GID and number."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         hashless = Serving(a, type_hash=NO_HASH)
         caller = client(b)
         _, abandon = call(caller, b"1")
-        until(lambda: hashless.held, "it is called")
+        until(lambda: hashless.held, "the hashless server is called")
         same = Serving(a)
         until(lambda: caller._reachable, "the server with the client's hash is seen")
         call(caller, b"2")
-        until(lambda: same.held, "it is called")
+        until(lambda: same.held, "the server with the hash is called")
         numbers = [number for serving in (hashless, same) for _, number in serving.server._callers]
         assert len(set(numbers)) == 2, numbers
         abandon()
@@ -252,7 +252,7 @@ def test_dead_client_abandons_its_calls(network: HubNetwork) -> None:
         serving = Serving(a)
         with network.hub_peer("caller") as peer:
             peer.ask("call", name="/do", type=SERVICE, hash=HASH)
-            until(lambda: serving.held and a.graph.clients("/do"), "asked by one who is known")
+            until(lambda: serving.held and a.graph.clients("/do"), "the request and the client's token have arrived")
             peer.signal(9)
             until(lambda: serving.abandoned, "the server knows")
         serving.held[0][1](b"too late")
@@ -287,7 +287,7 @@ def test_a_client_or_session_that_closes_ends_its_calls(network: HubNetwork) -> 
         first_client, second_client = client(b), client(b)
         first, _ = call(first_client, b"one")
         second, _ = call(second_client, b"two")
-        until(lambda: len(serving.held) == 2, "asked")
+        until(lambda: len(serving.held) == 2, "both requests have arrived")
         first_client.close()
         first_client.close()
         assert first.wait(0) == "the call of /do was ended: its client was closed"
@@ -327,7 +327,7 @@ def test_replies_to_plain_zenoh_programs_and_malformed_requests(network: HubNetw
 def test_congested_or_invalid_server_ends_a_call_without_a_reply(
     network: HubNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(queries, "_AT_ONCE", 40.0)  # however slow the machine is
+    monkeypatch.setattr(queries, "_AT_ONCE", 40.0)  # no matter how slow the machine is
     requests: list[bytes] = []
     with network.program() as program, Hub.open(network.settings("b")) as b:
         key = topic_key(b.domain, "/do", SERVICE, HASH)
@@ -344,7 +344,7 @@ def test_congested_or_invalid_server_ends_a_call_without_a_reply(
             "the server of /do left before it answered; or an external listener"
         )
         assert call(caller, b"empty error")[0].wait() == "the server answered with an error"
-        assert requests == [b"none", b"empty error"], "no call is repeated"
+        assert requests == [b"none", b"empty error"], "no call was repeated"
 
 
 def test_servers_that_share_a_name_answer_once(network: HubNetwork) -> None:
@@ -364,8 +364,8 @@ def test_servers_that_share_a_name_answer_once(network: HubNetwork) -> None:
             assert called.wait() == b"re go"
             return {server for server, _ in requests} == {"a", "b"}
 
-        until(both, "both were asked")
+        until(both, "both servers were called")
         called, _ = call(caller, b"last")
         assert called.wait() == b"re last"
-        until(lambda: {("a", b"last"), ("b", b"last")} <= set(requests), "both were asked again")
+        until(lambda: {("a", b"last"), ("b", b"last")} <= set(requests), "both servers were called again")
         assert len(called.ends) == 1

@@ -1,4 +1,4 @@
-"""Services with zenoh-ros2-sdk, an independent program in a separate process, in both directions."""
+"""Services between the hub and zenoh-ros2-sdk, an independent program in a separate process, in both directions."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def hub(network: HubNetwork) -> Iterator[Hub]:
 
 
 def asked(hub: Hub, request: dict[str, Any], seconds: float = 20.0) -> Any:
-    """The reply to a call of /do, or the error's text."""
+    """Return the reply to a call of /do, or the error's text."""
     client = hub.client("/do", SERVICE, HASH)
     until(lambda: client.ready, "the server is seen")
     ended, ends = threading.Event(), list[bytes | CallError]()
     client.call(MessageWriter(REQUEST).message(request), lambda result: (ends.append(result), ended.set()))
-    assert ended.wait(seconds), "the call ends"
+    assert ended.wait(seconds), "the call has not ended"
     client.close()
     (result,) = ends
     return str(result) if isinstance(result, CallError) else MessageReader(RESPONSE, result).message()
@@ -50,14 +50,14 @@ def asked(hub: Hub, request: dict[str, Any], seconds: float = 20.0) -> Any:
 def test_sdk_server_answers_our_client(hub: Hub, sdk: Peer) -> None:
     served = sdk.ask("serve", service="/do", type="std_srvs/SetBool", reply={"success": True, "message": "it is ön"})
     assert served["hash"] == HASH
-    until(lambda: hub.graph.servers("/do"), "its server is seen")
+    until(lambda: hub.graph.servers("/do"), "the SDK's server is seen")
     (server,) = hub.graph.servers("/do")
     assert (server.node, server.type_name, server.type_hash, server.origin) == ("sdk_server", SERVICE, HASH, None)
     assert asked(hub, {"data": True}) == {"success": True, "message": "it is ön"}
     assert asked(hub, {"data": False})["success"] is True
     assert sdk.ask("requests", id=served["id"], count=2)["requests"] == [{"data": True}, {"data": False}]
     sdk.drop(served["id"])
-    until(lambda: not hub.graph.servers("/do"), "its end is seen")
+    until(lambda: not hub.graph.servers("/do"), "the server's end is seen")
 
 
 def test_sdk_server_error_reaches_our_client(hub: Hub, sdk: Peer) -> None:
@@ -66,7 +66,7 @@ def test_sdk_server_error_reaches_our_client(hub: Hub, sdk: Peer) -> None:
 
 
 def test_dead_sdk_server_ends_our_call(hub: Hub, sdk: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calls, "_AT_ONCE", 40.0)  # it dies soon after the request
+    monkeypatch.setattr(calls, "_AT_ONCE", 40.0)  # the server dies soon after the request
     served = sdk.ask("serve", service="/do", type="std_srvs/SetBool", held=True)
     client = hub.client("/do", SERVICE, HASH)
     until(lambda: client.ready, "the server is seen")
@@ -93,8 +93,8 @@ def test_our_server_answers_an_sdk_client(hub: Hub, sdk: Peer) -> None:
         called = sdk.ask("call", service="/do", type="std_srvs/SetBool", request={"data": on}, timeout=2.0)
         return sdk.ask("result", id=called["id"])
 
-    # the SDK asks at once, where zenoh may not know the server yet
-    until(lambda: result(on=True)["reply"] == {"success": True, "message": "hällo"}, "answered", 30)
+    # the SDK calls at once, although zenoh may not know the server yet
+    until(lambda: result(on=True)["reply"] == {"success": True, "message": "hällo"}, "the server replies", 30)
     refused = result(on=False)
     assert (refused["done"], refused["reply"]) == (True, None)
     assert {"data": False} in requests

@@ -1,4 +1,4 @@
-"""The parts of a subscription: the states of publishers, the losses, and the reader of samples."""
+"""The parts of a subscription: the states of publishers, the losses, and the decoder of samples."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_restarted_numbers_are_accepted_if_the_sample_is_newer() -> None:
 
 
 class Graph:
-    """The sessions of publishers by GID."""
+    """The zenoh session IDs of publishers, by GID."""
 
     def __init__(self) -> None:
         self.zids: dict[bytes, str] = {}

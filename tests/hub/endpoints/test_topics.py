@@ -1,4 +1,4 @@
-"""Publishers and subscriptions that keep nothing."""
+"""Publishers and subscriptions without retained messages."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_matched_reports_subscribers(network: HubNetwork):
         subscriber.subscription.close()
         until(lambda: not publisher.matched(), "the publisher has no subscriber")
         again = Subscriber(b, "/chatter")
-        until(lambda: not publisher.pass_over(), "the next listener is noticed")
+        until(lambda: not publisher.pass_over(), "the next subscriber is noticed")
         again.subscription.close()
         until(publisher.pass_over, "the subscriber has left")
 
@@ -104,7 +104,7 @@ def test_matched_reports_subscribers(network: HubNetwork):
 def test_a_listed_subscription_of_another_program_misses_nothing(
     network: HubNetwork, monkeypatch: pytest.MonkeyPatch, joins: int
 ) -> None:
-    """It may be listed before zenoh reports it as matching, which it does some time after it sends to it."""
+    """The graph may list a subscription some time after zenoh can reach it, but before zenoh reports the match."""
     if joins == 1:
         monkeypatch.setattr(_Matching, "_changed", lambda *_: None)  # very late
     with Hub.open(network.settings("a")) as a, network.rmw_session() as other:
@@ -116,19 +116,19 @@ def test_a_listed_subscription_of_another_program_misses_nothing(
             node = NodeToken(network.domain, str(other.zid()), "0", "/", "other", BRIDGE_ENCLAVE)
             entity = EndpointToken(node, str(number + 1), EndpointKind.SUBSCRIPTION, "/chatter", TYPE, HASH, STREAM)
             beside.announce(endpoint_key(entity))
-            until(lambda: a.graph.subscriptions("/chatter"), "it is listed")
+            until(lambda: a.graph.subscriptions("/chatter"), "the subscription is listed")
             publisher.put(b"x")
             beside.expect("x")
             assert not publisher.pass_over()
             beside.close()
-            until(lambda: not a.graph.subscriptions("/chatter") and publisher.pass_over(), "it has left")
+            until(lambda: not a.graph.subscriptions("/chatter") and publisher.pass_over(), "the subscription has left")
 
 
 @pytest.mark.parametrize("late", [False, True])
 def test_an_unlisted_subscriber_misses_nothing_from_the_match_on(
     network: HubNetwork, monkeypatch: pytest.MonkeyPatch, late: bool
 ) -> None:
-    """A plain zenoh program announces no token. Its match is reported, or ``late`` found by a query."""
+    """A plain zenoh program announces no token. Its match is reported, or, if ``late``, found by a query."""
     if late:
         monkeypatch.setattr(_Matching, "_changed", lambda *_: None)
     with Hub.open(network.settings("a")) as a, network.program() as other:
@@ -141,7 +141,7 @@ def test_an_unlisted_subscriber_misses_nothing_from_the_match_on(
         until(publisher.matched if late else lambda: matching._told[""], "the match is known")
         for number in range(100):
             publisher.put(b"%d" % number)
-        until(lambda: len(texts) >= 100, "all heard")
+        until(lambda: len(texts) >= 100, "all messages arrive")
         assert texts == [str(number) for number in range(100)]
         subscriber.undeclare()
 
@@ -184,13 +184,13 @@ def test_a_large_message_arrives_complete(network: HubNetwork):
         publisher = advertise(a, "/image")
         matched(publisher)
         payload = bytes(range(256)) * 40_000
-        # it may be dropped on a busy machine
+        # a busy machine may drop the message
         until(lambda: publisher.put(payload) or subscriber.samples, "a message arrives", every=0.2)
         assert subscriber.samples[0].data() == payload
 
 
 def test_memory_of_a_large_message_is_released_at_both_ends(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
-    """`LARGE_MESSAGES` is asked at each heartbeat of a worker; see tests/test_resources.py."""
+    """A worker calls `LARGE_MESSAGES` at each heartbeat; see tests/test_resources.py."""
     passed: list[int] = []
     monkeypatch.setattr(resources.LARGE_MESSAGES, "passed", passed.append)
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
@@ -199,12 +199,12 @@ def test_memory_of_a_large_message_is_released_at_both_ends(network: HubNetwork,
         matched(publisher)
         publisher.put(b"small")
         publisher.put(bytes(resources.LARGE))
-        until(lambda: len(subscriber.samples) == 2, "both came")
+        until(lambda: len(subscriber.samples) == 2, "both messages arrive")
     assert sorted(passed) == [5, 5, resources.LARGE, resources.LARGE]
 
 
 class Busy:
-    """A program that reads nothing for a while, as one does on a machine where others compute."""
+    """A program that reads nothing for a while, as on a machine that is busy otherwise."""
 
     def __init__(self, hub: Hub) -> None:
         self.begun, self.goes_on, self.received = threading.Event(), threading.Event(), list[int]()
@@ -217,7 +217,7 @@ class Busy:
 
 
 def test_message_too_large_for_shared_memory_waits_for_a_busy_subscriber(network: HubNetwork):
-    """50 MB and more were lost: all of it had to be in the link's queue within 0.2 s."""
+    """Messages of 50 MB and more used to be lost, because the link's queue had to accept all of it within 0.2 s."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         busy, other = Busy(b), Subscriber(b, "/small")
         publisher, small = advertise(a, "/large"), advertise(a, "/small")
@@ -227,20 +227,20 @@ def test_message_too_large_for_shared_memory_waits_for_a_busy_subscriber(network
         assert busy.begun.wait(20)
         sending = threading.Thread(target=publisher.put, args=[bytes(LARGE + 1)])
         sending.start()
-        time.sleep(0.3)  # it fills the link meanwhile, which is not observable
+        time.sleep(0.3)  # meanwhile the message fills the link, which cannot be observed
         small.put(b"meanwhile")
-        assert sending.is_alive()  # and the small one did not wait for it
+        assert sending.is_alive()  # and the small message did not wait for it
         busy.goes_on.set()
         sending.join()
         publisher.put(b"last")
         other.expect("meanwhile")
-        until(lambda: len(busy.received) == 3, "all came")
+        until(lambda: len(busy.received) == 3, "all messages arrive")
         assert busy.received == [5, LARGE + 1, 4]
         assert busy.subscription.lost == 0
 
 
 def test_lost_messages_are_reported_with_their_source(network: HubNetwork):
-    """To a program that is busy for longer than a large message may wait."""
+    """The receiver is busy for longer than a large message may wait."""
     drop = {"congestion_control": {"drop": {"max_wait_before_drop_fragments": 1000}}}
     hurried = {"transport": {"link": {"tx": {"queue": drop}}}}
     with Hub.open(replace(network.settings("a"), zenoh=hurried)) as a, Hub.open(network.settings("b")) as b:
@@ -252,11 +252,11 @@ def test_lost_messages_are_reported_with_their_source(network: HubNetwork):
         publisher.put(bytes(LARGE + 1))
         busy.goes_on.set()
 
-        def seen() -> bool:  # when a later one comes
+        def seen() -> bool:  # a later message reveals the loss
             publisher.put(b"next")
             return busy.subscription.lost > 0
 
-        until(seen, "the gap is seen")
+        until(seen, "the loss is detected")
         assert busy.received[1] == 4
         assert "busy for too long" in (losses := busy.subscription.losses())
         assert " from a;" in losses
@@ -289,7 +289,7 @@ def test_samples_with_an_invalid_attachment_are_rejected(network: HubNetwork):
         good = advertise(a, "/chatter")
         matched(good)
         raw = program.declare_publisher(topic_key(a.domain, "/chatter", TYPE, HASH))
-        until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
+        until(lambda: raw.matching_status.matching, "the publisher is matched")  # type: ignore[attr-defined]
         for attached in (None, b"", b"short", bytes(33), bytes(200)):
             raw.put(b"bad", attachment=attached)
         raw.delete()
@@ -304,7 +304,7 @@ def test_sequence_gaps_count_as_lost_samples(network: HubNetwork):
     with network.program() as program, Hub.open(network.settings("b")) as b:
         subscriber = Subscriber(b, "/chatter")
         raw = program.declare_publisher(topic_key(b.domain, "/chatter", TYPE, HASH))
-        until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
+        until(lambda: raw.matching_status.matching, "the publisher is matched")  # type: ignore[attr-defined]
         first, second = b"1" * 16, b"2" * 16
         for gid, sequence in ((first, 1), (first, 2), (second, 7), (first, 5), (second, 8), (first, 6), (second, 10)):
             raw.put(b"x", attachment=pack_attachment(sequence, 1000 + sequence, gid))
@@ -317,7 +317,7 @@ def test_duplicate_sample_is_delivered_once(network: HubNetwork):
     with network.program() as program, Hub.open(network.settings("b")) as b:
         subscriber = Subscriber(b, "/chatter")
         raw = program.declare_publisher(topic_key(b.domain, "/chatter", TYPE, HASH))
-        until(lambda: raw.matching_status.matching, "matched")  # type: ignore[attr-defined]
+        until(lambda: raw.matching_status.matching, "the publisher is matched")  # type: ignore[attr-defined]
         for sequence in (1, 2, 2, 1, 3):
             raw.put(b"%d" % sequence, attachment=pack_attachment(sequence, 1000 + sequence, b"1" * 16))
         subscriber.expect("1", "2", "3")
@@ -382,7 +382,7 @@ def test_close_leaves_no_endpoints(network: HubNetwork):
     hub.close()
     publisher.close()
     subscriber.subscription.close()
-    until(lambda: set(threading.enumerate()) <= before, "its threads have ended")
+    until(lambda: set(threading.enumerate()) <= before, "the session's threads have ended")
     for use in (
         lambda: publisher.put(b"x"),
         lambda: hub.publisher("/x", TYPE, HASH, STREAM),
@@ -407,4 +407,4 @@ def test_closed_endpoints_send_and_receive_nothing(network: HubNetwork):
         publisher.close()
         with pytest.raises(HubClosedError):
             publisher.put(b"y")
-        until(lambda: not b.graph.publishers("/chatter"), "gone from the graph")
+        until(lambda: not b.graph.publishers("/chatter"), "the publisher is gone from the graph")

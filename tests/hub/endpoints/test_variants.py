@@ -1,4 +1,4 @@
-"""Updates of key variants: endpoints neither wait for each other nor fail together."""
+"""Key variants are updated: endpoints neither wait for each other nor fail together."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TOKEN = endpoint_key(
 
 
 class Graph:
-    """A graph with a hashless subscription, once `change` was called."""
+    """A graph with a hashless subscription, once `change` has been called."""
 
     def __init__(self) -> None:
         self.variants_version = 0
@@ -101,7 +101,7 @@ def test_endpoint_that_fails_does_not_stop_the_others(
     for end in ends:
         variants.add(end, TOKEN)
     graph.change()
-    until(lambda: ends[1].variants, "the second one is updated", 5)
+    until(lambda: ends[1].variants, "the second endpoint is updated", 5)
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
         "/t: cannot update the keys for other releases: cannot declare"
     ]
@@ -138,7 +138,7 @@ def test_publishing_does_not_wait_for_the_cached_samples_of_another_key(
 
 
 class EndedElsewhere(dict[str, Any]):
-    """Variants that another thread removes as soon as this one has read their names."""
+    """Variants that another thread removes right after this thread has read their names."""
 
     def __bool__(self) -> bool:
         names = bool(len(self))

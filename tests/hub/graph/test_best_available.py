@@ -1,4 +1,4 @@
-"""QoS policies that rmw_zenoh leaves open in its tokens (BEST_AVAILABLE), and policies that rmw does not define."""
+"""QoS policies that rmw_zenoh's tokens leave open (BEST_AVAILABLE), and policies that rmw does not define."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ TOKENS = st.tuples(st.sampled_from(["MP", "MS", "SS"]), st.sampled_from("tttu"),
 
 
 class NoSession:
-    """A session, its liveliness and its subscribers, which do nothing."""
+    """A stand-in for a session, its liveliness and its subscribers; no call has an effect."""
 
     def __getattr__(self, _name: str) -> Any:
         return lambda *_args, **_more: self
@@ -117,7 +117,7 @@ class NoSession:
 @settings(max_examples=500)
 @given(st.lists(st.integers(0, 2) | TOKENS, min_size=3, max_size=12))
 def test_the_graph_has_what_its_present_tokens_resolve_to(changes: list[int | tuple[str, str, str, str]]) -> None:
-    """A number removes a token that is present, a tuple declares one."""
+    """A number removes one of the present tokens, and a tuple declares a new one."""
     graph = HubGraph(NoSession(), 0, 100)  # type: ignore[arg-type]
     present: list[str] = []
     for number, change in enumerate(changes):
@@ -130,7 +130,7 @@ def test_the_graph_has_what_its_present_tokens_resolve_to(changes: list[int | tu
             key = present.pop(change % len(present))
             graph._on_sample(SimpleNamespace(key_expr=key, kind=zenoh.SampleKind.DELETE))  # type: ignore[arg-type]
         if not isinstance(change, int) and change[0] == "SS":
-            continue  # unread until the next change
+            continue  # the graph is not read until the next change
         assert {e.gid: e.qos for e in graph.endpoints()} == _expected(present)
         assert {e.gid: e.qos for e in graph.subscriptions("/t")}.items() <= _expected(present).items()
 
@@ -145,7 +145,7 @@ def _expected(keys: list[str]) -> dict[bytes, Qos]:
 
 
 class RmwNode:
-    """A participant that declares tokens as rmw_zenoh does, with a QoS text of the test's choice."""
+    """A participant that declares tokens as rmw_zenoh does, with any QoS text."""
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
         self._liveliness, self._numbers = session.liveliness(), itertools.count(1)
@@ -190,7 +190,7 @@ def test_a_subscription_of_rmw_zenoh_follows_the_publishers(graph: HubGraph, nod
     until_subscription(graph, RELIABLE, LATCHED)
     latched.undeclare()
     subscription.undeclare()
-    until(lambda: not graph.endpoints(), "all are gone")
+    until(lambda: not graph.endpoints(), "all endpoints are gone")
     assert graph.refused == 0
 
 
@@ -200,7 +200,7 @@ def test_publishers_of_another_topic_or_type_do_not_match(graph: HubGraph, node:
         node.declare("MP", "t", "2::,7:,:,:,,", "Int32"),
         node.declare("MS", "t", TOKEN),
     ]
-    until(lambda: len(graph.endpoints()) == len(tokens), "all endpoints")
+    until(lambda: len(graph.endpoints()) == len(tokens), "all endpoints are seen")
     until_subscription(graph, RELIABLE, LATCHED)
 
 
@@ -213,7 +213,7 @@ def test_each_kind_of_endpoint_is_on_the_graph(graph: HubGraph, node: RmwNode, l
     until(lambda: [e.qos for e in graph.endpoints()] == [expected], f"an endpoint {letters} with {expected}")
     assert graph.refused == 0
     token.undeclare()
-    until(lambda: not graph.endpoints(), "it is gone")
+    until(lambda: not graph.endpoints(), "the endpoint is gone")
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_an_unknown_policy_takes_the_default_with_one_warning(
 ) -> None:
     with caplog.at_level(logging.WARNING):
         tokens = [node.declare("MP", topic, qos) for topic in ("t", "t", "u")]
-        until(lambda: len(graph.publishers()) == len(tokens), "all publishers")
+        until(lambda: len(graph.publishers()) == len(tokens), "all publishers are seen")
     assert [p.qos for p in graph.publishers()] == [Qos()] * 3
     warnings = [record.getMessage() for record in caplog.records if record.name.startswith("bridge.hub.graph")]
     assert len(warnings) == 1
@@ -247,7 +247,7 @@ def test_two_unknown_policies_are_two_warnings(
 ) -> None:
     with caplog.at_level(logging.WARNING):
         token = node.declare("MP", "t", "7:8:9,10:,:,:10,,")
-        until(lambda: graph.publishers("/t"), "the publisher")
+        until(lambda: graph.publishers("/t"), "the publisher is seen")
     assert sum(record.name.startswith("bridge.hub.graph") for record in caplog.records) == 4
     assert [p.qos for p in graph.publishers("/t")] == [Qos()]
     token.undeclare()
@@ -258,5 +258,5 @@ def test_many_unknown_policies_do_not_flood_the_log(
 ) -> None:
     with caplog.at_level(logging.WARNING):
         tokens = [node.declare("MP", "t", f"{number}::,10:,:,:,,") for number in range(100, 400)]
-        until(lambda: len(graph.publishers("/t")) == len(tokens), "all publishers")
+        until(lambda: len(graph.publishers("/t")) == len(tokens), "all publishers are seen")
     assert sum(record.name.startswith("bridge.hub.graph") for record in caplog.records) <= 100

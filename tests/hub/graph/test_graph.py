@@ -1,4 +1,4 @@
-"""The graph: the participants of the hub, and their origins."""
+"""The graph: the hub's participants and their origins."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_nodes_and_endpoints_appear_and_disappear(network: HubNetwork):
             subscriber = Subscriber(a, "/chatter")
             with Hub.open(network.settings("late")) as late:
                 for hub in (early, late, a):
-                    until(lambda hub=hub: len(hub.graph.endpoints()) == 2, "both endpoints seen")
+                    until(lambda hub=hub: len(hub.graph.endpoints()) == 2, "both endpoints are seen")
                     named_a = lambda hub=hub: [n for n in hub.graph.nodes() if n.node == "a"]  # noqa: E731
                     (node,) = until(named_a, "the node seen")
                     assert (node.zid, node.namespace, node.own) == (a.zid, "/robot/arm", hub is a)
@@ -57,26 +57,26 @@ def test_nodes_and_endpoints_appear_and_disappear(network: HubNetwork):
 
 def test_a_watch_is_notified_until_it_is_closed(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        until(lambda: len(a.graph.nodes()) == 2, "both nodes seen")
+        until(lambda: len(a.graph.nodes()) == 2, "both nodes are seen")
         calls: list[int] = []
         stop = a.graph.watch(lambda: calls.append(1))
         publisher = advertise(b, "/chatter")
-        until(lambda: len(calls) == 1, "notified of the publisher")
+        until(lambda: len(calls) == 1, "the watch is notified of the publisher")
         publisher.close()
-        until(lambda: len(calls) == 2, "told of its end")
+        until(lambda: len(calls) == 2, "the watch is notified of the publisher's end")
         stop()
         stop()
         advertise(b, "/map")
-        until(lambda: a.graph.publishers("/map"), "seen")
+        until(lambda: a.graph.publishers("/map"), "the second publisher is seen")
         assert len(calls) == 2
 
 
 def test_a_sessions_origin_applies_to_its_endpoints(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
-        until(lambda: len(b.graph.nodes()) == 2, "both nodes seen")
+        until(lambda: len(b.graph.nodes()) == 2, "both nodes are seen")
         a.set_origin(ROBOT)
         advertise(a, "/map", LATCHED)
-        until(lambda: b.graph.publishers("/map"), "seen")
+        until(lambda: b.graph.publishers("/map"), "the publisher is seen")
         assert b.graph.publishers("/map")[0].origin == ROBOT
         assert b.graph.origins() == {a.zid: ROBOT}
         assert b.graph.origin_of(a.zid) == ROBOT
@@ -92,18 +92,18 @@ def test_an_endpoint_of_a_bridge_is_pending_while_its_origin_is_unknown(network:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         a.set_origin(ROBOT)
         advertise(a, "/map", LATCHED)
-        until(lambda: b.graph.publishers("/map"), "seen")
+        until(lambda: b.graph.publishers("/map"), "the publisher is seen")
         a.set_origin(None)
-        until(lambda: b.graph.publishers("/map")[0].pending, "the origin is not known any more")
+        until(lambda: b.graph.publishers("/map")[0].pending, "the origin is no longer known")
         assert b.graph.publishers("/map")[0].origin is None
         native = advertise(a, "/chatter")
-        until(lambda: b.graph.publishers("/chatter"), "seen")
+        until(lambda: b.graph.publishers("/chatter"), "the publisher is seen")
         assert not b.graph.publishers("/chatter")[0].pending
         assert native.gid
 
 
 def test_bridged_endpoint_is_never_native(network: HubNetwork):
-    """Zenoh hands tokens over in any order when sessions join; the mark in the endpoint's own token holds meanwhile."""
+    """Zenoh delivers tokens in any order when sessions join; until then, the mark in an endpoint's token decides."""
     with Hub.open(network.settings("watcher")) as watcher:
         mistaken: list[HubEndpoint] = []
 
@@ -118,8 +118,8 @@ def test_bridged_endpoint_is_never_native(network: HubNetwork):
                     advertise(bridge, f"/t{topic}", LATCHED if topic % 2 else STREAM)
                 with Hub.open(network.settings("late")) as late:
                     for hub in (watcher, late):
-                        until(lambda hub=hub: len(_settled(hub)) == 10, "all are seen with their origin")
-            until(lambda: not watcher.graph.publishers(), "all are gone")
+                        until(lambda hub=hub: len(_settled(hub)) == 10, "all endpoints are seen with their origin")
+            until(lambda: not watcher.graph.publishers(), "all publishers are gone")
         assert mistaken == []
 
 
@@ -130,18 +130,18 @@ def test_killed_node_disappears(network: HubNetwork):
         Subscriber(a, "/map", LATCHED).expect("x")
         victim.signal(signal.SIGKILL)
         until(lambda: len(a.graph.nodes()) == 1, "the node is gone")
-        until(lambda: not a.graph.publishers("/map") and not a.graph.origins(), "so is the rest")
+        until(lambda: not a.graph.publishers("/map") and not a.graph.origins(), "the publisher and the origin are gone")
 
 
 def test_suspended_node_disappears_and_returns(network: HubNetwork):
-    """No socket closes, so only the lease reveals it."""
+    """No socket closes when a process is suspended, so only the lease reveals it."""
     with Hub.open(network.settings("a")) as a, network.hub_peer("victim") as victim:
         publisher = victim.ask("publisher", topic="/map", latched=True)["id"]
-        until(lambda: a.graph.publishers("/map"), "seen")
+        until(lambda: a.graph.publishers("/map"), "the publisher is seen")
         victim.signal(signal.SIGSTOP)
-        until(lambda: not a.graph.publishers("/map"), "gone by its lease")
+        until(lambda: not a.graph.publishers("/map"), "the publisher is gone after the lease")
         victim.signal(signal.SIGCONT)
-        until(lambda: a.graph.publishers("/map"), "seen again")
+        until(lambda: a.graph.publishers("/map"), "the publisher is seen again")
         victim.ask("put", id=publisher, text="back")
         Subscriber(a, "/map", LATCHED).expect("back")
 
@@ -164,18 +164,18 @@ def test_malformed_tokens_are_left_out(network: HubNetwork, caplog: pytest.LogCa
         with caplog.at_level(logging.WARNING):
             tokens = [program.liveliness().declare_token(key) for key in bad]
             good = advertise(b, "/chatter")
-            until(lambda: a.graph.publishers("/chatter"), "the good one is seen")
-            until(lambda: a.graph.refused == len(bad), "the bad ones are counted")
+            until(lambda: a.graph.publishers("/chatter"), "the valid token is seen")
+            until(lambda: a.graph.refused == len(bad), "the invalid tokens are counted")
         assert len([r for r in caplog.records if r.name.startswith("bridge.hub.graph")]) <= 2
         assert [e.gid for e in a.graph.endpoints()] == [good.gid]
         for token in tokens:
             token.undeclare()
         good.close()
-        until(lambda: not a.graph.endpoints(), "gone")
+        until(lambda: not a.graph.endpoints(), "all endpoints are gone")
 
 
 def test_camera_of_a_later_release_is_seen(network: HubNetwork, caplog: pytest.LogCaptureFixture):
-    """As rmw_zenoh_cpp 0.10.5 announces it: a part follows the QoS."""
+    """rmw_zenoh_cpp 0.10.5 announces it with another part after the QoS."""
     with Hub.open(network.settings("a")) as a, network.program() as program:
         camera = f"@ros2_lv/{a.domain}/z/0/1/MP/%/%/camera/%image/sensor_msgs::msg::dds_::Image_/{HASH}"
         token = program.liveliness().declare_token(f"{camera}/2::,7:,:,:,,/backends:cpu:")
@@ -188,7 +188,7 @@ def test_camera_of_a_later_release_is_seen(network: HubNetwork, caplog: pytest.L
         assert a.graph.refused == 0
         assert not [r for r in caplog.records if r.name.startswith("bridge.hub.graph")]
         token.undeclare()
-        until(lambda: not a.graph.endpoints(), "gone")
+        until(lambda: not a.graph.endpoints(), "the camera is gone")
 
 
 def test_tokens_are_bounded(network: HubNetwork):
@@ -197,20 +197,20 @@ def test_tokens_are_bounded(network: HubNetwork):
         ids = itertools.count()
         owner = [NodeToken(a.domain, f"z{next(ids)}", "0", "/", "n", BRIDGE_ENCLAVE) for _ in range(40)]
         tokens = [liveliness.declare_token(node_key(token)) for token in owner]
-        until(lambda: a.graph.refused >= 20, "the rest is refused")
+        until(lambda: a.graph.refused >= 20, "the tokens beyond the limit are refused")
         assert len(a.graph.nodes()) == 20
         for token in tokens:
             token.undeclare()
-        until(lambda: len(a.graph.nodes()) <= 2, "gone")
+        until(lambda: len(a.graph.nodes()) <= 2, "the nodes are gone")
 
 
 def test_other_domains_are_not_seen(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b", domain=0)) as b:
         b.set_origin(ROBOT)
         advertise(b, "/chatter")
-        until(lambda: b.graph.publishers(), "seen in its own")
+        until(lambda: b.graph.publishers(), "the publisher is seen in its own domain")
         with Hub.open(network.settings("c")) as c:
-            until(lambda: len(a.graph.nodes()) == 2, "both seen")
+            until(lambda: len(a.graph.nodes()) == 2, "both nodes of the domain are seen")
             assert {n.zid for n in a.graph.nodes()} == {a.zid, c.zid}
         assert a.graph.endpoints() == []
         assert a.graph.origins() == {}

@@ -1,4 +1,4 @@
-"""Liveliness tokens: written, read, and refused."""
+"""Liveliness tokens are written, parsed and refused."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LISTENER = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
 
 
 def test_demo_talker_of_rmw_zenoh():
-    """A token as rmw_zenoh_cpp's demo talker declares it."""
+    """Parse the token that rmw_zenoh_cpp's demo talker declares."""
     token = parse_token(TALKER)
     owner = NodeToken(0, "8b20917502ee955ac4476e0266340d5c", "0", "/", "talker")
     assert token == EndpointToken(
@@ -52,7 +52,7 @@ def test_demo_talker_of_rmw_zenoh():
 
 
 def test_a_gid_is_the_hash_of_its_token():
-    """Stock XXH3-128 of the key, low half first."""
+    """A GID is the plain XXH3-128 of the key, low half first."""
     assert gid_of(LISTENER).hex() == "5bd72f4daf53c0bb00c7394e7fc19547"
     assert gid_of(TALKER).hex() == "eb85fa883b7846dc448a4501890ad062"
 
@@ -113,7 +113,7 @@ def test_token_of_a_later_release(more: str):
 
 
 def test_token_without_a_type_hash():
-    """Humble's rmw_zenoh writes a word in place of the hash, since Humble's types have none."""
+    """Humble's rmw_zenoh writes a word in place of the hash, because Humble's types have no hash."""
     key = TALKER.replace(HASH, "TypeHashNotSupported")
     token = parse_token(key)
     assert isinstance(token, EndpointToken)
@@ -185,7 +185,7 @@ def test_token_of_any_text(parts: list[str]):
 
 
 def assert_refused_or_kept(parse: Callable[[str], Any], key: str) -> None:
-    """What is read of any token, and may be written, is written as it was read."""
+    """Check that any token that can be parsed is the same after writing and parsing it again."""
     with contextlib.suppress(HubWireError):
         token = parse(key)
         write: Any = {NodeToken: node_key, EndpointToken: endpoint_key, OriginToken: origin_key}[type(token)]

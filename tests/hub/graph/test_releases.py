@@ -1,4 +1,4 @@
-"""The releases of native nodes, from the tokens that each release's rmw_zenoh writes."""
+"""The ROS 2 releases of native nodes, derived from the tokens of each release's rmw_zenoh."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BY_IMAGES = {"humble": "Humble", "lyrical": "Lyrical or later"}
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: release.name)
 def test_a_node_of_each_release(network: HubNetwork, release: Release) -> None:
-    """Jazzy and Kilted announce the same; Lyrical differs only with types that have buffers."""
+    """Jazzy and Kilted announce the same; Lyrical differs only for types with buffers."""
     with Hub.open(network.settings("midspan")) as hub:
         node = ReleaseNode(network.endpoint, network.domain, "camera", release)
 
@@ -36,11 +36,11 @@ def test_a_node_of_each_release(network: HubNetwork, release: Release) -> None:
 
         with closing(node):
             ends = [ReleasePublisher(node, CHATTER), ReleaseServer(node, SERVICE, lambda request: request)]
-            until(lambda: len(hub.graph.endpoints()) == len(ends), "both are known")
+            until(lambda: len(hub.graph.endpoints()) == len(ends), "all endpoints are known")
             assert groups() == known(BY_ANY_TOPIC.get(release.name, "Jazzy or later"))
             ends.append(ReleasePublisher(node, IMAGE))
             text = BY_IMAGES.get(release.name, "Jazzy or Kilted")
-            (image,) = until(lambda: hub.graph.publishers("/image"), "its images are known")
+            (image,) = until(lambda: hub.graph.publishers("/image"), "the image publisher is known")
             assert groups() == known(text), "a publisher of images narrows the release down"
             assert f"/camera (zenoh, on the hub itself, ROS 2 {text})" in endpoint_text(image)
             assert native_nodes(hub.graph.endpoints(), {node.zid}) == []

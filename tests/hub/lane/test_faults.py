@@ -26,7 +26,7 @@ def test_stalled_reader_does_not_block_others(network: HubNetwork, tmp_path: Pat
     with Hub.open(network.settings("writer", lane=lane)) as writer, network.hub_peer("reader", lane=lane) as reader:
         publisher = advertise(writer, "/t")
         number = reader.ask("subscription", topic="/t")["id"]
-        until(lambda: reader.ask("way", id=number)["way"] == "lane", "it goes by the lane")
+        until(lambda: reader.ask("way", id=number)["way"] == "lane", "the subscription uses the lane")
         os.kill(reader.pid, signal.SIGSTOP)
 
         def say_all() -> None:
@@ -42,7 +42,10 @@ def test_stalled_reader_does_not_block_others(network: HubNetwork, tmp_path: Pat
         def newest() -> bool:
             return str(count - 1) in reader.ask("wait", id=number, count=0, seconds=0.0)["texts"][-1:][0].strip()
 
-        until(lambda: reader.ask("wait", id=number, count=1, seconds=9.0)["texts"] and newest(), "the newest has come")
+        until(
+            lambda: reader.ask("wait", id=number, count=1, seconds=9.0)["texts"] and newest(),
+            "the last message has arrived",
+        )
         numbers = [int(text) for text in reader.ask("wait", id=number, count=0, seconds=0.0)["texts"]]
         assert numbers == sorted(set(numbers))
         dropped = writer.lane()["dropped"]
@@ -57,11 +60,11 @@ def test_killed_reader_is_removed_and_the_next_one_served(network: HubNetwork, t
         for _ in range(2):
             with network.hub_peer("reader", lane=lane) as reader:
                 number = reader.ask("subscription", topic="/t")["id"]
-                until(lambda n=number, r=reader: r.ask("way", id=n)["way"] == "lane", "it goes by the lane")
+                until(lambda n=number, r=reader: r.ask("way", id=n)["way"] == "lane", "the subscription uses the lane")
                 publisher.put(b"x")
                 assert reader.ask("wait", id=number, count=1, seconds=40.0)["texts"] == ["x"]
                 os.kill(reader.pid, signal.SIGKILL)
-            until(lambda: publisher.way()[0] != "lane", "its lane is gone", 1.0)
+            until(lambda: publisher.way()[0] != "lane", "the reader's lane is gone", 1.0)
 
 
 def test_killed_writer_leaves_only_whole_messages(network: HubNetwork, tmp_path: Path) -> None:
@@ -73,12 +76,12 @@ def test_killed_writer_leaves_only_whole_messages(network: HubNetwork, tmp_path:
                 number = writer.ask("publisher", topic="/t")["id"]
                 writer.ask("drum", id=number, rate=5000.0, size=60_000)
                 goes_by(subscriber, "lane")
-                until(lambda: len(subscriber.samples) > 100, "it speaks")
+                until(lambda: len(subscriber.samples) > 100, "the writer publishes")
                 os.kill(writer.pid, signal.SIGKILL)
             goes_by(subscriber, "zenoh", "no other worker publishes it")
             texts = subscriber.texts()
             assert {len(text) for text in texts} == {60_000}
-            numbers = [int(text) for text in texts]  # at 300 MB/s some are dropped, which is not a fault
+            numbers = [int(text) for text in texts]  # at 300 MB/s some messages are dropped, which is correct
             assert numbers == sorted(set(numbers))
             subscriber.samples.clear()
 
@@ -91,10 +94,10 @@ def accepted(listener: socket.socket) -> socket.socket | None:
 
 
 def test_partial_message_is_not_delivered(network: HubNetwork, tmp_path: Path) -> None:
-    """The other end is a bare socket in the place of a worker that dies in the middle."""
+    """The other end is a bare socket that stands in for a worker that dies in the middle of a message."""
     with Hub.open(network.settings("reader", lane=str(tmp_path))) as reader:
         subscriber = Subscriber(reader, "/t")
-        with Hub.open(network.settings("writer")) as writer:  # only its place on the graph
+        with Hub.open(network.settings("writer")) as writer:  # only for its token on the graph
             publisher = advertise(writer, "/t")
             listener = folder.listen(tmp_path, writer.zid)
             listener.settimeout(0.5)
@@ -124,7 +127,7 @@ def test_without_descriptors_all_messages_use_zenoh(network: HubNetwork, tmp_pat
         peers = {"reader": reader, "writer": writer}
         warm = reader.ask("subscription", topic="/kept", latched=True)["id"]
         writer.ask("put", id=writer.ask("publisher", topic="/kept", latched=True)["id"], text="x")
-        assert reader.ask("wait", id=warm, count=1, seconds=40.0)["texts"], "they are linked"
+        assert reader.ask("wait", id=warm, count=1, seconds=40.0)["texts"], "the workers are linked"
         subscription_id = reader.ask("subscription", topic="/t")["id"]
         peers[end].ask("exhaust", on=True)
         says = writer.ask("publisher", topic="/t")["id"]
@@ -133,7 +136,7 @@ def test_without_descriptors_all_messages_use_zenoh(network: HubNetwork, tmp_pat
         whole(texts)
         assert reader.ask("way", id=subscription_id)["way"] == "zenoh"
         peers[end].ask("exhaust", on=False)
-        until(lambda: reader.ask("way", id=subscription_id)["way"] == "lane", "there are descriptors, and so a lane")
+        until(lambda: reader.ask("way", id=subscription_id)["way"] == "lane", "with descriptors, the lane is used")
         whole(reader.ask("wait", id=subscription_id, count=len(texts) + 200, seconds=40.0)["texts"])
 
 
@@ -178,7 +181,7 @@ def test_sockets_of_dead_processes_are_removed(network: HubNetwork, tmp_path: Pa
 def test_workers_whose_lanes_have_other_versions_use_zenoh(
     network: HubNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writers: int, readers: int
 ) -> None:
-    """During an upgrade a worker of the new release may start while one of the old still runs."""
+    """During an upgrade, a worker of the new release may start while a worker of the old release still runs."""
     lane = str(tmp_path)
     monkeypatch.setattr(folder, "VERSION", writers)
     with Hub.open(network.settings("writer", lane=lane)) as writer:
@@ -205,12 +208,12 @@ def test_sockets_of_other_versions_are_removed_once_dead(tmp_path: Path, monkeyp
 def test_early_messages_arrive_once(network: HubNetwork, tmp_path: Path) -> None:
     lane = str(tmp_path)
     with Hub.open(network.settings("writer", lane=lane)) as writer, Hub.open(network.settings("b", lane=lane)) as b:
-        publisher = advertise(writer, "/t", STREAM, "before")  # zenoh may hold it until there is a subscriber
+        publisher = advertise(writer, "/t", STREAM, "before")  # zenoh may hold the message until there is a subscriber
         subscriber = Subscriber(b, "/t")
         matched(publisher)
         for number in range(500):
             publisher.put(str(number).encode())
-        until(lambda: subscriber.texts()[-1:] == ["499"], "all come")
+        until(lambda: subscriber.texts()[-1:] == ["499"], "all messages arrive")
         assert [text for text in subscriber.texts() if text != "before"] == [str(number) for number in range(500)]
         goes_by(subscriber, "lane")
         assert not subscription(subscriber).lost

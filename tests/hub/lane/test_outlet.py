@@ -1,4 +1,4 @@
-"""Messages queued for a full reader: commands go first, and the oldest of a full queue are dropped."""
+"""Messages queued for a full reader: commands go first, and a full queue drops its oldest messages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GID = bytes(16)
 
 
 class Pair:
-    """A link and its other end."""
+    """A link and the reader's socket."""
 
     def __init__(self) -> None:
         ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -35,7 +35,7 @@ class Pair:
         outlet.send(pack_attachment(number, 0, GID), bytes(size))
 
     def fill(self) -> int:
-        """Send on the stream until the first message waits; its number."""
+        """Send on the stream until a message waits in the queue; return its number."""
         number = 0
         while not self.stream.queue:
             number += 1
@@ -43,7 +43,7 @@ class Pair:
         return number
 
     def records(self) -> list[list[tuple[int, int]]]:
-        """Key and number of each message that is there, by record."""
+        """Return key and number of each message that has arrived, grouped by record."""
         records = []
         while True:
             try:
@@ -56,7 +56,7 @@ class Pair:
                 records.append(list(messages(record)))
 
     def read(self) -> list[tuple[int, int]]:
-        """Key and number of each message that is there."""
+        """Return key and number of each message that has arrived."""
         return [message for record in self.records() for message in record]
 
 
@@ -167,7 +167,7 @@ def test_a_record_has_room_for_the_largest_joined_messages(pair: Pair, joining: 
         pair.send(pair.stream, number, MAX_JOINED_BYTES)
     assert pair.records() == [[(1, number) for number in range(MAX_JOINED)]]
     pair.send(pair.stream, MAX_JOINED, MAX_JOINED_BYTES + 1)
-    assert pair.records() == [[(1, MAX_JOINED)]], "a larger one does not wait"
+    assert pair.records() == [[(1, MAX_JOINED)]], "a larger message does not wait"
 
 
 def test_joined_messages_are_not_overtaken(pair: Pair, joining: Joining) -> None:
@@ -221,4 +221,4 @@ def test_nothing_is_sent_to_a_closed_reader(pair: Pair) -> None:
     pair.send(pair.stream, 1)
     pair.send(pair.stream, 2)
     assert not pair.stream.queue
-    assert pair.watched == [True], "the watcher of the socket sees its end"
+    assert pair.watched == [True], "the socket's watcher detects its end"

@@ -1,4 +1,4 @@
-"""The parts of a subscription that switches between lane and zenoh."""
+"""The parts of a subscription that switches between the lane and zenoh."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _message(number: int) -> HubSample:
 
 
 class Merged:
-    """A sequencer with one publisher, which sends over both transports unless the test changes that."""
+    """A sequencer for one publisher, which sends over both transports unless the test changes that."""
 
     def __init__(self, *, paired: bool = True) -> None:
         graph: Any = SimpleNamespace(zid_of=lambda _gid: "")
@@ -114,7 +114,7 @@ def test_held_messages_of_a_dropped_publisher_are_forgotten() -> None:
 
 
 class FakeInlet:
-    """A connection to a session."""
+    """A stand-in for the connection to a session."""
 
     def __init__(self, zid: str) -> None:
         self.zid = zid
@@ -129,18 +129,18 @@ def test_each_step_of_leaving_a_lane(message: bool) -> None:
     lanes, lane = Lanes(), inlet()
     lanes.inlets[lane] = 0.0
     assert [lanes.leave(lane), lanes.leave(lane)] == [LeavingStep.DECLARED] * 2
-    assert not lanes.fence(lane, 100.0), "its session may not know the subscriber yet"
+    assert not lanes.fence(lane, 100.0), "the session may not know the subscriber yet"
     lanes.received.add("z")
     lanes.known(lane, 10.0)
     assert lanes.leave(lane) is LeavingStep.KNOWN
-    assert not lanes.fence(lane, 10.0), "the message over zenoh arrived before"
+    assert not lanes.fence(lane, 10.0), "the message over zenoh arrived earlier"
     lanes.fenced(lane)
-    assert lanes.leave(lane) is LeavingStep.KNOWN, "the fence of an earlier attempt"
+    assert lanes.leave(lane) is LeavingStep.KNOWN, "the fence belongs to an earlier attempt"
     if message:
         lanes.received.add("z")
     assert lanes.fence(lane, 10.1 if message else 10.1 + QUIET_SECONDS)
     assert lanes.leave(lane) is LeavingStep.FENCED
-    assert not lanes.fence(lane, 100.0), "one fence"
+    assert not lanes.fence(lane, 100.0), "only one fence is sent"
     lanes.fenced(lane)
     assert lanes.leave(lane) is LeavingStep.ENDED
     lanes.drop(lane)
@@ -162,18 +162,18 @@ def test_publisher_has_caught_up_at_its_mark_or_once_its_session_replies() -> No
     def caught(last: int | None, at: float = now) -> bool:
         return lanes.caught(GID, last, at, lambda zid, since: replied.get(zid, 0.0) >= since)
 
-    assert not caught(9, now + 100.0), "no mark yet"
+    assert not caught(9, now + 100.0), "no mark has arrived yet"
     lanes.mark(lane, GID, 5)
-    lanes.mark(lane, GID, 7)  # a repeated one
+    lanes.mark(lane, GID, 7)  # a repeated mark
     assert [caught(last) for last in (None, 4, 5, 0)] == [False, False, True, True]
     lanes.mark(other, GID, 5)
     replied["y"] = now - 1.0
-    assert not caught(4), "a reply to an earlier query"
+    assert not caught(4), "the reply was to an earlier query"
     replied["y"] = time.monotonic()
     assert caught(4)
     lanes.mark(lane, GID, 5)
     assert not caught(4)
-    assert caught(4, time.monotonic() + CAUGHT_SECONDS), "its session does not respond"
+    assert caught(4, time.monotonic() + CAUGHT_SECONDS), "the session has not responded in time"
 
 
 def test_marks_of_departed_publishers_and_ended_lanes_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,7 +182,7 @@ def test_marks_of_departed_publishers_and_ended_lanes_are_dropped(monkeypatch: p
     for gid in (b"a", b"b", b"c", b"d"):
         lanes.mark(lane, gid, 1)
     lanes.prune([b"a", b"b"])
-    assert set(lanes.joined) == {b"a", b"b", b"c", b"d"}, "few"
+    assert set(lanes.joined) == {b"a", b"b", b"c", b"d"}, "few marks are spared"
     lanes.prune([b"a"])
     assert set(lanes.joined) == {b"a"}
     lanes.mark(other, b"e", 1)
@@ -194,7 +194,7 @@ def test_marks_of_departed_publishers_and_ended_lanes_are_dropped(monkeypatch: p
 
 
 class Declared:
-    """Records the subscribers of a session that exist."""
+    """Records the number of subscribers that a session has declared."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now: list[zenoh.Locality] = []
@@ -228,7 +228,7 @@ def test_subscriber_switches_without_a_gap_in_its_session(monkeypatch: pytest.Mo
     assert (declared.now, subscriber.everywhere) == ([reach], True)
     assert subscriber.declared > since
     if shared:
-        assert (declared.least, declared.most) == (1, 2), "messages of its other nodes only arrive over zenoh"
+        assert (declared.least, declared.most) == (1, 2), "messages of the session's other nodes only arrive over zenoh"
     subscriber.close()
     subscriber.listen(everywhere=False)
     assert declared.now == []

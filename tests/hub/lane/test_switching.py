@@ -1,4 +1,4 @@
-"""A topic goes over lane and zenoh in turn while it is published: nothing is missing, nothing twice, all in order."""
+"""A topic switches between lane and zenoh while it is published: all messages arrive once and in order."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def drummer(network: HubNetwork, lane: str) -> Iterator[Peer]:
 
 @pytest.mark.parametrize("switches", [10, pytest.param(200, marks=pytest.mark.thorough)])
 def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, switches: int) -> None:
-    """All messages of a switch arrive before the next one: a link that is congested for seconds drops some."""
+    """All messages of a switch must arrive before the next one, because a link congested for seconds drops some."""
     subscriber = Subscriber(reader, "/t")
     number, put = drummer.ask("publisher", topic="/t")["id"], 0
     with network.hub_peer("foreign") as foreign, network.rmw_session() as rmw:
@@ -86,7 +86,7 @@ def test_foreign_publishers_are_received_again(network: HubNetwork, reader: Hub,
         strange.put(b"from afar")
         ours.put(b"from here")
         subscriber.expect("from afar", "from here")
-        until(lambda: ours.way() == ("zenoh", "a subscription is not on the lane"), "the publisher knows")
+        until(lambda: ours.way() == ("zenoh", "a subscription is not on the lane"), "the publisher uses zenoh")
 
 
 def test_other_subscribers_receive_lane_messages(network: HubNetwork, reader: Hub, writer: Hub) -> None:
@@ -94,10 +94,10 @@ def test_other_subscribers_receive_lane_messages(network: HubNetwork, reader: Hu
     subscriber, every = Subscriber(reader, "/t"), Subscriber(reader, "/t", type_hash="*")
     goes_by(subscriber, "lane")
     goes_by(every, "lane")
-    until(lambda: ours.way() == ("lane", ""), "the publisher knows both subscriptions")
+    until(lambda: ours.way() == ("lane", ""), "the publisher has matched both subscriptions")
     with Hub.open(network.settings("foreign")) as far:
         strange = Subscriber(far, "/t")
-        until(lambda: ours.way()[0] == "both", "both listen")
+        until(lambda: ours.way()[0] == "both", "the publisher uses both transports")
         ours.put(b"x")
         for receiver in (subscriber, every, strange):
             receiver.expect("x")
@@ -118,7 +118,7 @@ def test_joined_messages_do_not_wait_for_a_publisher_that_blocks(writer: Hub) ->
 def test_topic_with_growing_messages_returns_to_zenoh(
     reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The writer's session may know the declaration on zenoh before the match is reported."""
+    """The writer's session may see the declaration on zenoh before the match is reported."""
     monkeypatch.setattr(_Matching, "_changed", lambda *_: None)  # very late
     subscriber = Subscriber(reader, "/t")
     ours = advertise(writer, "/t")
@@ -126,7 +126,7 @@ def test_topic_with_growing_messages_returns_to_zenoh(
     texts = ["small", "x" * (3 * BOUND + 5), "y" * (40 * BOUND), "small again"]
     for text in texts:
         ours.put(text.encode())
-    until(lambda: len(subscriber.samples) == len(texts), "all come")
+    until(lambda: len(subscriber.samples) == len(texts), "all messages arrive")
     assert subscriber.texts() == texts
     goes_by(subscriber, "zenoh", "a message was larger than 65536 bytes")
     ours.put(b"by zenoh")
@@ -136,7 +136,7 @@ def test_topic_with_growing_messages_returns_to_zenoh(
 def test_messages_still_on_the_way_over_zenoh_are_received_after_the_switch_to_the_lane(
     network: HubNetwork, reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A busy machine: a callback takes longer than all else."""
+    """On a busy machine, a callback may take longer than everything else."""
     subscriber, ours, gate = Subscriber(reader, "/t"), advertise(writer, "/t"), threading.Event()
     chosen, asked = subscription(subscriber), threading.Event()
     receive, passed = chosen._callback, chosen._lane.barriers.passed
@@ -188,7 +188,7 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
     for text in (large, "late"):
         ours.put(text.encode())
     both_put.set()
-    until(lambda: ours.way()[0] == "both", "the subscription on zenoh is known")
+    until(lambda: ours.way()[0] == "both", "the publisher uses both transports")
     ours.put(b"last")
     try:
         until(lambda: chosen._sequencer.early or len(subscriber.samples) > 1, "the last message arrives over zenoh")
@@ -196,7 +196,7 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
         if depth == 1:
             subscriber.expect(large, "last", seconds=3)
             return
-        until(lambda: time.monotonic() > held + 0.5, "it is held for longer than other early messages")
+        until(lambda: time.monotonic() > held + 0.5, "the last message is held for longer than other early messages")
     finally:
         gate.set()
     subscriber.expect(large, "late", "last")
@@ -241,15 +241,15 @@ def test_late_publishers_and_subscribers(reader: Hub, writer: Hub) -> None:
     subscriber = Subscriber(reader, "/t")
     first = advertise(writer, "/t")
     goes_by(subscriber, "lane")
-    second = advertise(writer, "/t", Qos(depth=10), "at once")  # its first message comes by the lane too
+    second = advertise(writer, "/t", Qos(depth=10), "at once")  # the first message uses the lane, too
     subscriber.expect("at once")
     later = Subscriber(reader, "/t")
     goes_by(later, "lane")
     first.put(b"one")
     second.put(b"two")
     subscriber.expect("at once", "one", "two")
-    # the first message came to the other by the lane; zenoh's may be under way still
-    until(lambda: {"one", "two"} <= set(later.texts()), "the later one receives them")
+    # the first publisher's message used the lane; zenoh's may still be under way
+    until(lambda: {"one", "two"} <= set(later.texts()), "the later subscription receives both messages")
     assert sorted(later.texts()) in (["one", "two"], ["at once", "one", "two"])
     later.subscription.close()
     subscriber.subscription.close()

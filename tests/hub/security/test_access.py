@@ -1,4 +1,4 @@
-"""Which keys a machine that is not trusted may write: none of a command's, and all others."""
+"""An untrusted machine may write all keys except those of commands."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ KEYS = [zenoh.KeyExpr(harmless_key) for harmless_key in harmless_keys(commands(R
 
 
 def allowed(topic: str, type_name: str) -> bool:
-    """Return whether a guest may publish; Humble's guests, whose keys have no hash, may do the same."""
+    """Return whether a guest may publish. Humble's guests, whose keys have no hash, may publish the same topics."""
     keys = (zenoh.KeyExpr(topic_key(0, topic, type_name, type_hash)) for type_hash in (HASH, NO_HASH))
     (may,) = {any(allowed_key.includes(key) for allowed_key in KEYS) for key in keys}
     return may
@@ -53,7 +53,7 @@ def test_types_with_commands_are_found_through_the_rules() -> None:
 
 
 def test_allowed_keys_never_match_commands() -> None:
-    """Not even a key with wildcards can be in both."""
+    """No key is in both sets, not even a key with wildcards."""
     goals = ["*/**/$*Goal_/*"]
     others = [
         f"*/{'*/**' if part == EVERY else '**/' + part.replace('*', '$*')}/{dds_type_name(name)}/*"

@@ -1,4 +1,4 @@
-"""The states of the endpoints of `hub.open`: real routers over TLS, their logs, and the rate of the tests."""
+"""The states of the `hub.open` endpoints, with real routers over TLS, and their logs and test rates."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten times as fast as on a robot."""
+    """Make the tests of endpoints ten times as frequent as on a robot."""
     monkeypatch.setattr(endpoints, "POLL_SECONDS", 0.1)
     monkeypatch.setattr(endpoints, "FIRST_SECONDS", 0.5)
     monkeypatch.setattr(endpoints, "TEST_SECONDS", 1.0)
@@ -118,7 +118,7 @@ def operator_status(machine: Machine) -> list[dict[str, Any]]:
 
 
 def test_each_endpoint_has_its_own_state(keys: Path, port: int) -> None:
-    """A good one, another one of the same machine, a wrong port and an unknown name."""
+    """A reachable endpoint, another address of the same machine, a wrong port and an unknown host name."""
     wrong = free_port()
     connect = [f"tls/127.0.0.1:{port}", f"tls/localhost:{port}", f"tls/127.0.0.1:{wrong}", "tls/robot9.invalid:7448"]
     authority = Authority(keys / "a")
@@ -199,7 +199,7 @@ def test_a_resolver_that_hangs_blocks_nothing(keys: Path, monkeypatch: pytest.Mo
 
 
 class Pool:
-    """Finishes each job at once, and counts them."""
+    """A stand-in for a thread pool that runs each job at once and counts the jobs."""
 
     def __init__(self, result: Attempt) -> None:
         self.result, self.jobs = result, 0
@@ -233,7 +233,7 @@ def test_a_linked_endpoint_is_not_tested(slow: float) -> None:
     pool: Any = Pool(Attempt(Reason(EndpointState.CONNECTING), "", frozenset({"tls/10.0.0.9:7448"})))
     for second in range(100):
         endpoint.poll([link], pool, None, slow + second)
-    assert pool.jobs == 1, "only the addresses"
+    assert pool.jobs == 1, "only the addresses are tested"
     assert endpoint.status.state == EndpointState.CONNECTED
 
 

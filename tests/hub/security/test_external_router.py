@@ -92,7 +92,7 @@ def machines(running: Machines) -> Iterator[Machines]:
 
 
 class RobotProgram:
-    """Everything that a program on the robot's machine receives, by any means."""
+    """Records everything that a program on the robot's machine receives, by any means."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self.received: list[tuple[str, str]] = []
@@ -145,7 +145,7 @@ def test_guest_publishes_everything_but_commands(machines: Machines, mode: str) 
 
 
 def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
-    """Naming another sender in a sample, or declaring tokens of another session, gives no permission."""
+    """Naming another sender in a sample, or declaring another session's tokens, grants no permission."""
     friend = machines.session("friend")
 
     def send(sender: zenoh.Session) -> None:
@@ -184,7 +184,7 @@ def test_goals_and_cancels(machines: Machines, name: str, works: bool) -> None:
 
 
 def test_a_guest_cannot_answer_with_commands(machines: Machines) -> None:
-    """Caches of latched samples are queried below their key; only a trusted machine is queried for commands."""
+    """Caches of latched samples are queried below their key. Only trusted machines are queried for commands."""
     local = machines.session(None)
     guest = machines.session("guest")
     state, goal = key("/state", TYPE), key("/goal_pose", POSE)
@@ -242,7 +242,7 @@ def test_router_reports_connected_machines(machines: Machines) -> None:
             answers = robot.ask("status", {}, worker="router")
             return [(machine["name"], machine["trusted"]) for a in answers for machine in a.value["machines"]]
 
-        until(lambda: connected() == [("friend", True), ("guest", False)], "both are told")
+        until(lambda: connected() == [("friend", True), ("guest", False)], "both connections are reported")
 
 
 def test_reload_changes_the_trusted_machines(folder: Path) -> None:
@@ -256,7 +256,7 @@ def test_reload_changes_the_trusted_machines(folder: Path) -> None:
         changed = config.model_copy(update={"hub": config.hub.model_copy(update={"open": opened})})
         local = machines.session(None)
         assert router.reload(changed)
-        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are not cut off"
+        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are disconnected"
         assert received_from(machines, "friend", put_each([CMD_VEL])) == []
         assert (ARM_DRIVE, "go") in received_from(machines, "guest", put_each([ARM_DRIVE]))
     finally:
@@ -265,7 +265,7 @@ def test_reload_changes_the_trusted_machines(folder: Path) -> None:
 
 
 def shown(machines: Machines) -> bytes:
-    """The certificate that the robot's external router shows."""
+    """Return the certificate that the robot's external router presents."""
     context = ssl.create_default_context(cafile=machines.folder / "ca.pem")
     context.load_cert_chain(machines.folder / "friend.pem", machines.folder / "friend.key")
     address = ("127.0.0.1", machines.port)
@@ -301,10 +301,10 @@ def test_new_certificates_are_used_once_they_match(tmp_path: Path, caplog: pytes
 
         renewed.file.write_bytes(whole)
         router.health()
-        assert shown(machines) == first, "it may still be being copied"
+        assert shown(machines) == first, "the certificate may still be being copied"
         router.health()
         assert shown(machines) == ssl.PEM_cert_to_DER_cert(whole.decode()) != first
-        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are not cut off"
+        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are disconnected"
         assert received_from(machines, "friend", put_each([CMD_VEL])) == [(CMD_VEL, "go"), (CMD_VEL, "")]
     finally:
         machines.close()
@@ -319,7 +319,7 @@ def test_hub_runs_if_its_external_listener_cannot_open(folder: Path, tmp_path: P
     router.start(config)
     try:
         with Hub.open(machines.network.settings("robot")) as robot:
-            until(robot.graph.nodes, "the session")
+            until(robot.graph.nodes, "the session is seen")
             health = router.health()
             assert health.state == "running"
             assert f"closed to other machines: there is no {tmp_path / 'ca.pem'}" in health.text

@@ -1,4 +1,4 @@
-"""Which services other machines may call and serve, with services that are really served."""
+"""The services that other machines may call and serve, tested with real servers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
 
 
 def called(server: Hub, caller: Hub, name: str, type_name: str) -> tuple[bytes | str, bool]:
-    """What a call ends with, and whether the server was asked."""
+    """Return the result of a call, and whether the server was called."""
     requests: list[bytes] = []
     serving = Serving(server, name, lambda request: requests.append(request) or b"yes", type_name)
     client = caller.client(name, type_name, HASH)
@@ -50,7 +50,7 @@ def called(server: Hub, caller: Hub, name: str, type_name: str) -> tuple[bytes |
 
 @pytest.mark.parametrize(("name", "commands"), [("friend", True), ("guest", False)])
 def test_a_machine_calls(machines: Machines, name: str, commands: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calls, "_AT_ONCE", 40.0)  # however slow the machine is
+    monkeypatch.setattr(calls, "_AT_ONCE", 40.0)  # no matter how slow the machine is
     with Hub.open(machines.network.settings("robot")) as robot, machines.hub(name) as other:
         for service, type_name in QUESTIONS.items():
             assert called(robot, other, service, type_name) == (b"yes", True)
@@ -66,7 +66,7 @@ def test_a_machine_calls(machines: Machines, name: str, commands: bool, monkeypa
 
 @pytest.mark.parametrize("name", ["friend", "guest"])
 def test_a_machine_answers(machines: Machines, name: str) -> None:
-    """Its replies to goal requests pass, too, as the service is its own."""
+    """The other machine's replies to goal requests pass, too, because the service is its own."""
     with Hub.open(machines.network.settings("robot")) as robot, machines.hub(name) as other:
         for service, type_name in {**QUESTIONS, **COMMANDS}.items():
             # three routers may announce a server before all have a route to it; such a call reaches no server
@@ -88,7 +88,7 @@ def test_only_a_trusted_machine_could_abandon_the_calls_of_others(machines: Mach
         until(lambda: client.ready, "the server is seen")
         end = Called()
         client.call(b"go", end.done)
-        until(lambda: serving.held, "asked")
+        until(lambda: serving.held, "the request has arrived")
         last, subscriber = advertise(other, "/last"), Subscriber(robot, "/last")
         matched(last)
         key = abandon_key(topic_key(other.domain, service, type_name, HASH))
@@ -96,5 +96,5 @@ def test_only_a_trusted_machine_could_abandon_the_calls_of_others(machines: Mach
         other._session.put(key, abandon)
         until(lambda: last.put(b"end") or subscriber.samples, "the last message arrives")
         # messages sent before the route to the subscriber is known are lost
-        until(lambda: not works or other._session.put(key, abandon) or serving.abandoned, "abandoned")
+        until(lambda: not works or other._session.put(key, abandon) or serving.abandoned, "the call is abandoned")
         assert bool(serving.abandoned) == works

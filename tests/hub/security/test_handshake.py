@@ -1,4 +1,4 @@
-"""The test connection to an endpoint of `hub.open`, against real zenoh listeners with TLS."""
+"""Test connections to endpoints of `hub.open`, against real zenoh listeners with TLS."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.support.wait import until
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two fleets: one authority and its machines in ``a``, another one's in ``b``."""
+    """Two fleets, each with an authority and its machines, in the folders ``a`` and ``b``."""
     folder = tmp_path_factory.mktemp("keys")
     for fleet in ("a", "b"):
         authority = Authority(folder / fleet)
@@ -91,7 +91,7 @@ def test_a_refused_certificate_is_reported_with_its_cure(
 
 @pytest.mark.parametrize("certificate", ["b/operator1", ""])
 def test_a_listener_refuses_the_certificate_after_the_handshake(keys: Path, certificate: str) -> None:
-    """TLS 1.3: the client considers the handshake complete before the listener looks at the client's certificate."""
+    """In TLS 1.3, the client considers the handshake complete before the listener checks the client's certificate."""
     port = free_port()
     fleet, _, name = certificate.partition("/")
     other = identity(keys / fleet, name) if certificate else Identity(keys / "a" / "ca.pem", None, None)
@@ -151,7 +151,7 @@ def test_an_overlong_port_number_is_refused() -> None:
 
 
 def test_a_host_that_drops_packets(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Linux does not answer a port whose queue is full, as a machine that is off does not answer at all."""
+    """Linux does not respond on a port whose queue is full, like a machine that is switched off."""
     monkeypatch.setattr("bridge.hub.security.handshake._CONNECT_SECONDS", 0.3)
     with ExitStack() as stack:
         full = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=0))
@@ -168,7 +168,7 @@ def test_a_host_that_drops_packets(keys: Path, monkeypatch: pytest.MonkeyPatch) 
 
 @contextmanager
 def server(answer: bytes | None) -> Iterator[str]:
-    """A TCP server that answers the first bytes, or stays silent."""
+    """Run a TCP server that replies to the first bytes, or stays silent."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         listening.settimeout(10.0)
 
@@ -186,7 +186,7 @@ def server(answer: bytes | None) -> Iterator[str]:
         thread.start()
         yield f"tls/127.0.0.1:{listening.getsockname()[1]}"
         thread.join(10.0)
-        assert not thread.is_alive(), "the test connection stays open"
+        assert not thread.is_alive(), "the test connection is still open"
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_programs_that_are_not_zenoh(
 
 
 def test_connection_closes_in_order(keys: Path) -> None:
-    """A listener for plain TCP gets a connection that is closed at once, and none stays open."""
+    """A listener for plain TCP gets a connection that is closed at once, and no connection stays open."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         result = attempted(f"tcp/127.0.0.1:{listening.getsockname()[1]}", None)
         connection, _ = listening.accept()
@@ -255,7 +255,7 @@ def test_zenoh_log_of_a_refusal(error: str, text: str) -> None:
 
 
 def test_zenoh_itself_links_after_a_test(keys: Path) -> None:
-    """The listener is not blocked by a test, and serves a real session at once."""
+    """A test connection does not block the listener, which accepts a real session right after it."""
     port = free_port()
     client_identity = identity(keys / "a", "operator1")
     tls = {
@@ -269,7 +269,9 @@ def test_zenoh_itself_links_after_a_test(keys: Path) -> None:
         tree = router_tree([], max_payload=1 << 20)
         tree["connect"]["endpoints"] = [f"tls/127.0.0.1:{port}"]
         with zenoh.open(make_config(tree, {"transport": {"link": {"tls": tls}}})):
-            until(lambda: [link.auth_identifier for link in robot.info.links()] == ["operator1"], "the link", 10.0)
+            until(
+                lambda: [link.auth_identifier for link in robot.info.links()] == ["operator1"], "the link is up", 10.0
+            )
 
 
 def test_a_program_with_a_refused_certificate_does_not_wait_for_a_busy_router(keys: Path) -> None:

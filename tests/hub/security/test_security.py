@@ -1,4 +1,4 @@
-"""TLS, access control and other network topologies, only by zenoh's configuration."""
+"""TLS, access control and other network topologies, all set by zenoh's configuration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def openssl(folder: Path, *args: str) -> None:
 
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An authority, and certificates signed by it for the router and two robots."""
+    """An authority, and certificates that it signed for the router and two robots."""
     folder = tmp_path_factory.mktemp("tls")
     for name in ("authority", "stranger"):
         key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-keyout", f"{name}.key")
@@ -36,7 +36,7 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def tls(folder: Path, name: str, authority: str = "authority") -> dict[str, object]:
-    """A participant's ``transport/link/tls``, mutual authentication and all."""
+    """Return a participant's ``transport/link/tls``, with mutual authentication."""
     certificate, key = str(folder / f"{name}.pem"), str(folder / f"{name}.key")
     return {
         "root_ca_certificate": str(folder / f"{authority}.pem"),
@@ -63,14 +63,15 @@ def test_only_sessions_with_a_certificate_join_over_tls(certificates: Path):
             advertise(a, "/map", LATCHED, "secret")
             subscriber.expect("secret")
             assert [link.dst.split("/")[0] for link in a._session.info.links()] == ["tls"]
-        # workers of the router's own machine stay peers: TLS to the router, a direct link on loopback
+        # workers on the router's machine stay peers, with TLS to the router and a direct link on loopback
         settings = [network.settings(node, zenoh={**robot1, "mode": "peer"}) for node in ("c", "d")]
         with Hub.open(settings[0]) as c, Hub.open(settings[1]) as d:
             see_each_other(c, d)
             until(
-                lambda: {x.dst.split("/")[0] for x in c._session.info.links()} == {"tls", "tcp"}, "both kinds of link"
+                lambda: {x.dst.split("/")[0] for x in c._session.info.links()} == {"tls", "tcp"},
+                "both kinds of link exist",
             )
-        # signed by an authority that the router does not trust
+        # this certificate is signed by an authority that the router does not trust
         with pytest.raises(HubError, match="cannot join the hub"):
             Hub.open(network.settings("c", zenoh=stranger))
         probed = probe_router(network.endpoint, robot1)
@@ -80,13 +81,13 @@ def test_only_sessions_with_a_certificate_join_over_tls(certificates: Path):
 
 
 def allow(name: str, keys: list[str], messages: list[str], *flows: str) -> dict[str, object]:
-    """An access rule; without flows for both ways."""
+    """Return an access rule; without ``flows``, it applies to both directions."""
     rule = {"id": name, "permission": "allow", "messages": messages, "key_exprs": keys}
     return {**rule, "flows": list(flows)} if flows else rule
 
 
 def test_access_control_limits_a_robot_to_its_topics(certificates: Path):
-    """robot2 may listen to everything on the hub, late joining too, and may publish nothing but /status."""
+    """robot2 may subscribe to everything on the hub, and join late, but publish only /status."""
     tokens = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
     every = ["put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", *tokens]
     graph = ["@ros2_lv/**", "@midspan/**", "**/@adv/**"]
@@ -139,7 +140,7 @@ def test_access_control_limits_a_robot_to_its_topics(certificates: Path):
 
 
 def test_two_machines_join_by_their_routers():
-    """Each machine's sessions only know their own router; data and state cross nevertheless."""
+    """The sessions of each machine only know their own router, but data and state cross."""
     with (
         HubNetwork() as first_network,
         HubNetwork(router_zenoh={"connect": {"endpoints": [first_network.endpoint]}}) as second_network,
@@ -155,7 +156,7 @@ def test_two_machines_join_by_their_routers():
         publisher.put(b"x")
         stream.expect("x")
         assert stream.samples[0].zid == a.zid
-        assert b.neighbors() == set(), "all goes by the router"
+        assert b.neighbors() == set(), "all messages go through the router"
         first_network.stop_router()
         until(lambda: not b.graph.publishers(), "the other machine is gone")
         first_network.start_router()

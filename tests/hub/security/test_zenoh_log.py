@@ -1,4 +1,4 @@
-"""zenoh's log, captured in a process that runs nothing else, as the router's does."""
+"""zenoh's log is captured in a process that runs nothing else, like the router's process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Peers with another protocol version on the hub: a minor one is accepted, a major one refused and logged."""
+"""Hub peers with another protocol version: another minor version is accepted, another major one refused and logged."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def test_endpoints_of_another_major_version_have_no_origin(
 
         tokens = program.liveliness()
         kept = [tokens.declare_token(key) for key in (origin, endpoint)]
-        until(lambda: seen() == [(Origin("ros1", "net", "far"), False)], "it is known")
+        until(lambda: seen() == [(Origin("ros1", "net", "far"), False)], "the endpoint's origin is known")
         version = f"@midspan/{network.domain}/wire/{zid}"
         with caplog.at_level(logging.WARNING):
             later = tokens.declare_token(f"{version}/{LATER}/9.9/and/more")
             strange = tokens.declare_token(f"{version}/{NEXT}/9.9")
-            until(lambda: seen() == [(None, True)], "it is refused: nothing of unknown origin crosses")
+            until(lambda: seen() == [(None, True)], "the origin is refused, so the endpoint is not bridged")
         (log_line,) = (line for line in caplog.messages if zid in line)
         assert log_line == f"Midspan 9.9 on the hub is refused, session {zid}: {refusal(NEXT)}"
         assert (
@@ -68,7 +68,7 @@ def test_endpoints_of_another_major_version_have_no_origin(
             in log_line
         )
         strange.undeclare()
-        until(lambda: seen() == [(Origin("ros1", "net", "far"), False)], "it is taken again")
+        until(lambda: seen() == [(Origin("ros1", "net", "far"), False)], "the origin is accepted again")
         for token in (later, *kept):
             token.undeclare()
 
@@ -76,7 +76,7 @@ def test_endpoints_of_another_major_version_have_no_origin(
 def test_session_announces_its_version(network: HubNetwork) -> None:
     with Hub.open(network.settings("here")) as hub, network.program() as program:
         key = f"@midspan/{network.domain}/wire/{hub.zid}/*/*"
-        until(lambda: list(program.liveliness().get(key)), "it says one")
+        until(lambda: list(program.liveliness().get(key)), "the session announces a version")
         (reply,) = program.liveliness().get(key)
         assert str(reply.ok.key_expr).split("/")[4] == WIRE
 
@@ -91,7 +91,7 @@ def test_answers_of_the_control_plane(network: HubNetwork) -> None:
             query.reply(f"{key}/{verb}", json.dumps({"value": 7, "more": 8, **answers[verb]}))
 
         kept = [program.declare_queryable(f"{key}/{verb}", answer, complete=True) for verb in answers]
-        until(lambda: hub.ask("none", {}), "it is reached")
+        until(lambda: hub.ask("none", {}), "the session responds")
         assert [(a.value, a.error) for a in hub.ask("none", {})] == [(7, "")]
         assert [(a.value, a.error) for a in hub.ask("later", {})] == [(7, "")]
         (refused,) = hub.ask("next", {})

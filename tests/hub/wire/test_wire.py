@@ -1,4 +1,4 @@
-"""Keys, names, attachments and QoS as rmw_zenoh writes them."""
+"""Keys, names, attachments and QoS, as rmw_zenoh writes them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f
 GID = bytes(range(16))
 
 QOS_TEXTS = [
-    # the first three as rmw_zenoh_cpp's demo talker, its listener and zenoh-ros2-sdk announce them
+    # the first three are announced by rmw_zenoh_cpp's demo talker, its demo listener and zenoh-ros2-sdk
     ("::,7:,:,:,,", Qos(depth=7)),
     ("::,10:,:,:,,", Qos(depth=10)),
     ("2:1:,1:,:,:,,", Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=1)),
@@ -31,7 +31,7 @@ QOS_READ = [
     ("0:0:0,0:0,0:0,0:0,0,0", Qos(depth=0)),
     ("::,:9223372036,854775807:,:1,9223372036,854775807", Qos(depth=42)),
     ("::,:18446744073709551615,0:0,18446744073709551615:,,", Qos(depth=42)),
-    # rmw's BEST_AVAILABLE, which a lifespan cannot be
+    # rmw's BEST_AVAILABLE, which a lifespan cannot have
     ("4::,10:,:,:,,", Qos(Reliability.BEST_AVAILABLE)),
     (":4:,10:,:,:5,,854775806", Qos(durability=Durability.BEST_AVAILABLE)),
     ("::,10:,854775806:,854775806:,,", Qos(deadline_ns=BEST_AVAILABLE_NS)),
@@ -103,7 +103,7 @@ def test_qos_of_any_text(text: str):
 
 
 def test_attachments_have_the_bytes_of_rmw_zenoh():
-    """As zenoh-ros2-sdk writes it, and rmw_zenoh since Jazzy's 0.2.4."""
+    """The bytes are those of zenoh-ros2-sdk, and of rmw_zenoh since Jazzy's 0.2.4."""
     data = pack_attachment(1, 0x0102, GID)
     assert data == b"\1" + bytes(7) + b"\2\1" + bytes(6) + b"\x10" + GID
     assert unpack_attachment(data) == (1, 0x0102, GID)
