@@ -1,6 +1,6 @@
 """The whole chain from a goal to the wheels: `midspan run` with simulator, controllers, planner and gateway.
 
-Everything is part of Midspan, on one machine. The client is a separate program on the hub; the simulator publishes the
+Everything is part of Midspan, on one machine. The client is a separate program on the hub. The simulator publishes the
 true pose.
 """
 
@@ -39,7 +39,7 @@ _STILL = 0.01
 
 @dataclass
 class Truth:
-    """The robot's true state: seconds of the simulation (of the machine at speed 1), meters, rad, m/s, rad/s."""
+    """The robot's true state: seconds of the simulation (or of the machine, at speed 1), meters, rad, m/s, rad/s."""
 
     time: float
     x: float
@@ -50,7 +50,7 @@ class Truth:
 
     @property
     def still(self) -> bool:
-        """Whether the robot stands."""
+        """Return whether the robot stands."""
         return self.speed < _STILL and abs(self.turning) < _STILL
 
 
@@ -122,7 +122,7 @@ class Chain(MidspanDaemon):
 
     Args:
         folder: for the deployment's files.
-        speed: of the simulation.
+        speed: of the simulation, relative to real time.
         sim: further keys of the section ``sim``.
         sections: further sections of the configuration.
     """
@@ -176,7 +176,7 @@ class Chain(MidspanDaemon):
         self.listen(self.client, self.client)
 
     def listen(self, client: Client, watcher: Client) -> None:
-        """Record the status as the client receives it, and the true pose as the watcher does."""
+        """Record the status that the client receives, and the true pose that the watcher receives."""
         watcher.node.subscription("/ground_truth", "nav_msgs/msg/Odometry", self._true, Qos(depth=1))
         client.node.subscription("/navigation/status", STATUS, self._on_status, _KEPT)
 
@@ -189,7 +189,7 @@ class Chain(MidspanDaemon):
         self.configure(**self.config)
 
     def join(self, name: str, router: str = "") -> Client:
-        """Return a client on the hub once it runs; with a router's endpoint, only through that router."""
+        """Return a client on the hub once it runs; with a router's endpoint, the client uses only that router."""
         zenoh = {"mode": "client"} if router else None
         router = router or self.endpoint
         settings = HubSettings(router=router, zenoh=zenoh, node=name, daemon="far", worker=name, shared_memory=False)
@@ -215,7 +215,7 @@ class Chain(MidspanDaemon):
     # -- actions
 
     def goto(self, name: str, **more: Any) -> SentGoal:
-        """Send the robot to a place of the plan."""
+        """Send the robot to a place of the floor plan."""
         return self.client.goto(*self.places[name], **more)
 
     def distance_to(self, name: str) -> float:
@@ -246,12 +246,12 @@ class Chain(MidspanDaemon):
     # -- observations
 
     def status(self, name: str) -> dict[str, Any]:
-        """Return the status of a module or worker; empty if it does not reply."""
+        """Return the status of a module or worker, or an empty one if it does not reply."""
         answers = self.client.hub.ask("status", {}, worker=name, timeout=2.0)
         return next((a.value for a in answers if isinstance(a.value, dict)), {})
 
     def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> float:
-        """Wait for a condition, and return the seconds that it took."""
+        """Wait for a condition, and return how many seconds that took."""
         began = time.monotonic()
         until(condition, what, seconds, every=0.01)
         return time.monotonic() - began

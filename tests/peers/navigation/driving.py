@@ -21,8 +21,8 @@ class Scene:
     """The gateway with a planner on the hub, and the base's odometry.
 
     Attributes:
-        planner: the planner's action server, as a bridge worker would offer it.
-        base: the base's odometry; `Odometry.speed` is the speed of the base.
+        planner: the planner's action server, as a bridge worker would announce it.
+        base: the base's odometry; `Odometry.speed` sets the base's speed.
     """
 
     def __init__(self, rig: Rig, planner: RmwActionServer, base: Odometry) -> None:
@@ -30,10 +30,10 @@ class Scene:
         self._first = len(rig.statuses)
 
     def goal(self, count: int = 1) -> bytes:
-        """Return the id of the ``count``-th goal once the planner executes it and the gateway awaits its result."""
+        """Return the ID of goal number ``count`` once the planner executes it and the gateway waits for its result."""
         until(lambda: len(self.planner.goals) >= count, f"the planner has goal {count}", SECONDS)
         goal = self.planner.goals[count - 1]
-        until(lambda: self.planner.waits(goal), "the gateway waits for its result", SECONDS)
+        until(lambda: self.planner.waits(goal), "the gateway waits for the goal's result", SECONDS)
         return goal
 
     def drive(self, x: float = 5.0, **more: Any) -> ClientGoal:
@@ -45,12 +45,12 @@ class Scene:
         return client_goal
 
     def moves(self) -> None:
-        """Let the base move, and wait until the gateway's odometry shows it."""
+        """Make the base move, and wait until the gateway's odometry shows it."""
         self.base.speed = SPEED
         until(lambda: self.rig.gateway.motion.is_standing() is False, "odometry shows that the base moves", SECONDS)
 
     def stands(self) -> None:
-        """Let the base stand, and wait until the gateway's odometry shows it."""
+        """Make the base stand, and wait until the gateway's odometry shows it."""
         self.base.speed = 0.0
         until(lambda: self.rig.gateway.motion.is_standing() is True, "odometry shows that the base stands", SECONDS)
 
@@ -61,12 +61,12 @@ class Scene:
     def restart(self) -> int:
         """Restart the gateway, as if the modules' worker had been killed.
 
-        Return how many statuses the old one published.
+        Return how many statuses the old gateway published.
         """
         return _restart(self.rig)
 
     def reported(self, client_goal: ClientGoal) -> dict[str, Any]:
-        """Return the first status that was published for a client's goal."""
+        """Return the first status published for a client's goal."""
 
         def find() -> dict[str, Any] | None:
             matching = (status for status in self.rig.statuses if bytes(status["goal_id"]) == client_goal.sent.id)
@@ -80,7 +80,7 @@ class Scene:
         return {status["state"] for status in self.rig.statuses[begin:]}
 
     def check(self) -> None:
-        """Check that no published reason has "may still be moving" or "is not available" twice."""
+        """Check that no published reason contains "may still be moving" or "is not available" twice."""
         for status in self.rig.statuses[self._first :]:
             assert status["reason"].count("may still be moving") <= 1, status
             assert status["reason"].count("is not available") <= 1, status

@@ -1,4 +1,4 @@
-"""Maps and a local navigator for tests of the planner, all in one thread and one clock."""
+"""Maps and a local navigator for tests of the planner, all on one thread and on one clock."""
 
 from __future__ import annotations
 
@@ -23,16 +23,17 @@ TICK = 0.1
 SPEED = 0.5
 TURN = 0.5
 ROOM = 0.2
-"""Meters that the robot keeps from crates."""
+"""Distance that the robot keeps from crates, meters."""
 SETTINGS = RobotPathPlannerSection(robot_radius=0.2, clearance=0.1)
 WEST, EAST = Pose(1.0, 1.0, 0.0), Pose(4.0, 1.0, 1.0)
 KEPT = 0.14
-"""Meters kept free: the radius is 0.2 m, but waypoints are passed within 0.1 m, which cuts corners by 0.05 m."""
+"""Minimum distance of the robot's center from obstacles, meters. It is below the radius of 0.2 m, because waypoints are
+passed within 0.1 m, which cuts corners by about 0.05 m."""
 LOW_DOOR = (2.5, 1.0, 0.5)
 
 
 def floor(*boxes: tuple[float, float, float, float], name: str = "floor", size: float = 5.0) -> MapGrid2D:
-    """Return a square floor with outer walls, and boxes (left, bottom, right, top) of wall, meters."""
+    """Return a square floor with outer walls, and wall boxes (left, bottom, right, top) in meters."""
     cells = round(size / RES)
     flags = np.zeros((cells, cells), np.uint8)
     flags[[0, -1]] = flags[:, [0, -1]] = MapFlag.WALL
@@ -50,11 +51,11 @@ def paint(grid: MapGrid2D, box: tuple[float, float, float, float], flag: MapFlag
 
 
 ROOMS = ((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 3.6), (2.4, 4.4, 2.6, 5.0))
-"""A wall across the floor, with doors of 0.8 m at y 1 and y 4."""
+"""A wall across the floor, with doors of 0.8 m centered at y = 1 and y = 4."""
 
 
 class Straight:
-    """A local navigator that drives straight to its goal; crates stop it."""
+    """A local navigator that drives straight to its goal, and is stopped by crates."""
 
     def __init__(self, pose: Pose) -> None:
         self.pose = pose
@@ -137,7 +138,7 @@ class Drive:
         return status
 
     def scan_crates(self) -> None:
-        """Scan with a laser at the robot's center that sees crates, but no walls, up to 8 m."""
+        """Scan with a laser at the robot's center, which sees crates up to 8 m away, but no walls."""
         pose, beams = self.local.pose, 720
         angles = np.arange(beams) * math.tau / beams
         ranges = np.full(beams, np.inf)
@@ -151,7 +152,7 @@ class Drive:
         self.planner.scan(self.now, Pose(pose.x, pose.y, 0.0), turn)
 
     def goto(self, goal: Pose, seconds: float = 120.0, map_name: str = "") -> PlannerStatus:
-        """Drive to a goal until it ends."""
+        """Send a goal, and run until the planner has ended it or ``seconds`` have passed; return the last status."""
         self.planner.goal(goal, map_name, now=self.now)
         return self.run(seconds)
 
@@ -172,7 +173,7 @@ class Drive:
 
 
 def least_room(drive: Drive, grid: MapGrid2D) -> float:
-    """Return the smallest distance of the robot to obstacles on its track, meters."""
+    """Return the smallest distance between the robot's track and an obstacle, in meters."""
     ground = Ground(grid, 0.2, zones=drive.zones)
     columns, rows = grid.cells_at([pose[:2] for pose in drive.track]).T
     return float(ground.room[rows, columns].min())

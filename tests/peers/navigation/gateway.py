@@ -32,7 +32,7 @@ class Planner(HubNode):
     """A planner that executes one goal at a time; the test ends each goal.
 
     Attributes:
-        cancels: handles a cancel request and returns whether the planner accepts it; initially `cancel`.
+        cancels: handles a cancel request, and returns whether the planner accepts it; `cancel` at first.
     """
 
     def __init__(self, settings: Any, name: str) -> None:
@@ -115,7 +115,7 @@ class ClientGoal:
 
 
 class Rig(Place):
-    """Modules worker, name server, client and planners; ``planner`` is the configured one."""
+    """The modules worker, a name server, a client and planners; ``planner`` is the configured planner."""
 
     def __init__(self, folder: Path, **navigation: Any) -> None:
         super().__init__(folder)
@@ -136,14 +136,14 @@ class Rig(Place):
         return self.config(navigation=self.section)
 
     def have(self, name: str, settings: Any = None) -> Planner:
-        """Start a planner; if the gateway has chosen it, wait until the gateway reaches it."""
+        """Start a planner; if it is the gateway's planner, wait until the gateway can reach it."""
         self.planners[name] = planner = Planner(settings or self.hubs.settings(name), name)
         until(lambda: self.gateway.planner != name or self.gateway.link.reachable, f"{name} is reachable", SECONDS)
         return planner
 
     @property
     def module(self) -> Any:
-        """The gateway module; its worker runs in this process."""
+        """Return the gateway module; its worker runs in this process."""
         return self.worker.running("gateway").module
 
     @property
@@ -151,7 +151,7 @@ class Rig(Place):
         return self.module.gateway
 
     def state(self, state: State, reason: str = "") -> dict[str, Any]:
-        """Wait until the newest status has this state and its reason contains ``why``; return the status."""
+        """Wait until the newest status has this state and its reason contains ``reason``; return the status."""
 
         def matching() -> dict[str, Any] | None:
             last = self.statuses[-1] if self.statuses else None

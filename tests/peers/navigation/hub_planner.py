@@ -1,4 +1,4 @@
-"""A planner on the hub that replaces those of Midspan; its robot is a point, which the stand-in moves."""
+"""A planner on the hub that replaces Midspan's planners. Its robot is a point, which the planner moves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.peers.hub.node import HubNode
 from tests.peers.navigation.gateway import pose
 
 SPEED, PATIENCE, UNREACHABLE = 2.0, 0.5, 900.0
-"""m/s; seconds until an unreachable goal is aborted; x in meters from which goals are unreachable."""
+"""Speed in m/s; seconds until an unreachable goal is aborted; x in meters from which on goals are unreachable."""
 
 
 class HubPlanner(HubNode):

@@ -41,7 +41,7 @@ def messages_on(place: Place, topic: str) -> int:
 
 
 def reports(place: Place, status: str, reason: str = "") -> Callable[[], bool]:
-    """Return a check that the module reports a status, with a reason that contains the given text."""
+    """Return a function that checks whether the module reports a status, with a reason that contains ``reason``."""
 
     def check() -> bool:
         document = status_of(place)
@@ -51,7 +51,7 @@ def reports(place: Place, status: str, reason: str = "") -> Callable[[], bool]:
 
 
 def near(place: Place, pose: Pose, meters: float = 0.15) -> Callable[[], bool]:
-    """Return a check that the module's pose is close to a pose."""
+    """Return a function that checks whether the module's pose is within ``meters`` of ``pose``."""
 
     def check() -> bool:
         estimate = status_of(place).get("pose")

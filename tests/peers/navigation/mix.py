@@ -1,7 +1,7 @@
-"""One daemon with a gateway, a client on each side, and one planner after the other; real middlewares on both ends.
+"""One daemon with a gateway, a client on each side, and several planners in turn, with real middlewares on both ends.
 
-The configuration changes the planner while the daemon runs. "ours" is Midspan's RobotPathPlanner with its RobotGoto;
-their robot has no mass, so that the tests are fast. move_base and Nav2 are stand-ins, which drive a base of their side.
+The configuration changes the planner while the daemon runs. "ours" is Midspan's RobotPathPlanner with RobotGoto, and a
+robot without mass, so that the tests are fast. move_base and Nav2 are stand-ins that drive a base on their side.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 
 SPEED, PATIENCE = 2.0, 0.5
-"""Of the stand-ins: m/s, and seconds until an unreachable goal is aborted."""
+"""Of the stand-ins: speed in m/s, and seconds until an unreachable goal is aborted."""
 
 QUICK = {
     "max_lin_speed": SPEED,
@@ -55,23 +55,23 @@ QUICK = {
     "ang_speed_gain": 4.0,
     "reaction": 0.1,
 }
-"""Of RobotGoto, whose robot has no mass."""
+"""Settings of RobotGoto, whose robot has no mass."""
 
 OURS, MOVE_BASE, NAV2 = "ours (RobotPathPlanner)", "move_base (actionlib server)", "Nav2 (ROS 2 action server)"
 IDS = {OURS: "robot_path_planner", MOVE_BASE: "move_base", NAV2: "nav2"}
 OWN = {(MOVE_BASE, ROS1), (NAV2, ROS2)}
-"""Clients that use the planner directly: the gateway serves no action there, and does not pause their goals."""
+"""Clients that use the planner directly: on their side, the gateway serves no action and does not pause goals."""
 
 
 class Mix:
     """The daemon, its clients and the planner.
 
     Args:
-        deployment: which starts the daemon.
-        planner: the first one.
+        deployment: starts the daemon.
+        planner: the first planner.
         navigation: further keys of the section ``navigation``.
         base: options of the base's program.
-        base_side: its side, if not the planner's.
+        base_side: the base's side, if it is not the planner's.
         cycle: seconds between two control cycles of move_base.
         nav2: arguments of `Nav2`.
     """
@@ -110,7 +110,7 @@ class Mix:
 
     @classmethod
     def over(cls, deployment: Deployment, planner: str, **options: Any) -> Self:
-        """Return a mix of one planner, once the gateway has it."""
+        """Return a mix with one planner, once the gateway can reach the planner."""
         mix = cls(deployment, planner, **options)
         mix.start(planner)
         mix.choose(planner)
@@ -180,12 +180,12 @@ class Mix:
 
     def _chosen(self, planner: str) -> bool:
         workers = {worker.get("worker"): worker for worker in self.deployment.status()}
-        requests = ["gateway", *([IDS[planner], "robot_goto"] if planner == OURS else [])]  # ours needs its map
+        requests = ["gateway", *([IDS[planner], "robot_goto"] if planner == OURS else [])]  # our planner needs its map
         running = all(workers.get(name, {}).get("state") == "running" for name in requests)
         return running and workers["gateway"]["planner"] == IDS[planner]
 
     def end(self) -> None:
-        """Stop the planner's programs cleanly: the ROS master would keep the names of killed ones."""
+        """Stop the planner's programs cleanly, because the ROS master would keep the names of killed programs."""
         self.planner.stop()
         if self.kind in self._bases:
             self._bases.pop(self.kind).stop()
@@ -204,18 +204,18 @@ class Mix:
         self._masterless = True
 
     def restart(self) -> None:
-        """Restart move_base; the ROS master still lists the dead one, so only its output shows that it is up."""
+        """Restart move_base. The ROS master still lists the dead node, so only the output shows that it is up again."""
         self.start(MOVE_BASE)
         until(lambda: "ready" in self.planner.output(), "move_base is up again", SECONDS)
 
     def restart_navigator(self) -> None:
-        """Restart bt_navigator; a ROS 2 server publishes no status list before its first goal."""
+        """Restart bt_navigator. A ROS 2 action server publishes no status list before its first goal."""
         self.planner.start("bt_navigator")
         until(self.planner.ready, "bt_navigator is up again", SECONDS)
         self.listed = {}
 
     def restart_ros1(self) -> None:
-        """Restart roscore and all nodes: rospy registers a node only once."""
+        """Restart roscore and all nodes, because rospy registers a node only once."""
         self.deployment.master.start()
         self._masterless = False
         self.planner.stop(0)
@@ -233,13 +233,13 @@ class Mix:
 
     @property
     def base(self) -> Base:
-        """The base of the planner's side."""
+        """Return the base on the planner's side."""
         return self._bases[self.kind]
 
     # -- the daemon ----------------------------------------------------------------------------------------------------
 
     def pid(self, worker: str) -> int:
-        """Return the process of a worker that will be killed; `back` waits for all workers that are running now."""
+        """Return the process ID of a worker that will be killed; `back` waits for all workers that are running now."""
         self._pids |= self._processes()
         return self._pids[worker]
 
@@ -247,7 +247,7 @@ class Mix:
         return {str(worker.get("worker")): int(worker["pid"]) for worker in self.deployment.status() if "pid" in worker}
 
     def back(self) -> bool:
-        """Return whether all workers are running, and the gateway has its planner."""
+        """Return whether all workers are running and the gateway can reach its planner."""
         return self._chosen(self.kind) and self._processes().keys() >= self._pids.keys()
 
     def _follow(self, planner: str) -> None:
@@ -266,7 +266,7 @@ class Mix:
         self.statuses.append((time.monotonic(), message))
 
     def driving(self) -> set[bytes]:
-        """Return the goals that the planner executes."""
+        """Return the goals that the planner is executing."""
         return {goal for goal, status in list(self.listed.items()) if not status.ended}
 
     def state(self) -> str:
@@ -280,11 +280,11 @@ class Mix:
 
 
 class Closing:
-    """Something with `close`, as `Deployment.keep` expects it."""
+    """An object with `close`, adapted to `Deployment.keep`."""
 
     def __init__(self, thing: Any) -> None:
         self._thing = thing
 
     def stop(self) -> None:
-        """Close it."""
+        """Close the object."""
         self._thing.close()

@@ -28,11 +28,11 @@ _ENDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
 _STATUSES = {0: "unknown", 1: "accepted", 2: "executing", 3: "canceling", **_ENDS}
 
 Answer = Callable[[], tuple[float, str] | None]
-"""The reply to a stop or a pause: its time (monotonic), and "" for success, else the reason. None: not yet."""
+"""The reply to a stop or a pause: its time (monotonic), and "" for success or the reason; None until it arrives."""
 
 
 class Caller(Protocol):
-    """A program that stops the robot."""
+    """A program that can stop the robot."""
 
     def ask(self, word: str) -> Answer:
         """Request ``stop``, ``pause`` or ``resume`` without waiting for the reply."""
@@ -45,22 +45,22 @@ class Client(Caller, Protocol):
         """Send a goal on the x axis."""
 
     def progress(self) -> int:
-        """Return how many reports of progress have arrived."""
+        """Return how many progress reports have arrived."""
 
     def cancel(self) -> None:
         """Cancel the goal."""
 
     def seen(self) -> str:
-        """Return YARP's state, or the status of the action's goal."""
+        """Return the state that YARP reports, or the status of the action's goal."""
 
     def end(self) -> str:
-        """Return how the goal ended, "" if it has not."""
+        """Return how the goal ended, or "" if it has not ended."""
 
     def ended_at(self) -> float:
-        """Return when the end arrived (monotonic), 0 if it has not."""
+        """Return when the goal's end arrived (monotonic), or 0 if it has not arrived."""
 
     def why(self) -> str | None:
-        """Return the reason of the end; None if the protocol has no text for one."""
+        """Return the reason for the end, or None if the protocol has no text for one."""
 
 
 class YarpClient:
@@ -82,7 +82,7 @@ class YarpClient:
         assert self._remote.stop_navigation_RPC()
 
     def ask(self, word: str) -> Answer:
-        """Use a second connection: the reply may take a while, and the status is polled meanwhile."""
+        """Use a second connection, because the reply may take a while, and the status is polled meanwhile."""
         call = {
             "stop": self._another.stop_navigation_RPC,
             "pause": lambda: self._another.suspend_navigation_RPC(math.inf),
@@ -111,7 +111,7 @@ class YarpClient:
         return ends.get(self.seen(), "")
 
     def ended_at(self) -> float:
-        return 0.0  # YARP reports states, and no times
+        return 0.0  # YARP reports states without times
 
     def why(self) -> None:
         return None
@@ -121,7 +121,7 @@ class YarpClient:
 
 
 class RosClient:
-    """A rospy or rclpy program with an action client, and calls of the gateway's services."""
+    """A rospy or rclpy program with an action client, which also calls the gateway's services."""
 
     def __init__(self, peer: Peer, action: str, type_: str, field: str) -> None:
         self.peer, self._action, self._type, self._field = peer, action, type_, field
@@ -131,7 +131,7 @@ class RosClient:
         self.send(self._action, self._type, {self._field: pose(x, frame=frame)})
 
     def send(self, action: str, type_: str, goal: dict[str, Any]) -> None:
-        """Send a goal of any action; the client's other methods refer to it from then on."""
+        """Send a goal of any action; from then on, the client's other methods refer to it."""
         self._goal = self.peer.ask("send_goal", action=action, type=type_, goal=goal, seconds=SECONDS)["id"]
 
     def progress(self) -> int:
@@ -163,11 +163,11 @@ class RosClient:
         return str(state["text"] if "text" in state else (state["result"] or {}).get("error_msg", ""))
 
     def code(self) -> int:
-        """Return the result's error code; actionlib has none."""
+        """Return the result's error code. actionlib has none."""
         return int((self._state()["result"] or {}).get("error_code", 0))
 
     def ends(self) -> int:
-        """Return how many ends of its goal were reported."""
+        """Return how many ends of the client's goal were reported."""
         return int(self._state()["ends"])
 
     def _state(self) -> dict[str, Any]:
@@ -175,7 +175,7 @@ class RosClient:
 
 
 class _TimedGoal(ClientGoal):
-    """A goal on the hub that notes when its end arrived."""
+    """A hub goal that records when its end arrived."""
 
     at = 0.0
     ends = 0
@@ -194,7 +194,7 @@ class ZenohClient:
 
     @property
     def goal(self) -> _TimedGoal:
-        """The last goal."""
+        """Return the last goal."""
         assert self._goal is not None
         return self._goal
 
@@ -208,7 +208,7 @@ class ZenohClient:
         self.goal.cancel()
 
     def ask(self, word: str) -> Answer:
-        """Wait on a thread, to record the time of the reply."""
+        """Wait on a thread, in order to record the time of the reply."""
         answers: list[tuple[float, str]] = []
         call = self._far.call(f"/navigation/{word}", TRIGGER)
 
@@ -232,7 +232,7 @@ class ZenohClient:
         return self.goal.end()[1]
 
     def ends(self) -> int:
-        """Return how many ends of its goal were reported."""
+        """Return how many ends of the client's goal were reported."""
         return self.goal.ends
 
 

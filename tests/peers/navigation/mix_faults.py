@@ -1,7 +1,7 @@
-"""What clients receive while a part of the path to the planner fails, and stops are requested meanwhile.
+"""The reports that clients receive while a part of the path to the planner fails and stops are requested.
 
-The reference is the base's own program (`tests.peers.navigation.mix_truth`): no client may receive "ok" to a stop, or
-a state that means an end, while the planner moves the base.
+They are checked against the base's own program (`tests.peers.navigation.mix_truth`): while the planner moves the base,
+no client may receive "ok" to a stop, or a state that means an end.
 """
 
 from __future__ import annotations
@@ -19,36 +19,40 @@ from tests.support.process import is_stopped
 from tests.support.wait import until
 
 AWAY = 800.0
-"""Meters along x: farther than any drive of these tests."""
+"""Meters along x, farther than any drive of these tests."""
 
 STANDS_SECONDS = 9.0
-"""The base stands within this time after a stop that is sent while the planner can be reached."""
+"""Seconds within which the base stands after a stop that is sent while the planner can be reached."""
 
 LOST_SECONDS = 8.0
-"""A reply that has not arrived after this time was lost with the gateway."""
+"""Seconds after which a reply that has not arrived was lost with the gateway."""
 
 STOP_AFTER = 0.5
 """Seconds after a fault at which a stop is requested."""
 
 UNCONFIRMED = "may still be moving"
-"""Part of the reply to each stop that is not confirmed."""
+"""Part of the reply to each unconfirmed stop."""
 
 MAY_MOVE = "aborted, and may still be moving"
-"""An end that does not claim that the robot stands."""
+"""A reported end that does not claim that the robot stands."""
 
 _POLL = 0.05
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault.
+    """A fault, and how clients react to it.
 
     Attributes:
-        begin: causes it. end: repairs it, if the daemon does not. planner: the planner in use. stop_after: seconds
-        until a stop is requested. client_dies: whether it loses a goal of the planner's own client. gateway_dies:
-        whether calls fail for a while. stopped: whether all clients request a stop, also of a goal of the planner's own
-    client; otherwise only the goal's client does, and the planner's own client cancels its goal later. clients: those
-    that `make mix` tests it with.
+        begin: causes the fault.
+        end: repairs the fault, if the daemon does not.
+        planner: the planner in use.
+        stop_after: seconds until a stop is requested.
+        client_dies: whether the planner's own client loses its goal.
+        gateway_dies: whether calls fail for a while.
+        stopped: whether all clients request a stop, even for a goal of the planner's own client. Otherwise only the
+            goal's client requests one, and the planner's own client cancels its goal later.
+        clients: the clients that `make mix` tests the fault with.
     """
 
     begin: Callable[[Mix], None]
@@ -72,7 +76,7 @@ def _hang(mix: Mix) -> None:
 
 
 def kill_workers(*workers: str) -> Callable[[Mix], None]:
-    """Return a `begin` that kills workers of the daemon at once."""
+    """Return a `Fault.begin` that kills several of the daemon's workers at once."""
 
     def kill(mix: Mix) -> None:
         for pid in [mix.pid(worker) for worker in workers]:
@@ -113,14 +117,15 @@ FAULTS = {
 
 @dataclass
 class Watch:
-    """Follows what clients receive, and what the base does. Times are seconds after the fault.
+    """Follows what clients receive and what the base does. Times are seconds after the fault.
 
     Attributes:
-        client: whose goal it is; "" for a goal that no client of the mix follows.
-        own: whether it is the planner's own client: the end of its goal is then the planner's report. words: the states
-    that each client received, in order. texts: the gateway's states with their reasons, for people. answers: the
-    replies to stops by client: the time, and "" or the reason. allowance: seconds that the base may move after a
-    reported end.
+        client: the goal's client; "" for a goal that no client of the mix follows.
+        own: whether this is the planner's own client, so that the planner itself reports the end of the goal.
+        words: the states that each client received, in order.
+        texts: the gateway's states with their reasons, for people.
+        answers: the replies to stops, by client: the time, and "" or the reason.
+        allowance: seconds that the base may move after a reported end.
     """
 
     mix: Mix
@@ -179,9 +184,9 @@ class Watch:
             raise AssertionError(f"{err}; {self}") from None
 
     def ask(self, word: str, clients: Sequence[str], *, lost: bool = False) -> None:
-        """Let clients request a stop, a pause or a resume, all at once; return when all have their replies.
+        """Let clients request a stop, a pause or a resume, all at once, and return when all have their replies.
 
-        With ``lost``, a reply may be lost with the gateway: rclpy's client waits for it forever.
+        With ``lost``, a reply may be lost with the gateway; rclpy's client would wait for it forever.
         """
         calls = {name: self.mix.callers[name].ask(word) for name in clients}
         end = time.monotonic() + LOST_SECONDS
@@ -199,7 +204,7 @@ class Watch:
                 self.trouble.append(f"{name} received ok to a {word}: {wrong}")
 
     def close(self) -> None:
-        """Compare the received states with the base's motion; raises `AssertionError`."""
+        """Compare the received states with the base's motion; raise `AssertionError` if they differ."""
         end = time.monotonic()
         for client, states in self.words.items():
             seconds = untrue([entry for entry in states if entry[1] != SILENT], self.base, end)
@@ -225,19 +230,19 @@ class Watch:
 
 
 def start_driving(mix: Mix, client: Client, progress: int = 5) -> None:
-    """Send a client's goal, and wait until the base moves and this many progress reports have arrived."""
+    """Send a client's goal, and wait until the base moves and ``progress`` reports of progress have arrived."""
     client.goto(AWAY)
 
     def drives() -> object:
         if client.end() == "canceled":
-            client.goto(AWAY)  # the last stop was for all goals, and reached an unreachable planner only now
+            client.goto(AWAY)  # the last stop applied to all goals, and only now reaches a planner that was unreachable
         return mix.base.moves and mix.state() == "moving" and client.progress() >= progress
 
-    until(drives, "it moves", SECONDS, _POLL)
+    until(drives, "the base moves", SECONDS, _POLL)
 
 
 def attempt(mix: Mix, fault: Fault, name: str, watches: list[Watch], *, own: bool) -> str:
-    """Let one client drive until a fault, and return the mark. The watch is added to ``watches``."""
+    """Let one client drive until a fault, append the watch to ``watches``, and return the mark."""
     client = mix.clients[name]
     start_driving(mix, client)
     watch = Watch(mix, name, own=own)
@@ -248,48 +253,48 @@ def attempt(mix: Mix, fault: Fault, name: str, watches: list[Watch], *, own: boo
         _check_own(watch, client, fault)
     else:
         _stop(watch, client, fault)
-    watch.until(mix.back, "everything is back")
-    watch.until(lambda: not mix.driving() and mix.state() in ("idle", "aborted"), "nothing drives")
-    watch.until(lambda: not mix.base.moves, "it stands")
+    watch.until(mix.back, "all workers are back")
+    watch.until(lambda: not mix.driving() and mix.state() in ("idle", "aborted"), "no goal is active")
+    watch.until(lambda: not mix.base.moves, "the base stands")
     watch.close()
     if not own and isinstance(client, RosClient | ZenohClient):
-        assert client.ends() == 1, f"its goal had {client.ends()} ends"
+        assert client.ends() == 1, f"the client's goal had {client.ends()} ends"
     if fault.gateway_dies or fault.stopped:
         _again(mix, client)
     return "own" if own else "yes"
 
 
 def _again(mix: Mix, client: Client) -> None:
-    """Drive and cancel as without a fault."""
+    """Drive and cancel, as without a fault."""
     client.goto(AWAY)
-    until(lambda: mix.base.moves, "it drives again", SECONDS)
+    until(lambda: mix.base.moves, "the base moves again", SECONDS)
     client.cancel()
-    until(lambda: client.end() == "canceled" and not mix.base.moves, "it stands again", SECONDS)
+    until(lambda: client.end() == "canceled" and not mix.base.moves, "the base stands again", SECONDS)
 
 
 def _stop(watch: Watch, client: Client, fault: Fault) -> None:
-    """Request stops at once; the fault ends after their replies."""
+    """Request stops at once; end the fault after their replies."""
     callers = (
         (YARP, ROS2, ZENOH) if fault.planner == MOVE_BASE else (YARP, ROS1, ROS2, ZENOH)
     )  # clients that can reach services
     watch.ask("stop", callers if fault.stopped else [watch.client], lost=fault.gateway_dies)
     for name, (_, answer) in watch.answers.items():
-        if answer and answer != "not ok":  # YARP has no text
+        if answer and answer != "not ok":  # YARP's reply has no text
             assert UNCONFIRMED in answer or (fault.gateway_dies and SILENT in answer), f"{name}: {answer}"
     if fault.stopped:
         watch.until(lambda: not watch.base.moves, "the stop reaches the planner", STANDS_SECONDS)
     fault.end(watch.mix)
     if not watch.own:
-        watch.until(client.end, "its goal has an end")
+        watch.until(client.end, "the client's goal has ended")
 
 
 def _check_own(watch: Watch, client: Client, fault: Fault) -> None:
-    """Check that a client of the planner itself sees the same as without Midspan."""
-    assert client.end() == "", "its goal ended"
+    """Check that a client of the planner itself observes the same as without Midspan."""
+    assert client.end() == "", "the client's goal ended"
     fault.end(watch.mix)
     if fault.client_dies:
-        assert client.end() != "succeeded", "its goal ended"
+        assert client.end() != "succeeded", "the client's goal succeeded"
         return
-    watch.until(watch.mix.back, "everything is back")
+    watch.until(watch.mix.back, "all workers are back")
     client.cancel()
-    watch.until(lambda: client.end() == "canceled", "its goal is canceled")
+    watch.until(lambda: client.end() == "canceled", "the client's goal is canceled")

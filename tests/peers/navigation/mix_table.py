@@ -1,6 +1,7 @@
-"""Clients on every side with planners on every side, through one daemon's gateway, in one table.
+"""One table of clients on every side with planners on every side, through one daemon's gateway.
 
-``python -m tests.peers.navigation.mix_table [--json FILE]`` (`make mix`) prints it; `tests.interop.test_mix` checks it.
+``python -m tests.peers.navigation.mix_table [--json FILE]`` (`make mix`) prints the table, and `tests.interop.test_mix`
+checks it.
 """
 
 from __future__ import annotations
@@ -46,12 +47,12 @@ ONE_EACH = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One part of a client's use, with one planner.
+    """One part of a client's use of one planner.
 
     Attributes:
-        seen: ``yes``, ``own`` (it is the planner's own client), or what failed.
-        seconds: its duration; for a fault, the longest time that the robot still moved after it was reported to stand.
-        note: what clients received of a fault.
+        seen: ``yes``, ``own`` (the client is the planner's own), or what failed.
+        seconds: duration of the part; for a fault, the longest time that the robot moved while reported to stand.
+        note: what clients received during a fault.
     """
 
     planner: str
@@ -90,7 +91,7 @@ class Trials:
             yield _tried(planner, name, part, tries[part])
 
     def others(self, planner: str) -> Iterator[Cell]:
-        """Test goals on topics, an unknown frame, and programs that are killed while the robot drives."""
+        """Test goals on topics, goals in an unknown frame, and programs that are killed while the robot drives."""
         tries: dict[str, list[tuple[str, str, Callable[[str, Client], str]]]] = {
             OURS: [
                 ("a goal on /move_base_simple/goal", ROS1, partial(self._publish, "/move_base_simple/goal")),
@@ -107,7 +108,7 @@ class Trials:
             yield _tried(planner, name, part, partial(attempt, planner, self.mix.clients[name]))
 
     def faults(self, planner: str, *, every: bool) -> Iterator[Cell]:
-        """Test the faults between clients and a planner, each with several clients, or with one."""
+        """Test each fault between clients and a planner, with several clients if ``every``, else with one."""
         for part, fault in FAULTS.items():
             if fault.planner != planner:
                 continue
@@ -130,7 +131,7 @@ class Trials:
             client.peer.publish(out, pose(FAR))
             return self.mix.state() == "moving"
 
-        until(moves, "it moves", SECONDS, 0.2)
+        until(moves, "the status is moving", SECONDS, 0.2)
         client.peer.drop(out)
 
         def stands() -> bool:
@@ -138,18 +139,18 @@ class Trials:
                 self.mix.clients[YARP].cancel()
             return not self.mix.driving() and self.mix.state() == "idle"
 
-        until(stands, "it was stopped", SECONDS, 0.3)  # the newest of the goals may arrive later
+        until(stands, "the robot was stopped", SECONDS, 0.3)  # the newest goal may arrive later
         return "yes"
 
     def _unknown_frame(self, _planner: str, client: Client) -> str:
         assert isinstance(client, RosClient)
-        client.goto(NEAR, frame="nowhere")  # move_base itself would follow it forever
+        client.goto(NEAR, frame="nowhere")  # move_base itself would keep this goal forever
         self._ends(client, "aborted", "aborted")
         return "yes"
 
     def _stop_direct(self, _planner: str, client: Client) -> str:
         client.goto(FAR)
-        until(lambda: self.mix.state() == "moving", "the status shows that it moves", SECONDS)
+        until(lambda: self.mix.state() == "moving", "the status is moving", SECONDS)
         self.mix.clients[YARP].cancel()
         self._ends(client, "canceled", "idle")
         return "yes"
@@ -160,11 +161,13 @@ class Trials:
         until(client.progress, "progress is reported", SECONDS)
         mix.planner.stop(0)
         until(lambda: "not available; waiting for it" in mix.status()[1], "the status gives the reason", SECONDS)
-        assert mix.state() in ("moving", "preparing_before_move"), mix.state()  # no end: it continues by itself
+        assert mix.state() in ("moving", "preparing_before_move"), (
+            mix.state()
+        )  # the goal has not ended, and continues by itself
         assert client.end() == "", f"the client's goal ended: {client.end()}"
         mix.start(planner)
         before = client.progress()
-        until(lambda: client.progress() > before, "it goes on", SECONDS)
+        until(lambda: client.progress() > before, "the drive continues", SECONDS)
         return self._cancel(client)
 
     def _kill_client(self, _planner: str, client: Client) -> str:
@@ -174,7 +177,7 @@ class Trials:
         assert isinstance(client, RosClient)
         client.peer.stop(0)
         other = self.mix.clients[YARP]
-        assert self.mix.driving(), "the goal goes on, as without a bridge"
+        assert self.mix.driving(), "the goal ended with its client, unlike without a bridge"
         other.cancel()
         self._ends(other, "canceled", "idle")
         return "yes"
@@ -187,7 +190,7 @@ class Trials:
     def _feedback(self, client: Client) -> str:
         client.goto(FAR)
         until(lambda: client.progress() >= 3, "progress is reported", SECONDS)
-        until(lambda: self.mix.state() == "moving", "the status shows that it moves", SECONDS)
+        until(lambda: self.mix.state() == "moving", "the status is moving", SECONDS)
         return "yes"
 
     def _ask(self, client: Client, word: str) -> bool:
@@ -199,7 +202,7 @@ class Trials:
             assert not self._ask(client, "pause"), "a goal of the planner's own client was paused"
             return "own"
         assert self._ask(client, "pause"), "the pause was refused"
-        until(lambda: not self.mix.driving() and self.mix.state() == "paused", "it stands", SECONDS)
+        until(lambda: not self.mix.driving() and self.mix.state() == "paused", "the drive is paused", SECONDS)
         assert client.end() == "", f"the client's goal ended in the pause: {client.end()}"
         return "yes"
 
@@ -209,8 +212,8 @@ class Trials:
             return "own"
         goals, progress = set(self.mix.listed), client.progress()
         assert self._ask(client, "resume"), "the drive was not resumed"
-        until(lambda: self.mix.driving() - goals, "it has a new goal", SECONDS)
-        until(lambda: client.progress() > progress, "there is progress again", SECONDS)
+        until(lambda: self.mix.driving() - goals, "the planner has a new goal", SECONDS)
+        until(lambda: client.progress() > progress, "progress is reported again", SECONDS)
         return "yes"
 
     def _cancel(self, client: Client) -> str:
@@ -223,7 +226,7 @@ class Trials:
         client.goto(NOWHERE)
         self._ends(client, "aborted", "aborted")
         received, status = client.why(), self.mix.status()[1]
-        no_text = received is None or (own and planner == NAV2)  # Nav2 itself sends only a code
+        no_text = received is None or (own and planner == NAV2)  # Nav2 itself sends only an error code
         assert no_text or reason in (received or ""), f"the client received {received!r}, not {reason!r}"
         assert own or reason in status, f"/navigation/status gives {status!r}, not {reason!r}"
         return "yes"

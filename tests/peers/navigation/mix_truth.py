@@ -1,4 +1,4 @@
-"""The real motion of the robot, from its base's own program, and checks of reported states against it."""
+"""The robot's real motion, as measured by its base's program, and checks of reported states against it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from tests.support.process import Process
 PEERS = Path(__file__).parents[1]
 
 UNTRUE_SECONDS = 0.5
-"""The base must stand within this time after a reported end: a planner reports its goal's end and zero velocity on
-different connections. A reply "ok" to a stop or a pause has no such allowance."""
+"""Seconds within which the base must stand after a reported end. A planner reports the end of its goal and zero
+velocity on different connections. A reply "ok" to a stop or a pause has no such allowance."""
 
 JERK_SECONDS = 0.3
-"""A planner that wakes up may command one more velocity before it receives a stop that was confirmed meanwhile."""
+"""Seconds; a planner that wakes up may send one more velocity before it receives a stop that is already confirmed."""
 
 ENDS = {"idle", "goal_reached", "succeeded", "canceled", "aborted", "paused", "error", "failing"}
 """States in which the robot is not expected to move."""
@@ -29,15 +29,15 @@ ENDS = {"idle", "goal_reached", "succeeded", "canceled", "aborted", "paused", "e
 PREPARING = "preparing_before_move"
 
 Word = tuple[float, str]
-"""The time (monotonic) and the text of a received state."""
+"""A received state: the time (monotonic) and the text."""
 
 
 class Base:
     """The program of a robot's base.
 
     Args:
-        args: its interpreter, file and options.
-        env: the environment of its side.
+        args: the program's interpreter, file and options.
+        env: the environment of the base's side.
     """
 
     def __init__(self, args: Sequence[str | Path], env: Mapping[str, str]) -> None:
@@ -55,36 +55,36 @@ class Base:
         return cls([ros2_python(), PEERS / "ros2" / "base.py", *options], ros2_environment())
 
     def changes(self, since: float = 0.0) -> list[tuple[bool, float]]:
-        """Return whether it moved from then on, and when that began (monotonic), oldest first."""
+        """Return the changes since a time, oldest first: whether the base moves, and when that began (monotonic)."""
         output = self._process.output() if self._last is None else self._last
         rows = [line.split() for line in output.splitlines(keepends=True) if line.endswith("\n")]
         changes = [(row[0] == "moves", float(row[1])) for row in rows if row[:1] in (["moves"], ["stands"])]
         return [change for change in changes if change[1] >= since]
 
     def stop(self, seconds: float = 6.0) -> None:
-        """Stop the program, which counts as standing from then on."""
+        """Stop the program; from then on, the base counts as standing."""
         if self._last is None:
             self._last = f"{self._process.output()}stands {time.monotonic()} 0\n"
             self._process.stop(seconds)
 
     @property
     def moves(self) -> bool:
-        """Return whether it moves now."""
+        """Return whether the base moves now."""
         return self.moved_at(math.inf)
 
     def moved_at(self, at: float) -> bool:
-        """Return whether it moved at a time."""
+        """Return whether the base moved at a time."""
         before = [moves for moves, since in self.changes() if since <= at]
         return bool(before) and before[-1]
 
     def stands_after(self, at: float) -> float:
-        """Return when it first stood after a time; infinity if it has moved since then."""
+        """Return when the base first stood after a time; infinity if it has moved since then."""
         if not self.moved_at(at):
             return at
         return next((since for moves, since in self.changes(at) if not moves), math.inf)
 
     def moved(self, begin: float, end: float) -> float:
-        """Return for how many seconds it moved in that interval."""
+        """Return for how many seconds the base moved in an interval."""
         times = [begin, *(since for _, since in self.changes() if begin < since < end), end]
         spans = itertools.pairwise(times)
         return sum(after - before for before, after in spans if self.moved_at(before))
@@ -94,11 +94,11 @@ class Nav2:
     """The stand-ins for Nav2's servers, one process each, as in Nav2.
 
     Args:
-        speed: of the robot, m/s.
+        speed: the robot's speed, m/s.
         patience: seconds until an unreachable goal is aborted.
         navigator: further options of bt_navigator.
         controller: further options of controller_server.
-        lease: environment with the DDS lease, if other than the default.
+        lease: environment variables that set the DDS lease, if it is not the default.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class Nav2:
         self.servers[name].popen.wait()
 
     def give_up(self) -> None:
-        """Let bt_navigator abort its goal, as after a late acknowledgment: controller_server keeps driving."""
+        """Make bt_navigator abort its goal, as after a late acknowledgment, while controller_server keeps driving."""
         self.servers["bt_navigator"].signal(signal.SIGUSR1)
 
     def stop(self, seconds: float = 6.0) -> None:
@@ -146,9 +146,10 @@ class Nav2:
 
 
 def untrue(words: Sequence[Word], base: Base, end: float) -> float:
-    """Return the longest time that the robot still moved after a report that it stands, until ``end`` (monotonic).
+    """Return the longest time that the robot still moved after it was reported to stand, up to ``end`` (monotonic).
 
-    A reported end counts until the base stood, even if it was withdrawn at once; `PREPARING` counts while it lasted.
+    A reported end counts until the base stands, even if the report is withdrawn at once; `PREPARING` counts while it
+    lasts.
     """
     worst = 0.0
     for (at, state), (until_, _) in itertools.pairwise([*words, (end, "")]):
@@ -169,7 +170,7 @@ def released(output: str, since: float) -> float:
 
 
 def stood(base: Base, at: float) -> str:
-    """Return why a reply "ok" at a time is wrong, "" if it is right."""
+    """Return why a reply "ok" at a time was wrong, or "" if it was right."""
     if not base.moved_at(at):
         return ""
     later = base.stands_after(at)

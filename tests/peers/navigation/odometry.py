@@ -18,7 +18,7 @@ class Odometry:
     Attributes:
         speed: m/s along x; the test sets it.
         x: the base's position, meters.
-        silent: it says nothing.
+        silent: whether publishing is paused.
     """
 
     def __init__(self, far: HubSide) -> None:

@@ -29,7 +29,7 @@ LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
 
 class Robot(Program):
-    """A local navigator on the hub with a robot that follows its goals exactly, and a client of the planner."""
+    """A local navigator on the hub, whose robot follows its goals exactly, and a client of the planner."""
 
     def __init__(self, hub: Hub, registry: Registry) -> None:
         super().__init__(hub, registry, PLANNER)
@@ -55,7 +55,7 @@ class Robot(Program):
         return True
 
     def report(self, state: State, reason: str) -> None:
-        """Publish a status of the current goal that the action itself cannot express."""
+        """Publish a status of the current goal that the action cannot express."""
         assert self.goal is not None
         status = status_message(SYSTEM.stamp(), PlannerStatus(state, reason), goal_id=self.goal.id)
         self.loop.call(lambda: self._status.publish(status))
@@ -117,7 +117,7 @@ class Planning(Served):
 
 
 def pose_of(module: Any) -> Pose:
-    """Return the planner's pose of the robot, infinite while it has none."""
+    """Return the planner's pose of the robot, infinite as long as the pose is unknown."""
     try:
         return module.pose()
     except RuntimeError:

@@ -1,4 +1,4 @@
-"""The driver and a simulated robot, in one thread and one clock."""
+"""The driver and a simulated robot, on one thread and on one clock."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ class Scene:
         driver: the driver.
         sim: the simulation.
         touched: the number of collisions.
-        states: the driver's states in sequence, with their reasons.
-        commands: all commands, with the time.
-        edit: changes a scan's ranges before the driver gets it; None drops the scan.
-        known: whether the driver gets the robot's pose.
-        depth: whether the camera's points, if there is a camera, reach the driver as the source ``/points``.
+        states: the driver's states in order, with their reasons.
+        commands: all commands, with their times.
+        edit: changes a scan's ranges before the driver receives it; None drops the scan.
+        known: whether the driver receives the robot's pose.
+        depth: whether the points of a camera, if there is one, reach the driver as the source ``/points``.
     """
 
     def __init__(
         self, plan: str = "hall", robot: str = "r1", *, laser: str = "ideal", camera: bool = False, **settings: Any
     ) -> None:
-        # a D435's image, four times smaller
+        # a D435's image, reduced to a quarter in each direction
         eye = CameraSection(rate=5.0 if camera else 0.0, width=160, height=120, noise=0.02)
         section = SimSection(plan=plan, robot=robot, laser=LaserSection(kind=laser, noise=0.01), camera=eye)
         self.sim = Simulation(section)
@@ -73,7 +73,7 @@ class Scene:
     def tick(self) -> None:
         """Advance by 10 ms."""
         sim, pose = self.sim, self.pose
-        # the odometry frame is elsewhere on the map, and rotated
+        # the odometry frame is offset and rotated in the map
         if self._fault == "slipping wheels":
             command = self.driver.command
             self._moved = self._moved @ Pose(command.vx * 0.01, command.vy * 0.01, command.omega * 0.01)
@@ -110,14 +110,14 @@ class Scene:
             self.tick()
 
     def until(self, done: Callable[[], bool], seconds: float) -> None:
-        """Run until a condition holds, at most for some seconds."""
+        """Run until a condition holds, for at most ``seconds``."""
         end = self.now + seconds
         while not done():
             assert self.now < end, f"not in {seconds} s: {self.pose}, {self.driver.status}"
             self.tick()
 
     def goto(self, x: float, y: float, degrees: float = math.nan, seconds: float = 60.0, **constraints: Any) -> State:
-        """Drive to a goal; return the final state."""
+        """Drive to a goal, and return the final state."""
         self.driver.goal(Pose(x, y, math.radians(degrees)), Constraints(**constraints))
         self.until(lambda: self.driver.status.state.ended, seconds)
         return self.driver.status.state

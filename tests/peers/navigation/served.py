@@ -27,8 +27,8 @@ class Program(HubNode):
 
     Args:
         hub: the node's hub.
-        registry: of message types.
-        planner: the prefix of the planner's names.
+        registry: message types.
+        planner: prefix of the planner's names.
     """
 
     def __init__(self, hub: Hub, registry: Registry, planner: str) -> None:
@@ -71,7 +71,7 @@ class Sent:
         self._loop.call(self.goal.cancel)
 
     def end(self) -> tuple[GoalState, dict[str, Any]]:
-        assert self._over.wait(60), "the goal ends"
+        assert self._over.wait(60), "the goal has not ended"
         assert self._end is not None
         status, result, reason = self._end
         assert result is not None, reason
@@ -82,8 +82,8 @@ class Served(Place):
     """A place with a name server and a running module.
 
     Args:
-        folder: for its state.
-        name: the module's.
+        folder: for the module's state.
+        name: the module's name.
     """
 
     def __init__(self, folder: Path, name: str) -> None:

@@ -1,4 +1,4 @@
-"""A mix that several tests share, as they leave its daemon and planner running."""
+"""A mix that several tests share because they leave its daemon and planner running."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support.wait import until
 
 
 class SharedMix:
-    """A daemon and a planner for tests that leave both running; after a failed test, the next one starts others.
+    """A daemon and a planner for tests that leave both running; after a failed test, the next test starts new ones.
 
     Args:
         folders: creates the daemon's folder.
@@ -28,14 +28,14 @@ class SharedMix:
         self._mix: Mix | None = None
 
     def at_rest(self) -> Mix:
-        """Return the mix once nothing drives."""
+        """Return the mix once no robot or goal is active."""
         if self._mix is None:
             deployment = self._stack.enter_context(Deployment(self._folders.mktemp("shared")))
             self._mix = Mix.over(deployment, self._planner, **self._options)
         mix = self._mix
         until(
             lambda: not mix.driving() and mix.state() in ("", "idle", "aborted") and not mix.base.moves,
-            "nothing drives",
+            "no goal is active and the base stands",
             SECONDS,
         )
         return mix

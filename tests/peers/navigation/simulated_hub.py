@@ -1,4 +1,4 @@
-"""Simulated time, and a hub with the sessions of the gateway's node on it."""
+"""Simulated time, and a simulated hub for the gateway's node."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bridge.hub.endpoints.calls import CallError
 
 
 class Clock:
-    """Simulated time and what is due in it."""
+    """Simulated time, and the calls that are due."""
 
     def __init__(self) -> None:
         self.now = 1000.0

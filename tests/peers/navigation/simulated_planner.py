@@ -1,4 +1,4 @@
-"""A simulated base, the planner that drives it, its side's worker and the ROS master, each of which can fail."""
+"""A simulated base, its planner, the worker of the planner's side and the ROS master; each of them can fail."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class PlannerGoal:
 
 
 class PlannerSide(ABC):
-    """Base, planner, worker and master on the hub. ``planner``: move_base, or nav2 with its separate controller."""
+    """Base, planner, worker and master on the hub. ``planner`` is move_base, or nav2 with its separate controller."""
 
     def __init__(self, seed: int, clock: Clock) -> None:
         self.random = random.Random(seed)
@@ -50,10 +50,10 @@ class PlannerSide(ABC):
         self.planner_alive, self.planner_hangs = True, False
         self._when_awake: list[Callable[[], None]] = []
         self.goals: dict[bytes, PlannerGoal] = {}
-        self.orphan_until = 0.0  # a controller whose navigator was killed drives on until then
-        self.controller_until = 0.0  # a FollowPath goal that outlives its NavigateToPose goal ends then
+        self.orphan_until = 0.0  # until then, a controller whose navigator was killed drives on
+        self.controller_until = 0.0  # when a FollowPath goal that outlives its NavigateToPose goal ends
         self._commanded_at = 0.0
-        self.planner_registered = True  # at the ROS master
+        self.planner_registered = True  # with the ROS master
         # the other processes
         self.master_alive = True
         self.worker_alive = True
@@ -64,7 +64,7 @@ class PlannerSide(ABC):
     @property
     @abstractmethod
     def held(self) -> bool:
-        """Whether the gateway holds the planner's velocities."""
+        """Return whether the gateway holds the planner's velocities."""
 
     # -- base and planner ----------------------------------------------------------------------------------------------
 
@@ -73,18 +73,18 @@ class PlannerSide(ABC):
 
     @property
     def commanded(self) -> bool:
-        """Whether the planner's programs command the base now."""
+        """Return whether the planner's programs command the base now."""
         runs = self.planner_alive and not self.planner_hangs
         if self.clock.now < self.orphan_until:
             return True
         return runs and (bool(self._active()) or self.clock.now < self.controller_until)
 
     def step(self) -> None:
-        """Simulate one `TICK` of planner and base."""
+        """Simulate one `TICK` of the planner and the base."""
         now = self.clock.now
         if self.commanded:
             self._commanded_at = now
-        # a base keeps its last velocity until its timeout if the planner falls silent, then brakes
+        # if the planner falls silent, the base keeps its last velocity until its timeout, then brakes
         silent = not self.planner_alive or self.planner_hangs
         driven = self.commanded or (silent and self.v > 0.0 and now < self._commanded_at + 0.5)
         self.v = SPEED if driven else max(0.0, self.v - BRAKE * TICK)
@@ -97,7 +97,7 @@ class PlannerSide(ABC):
                 self._end(goal, GoalState.SUCCEEDED)
 
     def _publish_velocity(self) -> None:
-        """Publish the planner's velocity on the hub through its side's worker, unless the gateway holds it."""
+        """Publish the planner's velocity on the hub through the side's worker, unless the gateway holds it."""
         passes = self.worker_alive and self.gid and not self.held
         if passes and self.planner_alive and not self.planner_hangs and self.clock.now < self._commanded_at + 0.2:
             velocity = struct.pack("<6d", SPEED if self.commanded else 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -131,7 +131,7 @@ class PlannerSide(ABC):
     # -- the side's worker ---------------------------------------------------------------------------------------------
 
     def _expose(self) -> None:
-        """Announce the parts of the planner's action on the hub one by one, as the worker does on discovery."""
+        """Announce the parts of the planner's action on the hub one by one, as the worker does during discovery."""
         self.generation += 1
         generation, gid = self.generation, self.random.randbytes(16)
         self.gid = gid
@@ -157,7 +157,9 @@ class PlannerSide(ABC):
     def _expose_list(self, topic: str, gid: bytes) -> None:
         self.hub.publishers[topic] = {gid}
         generation = self.generation
-        if self.side == "ros1" or self.goals:  # actionlib repeats its list; rcl's servers publish it with a goal
+        if (
+            self.side == "ros1" or self.goals
+        ):  # actionlib repeats its list, but rcl's servers publish theirs only with a goal
 
             def first() -> None:
                 if self._current(generation) and self.planner_alive:
@@ -172,7 +174,7 @@ class PlannerSide(ABC):
         self.clock.after(0.05, self._publish_controller)
 
     def _withdraw(self, lease: float = 0.0) -> None:
-        """Remove the parts from the hub one by one, and fail pending calls, as after an exit of planner or worker.
+        """Remove the action's parts from the hub one by one, and fail pending calls, as after the planner or worker exited.
 
         The parts of a killed DDS program can remain for its ``lease`` (seconds).
         """
@@ -261,7 +263,7 @@ class PlannerSide(ABC):
     def kill_planner(self) -> None:
         if self.planner_alive:
             self.planner_alive = False
-            self.wake_planner()  # fails the requests that it has not read
+            self.wake_planner()  # fails the requests that the planner has not read
             self.controller_until = 0.0
             self._withdraw(self._lease())
             self.goals.clear()
@@ -312,7 +314,7 @@ class PlannerSide(ABC):
             self.clock.after(self.random.uniform(0.1, 1.0), self._find)
 
     def _find(self) -> None:
-        """Let the worker discover the planner, on ROS 1 through the master."""
+        """Let the worker discover the planner; on ROS 1, this needs the master."""
         if not self.worker_alive:
             return
         joined = self.side == "ros2" or self.master_alive

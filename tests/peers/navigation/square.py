@@ -1,4 +1,4 @@
-"""Squares driven by a program on one side, whose commands and odometry pass through that side only."""
+"""A program on one side drives squares; its commands and odometry pass only through that side."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SIDES = 4
 
 
 class Pose(NamedTuple):
-    """Meters, meters, radians."""
+    """A pose in meters, meters and radians."""
 
     x: float
     y: float
@@ -22,19 +22,19 @@ class Program(Protocol):
     """The program that drives."""
 
     def command(self, x: float, turn: float) -> None:
-        """Command a velocity: m/s, rad/s."""
+        """Command a velocity, in m/s and rad/s."""
 
     def pose(self, after_ns: int) -> Pose:
-        """Return the odometry, stamped at that time or later."""
+        """Return odometry with this stamp or a later one."""
 
 
 def driven(program: Program, side: float, step: Callable[[], int]) -> Iterator[Pose]:
-    """Drive a square by odometry, one side after the other; return the odometry's pose at each corner.
+    """Drive a square by odometry, and yield the odometry's pose at each corner.
 
     Args:
-        program: the driver.
-        side: meters.
-        step: advances the simulation; returns its time in nanoseconds.
+        program: drives the robot.
+        side: length of a side, meters.
+        step: advances the simulation, and returns its time in nanoseconds.
     """
     now = step()
     start = program.pose(now)
@@ -62,7 +62,7 @@ def _ahead(start: Pose, corner: int, side: float) -> tuple[float, float]:
 
 
 def _towards(pose: Pose, heading: float, goal: tuple[float, float] | None) -> tuple[float, float]:
-    """Return the command toward a point, or to turn to a heading; zero once that is reached."""
+    """Return a command toward a point, or, without a point, to turn to a heading; zero once that is reached."""
     if goal is None:
         left = math.remainder(heading - pose.theta, 2 * math.pi)
         return (0.0, 0.0) if abs(left) < 0.005 else (0.0, _clipped(2.5 * left, TURN))

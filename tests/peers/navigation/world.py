@@ -1,7 +1,7 @@
-"""A simulated deployment around the real gateway: hub, planner, its side's worker, ROS master, base and clients.
+"""A simulated deployment around the real gateway: hub, planner, the worker of its side, ROS master, base and clients.
 
-Time is simulated, so a run of a minute takes a tenth of a second. `World` fails the run as soon as a report to a client
-contradicts the base; see `World.check`.
+Time is simulated, so one minute takes a tenth of a second. `World` fails the run as soon as a report to a client
+contradicts the motion of the base; see `World.check`.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ _TIMED = (
 )  # fmt: skip
 
 NOTICE = 0.6
-"""Seconds for which a report may be outdated after the base starts to move for a goal that the planner lists later."""
+"""Seconds for which a report may be outdated after the base starts moving for a goal that the planner lists later."""
 
 ENDED = frozenset((State.IDLE, State.PAUSED, State.ABORTED))
 
 
 class ContradictionError(AssertionError):
-    """A report to a client contradicts the base."""
+    """A report to a client contradicts the motion of the base."""
 
 
 class ClientGoal:
-    """A goal that a client sent to the gateway, with its results."""
+    """A goal that a client sent to the gateway, and its results."""
 
     def __init__(self, x: float) -> None:
         self.id = os.urandom(16)
@@ -76,7 +76,7 @@ class ClientGoal:
 
 
 class World(PlannerSide):
-    """The gateway with the simulated planner's side, and clients whose reports are checked against the base."""
+    """The gateway, the simulated planner's side, and clients whose reports are checked against the base."""
 
     def __init__(self, seed: int, clock: Clock) -> None:
         super().__init__(seed, clock)
@@ -110,7 +110,7 @@ class World(PlannerSide):
         for goal in self.client_goals:
             goal.gateway_died = True
         self.answers = [(at, kind, "dead") for at, kind, _ in self.answers]
-        if self.worker_alive:  # it cancels the goals of a gateway that has disconnected
+        if self.worker_alive:  # the worker cancels the goals of a gateway that has disconnected
             self.clock.after(self.random.uniform(0.05, 0.3), self._cancel_orphans)
 
     def _cancel_orphans(self) -> None:
@@ -190,18 +190,18 @@ class World(PlannerSide):
     # -- the property --------------------------------------------------------------------------------------------------
 
     def _moved_by_planner(self) -> bool:
-        """Return whether the base visibly moves; without odometry, a base that is commanded zero counts as standing."""
+        """Return whether the base visibly moves; without odometry, a base with a zero command counts as standing."""
         return self.v > MOVING and (self.has_odometry or self.commanded)
 
     def check(self) -> None:
-        """Check that no status means the end or the preparation of a drive while the base moves."""
+        """Check that no status reports an end, or the preparation of a drive, while the base moves."""
         if self.gateway is None:
             self._untrue_since = None
             return
         status = self.gateway.state()
         untrue = self._moved_by_planner() and status.state in ENDED | {State.PREPARING}
         if untrue and not self.has_odometry and not self.gateway.link.state.reported:
-            untrue = False  # the gateway has no information about the base, and claims none
+            untrue = False  # the gateway has no information about the base, and does not claim to have any
         self._untrue_since = (self._untrue_since or self.clock.now) if untrue else None
         if self._untrue_since is not None and self.clock.now > self._untrue_since + NOTICE:
             raise ContradictionError(self.report(f"the status is {status} at {self.v:.2f} m/s"))
@@ -222,7 +222,7 @@ class World(PlannerSide):
         self.clock.after(1.0, self._find)
 
     def finish(self) -> None:
-        """Heal all faults, let the robot come to rest, and check that each goal has ended once."""
+        """Heal all faults, wait until the robot rests, and check that each goal has ended once."""
         self.heal()
         for _ in range(2):
             self.clock.run_to(self.clock.now + 25.0)
@@ -231,7 +231,7 @@ class World(PlannerSide):
         for goal in self.client_goals:
             expected = (0, 1) if goal.gateway_died else (1,)
             if len(goal.ends) not in expected:
-                raise ContradictionError(self.report(f"a goal had {len(goal.ends)} ends: {goal.ends}"))
+                raise ContradictionError(self.report(f"a goal ended {len(goal.ends)} times: {goal.ends}"))
 
 
 OPERATIONS = (
@@ -242,7 +242,7 @@ OPERATIONS = (
 
 
 def run(seed: int) -> World:
-    """Run operations in random order at random times, then heal all faults; raises `ContradictionError`."""
+    """Run operations in random order at random times, then heal all faults; raise `ContradictionError`."""
     with simulated(seed) as world:
         world.clock.run_to(world.clock.now + 1.0)
         for _ in range(world.random.randint(3, 14)):
@@ -262,7 +262,7 @@ def run(seed: int) -> World:
 
 @contextmanager
 def simulated(seed: int) -> Iterator[World]:
-    """Run the gateway's modules on a world's simulated time."""
+    """Run the gateway's modules on the simulated time of a world."""
     with pytest.MonkeyPatch.context() as patched:
         clock = Clock()
         for module in _TIMED:

@@ -1,4 +1,4 @@
-"""A board of joints that reach every commanded position at once."""
+"""A joint board that reaches every commanded position at once."""
 
 # ruff: noqa: ARG002 - names and arguments are those of the interface
 
@@ -26,7 +26,7 @@ AXES = 3
 
 
 class Joints(JointBoard):
-    """A board that stores every quantity of its joints; a move in position mode ends at once."""
+    """A board that stores every quantity of its joints. A move in position mode ends at once."""
 
     def __init__(self, axes: int = AXES) -> None:
         super().__init__(axes)
@@ -43,15 +43,15 @@ class Joints(JointBoard):
             return call()
 
     def of(self, quantity: str) -> list[float]:
-        """The values of all joints."""
+        """Return a quantity's values for all joints."""
         return self.quantities.setdefault(quantity, [0.0] * self.axes)
 
     def control_mode(self, joint: int) -> int:
-        """Return the mode of a joint."""
+        """Return the control mode of a joint."""
         return self.modes[joint]
 
     def state(self) -> JointData:
-        """Return the stored quantities that are streamed."""
+        """Return those stored quantities that are streamed."""
         values = {name: np.array(self.of(quantity)) for name, quantity in STREAMED.items()}
         values |= {"controlMode": np.array(self.modes), "interactionMode": np.array(self.interaction)}
         return JointData(self.axes, values)

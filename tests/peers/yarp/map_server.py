@@ -1,4 +1,4 @@
-"""A minimal map server with dictionaries."""
+"""A minimal map server that uses dictionaries."""
 
 from __future__ import annotations
 

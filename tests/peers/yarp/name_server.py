@@ -1,15 +1,15 @@
-"""A name server with the behavior of ``yarpserver`` (YARP 3.9 to 4.0) that differs from Midspan's name server.
+"""A name server with those behaviors of ``yarpserver`` (YARP 3.9 to 4.0) that differ from Midspan's name server.
 
-It copies this behavior (``NameServiceOnTriples.cpp``, ``AllocatorOnTriples.cpp``, and observations of 3.9.1):
+The behaviors (from ``NameServiceOnTriples.cpp``, ``AllocatorOnTriples.cpp``, and observations of 3.9.1):
 
 - Port numbers are assigned in order, starting two above the server's own port, without checking that they are free.
   A port that registers with an explicit number does not change this order.
-- A name keeps its number, also after it was unregistered.
+- A name keeps its port number, even after it was unregistered.
 - A restart clears all registrations, and the programs' ports do not register again.
-- With ``--ros`` the server looks up unknown names at a ROS 1 master. When a port ``/topic+@/node`` is announced, it
-  registers the port there under the address of the node's own port.
-- Multicast groups are 224.1.1.3 and so on, each with one of those numbers. Unregistering a port also unregisters the
-  ports that it ``owns``.
+- With ``--ros``, the server looks up unknown names at a ROS 1 master. When a port ``/topic+@/node`` is announced, the
+  server registers the port with the master, under the address of the node's own port.
+- Multicast groups are 224.1.1.3 and so on, each with one of those port numbers. Unregistering a port also unregisters
+  the ports that it ``owns``.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class RealNameServer:
             self._groups = self._names = 0
 
     def answer(self, words: list[Any]) -> list[str]:
-        """Return the lines of the answer to a command."""
+        """Return the lines of the reply to a command."""
         with self._lock:
             match words:
                 case ["register", str(name), *contact]:
@@ -135,7 +135,7 @@ class RealNameServer:
         return [f"registration name {name} ip {url.hostname} port {url.port} type xmlrpc"] if url.hostname else []
 
     def _call_master(self, verb: str, name: str) -> None:
-        """Register or unregister the port of a node at the master."""
+        """Register or unregister the port of a node with the master."""
         topic, separator, node = name.partition("@")
         if self._master is None or not separator or name not in self.ports or node not in self.ports:
             return

@@ -1,8 +1,8 @@
 """An RPC client that behaves like YARP's C++ library (``yarp::os::RpcClient``, 3.9), on plain sockets.
 
-It copies this behavior (``PortCore.cpp``, 3.9 and 4.0): it connects once, on request. It detects a closed connection
-only when it writes; that call fails, the connection is removed, and it never reconnects by itself. Until then it lists
-the dead connection. An ``[add]`` replaces an earlier connection between the same ports.
+The client connects once, on request (``PortCore.cpp``, 3.9 and 4.0). It detects a closed connection only when it
+writes: that call fails, the connection is removed, and the client never reconnects by itself. Until then the client
+lists the dead connection. An ``[add]`` replaces an earlier connection between the same ports.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _CALL = bytes.fromhex("00000000 7e640001")
 
 
 class NativeClient:
-    """One registered and listening port, which makes calls.
+    """A registered and listening port that makes calls.
 
     Args:
         name: the port's name.
         naming: the name server.
-        seconds: time-out for replies.
+        seconds: timeout for replies.
     """
 
     def __init__(self, name: str, naming: NameClient, seconds: float = 10.0) -> None:
@@ -38,7 +38,7 @@ class NativeClient:
         self._thread.start()
 
     def connect(self, target: str) -> bool:
-        """Connect to a port once, like ``Network::connect``; return whether it succeeded."""
+        """Connect to a port once, like ``Network::connect``, and return whether that succeeded."""
         contact = self._naming.query(target)
         if contact is None:
             return False
@@ -54,8 +54,8 @@ class NativeClient:
         return False
 
     def call(self, request: bytes) -> bytes | None:
-        """Call with a request's payload, and return the reply's payload; None if the call failed."""
-        with self._lock:  # ``PortCore::sendHelper`` holds a lock, too: administrative commands wait
+        """Call with a request's payload; return the reply's payload, or None if the call failed."""
+        with self._lock:  # ``PortCore::sendHelper`` also holds a lock, so administrative commands wait
             if self._link is None:
                 return None
             try:
@@ -91,7 +91,7 @@ class NativeClient:
             threading.Thread(target=self._serve, args=[peer], daemon=True).start()
 
     def _serve(self, peer: socket.socket) -> None:
-        """Reply to a tool's administrative commands, by ``text_ack``."""
+        """Reply to a tool's administrative commands, over ``text_ack``."""
         with peer, contextlib.suppress(OSError), peer.makefile("rwb") as lines:
             peer.settimeout(self._seconds)
             lines.write(lines.readline().replace(b"CONNACK", b"Welcome"))

@@ -1,4 +1,4 @@
-"""The YARP network of a script that runs in the test's process, for `yarp.Network` and `yarp.PolyDriver`."""
+"""A YARP network for a script in the test's process, for `yarp.Network` and `yarp.PolyDriver`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from yarp_compat.os.runtime import RUNTIME
 
 @contextmanager
 def network_of(names: NameClient) -> Iterator[None]:
-    """Use a name server's network inside the context; close everything that is still open at its end."""
+    """Use a name server's network inside the context, and close everything that is still open at the end."""
     RUNTIME.use(names)
     yarp.Network.init()
     try:

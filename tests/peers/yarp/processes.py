@@ -1,4 +1,4 @@
-"""A folder like ``/proc`` in which programs of chosen YARP releases own chosen connections."""
+"""A folder like ``/proc`` in which programs of given YARP releases own given connections."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _MAPS = (
 
 
 def library(release: str) -> str:
-    """Return the path of the YARP library of a release, as packages install it."""
+    """Return the path of a release's YARP library, as packages install it."""
     return f"/usr/local/lib/libYARP_os.so.{release}"
 
 
 def processes(folder: Path, owners: Mapping[Address, Iterable[str]], state: str = "01") -> Path:
-    """Write a process for each connection, which has mapped these files."""
+    """Write a process for each connection; the process has mapped the given files."""
     lines = ["  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode"]
     (folder / "net").mkdir(parents=True, exist_ok=True)
     for at, (address, files) in enumerate(owners.items()):
@@ -38,7 +38,7 @@ def processes(folder: Path, owners: Mapping[Address, Iterable[str]], state: str 
 
 
 def listed(address: Address) -> str:
-    """Return an address as ``/proc/net/tcp`` lists it: words in the machine's byte order."""
+    """Return an address as ``/proc/net/tcp`` lists it, with words in the machine's byte order."""
     packed = ip_address(address[0]).packed
     numbers = struct.unpack(f"={len(packed) // 4}I", packed)
     return "".join(f"{number:08X}" for number in numbers) + f":{address[1]:04X}"

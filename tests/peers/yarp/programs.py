@@ -37,7 +37,7 @@ class Names:
 
     @property
     def endpoint(self) -> str:
-        """Address as ``host:port``, as in the configuration."""
+        """Return the address as ``host:port``, as in the configuration."""
         return f"{self.address.host}:{self.address.port}"
 
     def start(self) -> None:
@@ -150,7 +150,7 @@ class YarpProgram:
         for endpoint in list(self._ports):
             if seconds:
                 self.drop(endpoint)
-            else:  # as if the process was killed: the ports stay registered
+            else:  # as if the process had been killed, so the ports stay registered
                 core = self._ports.pop(endpoint)
                 core.naming = Forgetful(self._naming)
                 core.close()

@@ -16,7 +16,7 @@ def start(script: str, folder: Path, *words: str, **variables: str) -> subproces
     """Start a script without a ROS environment.
 
     Args:
-        script: its file's name without ``.py``.
+        script: name of the script's file, without ``.py``.
         folder: the program's working folder, with ``yarp.conf``.
         words: the script's arguments.
         variables: further environment variables.
@@ -33,7 +33,7 @@ def start(script: str, folder: Path, *words: str, **variables: str) -> subproces
 
 
 def output_lines(program: subprocess.Popen[str], seconds: float = 60) -> list[str]:
-    """Wait until a script exits, and return its output lines without those of the library's log."""
+    """Wait until a script exits, and return its output lines without the library's log lines."""
     try:
         out, err = program.communicate(timeout=seconds)
     except subprocess.TimeoutExpired:

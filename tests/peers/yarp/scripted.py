@@ -13,8 +13,8 @@ class Scripted:
     """A peer on loopback that plays the next script for each connection.
 
     Args:
-        scripts: for each connection, pairs of the number of lines to read and the reply. It stays silent for None, and
-            closes the connection for b"".
+        scripts: for each connection, pairs of the number of lines to read and the reply. The peer stays silent for
+            None, and closes the connection for b"".
     """
 
     def __init__(self, *scripts: list[tuple[int, bytes | None]]) -> None:

@@ -1,4 +1,4 @@
-"""Callbacks for vectors and matrices, as objects and as the port's method."""
+"""Callbacks for vectors and matrices: as objects, and as the port's own method."""
 
 import yarp
 

@@ -1,4 +1,4 @@
-"""A script whose spawned processes (multiprocessing) import yarp as well."""
+"""A script that spawns processes (multiprocessing), which import yarp as well."""
 
 import multiprocessing
 

@@ -1,4 +1,4 @@
-"""Stamps as the envelopes of messages."""
+"""Sends stamps as the envelopes of messages."""
 
 import yarp
 

@@ -1,4 +1,4 @@
-"""Images to numpy and back: the received image is copied into an array, changed there, and sent."""
+"""Converts images to numpy and back: a received image is copied into an array, changed there, and sent."""
 
 import numpy as np
 import yarp

@@ -1,4 +1,4 @@
-"""An RFModule: configured from the command line, answering commands, counting its cycles."""
+"""An RFModule that is configured on the command line, replies to commands and counts its cycles."""
 
 import sys
 

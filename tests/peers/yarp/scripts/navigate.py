@@ -1,4 +1,4 @@
-"""Sends a robot to a location with a navigation client, as in tutorials: options, views, a loop, the end."""
+"""Sends a robot to a location with a navigation client, as tutorials do: options, views, a loop, and the end."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""A program's queries and commands to the network about other programs' ports."""
+"""Queries and commands that a program sends to the network about other programs' ports."""
 
 import yarp
 

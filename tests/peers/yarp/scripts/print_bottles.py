@@ -1,4 +1,4 @@
-"""Connects to a port and prints received messages in a callback. Arguments: the other port, the count."""
+"""Connects to a port, and prints received messages in a callback. Arguments: the other port, the message count."""
 
 import sys
 

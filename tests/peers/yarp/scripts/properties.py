@@ -1,4 +1,4 @@
-"""Bottles, values and properties: built, searched, written and read as text."""
+"""Builds, searches, writes and parses bottles, values and properties."""
 
 import yarp
 

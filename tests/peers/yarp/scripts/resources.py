@@ -1,4 +1,4 @@
-"""Finds its configuration and another file, and uses the command line."""
+"""Finds its configuration and another file, and uses command line arguments."""
 
 import sys
 

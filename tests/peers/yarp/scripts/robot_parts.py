@@ -1,4 +1,4 @@
-"""A robot as a class whose parts are devices, each of which may be missing."""
+"""A class for a robot whose parts are devices, each of which may be missing."""
 
 import yarp
 

@@ -1,4 +1,4 @@
-"""Exchanges ROS messages through a Midspan daemon, which provides the types: publishes a topic, waits for another."""
+"""Publishes a ROS topic and waits for another one, through a Midspan daemon, which provides the types."""
 
 import sys
 

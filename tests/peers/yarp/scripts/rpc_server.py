@@ -1,4 +1,4 @@
-"""Answers requests on a port until one asks it to stop: ``read`` with a reply, then ``reply``."""
+"""Answers requests on a port until a request asks it to stop: ``read`` with a reply, then ``reply``."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Sends numbers on a buffered port until a reader has received all. Arguments: the port, the count."""
+"""Sends numbers on a buffered port until a reader has received all. Arguments: the port, the message count."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""A ROS topic between two nodes, without ROS, by the classes Node, Publisher and Subscriber as in C++."""
+"""A ROS topic between two nodes without ROS, with the classes Node, Publisher and Subscriber, as in C++."""
 
 import yarp
 
