@@ -1,4 +1,4 @@
-"""The zenoh and the YARP worker run on any OS: complete workers, with everything hidden that Windows lacks."""
+"""The zenoh and YARP workers run on any OS: complete workers, with everything hidden that Windows lacks."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def hubs() -> Iterator[QuickHub]:
 
 @contextmanager
 def worker(side: str, hubs: QuickHub, folder: Path, **sections: Any) -> Iterator[HubSide]:
-    """Run the worker of a side in a separate process, which must stop cleanly; a program on its hub.
+    """Run a side's worker in a separate process, which must stop cleanly; yield a program on its hub.
 
-    The daemon's name is invalid for a file on Windows; the files in its state folder must be valid.
+    The daemon's name is not a valid file name on Windows; the files in its state folder must be valid.
     """
     file = folder / "midspan.yaml"
     state = folder / "state"
@@ -49,9 +49,9 @@ def worker(side: str, hubs: QuickHub, folder: Path, **sections: Any) -> Iterator
     command = [sys.executable, "-m", "bridge.cli.main", "worker", side, "--config", file]
     with Process(command, as_on("windows")) as process:
         try:
-            until(lambda: process.popen.poll() is not None or runs(far), "it runs", 30)
+            until(lambda: process.popen.poll() is not None or runs(far), "the worker runs", 30)
             yield far
-            assert process.popen.poll() is None, "it ended by itself"
+            assert process.popen.poll() is None, "the worker ended by itself"
             process.signal(signal.SIGINT)  # Ctrl-C, which every OS has
             assert process.popen.wait(20) == 0
             file_names = [path.name for path in state.rglob("*")]
@@ -86,7 +86,10 @@ def test_the_yarp_worker(hubs: QuickHub, tmp_path: Path) -> None:
         with worker("yarp", hubs, tmp_path, yarp=yarp) as far:
             assert_crosses(far, program)
             assert "/midspan/from_side:i" in registered(names)
-        until(lambda: not any(name.startswith("/midspan/") for name in registered(names)), "its ports are unregistered")
+        until(
+            lambda: not any(name.startswith("/midspan/") for name in registered(names)),
+            "the worker's ports are unregistered",
+        )
     finally:
         program.stop()
         names.stop()

@@ -1,4 +1,4 @@
-"""A stopping worker still forwards navigation results: a goal ends only when the robot stands."""
+"""A worker that is stopping still forwards navigation results, because a goal ends only once the robot stands."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Side:
         raise AssertionError(reason)
 
     def ask_hub(self, action: str, type_name: str = NAVIGATE) -> tuple[Serving, Calling]:
-        """Request a pending result from an action server on the hub, as a program of the side."""
+        """Request a pending result from an action server on the hub, as a program on the side does."""
         name, kind = f"{action}/_action/get_result", f"{type_name}_GetResult"
         serving = Serving(REGISTRY, kind, {"held": True, **CANCELED})
         self.servers.append(self.hub.server(name, kind, REGISTRY.service_ros2(kind).type_id, serving.call))
@@ -64,7 +64,7 @@ class Side:
         return serving, calling
 
     def ask_side(self, action: str) -> tuple[Serving, Calling]:
-        """Request a result from a planner's action on the side, as the gateway."""
+        """Request a result from a planner's action on the side, as the gateway does."""
         name, kind = f"{action}/_action/get_result", f"{NAVIGATE}_GetResult"
         serving = Serving(REGISTRY, kind, {"held": True, **CANCELED})
         self.network.serve(name, kind, MadeBy.NATIVE, "/planner", serving.call)
@@ -112,7 +112,7 @@ def side(tmp_path: Path) -> Iterator[Side]:
 def test_the_worker_forwards_the_end_of_a_gateway_goal_before_it_stops(
     side: Side, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On SIGTERM the gateway stops the robot, and its clients on a side wait for the end of their goal."""
+    """On SIGTERM, the gateway stops the robot, and its clients on a side wait for the end of their goal."""
     monkeypatch.setattr(bridge_worker, "DRAIN_SECONDS", 60.0)
     serving, calling = side.ask_hub(GATEWAY)
     drained = watch_drain(monkeypatch)
@@ -162,7 +162,7 @@ def test_a_robot_that_keeps_moving_delays_the_stop_only_until_the_deadline(
     _serving, calling = side.ask_hub(GATEWAY)
     side.stop()
     side.join()
-    assert 0.3 <= side.seconds < 10.0, "it waited for the deadline and no longer"
+    assert 0.3 <= side.seconds < 10.0, "the worker waited for the deadline, and no longer"
     assert calling.result()["error"]
 
 

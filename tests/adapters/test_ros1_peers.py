@@ -1,4 +1,4 @@
-"""XML-RPC with deadlines and limits."""
+"""XML-RPC requests with deadlines and limits."""
 
 import contextlib
 import math
@@ -25,7 +25,7 @@ def test_values_and_refusals():
 
 
 def test_a_request_is_not_delayed_by_acknowledgements():
-    """http.client sends header and body separately."""
+    """http.client sends header and body separately, so a delayed acknowledgment would delay the body."""
     with node(one=lambda _caller: [1, "", 7]) as uri:
         client = ros1_peers.XmlRpcClient(uri, 2.0)
         with contextlib.closing(client):

@@ -19,18 +19,18 @@ needs_genpy = needs(ROS1)
 
 
 def genpy(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What ``genpy_peer.py`` answers."""
+    """Return the replies of ``genpy_peer.py``."""
     return _batch(SYSTEM_PYTHON, "ros1/genpy_peer.py", items, {"PATH": os.environ["PATH"], "LC_ALL": "C.UTF-8"})
 
 
 def rclpy(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What ``rclpy_peer.py`` answers."""
+    """Return the replies of ``rclpy_peer.py``."""
     need(ROS2)
     return _batch(Path(sys.executable), "ros2/rclpy_peer.py", items, None)
 
 
 def base64_text(content: bytes) -> str:
-    """Return bytes as base64, since JSON has no bytes."""
+    """Return bytes as base64, because JSON has no bytes."""
     return base64.b64encode(content).decode()
 
 

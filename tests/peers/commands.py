@@ -1,6 +1,6 @@
-"""The common parts of the programs of `tests.peers.peer`: the loop that executes commands, and records of arrivals.
+"""Common parts of the programs of `tests.peers.peer`: the loop that executes commands, and records of arrivals.
 
-It needs only Python's standard library, since ROS 1's programs import it on the system's Python.
+This module needs only Python's standard library, because ROS 1 programs import it on the system's Python.
 """
 # ruff: noqa: A002  # parameters are named as in the commands
 
@@ -21,7 +21,7 @@ class Record:
     """Messages, requests or goals, in the order of their arrival.
 
     Args:
-        plain: converts an item to values for JSON.
+        plain: converts an item to JSON values.
     """
 
     def __init__(self, plain: Callable[[Any], Any] = lambda item: item) -> None:
@@ -31,7 +31,7 @@ class Record:
         self._changed = threading.Condition()
 
     def add(self, item: Any) -> None:
-        """Append an item, and wake those that wait for it."""
+        """Append an item, and wake those who wait for it."""
         with self._changed:
             self.items.append(item)
             self._times.append(time.monotonic())
@@ -44,7 +44,7 @@ class Record:
             return [self._plain(item) for item in self.items[since:]]
 
     def silence(self, since: float) -> dict[str, float]:
-        """Return the time of the last arrival, and the longest time without one from ``since`` on."""
+        """Return the time of the last arrival, and the longest time without an arrival from ``since`` on."""
         with self._changed:
             times = list(self._times)
         later = [since, *(at for at in times if at >= since)]
@@ -53,7 +53,7 @@ class Record:
 
 
 class Calling:
-    """A call on a thread, and its reply or error."""
+    """A call that runs on a thread, and its reply or error."""
 
     def __init__(self, call: Callable[[], Any]) -> None:
         self._call = call
@@ -84,7 +84,7 @@ class GoalRecord:
         self._changed = threading.Condition()
 
     def update(self, **values: Any) -> None:
-        """Set values of the state, and wake those that wait for them."""
+        """Set values of the state, and wake those who wait for them."""
         with self._changed:
             self.state.update(values)
             self._changed.notify_all()
@@ -94,7 +94,7 @@ class GoalRecord:
         self.update(feedback=[*self.state["feedback"], feedback])
 
     def wait(self, until: dict[str, Any], seconds: float = 40.0) -> dict[str, Any]:
-        """Return the state, once each field of ``until`` has its value (feedback: at least that many)."""
+        """Return the state, once each field of ``until`` has its value (at least as much feedback) or time is over."""
 
         def reached() -> bool:
             state = {**self.state, "feedback": len(self.state["feedback"])}
@@ -122,7 +122,7 @@ class Counting:
             self._stopping.wait(max(0.0, due - time.monotonic()))
 
     def end(self, *, now: bool) -> int:
-        """Wait until it has finished, or stop it now; return the number of calls."""
+        """Wait until all calls are made, or stop now; return the number of calls."""
         if now:
             self._stopping.set()
         self._thread.join()
@@ -130,7 +130,7 @@ class Counting:
 
 
 class Commands:
-    """Executes commands: each by the method with its name, and ``id`` selects a part of the program.
+    """Executes each command with the method of the same name; a command's ``id`` selects a part of the program.
 
     Parts are publishers, subscriptions, services, calls, action servers and goals.
     """
@@ -146,7 +146,7 @@ class Commands:
         return answer
 
     def add(self, part: Any) -> dict[str, int]:
-        """Store a part, and answer with its number."""
+        """Store a part, and reply with its number."""
         number = next(self._numbers)
         self.parts[number] = part
         return {"id": number}

@@ -1,4 +1,4 @@
-"""An edge on an in-memory network, for tests of only the engine. Payloads are CDR; names are ROS 2's."""
+"""An edge on an in-memory network, for tests of the engine alone. Payloads are CDR, and names are ROS 2's."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bridge.routing.edge import Deliver, Edge, EdgeListener, Endpoint, Kind, Mad
 
 @dataclass(eq=False)
 class Writer:
-    """A publisher on the fake network; late joiners receive its retained messages while it exists."""
+    """A publisher on the fake network. While it exists, late joiners receive its retained messages."""
 
     endpoint: Endpoint
     retained: dict[str, bytes] = field(default_factory=dict)
@@ -42,9 +42,9 @@ class Server:
 
 
 class FakeNetwork:
-    """Writers and readers that share a name in memory; latched writers retain one message per source.
+    """Writers and readers that share a name, in memory. Latched writers retain one message per source.
 
-    A call goes to the last server of its name.
+    A call goes to the last server of the name.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class FakeNetwork:
         self._watchers.append(changed)
 
     def restart(self, identity: str | None) -> None:
-        """Remove the network (None) or restart it with another identity, without its native endpoints."""
+        """Remove the network (None), or restart it with another identity; its native endpoints are gone either way."""
         with self._lock:
             self.identity = identity
             self._writers = [w for w in self._writers if w.endpoint.made_by is MadeBy.MIDSPAN]
@@ -197,7 +197,7 @@ class _Caller:
         return self.network.call(self.name, request, done, native=True)
 
     def close(self) -> None:
-        """The route ends the calls."""
+        """Do nothing: the route ends the calls."""
 
 
 class FakeEdge(Edge):

@@ -1,4 +1,4 @@
-"""What an adapter reports, for adapters without an engine."""
+"""Records the reports of an adapter that has no engine."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ class Listener:
         self.failures: list[str] = []
 
     def graph_changed(self) -> None:
-        """Count it."""
+        """Count the change."""
         self.changes += 1
 
     def presence_changed(self) -> None:
-        """Ignore it."""
+        """Ignore the change."""
 
     def message_refused(self, topic: str, reason: str, why: str) -> None:
-        """Ignore it."""
+        """Ignore the message."""
 
     def edge_failed(self, reason: str) -> None:
         """Record the reason."""

@@ -1,4 +1,4 @@
-"""A real ROS 1 or ROS 2 program that a test controls by JSON lines on its standard input and output.
+"""A real ROS 1 or ROS 2 program that a test controls with JSON lines on its standard input and output.
 
 Each line is a command, and is answered by one line, in order. Commands (``do``):
 
@@ -12,7 +12,7 @@ until it has finished (or stop it now) -> sent; ``tally`` id, since -> received,
 ``silence`` id, since: those two of any type; ``broadcast`` id, child, rate (ROS 1): transforms from ``map`` to
 ``child`` until ``counted``.
 
-An answer has ``ok``; when false, ``error``.
+A reply has ``ok``; if it is false, ``error``.
 
 Services: ``serve`` service, type, reply (fields of the response), error (a text with which calls fail), held (it
 answers only after ``release`` id) -> id; ``requests`` id, count, seconds -> requests (all so far, after ``count`` have
@@ -28,7 +28,7 @@ Actions: ``act`` action, type, feedback (a list; ``times`` over, one round each 
 status, result, cancel ([return_code, goals]), ends (how many ends were reported), ``ended_at`` (``time.monotonic()`` of
 the last one); ``ask_result`` id (ROS 2): request the result again; ``cancel`` id.
 
-Types are spelled ``package/Name`` on every side.
+Types are spelled ``package/Name`` on all sides.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Peer(Process):
         super().__init__([python, program, *args], env, pipes=True)
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """Send one command, and return its answer; fails with the program's error."""
+        """Send one command, and return its reply; fail with the program's error."""
         assert self.popen.stdin is not None
         assert self.popen.stdout is not None
         self.popen.stdin.write(json.dumps({"do": do, **params}) + "\n")
@@ -70,7 +70,7 @@ class Peer(Process):
         return int(self.ask("subscribe", topic=topic, type=type_, **qos)["id"])
 
     def publish(self, endpoint: int, message: dict[str, Any], times: int = 1) -> None:
-        """Publish a message, given by its fields, ``times`` in a row."""
+        """Publish a message ``times`` in a row, given by its fields."""
         self.ask("publish", id=endpoint, message=message, times=times)
 
     def wait(self, endpoint: int, count: int, seconds: float = 40.0, since: int = 0) -> list[dict[str, Any]]:
@@ -84,7 +84,7 @@ class Peer(Process):
         self.ask("drop", id=endpoint)
 
     def graph(self) -> dict[str, Any]:
-        """Return the side's graph as the peer sees it."""
+        """Return the side's graph as the program sees it."""
         return self.ask("graph")
 
     def end(self) -> None:
@@ -94,7 +94,7 @@ class Peer(Process):
                 self.popen.stdin.close()
 
     def stop(self, seconds: float = 6.0) -> int:
-        """Let the program exit by itself, so that it cleans up; with 0 ``seconds`` kill it at once."""
+        """Let the program exit by itself, so that it cleans up; with 0 ``seconds``, kill it at once."""
         if seconds > 0 and self.popen.poll() is None:
             self.end()
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -103,7 +103,7 @@ class Peer(Process):
 
 
 def stop_all(things: Sequence[Any]) -> None:
-    """Stop programs, workers and sessions, the last one first; programs exit concurrently, because rospy's are slow."""
+    """Stop programs, workers and sessions, last one first; programs exit concurrently, because rospy's are slow."""
     for thing in things:
         if isinstance(thing, Peer):
             thing.end()

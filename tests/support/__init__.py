@@ -1,1 +1,1 @@
-"""Shared parts of the tests: free ports, processes, conditions with deadlines, and real peers."""
+"""Shared parts of the tests: free ports, processes, conditions with deadlines, and simulated machines."""

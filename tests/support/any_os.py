@@ -1,4 +1,4 @@
-"""A pytest plugin, ``-p tests.support.any_os``: hides what Windows lacks before tests are imported."""
+"""A pytest plugin, ``-p tests.support.any_os``, that hides what Windows lacks before tests are imported."""
 
 from __future__ import annotations
 

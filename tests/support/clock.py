@@ -8,7 +8,7 @@ import pytest
 
 
 class Clock:
-    """The monotonic clock; ``now`` is its time in seconds. It replaces the module `time` in a tested module."""
+    """A monotonic clock whose time in seconds is ``now``. It replaces the module `time` in a tested module."""
 
     now = 100.0
 
@@ -17,7 +17,7 @@ class Clock:
 
 
 class ProcessClock:
-    """The monotonic and the system clock of this process, which show the same time: ``now``, in seconds."""
+    """The monotonic and the system clock of this process, which both show ``now``, in seconds."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 1000.0

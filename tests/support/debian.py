@@ -19,7 +19,7 @@ from tests.support.process import Process
 from tests.support.wait import until
 
 CACHE = Path(__file__).resolve().parents[2] / ".cache" / "debootstrap"
-"""Cache of debootstrap's packages, and for a day of the systems it created, since several tests begin with one."""
+"""Cache of debootstrap's packages and, for a day, of the created systems, because several tests use the same one."""
 
 DAY = 24 * 3600  # seconds
 
@@ -35,7 +35,7 @@ umount --lazy "$2"
 shift 2
 exec "$@"
 """
-"""Runs a command in a new cgroup, wherever this machine has cgroups mounted."""
+"""Runs a command in a new cgroup, no matter where this machine has mounted cgroups."""
 
 _BOOT = r"""
 tree=$1
@@ -63,7 +63,7 @@ pivot_root . .
 umount -l .
 exec env -i container=lxc PATH=/usr/sbin:/usr/bin:/sbin:/bin /sbin/init
 """
-"""Starts systemd in a container as https://systemd.io/CONTAINER_INTERFACE demands."""
+"""Starts systemd in a container, as https://systemd.io/CONTAINER_INTERFACE requires."""
 
 _REMOVE_CGROUP = r"""
 mount --make-rprivate /
@@ -78,7 +78,7 @@ class Root:
     """The files of a fresh system in a folder: debootstrap's minimal variant, and certificates.
 
     Args:
-        folder: where it is created.
+        folder: where the system is created.
         suite: the release; Ubuntu's signatures are not checked.
     """
 
@@ -93,7 +93,7 @@ class Root:
             raise
 
     def _fill(self, suite: str) -> None:
-        """Create the system, or unpack the one that was created today."""
+        """Create the system, or unpack one that was created less than a day ago."""
         folder, packed = self.folder, CACHE / f"{suite}.tar"
         CACHE.mkdir(parents=True, exist_ok=True)
         with (CACHE / f"{suite}.lock").open("w") as lock:
@@ -154,7 +154,7 @@ def proxies() -> dict[str, str]:
 
 
 def archive(suite: str) -> list[str]:
-    """Return the archive that this machine's apt uses for the release; empty: debootstrap's default."""
+    """Return the archive that this machine's apt uses for the release, or an empty list for debootstrap's default."""
     command = ["apt-get", "indextargets", "--format", "$(SITE)", "Identifier: Packages", f"Codename: {suite}"]
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()[:1]
 
@@ -181,7 +181,7 @@ class Tree(Root):
         (folder.parent / "mount").mkdir(exist_ok=True)
         self.chroot("apt-get", "update")
         self.chroot("apt-get", "install", "-y", "--no-install-recommends", "dbus", "systemd", "systemd-sysv")
-        # a container loads no kernel modules, and systemd 259's service for it fails without libkmod
+        # a container loads no kernel modules, and systemd 259's service that loads them fails without libkmod
         self.chroot("systemctl", "mask", "systemd-modules-load.service")
 
     def boot(self) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def no_descriptors() -> Iterator[None]:
-    """Let all attempts to open a new descriptor fail with EMFILE inside the context."""
+    """Make all attempts to open a new descriptor fail with EMFILE inside the context."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     held = [os.open(os.devnull, os.O_RDONLY)]
     try:

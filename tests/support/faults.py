@@ -14,21 +14,21 @@ from typing import Self
 
 TICK = 0.005
 RETRANSMISSION = 0.2
-"""Seconds until Linux retransmits a lost segment at the earliest (TCP_RTO_MIN)."""
+"""Seconds after which Linux retransmits a lost segment at the earliest (TCP_RTO_MIN)."""
 BUFFER = 64 << 10
 """Maximum bytes in flight per direction, as on a network with short queues."""
 
 
 class FaultProxy:
-    """Forwards connections to a port of loopback. ``up`` is the direction from the client, ``down`` to it.
+    """Forwards connections to a loopback port. ``up`` is the direction from the client, ``down`` the direction to it.
 
     Attributes:
         port: the proxy's port on 127.0.0.1.
         delay: additional latency of every byte, seconds.
-        loss: share of lost segments; as TCP retransmits them, they arrive `RETRANSMISSION` late, and hold up all later
-            ones.
+        loss: share of lost segments. TCP retransmits them, so they arrive `RETRANSMISSION` late and delay all later
+            segments.
         lost: number of lost segments.
-        rate: bytes per second and direction, None for unlimited.
+        rate: bytes per second in each direction, None for unlimited.
         frozen: directions in which nothing is forwarded; connections stay open, and new ones are accepted.
     """
 
@@ -47,7 +47,7 @@ class FaultProxy:
         self._threads[0].start()
 
     def freeze(self, *directions: str) -> None:
-        """Stop forwarding in these directions; by default in both."""
+        """Stop forwarding in these directions, by default in both."""
         self.frozen = frozenset(directions or ("up", "down"))
 
     def thaw(self) -> None:
@@ -55,7 +55,7 @@ class FaultProxy:
         self.frozen = frozenset()
 
     def cut(self) -> None:
-        """Close all connections; new ones are forwarded."""
+        """Close all connections; new connections are forwarded."""
         with self._lock:
             links, self._links = self._links, []
         for sock in (sock for link in links for sock in link):

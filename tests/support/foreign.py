@@ -1,11 +1,11 @@
 """A Debian for another processor in a folder: this machine unpacks its packages, and its programs run under qemu.
 
-The packages' own scripts do not run, since under qemu they take an hour on a busy machine. So the tree lacks what they
-write, such as bytecode, the loader's cache and alternatives; Python and its libraries do not need that.
+The packages' own scripts do not run, because under qemu they take an hour on a busy machine. So the tree lacks what
+they write, such as bytecode, the loader's cache and alternatives, which Python and its libraries do not need.
 
-The kernel starts qemu for each program of the other processor (binfmt_misc). Debian's `qemu-user-static` registers that
-for the whole machine if systemd or binfmt-support runs. Otherwise a tree registers it in a user namespace, which needs
-Linux 6.7.
+The kernel starts qemu for each program of the other processor (binfmt_misc). Debian's `qemu-user-static` registers qemu
+for the whole machine if systemd or binfmt-support runs. Otherwise a tree registers qemu in a user namespace, which
+needs Linux 6.7.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ EMULATOR = "qemu-aarch64-static"
 REGISTERED = Path("/proc/sys/fs/binfmt_misc/qemu-aarch64")
 _PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
 _MAPPED = "0 0 65536"
-"""The user and group ids of a tree, which are the same in its namespace; dpkg needs more than root's."""
+"""The user and group IDs of a tree, which are the same in its namespace. dpkg needs more IDs than root's."""
 
 _MAGIC = (
     r":qemu-aarch64:M::\x7fELF\x02\x01\x01\x00\x00\x00\x00\x00\x00\x00\x00\x00\x02\x00\xb7\x00"
     r":\xff\xff\xff\xff\xff\xff\xff\x00\xff\xff\xff\xff\xff\xff\xff\xff\xfe\xff\xff\xff:{}:OCF"
 )
-"""Registration of arm64's ELF files as in Debian's qemu-user-static; F opens qemu outside the tree."""
+"""Registration of arm64's ELF files, as in Debian's qemu-user-static; F opens qemu outside the tree."""
 
 _ENTER = r"""
 read -r _
@@ -62,7 +62,7 @@ exec chroot "$root" env -i "$@" </dev/null
 
 
 def missing() -> list[str]:
-    """Describe what this machine lacks to create and run trees, with the cure."""
+    """Describe what this machine lacks to create and run trees, and how to install it."""
     lacks = [
         f"{program} (apt install {package})"
         for program, package in (("debootstrap", "debootstrap"), ("ip", "iproute2"), ("unshare", "util-linux"))
@@ -97,7 +97,7 @@ class ForeignTree:
         self.folder, self._suite, self._packages = folder, suite, packages
 
     def create(self, log: Path) -> bool:
-        """Create the system if it is missing; return whether it was. Raises `RuntimeError` with the log's name."""
+        """Create the system if it is missing, and return whether it was; raise `RuntimeError` with the log's name."""
         if self.folder.exists():
             return False
         new = ForeignTree(self.folder.with_name(f"{self.folder.name}.new"), self._suite, self._packages)
@@ -145,7 +145,7 @@ class ForeignTree:
 
 
 def _unpack(package: Path, folder: Path) -> None:
-    """Unpack the files of a package; raises `RuntimeError` with the cause if that fails."""
+    """Unpack a package's files; raise `RuntimeError` with the cause if that fails."""
     command = ["dpkg-deb", "--fsys-tarfile", package]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as files:
         # /lib and others are links to folders in /usr
@@ -156,7 +156,7 @@ def _unpack(package: Path, folder: Path) -> None:
 
 
 def _map_users(process: subprocess.Popen[bytes]) -> None:
-    """Give a process's new user namespace its users, as soon as it is in it."""
+    """Map users into a process's new user namespace, as soon as the process is in it."""
     own, end = Path("/proc/self/ns/user").readlink(), time.monotonic() + 10.0
     proc = Path(f"/proc/{process.pid}")
     while (proc / "ns/user").readlink() == own:

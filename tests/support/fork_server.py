@@ -47,14 +47,14 @@ def main() -> None:
 
 
 class Server:
-    """The process from which programs are forked; it has one thread, and does not use the modules that it imports."""
+    """The process from which programs are forked. It has one thread, and does not use the modules that it imports."""
 
     def __init__(self, control: socket.socket) -> None:
         self._control = control
         self._poll = select.poll()
         self._poll.register(control, select.POLLIN)
         self._programs: dict[int, tuple[int, socket.socket]] = {}
-        """Process id and notified socket of each program, by its pidfd."""
+        """Process ID and notified socket of each program, by its pidfd."""
 
     def run(self) -> dict[str, Any] | None:
         """Serve until the control socket is closed, and return None; in each forked process, return its request."""
@@ -116,7 +116,7 @@ def send(owner: socket.socket, message: dict[str, Any]) -> None:
 
 
 def prepare(request: dict[str, Any]) -> None:
-    """Import a program's modules: those requested, and those that its file and the tests' files import at the top."""
+    """Import a program's modules: the requested ones, and those imported at the top of its file and of tests' files."""
     names = list(request["imports"])
     if request["args"][0] != "-m":
         names += imported(Path(request["args"][0]))
@@ -126,7 +126,7 @@ def prepare(request: dict[str, Any]) -> None:
 
 
 def wait_for_quiet(request: dict[str, Any]) -> None:
-    """Wait until no other thread may hold a lock: Python has none, and those of an absent tracer (LTTng) sleep."""
+    """Wait until no other thread can hold a lock: Python has no threads, and those of an absent LTTng tracer sleep."""
     deadline = time.monotonic() + 10.0
     while time.monotonic() < deadline and threading.active_count() == 1:
         tasks = [task for task in Path("/proc/self/task").iterdir() if task.name != str(os.getpid())]
@@ -137,9 +137,9 @@ def wait_for_quiet(request: dict[str, Any]) -> None:
 
 
 def imported(file: Path) -> list[str]:
-    """Return the modules that a program imports, itself and by other files of the tests.
+    """Return the modules that a program imports, directly or through other files of the tests.
 
-    This process does not import those files itself: it may lack the search path that a program sets for them.
+    This process does not import those files itself, because it may lack the search path that a program sets for them.
     """
     if file in _seen:
         return []
@@ -187,7 +187,7 @@ def become(request: dict[str, Any]) -> None:
 
 
 def show(command: Sequence[str]) -> None:
-    """Show a command as that of this process, as far as the fork server's own has space for it."""
+    """Show a command as this process's command, as far as it fits into the space of the fork server's command."""
     fields = Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(") ")[2].split()
     begin, end = int(fields[45]), int(fields[46])  # arg_start and arg_end: fields 48 and 49 of proc(5)
     text = b"\0".join(word.encode() for word in command)[: end - begin - 1]

@@ -1,9 +1,9 @@
 """Forks the workers of a forked daemon, because imports take most of a worker's start.
 
 `install` runs in the daemon's process, which has imported the workers' modules and has no other thread. A worker is a
-child with its own session, environment, pipes and lock, as if it were started. It shares no state with the daemon,
+child with its own session, environment, pipes and lock, as if it had been started. It shares no state with the daemon,
 which uses only modules of `bridge.daemon` and `bridge.config`. A worker is started as usual if its environment differs
-from the daemon's in what Python or the dynamic linker read at a start.
+from the daemon's in variables that Python or the dynamic linker read at a start.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ _CHILD = "bridge.cli.child"
 
 
 class ForkedWorker:
-    """A forked worker, with what the daemon uses of `subprocess.Popen`."""
+    """A forked worker, with the part of `subprocess.Popen` that the daemon uses."""
 
     def __init__(self, pid: int, stdin: IO[bytes] | None, stdout: IO[bytes] | None, stderr: IO[bytes] | None) -> None:
         self.pid, self.stdin, self.stdout, self.stderr = pid, stdin, stdout, stderr
         self.returncode: int | None = None
 
     def poll(self) -> int | None:
-        """Return the exit code, None while it runs."""
+        """Return the exit code, or None while the worker runs."""
         return self._wait(os.WNOHANG)
 
     def wait(self) -> int:
-        """Return the exit code as soon as it has exited."""
+        """Wait until the worker exits, and return the exit code."""
         code = self._wait(0)
         assert code is not None
         return code
@@ -66,7 +66,7 @@ class ForkedWorker:
 
 
 def install() -> None:
-    """Let the daemon of this process fork its workers."""
+    """Let the daemon in this process fork its workers."""
     from bridge.daemon import worker_channel
 
     start = worker_channel._start
@@ -82,7 +82,7 @@ def install() -> None:
 
 
 def can_fork(command: Sequence[str], env: Mapping[str, str]) -> bool:
-    """Return whether a command is that of a worker which can share the start of this process."""
+    """Return whether a command is that of a worker that can share this process's start."""
     return _CHILD in command and _early(env) == _early(os.environ) and _libraries(env) <= _libraries(os.environ)
 
 
@@ -173,7 +173,7 @@ def _close_others(passed: Sequence[int]) -> None:
 
 
 def _forget_exit_handlers() -> None:
-    """Remove the daemon's exit handlers, such as those of temporary folders; keep that of the log."""
+    """Remove the daemon's exit handlers, such as those of temporary folders, but keep the log's."""
     atexit._clear()
     weakref.finalize._registry.clear()  # type: ignore[attr-defined]
     weakref.finalize._registered_with_atexit = False  # type: ignore[attr-defined]

@@ -1,8 +1,9 @@
 """Forks Python test programs instead of starting them, because imports take most of a start.
 
-For each interpreter and start environment (what Python or the dynamic linker read), one process imports the programs'
-modules (`tests.support.fork_server`), and is forked for each program. A program has its own environment, session,
-output and exit code, and shares no state with others: the forked process does not use the modules that it imports.
+For each interpreter and start environment (variables read by Python or the dynamic linker), one process imports the
+programs' modules (`tests.support.fork_server`), and is forked for each program. A program has its own environment,
+session, output and exit code, and shares no state with others: the forked process does not use the modules that it
+imports.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from tests.support.forked_workers import WORKERS
 SERVER = Path(__file__).with_name("fork_server.py")
 _TESTS = SERVER.parents[1]
 PYTHONS = (sys.executable, "/usr/bin/python3")
-"""Midspan's interpreter, and that of ROS 1."""
+"""The interpreters of Midspan and of ROS 1."""
 
 DAEMON = ("bridge.config.load", "bridge.daemon.worker_main", "bridge.daemon.supervisor")
 """Imports of `midspan run` and of a single worker. A forked daemon starts its workers as usual."""
@@ -37,7 +38,7 @@ DAEMON_AND_WORKERS = (*DAEMON, *WORKERS)
 """Imports of `midspan run` that forks its workers, see `tests.support.forked_workers`."""
 
 COMMAND = (*DAEMON, "bridge.client.session", "bridge.hub.router", "bridge.messages.registry")
-"""Imports of a verb that asks a hub or a daemon, in addition to the verb's module."""
+"""Imports of a command that queries a hub or a daemon, in addition to the command's own module."""
 
 _AT_START = ("PYTHON", "LD_", "_ROS_WHEELS", "MALLOC_", "GLIBC_", "MIDSPAN_")
 """Prefixes of variables that Python, the linker or Midspan read at a start or import."""
@@ -83,7 +84,7 @@ class Server:
             )
 
     def ask(self, request: bytes, descriptors: Sequence[int]) -> None:
-        """Request that a program is forked."""
+        """Request the fork of a program."""
         packed = array.array("i", descriptors)
         self._control.sendmsg([request], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, packed)])
 
@@ -93,11 +94,11 @@ class Server:
 
     @property
     def ended(self) -> bool:
-        """Whether the process has exited."""
+        """Return whether the process has exited."""
         return self._process.poll() is not None
 
     def close(self) -> None:
-        """End the process with all its programs."""
+        """End the process and all its programs."""
         self._control.close()
         self._process.wait()
         assert self._process.stdin is not None
@@ -106,7 +107,7 @@ class Server:
 
 
 def server_for(python: str, env: Mapping[str, str], *, workers: bool = False) -> Server:
-    """Return the process to fork from; those for daemons with their workers also import what workers use."""
+    """Return the process to fork from; processes for daemons with their workers also import what workers use."""
     early = {name: value for name, value in env.items() if name.startswith(_AT_START)}
     key = (python, "workers" if workers else "", *(f"{name}={early[name]}" for name in sorted(early)))
     with _lock:
@@ -114,20 +115,20 @@ def server_for(python: str, env: Mapping[str, str], *, workers: bool = False) ->
         if server is None or server.ended:
             if server is not None:
                 server.close()
-            # other variables stay those of the test process, which mark it
+            # other variables keep the test process's values, by which it is recognized
             others = {name: value for name, value in os.environ.items() if not name.startswith((*_AT_START, "ROS_"))}
             server = _servers[key] = Server(python, {**others, **early})
         return server
 
 
 class Forked:
-    """A forked program, with what the tests use of `subprocess.Popen`.
+    """A forked program, with the part of `subprocess.Popen` that the tests use.
 
     Args:
-        args: the interpreter; a file or ``-m`` and a module; its arguments.
-        env: its environment.
-        log: file for standard error, and for the output unless piped.
-        pipes: whether its input and output are pipes of text.
+        args: the interpreter; a file, or ``-m`` and a module; and the arguments.
+        env: the program's environment.
+        log: file for standard error, and for standard output unless it is piped.
+        pipes: whether standard input and output are pipes of text.
         imports: modules to import beforehand, in addition to those that a file imports at its top.
     """
 
@@ -171,7 +172,7 @@ class Forked:
         _commands[self.pid] = " ".join(self.args)
 
     def _receive(self, seconds: float | None) -> dict[str, int] | None:
-        """Return the server's next message about the process: None on a time-out, empty if the server has exited."""
+        """Return the server's next message about the process: None after a timeout, empty if the server has exited."""
         waiting = select.poll()
         waiting.register(self._owner, select.POLLIN)
         if not waiting.poll(None if seconds is None else max(0.0, seconds) * 1000):
@@ -181,23 +182,23 @@ class Forked:
         return message
 
     def poll(self) -> int | None:
-        """Return the exit code, None while it runs."""
+        """Return the exit code, or None while the program runs."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.wait(0.0)
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the exit, and return the exit code; raises `subprocess.TimeoutExpired`."""
+        """Wait until the program exits, and return its exit code; raises `subprocess.TimeoutExpired`."""
         if self.returncode is None:
             message = self._receive(timeout)
             if message is None:
                 assert timeout is not None
                 raise subprocess.TimeoutExpired(self.args, timeout)
-            self.returncode = message.get("code", -signal.SIGKILL)  # the server died, and its programs with it
+            self.returncode = message.get("code", -signal.SIGKILL)  # the server was killed, and its programs with it
             self._owner.close()
         return self.returncode
 
     def kill(self) -> None:
-        """Send SIGKILL if it still runs."""
+        """Send SIGKILL if the program still runs."""
         if self.poll() is None:
             os.kill(self.pid, signal.SIGKILL)

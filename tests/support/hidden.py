@@ -1,4 +1,4 @@
-"""Hides what Python lacks on Windows; rules for file names on Windows."""
+"""Hides what Python on Windows lacks, and has Windows' rules for file names."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def socketpair(*_):
 socket.socket, socket.socketpair = Socket, socketpair
 selectors.DefaultSelector = selectors.SelectSelector
 """
-"""Run this in a process before yarp_compat is imported: it then has no libraries that need what is hidden."""
+"""To run in a process before yarp_compat is imported, which then has no libraries that need the hidden functions."""
 
 LIBRARIES = """
 import cryptography.x509, numpy, psutil, pydantic, rich.console, rosbags.typesys, ruamel.yaml, xxhash, yaml, zenoh
@@ -55,13 +55,14 @@ vars(whole).update(vars(os))
 for module in (psutil, psutil._common, psutil._pslinux, psutil._psposix):
     module.os = whole
 """
-"""Run this before `HIDE` if the bridge itself runs in the same process: libraries with a Windows implementation."""
+"""To run before `HIDE` if the bridge itself runs in the same process: imports libraries with Windows
+implementations."""
 
 ROOT = Path(__file__).parents[2]
 
 
 def as_on(system: str, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Return an environment with which Midspan runs as on ``windows`` or ``macos``; see `tests.support.other_os`."""
+    """Return an environment in which Midspan runs as on ``windows`` or ``macos``; see `tests.support.other_os`."""
     paths = [str(ROOT / "tests" / "support" / "other_os"), str(ROOT)]
     return {
         **environ,
@@ -73,7 +74,7 @@ def as_on(system: str, environ: Mapping[str, str] = os.environ) -> dict[str, str
 
 
 def is_windows_name(name: str) -> bool:
-    """Return whether Windows allows a file name in a folder, by `pathlib` and Microsoft's rules."""
+    """Return whether Windows allows a file name in a folder, by the rules of `pathlib` and Microsoft."""
     path = PureWindowsPath("C:/maps") / name
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def run_tests(folder: Path, *options: str, **environ: str) -> subprocess.CompletedProcess[str]:
-    """Run the tests of a folder in the order of their files; plugins of this suite can be imported."""
+    """Run a folder's tests in the order of their files; they can import plugins of this suite."""
     return subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:randomly", *options],
         cwd=folder,

@@ -1,4 +1,4 @@
-"""Optional parts of a machine: tests that need a missing one are skipped, with one summary line; in CI they fail."""
+"""Optional parts of a machine: tests that need a missing part are skipped, with a summary line; in CI they fail."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _PACKAGES = {
 """What is missing if a test cannot import one of these packages."""
 
 _not_read: dict[str, list[str]] = {}
-"""Files and folders that could not be imported, by what is missing."""
+"""Files and folders that could not be imported, by the missing part."""
 
 
 def has_ros1() -> bool:
@@ -72,7 +72,7 @@ def _is_root() -> bool:
 
 @functools.cache
 def lacking() -> frozenset[str]:
-    """Return what this machine lacks, as skip reasons."""
+    """Return the parts that this machine lacks, as skip reasons."""
     available = {
         ROS1: has_ros1(),
         ROS2: find_spec("rclpy") is not None,
@@ -90,18 +90,18 @@ def lacking() -> frozenset[str]:
 
 
 def need(reason: str) -> None:
-    """Skip the test if this machine lacks something."""
+    """Skip the test if this machine lacks a part."""
     if reason in lacking():
         pytest.skip(reason)
 
 
 def needs(reason: str) -> pytest.MarkDecorator:
-    """Return a marker that skips tests if this machine lacks something."""
+    """Return a marker that skips tests if this machine lacks a part."""
     return pytest.mark.skipif(reason in lacking(), reason=reason)
 
 
 def cause(error: BaseException | None) -> str:
-    """Return why something could not be imported or built; empty if the error is in Midspan."""
+    """Return the missing part that made an import or a build fail; empty if the error is in Midspan."""
     while error is not None:
         if isinstance(error, ModuleNotFoundError) and error.name:
             return _PACKAGES.get(error.name.partition(".")[0], "")
@@ -112,14 +112,14 @@ def cause(error: BaseException | None) -> str:
 
 
 def judge(report: pytest.TestReport | pytest.CollectReport, error: BaseException | None) -> str:
-    """Turn such a failure into a skip, and in CI such a skip into a failure; return the reason, or empty."""
+    """Turn such a failure into a skip, or, in CI, such a skip into a failure; return the reason, or empty."""
     reason = cause(error) if report.failed else ""
     if report.skipped and isinstance(report.longrepr, tuple):
         skipped = str(report.longrepr[2]).removeprefix("Skipped: ")
         reason = skipped if skipped.startswith(_MARK) else ""
     if reason and os.environ.get("CI"):
         report.outcome, report.longrepr = "failed", f"{reason}: required in CI"
-    elif reason:  # with one location, so that pytest lists them on one line
+    elif reason:  # all with the same location, so that pytest lists them on one line
         report.outcome, report.longrepr = "skipped", (__file__, 1, f"Skipped: {reason}")
     return reason
 
@@ -143,19 +143,19 @@ def pytest_runtest_makereport(call: pytest.CallInfo[None]) -> Iterator[None]:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Pass what could not be imported from a pytest-xdist worker to its controller."""
+    """Send the failed imports from a pytest-xdist worker to its controller."""
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["not_read"] = _not_read
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: object, error: object) -> None:
-    """Collect what a worker could not import; each worker reads all files."""
+    """Collect a worker's failed imports; each worker imports all files."""
     _not_read.update(getattr(node, "workeroutput", {}).get("not_read", {}))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Print the tests that were not run, by what is missing."""
+    """Print the tests that were not run, by the missing part."""
     skipped = [report for report in terminalreporter.getreports("skipped") if isinstance(report, pytest.TestReport)]
     if lines := summary([str(report.longrepr[2]) for report in skipped if isinstance(report.longrepr, tuple)]):
         terminalreporter.section("not on this machine")

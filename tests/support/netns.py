@@ -1,4 +1,4 @@
-"""Simulated machines: network namespaces joined by veth links, with addresses that exist only in them."""
+"""Simulated machines: network namespaces joined by veth links, whose addresses exist only in them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def ip(*words: str) -> None:
 
 
 def need_namespaces() -> None:
-    """Skip the test if this machine cannot create network namespaces; in CI it fails."""
+    """Skip the test, or fail it in CI, if this machine cannot create network namespaces."""
     name = f"midspan-try-{os.getpid()}"
     try:
         ip("netns", "add", name)
@@ -41,7 +41,7 @@ class Machine:
     """A network namespace with loopback.
 
     Args:
-        name: the machine's name; the namespace's name also contains the process id.
+        name: the machine's name; the namespace's name also contains the process ID.
     """
 
     def __init__(self, name: str) -> None:
@@ -52,7 +52,7 @@ class Machine:
         ip("-n", self.namespace, "link", "set", "lo", "up")
 
     def hosts(self, **addresses: str) -> None:
-        """Set the names that this machine resolves; `ip netns exec` mounts the file over /etc/hosts."""
+        """Set the names that this machine resolves. `ip netns exec` mounts the file over /etc/hosts."""
         self._files.mkdir(parents=True, exist_ok=True)
         lines = ["127.0.0.1 localhost", *(f"{address} {name}" for name, address in addresses.items())]
         (self._files / "hosts").write_text("\n".join(lines) + "\n")
@@ -62,7 +62,7 @@ class Machine:
         return ["ip", "netns", "exec", self.namespace, *map(str, words)]
 
     def run(self, *words: str | Path, env: Mapping[str, str] | None = None, seconds: float = 30) -> str:
-        """Run a program until it exits; return its output."""
+        """Run a program until it exits, and return its output."""
         done = subprocess.run(
             self.command(*words), env=env, capture_output=True, text=True, timeout=seconds, check=False
         )
@@ -74,7 +74,7 @@ class Machine:
         return Process(self.command(*words), env)
 
     def close(self) -> None:
-        """Remove the namespace with its links."""
+        """Remove the namespace and its links."""
         with contextlib.suppress(OSError):
             ip("netns", "delete", self.namespace)
         shutil.rmtree(self._files, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""Lets threads fail to start."""
+"""Makes threads fail to start."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def no_threads(prefix: str) -> Iterator[None]:
-    """Let threads whose names begin with a prefix fail to start, as if the system had no thread left."""
+    """Make threads whose names begin with a prefix fail to start, as if the system had no threads left."""
     start = threading.Thread.start
 
     def fail(thread: threading.Thread) -> None:

@@ -8,17 +8,19 @@ import random
 import socket
 
 _FIRST, _EACH, _SHARES = 14_000, 2_000, 8
-"""Below Linux's ephemeral ports (from 32768 on), which outgoing connections could occupy before a test opens one."""
+"""Below Linux's ephemeral ports (from 32768 on), which outgoing connections could use before a test opens the port."""
 
 _share = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % _SHARES
-_begin = random.SystemRandom().randrange(_EACH)  # other processes of the same test use this function, too
+_begin = random.SystemRandom().randrange(
+    _EACH
+)  # random, because other processes of the same test use this function, too
 _numbers = itertools.count(_begin)
 
 
 def free_port(room: int = 0) -> int:
     """Return a free TCP port on 127.0.0.1 that this process has not recently received.
 
-    The next ``room`` ports above it are free and reserved, too, for a YARP name server that assigns them.
+    The next ``room`` ports are free and reserved, too, for a YARP name server that assigns them.
     """
     for _ in range(_EACH):
         number = next(_numbers) % _EACH

@@ -58,7 +58,7 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """The process ID, which is also the ID of its group."""
+        """Return the process ID, which is also the ID of the group."""
         return self.popen.pid
 
     def output(self) -> str:
@@ -71,7 +71,7 @@ class Process:
             os.killpg(self.pid, number)
 
     def stop(self, seconds: float = 6.0) -> int:
-        """Send SIGTERM, wait, then SIGKILL the group; return the exit code."""
+        """Send SIGTERM, wait, then send SIGKILL to the group; return the exit code."""
         if self.popen.poll() is None:
             self.signal(signal.SIGTERM)
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -100,7 +100,7 @@ def run_forked(
     imports: Sequence[str],
     seconds: float = 60.0,
 ) -> subprocess.CompletedProcess[str]:
-    """Run a forked Python program to its end, as `subprocess.run` runs a started one; its input is empty.
+    """Run a forked Python program until it exits, as `subprocess.run` runs a started one; its input is empty.
 
     Raises `subprocess.TimeoutExpired` after ``seconds``.
     """
@@ -123,7 +123,7 @@ def run_forked(
 
 
 def outputs() -> list[tuple[str, str]]:
-    """Return the command and the last output of each process that was not stopped, for the report of a failed test."""
+    """Return the command and the last output of each process that was not stopped, to report a failed test."""
     sections = []
     for process in sorted(_running, key=lambda process: process.pid):
         with contextlib.suppress(OSError):

@@ -1,6 +1,6 @@
-"""Messages as dicts of their fields, encoded by the library rosbags.
+"""Messages as dicts of their fields, encoded by the rosbags library.
 
-It computes ROS 1 bytes, CDR, md5 and RIHS01 without Midspan's code.
+rosbags computes ROS 1 bytes, CDR, md5 and RIHS01 without Midspan's code.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Distributes test files to the processes of pytest-xdist; tests with limits in seconds run last, few at a time."""
+"""Distributes test files to pytest-xdist's processes; tests with limits in seconds run last, few at a time."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from xdist.scheduler import LoadFileScheduling
 from tests.support.tiers import alone, has_long_tests
 
 _ALONE = "@alone"
-"""Suffix for the separate work unit of a file's tests with this marker."""
+"""Suffix for the separate work unit of those tests of a file that have this marker."""
 
 _BY_SIDE = "tests/contract/"
-"""Folder of long files with independent tests, split into one work unit per side, so that no process is last."""
+"""Folder of long files with independent tests, split into one work unit per side, so that no process runs longest."""
 
 _SHARED = "tests/web/browser/"
 """Folder whose files share an expensive rig, and so are one work unit."""
 
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 TOGETHER = min(3, CORES + 1)
-"""Number of concurrent tests once only those with the marker `alone` are left: each uses half a core, as it waits for
-programs."""
+"""Number of concurrent tests once only those with the marker `alone` are left. Each uses half a core, because it waits
+for programs."""
 
 _FRONT, _LONG = frozenset({"gw0", "gw1"}), frozenset({"gw2", "gw3"})
-"""Processes that take files from the front, and those that start with the files of `long` tests, at the end."""
+"""Processes that take files from the front, and processes that start with the files of `long` tests, at the end."""
 
 
 class Scheduler(LoadFileScheduling):
     """Assigns files to the processes from both ends; the last busy processes continue with the `alone` tests.
 
     At most two processes receive files from the front, which start programs, because there are two cores. At most two
-    receive files with `long` tests while there are others, as these use a whole core for minutes.
+    receive files with `long` tests while there are others, because these use a whole core for minutes.
     """
 
     def _split_scope(self, nodeid: str) -> str:

@@ -1,4 +1,4 @@
-"""Restricts a process like systemd's ``MemoryDenyWriteExecute=yes``: written memory is never executable."""
+"""Restricts a process as systemd's ``MemoryDenyWriteExecute=yes`` does: written memory is never executable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A system clock that tests set for the processes that they start, since no test may set the machine's clock."""
+"""A system clock that tests can set for the processes they start, because no test may set the machine's clock."""
 
 from __future__ import annotations
 
@@ -61,6 +61,6 @@ class ShiftedClock:
         return {**os.environ, "LD_PRELOAD": str(self._library), "CLOCK_SHIFT": str(self._file)}
 
     def set(self, seconds: int) -> None:
-        """Set the clock to the machine's clock plus seconds."""
+        """Set the clock to the machine's clock plus ``seconds``."""
         with self._file.open("r+b") as file:
             file.write(struct.pack("q", seconds))

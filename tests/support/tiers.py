@@ -40,7 +40,7 @@ def is_fast(file: Path) -> bool:
 
 @functools.cache
 def imports(file: Path) -> frozenset[str]:
-    """Return the modules that a file imports anywhere; for ``from a import b`` both ``a`` and ``a.b``."""
+    """Return the modules that a file imports anywhere; for ``from a import b``, both ``a`` and ``a.b``."""
     result: set[str] = set()
     for package, names, modules in _IMPORT.findall(file.read_text(encoding="utf-8")):
         listed = [entry.split()[0] for entry in re.sub(r"[()]|#.*", "", names or modules).split(",") if entry.split()]
@@ -49,7 +49,7 @@ def imports(file: Path) -> frozenset[str]:
 
 
 def _files(module: str) -> list[Path]:
-    """Return the file of a module whose imports are followed."""
+    """Return the file of a module, if the module's imports are followed."""
     if module.partition(".")[0] not in _FOLLOWED:
         return []
     path = ROOT.joinpath(*module.split("."))
@@ -64,7 +64,7 @@ def has_long_tests(file: Path) -> bool:
 
 @functools.cache
 def alone(file: Path) -> frozenset[str]:
-    """Return the file's test functions with the marker `alone`, by decorator or for the whole file."""
+    """Return the file's test functions with the marker `alone`, set by a decorator or for the whole file."""
     text = file.read_text(encoding="utf-8")
     if "mark.alone" not in text:
         return frozenset()

@@ -1,7 +1,7 @@
-"""Time limits of tests: they are longer on a slow machine, and hold while a report is made.
+"""Time limits of tests: longer on a slow machine, and not reached while a failure is reported.
 
-pytest-timeout's timer must not fire during a report, where an error ends the whole run with INTERNALERROR. The report
-of a failed test reads source files, which takes seconds on a busy machine.
+pytest-timeout's timer must not fire during a report, because an error there ends the whole run with INTERNALERROR. The
+report of a failed test reads source files, which takes seconds on a busy machine.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import pytest
 from tests.support.wait import SLOWNESS
 
 _LEAST_SECONDS = 10.0
-"""Time for what follows the report outside of any test, before the teardown's own protection begins."""
+"""Seconds for what follows the report outside of any test, before the teardown's own protection begins."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Extend the limits of single tests; the common one is an option of pytest-timeout."""
+    """Extend the limits of individual tests; the common limit is an option of pytest-timeout."""
     for item in items if SLOWNESS > 1 else ():
         mark = item.get_closest_marker("timeout")
         if mark is not None and mark.args:

@@ -1,9 +1,9 @@
-"""When a process of pytest-xdist starts with its next file: once the processors keep up with the files that run.
+"""Decides when a pytest-xdist process starts its next file: once the processors can keep up with the running files.
 
-A simulated robot runs in real time. With more of them than the processors serve, each one lasts longer, misses its
-deadlines, and computes until then: the whole run takes longer too. So a process waits before a file while many threads
-are ready to run. One file always runs, whatever else the machine does. Other systems than Linux do not publish the
-number of such threads: files start at once there.
+A simulated robot runs in real time. With more robots than the processors can serve, each test lasts longer, misses its
+deadlines, and computes until then, so the whole run takes longer, too. Therefore, a process waits before a file while
+many threads are ready to run. At least one file always runs, whatever else the machine does. Only Linux publishes the
+number of such threads; on other systems, files start at once.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ except ModuleNotFoundError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 READY = 2.0
-"""Threads per processor, running or ready to run, up to which another file starts."""
+"""Threads per processor, running or ready to run, up to which another file may start."""
 
 _SAMPLES, _EVERY = 10, 0.02
 _LOAD = Path("/proc/loadavg")
 
 
 def ready() -> float:
-    """Return how many other threads of the machine are running or ready to run, on average over 0.2 s."""
+    """Return how many other threads on the machine are running or ready to run, on average over 0.2 s."""
     total = 0
     for _ in range(_SAMPLES):
         total += int(_LOAD.read_text(encoding="utf-8").split()[3].partition("/")[0]) - 1
@@ -41,8 +41,8 @@ def ready() -> float:
 class Turns:
     """The turns of the processes of one run.
 
-    The first byte of a common file is locked by the process that decides; each further one while one process runs a
-    file. The system releases the locks of a process that ends.
+    The process that decides locks the first byte of a common file. A process that runs a file locks another byte. The
+    system releases the locks of a process that ends.
     """
 
     _GATE, _RUNNING, _MOST = 0, 1, 1000
@@ -51,7 +51,7 @@ class Turns:
         self._file, self._place = file, self._RUNNING + place
 
     def take(self) -> None:
-        """Wait until another file may start. Processes decide one after the other, each with the last one's load."""
+        """Wait until another file may start. Processes decide in turn, each once the last one's load shows."""
         self._lock(self._GATE)
         while self._others_run() and ready() > READY * CORES:
             pass
@@ -59,11 +59,11 @@ class Turns:
         self._unlock(self._GATE)
 
     def end(self) -> None:
-        """Note that this process runs no file."""
+        """Record that this process runs no file."""
         self._unlock(self._place)
 
     def close(self) -> None:
-        """Remove the file; the other processes go on with it."""
+        """Remove the file; the other processes continue to use it."""
         Path(self._file.name).unlink(missing_ok=True)
         self._file.close()
 
@@ -89,7 +89,9 @@ class Plugin:
         self._turns = turns
         self._runs: Path | None = None
 
-    @pytest.hookimpl(wrapper=True, tryfirst=True)  # outside of pytest-timeout's, whose limit does not include the wait
+    @pytest.hookimpl(
+        wrapper=True, tryfirst=True
+    )  # outside of pytest-timeout's wrapper, so that its limit does not include the wait
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, Any, Any]:
         if self._runs != item.path:
             self._turns.take()

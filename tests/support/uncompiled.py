@@ -13,7 +13,7 @@ from bridge import kernels
 
 @cache
 def uncompiled(name: str) -> ModuleType:
-    """Return a kernel's module executed from its ``.py``; the imported module stays compiled.
+    """Return a kernel's module, run from its ``.py``; the imported module stays compiled.
 
     Args:
         name: one of `bridge.kernels.KERNELS`.

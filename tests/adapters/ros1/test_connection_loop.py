@@ -1,4 +1,4 @@
-"""One thread that reads many connections."""
+"""One thread reads many connections."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Listener(PolledConnection):
 
 
 class Crowd:
-    """Publishers, and the readers of one loop at their other ends."""
+    """Publishers, and the readers at the other ends, which share one loop."""
 
     def __init__(self) -> None:
         self.loop = ConnectionLoop()
@@ -108,7 +108,7 @@ def test_one_thread_reads_all_connections(crowd: Crowd) -> None:
     for turn in range(20):
         for number, publisher in enumerate(crowd.publishers):
             publisher.sendall(frame(bytes([number, turn])))
-    until(lambda: len(crowd.received) == 1000, "all have arrived", 20)
+    until(lambda: len(crowd.received) == 1000, "all messages have arrived", 20)
     assert crowd.threads == {"midspan-ros1-intake"}
     for number in range(50):
         assert [p for n, p in crowd.received if n == number] == [bytes([number, turn]) for turn in range(20)]
@@ -122,7 +122,7 @@ def test_messages_are_joined_until_the_loop_waits_again(crowd: Crowd) -> None:
     crowd.add(lambda _: joined.append(send_later(link))).sendall(frame(b"x"))
     assert sent.wait(20.0)
     assert joined == [True]
-    assert not send_later(link), "this thread joins none"
+    assert not send_later(link), "this thread does not join messages"
 
 
 def test_joined_messages_do_not_wait_for_a_service_call(crowd: Crowd) -> None:
@@ -156,11 +156,11 @@ def test_a_connection_with_a_large_message_gets_a_separate_thread(crowd: Crowd) 
     """An incomplete large message does not delay other connections."""
     large, small = crowd.add(), crowd.add()
     large.sendall(frame(b"before") + frame(b"x" * 100_000)[:70_000])
-    until(lambda: crowd.received == [(0, b"before")], "the small message", 20)
+    until(lambda: crowd.received == [(0, b"before")], "the small message arrives", 20)
     small.sendall(frame(b"beside"))
-    until(lambda: crowd.received[1:] == [(1, b"beside")], "the message of the other connection", 20)
+    until(lambda: crowd.received[1:] == [(1, b"beside")], "the other connection's message arrives", 20)
     large.sendall(frame(b"x" * 100_000)[70_000:] + frame(b"after"))
-    until(lambda: [p for _, p in crowd.received[2:]] == [b"x" * 100_000, b"after"], "the rest", 20)
+    until(lambda: [p for _, p in crowd.received[2:]] == [b"x" * 100_000, b"after"], "the remaining messages arrive", 20)
     assert crowd.threads == {"midspan-ros1-intake", "midspan-ros1-in/t0"}
 
 
@@ -172,16 +172,16 @@ def test_a_connection_that_ends_or_fails_does_not_affect_others(crowd: Crowd) ->
     ending, failing, staying = crowd.add(), crowd.add(fails), crowd.add()
     ending.close()
     failing.sendall(frame(b"x"))
-    until(lambda: len(crowd.ended) == 2, "both are reported", 20)
+    until(lambda: len(crowd.ended) == 2, "both ends are reported", 20)
     assert dict(crowd.ended) == {0: "the publisher closed the connection", 1: "RuntimeError: on purpose"}
     staying.sendall(frame(b"on"))
-    until(lambda: crowd.received == [(2, b"on")], "the third", 20)
+    until(lambda: crowd.received == [(2, b"on")], "the third connection's message arrives", 20)
 
 
 def test_without_a_thread_for_a_large_message_the_connection_ends(
     crowd: Crowd, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`Ros1Subscription` opens the connection again later."""
+    """`Ros1Subscription` reopens the connection later."""
 
     def none_left(_: threading.Thread) -> None:
         msg = "can't start new thread"
@@ -190,7 +190,7 @@ def test_without_a_thread_for_a_large_message_the_connection_ends(
     publisher = crowd.add()
     monkeypatch.setattr(threading.Thread, "start", none_left)
     publisher.sendall(frame(b"x" * 100_000))
-    until(lambda: crowd.ended == [(0, "can't start new thread")], "its end is reported", 20)
+    until(lambda: crowd.ended == [(0, "can't start new thread")], "the end of the connection is reported", 20)
 
 
 def test_the_loop_stops_while_messages_arrive(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,7 +237,7 @@ def test_a_connection_that_is_closed_at_its_start_does_not_affect_others(
     reader.start()
     closer.join()
     staying.sendall(frame(b"on"))
-    until(lambda: crowd.received == [(0, b"on")], "a message of the other connection", 20)
+    until(lambda: crowd.received == [(0, b"on")], "the other connection's message arrives", 20)
 
 
 def test_data_after_the_end_is_not_read(crowd: Crowd) -> None:
@@ -246,25 +246,25 @@ def test_data_after_the_end_is_not_read(crowd: Crowd) -> None:
     crowd.loop.stop()
     late = crowd.add()
     assert [reader.done for reader in crowd.readers] == [True, True]
-    assert late.recv(1) == b"", "it is closed"
+    assert late.recv(1) == b"", "the late connection is closed"
     assert not crowd.ended
 
 
 def test_a_paused_connection_is_not_called_until_it_is_read_again(crowd: Crowd) -> None:
-    """Its waiting data would otherwise keep the thread busy."""
+    """The connection's waiting data would otherwise keep the thread busy."""
     ours, theirs = pair()
     source = Listener(ours, crowd.loop)
     assert crowd.loop.add(source)
     with theirs:
         theirs.sendall(b"early")
-        until(lambda: source.calls == 1, "it is called")
+        until(lambda: source.calls == 1, "the source is called")
         staying = crowd.add()
         staying.sendall(frame(b"on"))
-        until(lambda: crowd.received == [(0, b"on")], "another one is read")
+        until(lambda: crowd.received == [(0, b"on")], "another connection is read")
         assert source.calls == 1
         crowd.loop.listen(source, data=True)
         crowd.loop.pause(source)  # a pause that comes too late has no effect
-        until(lambda: source.calls == 2, "it is called again")
+        until(lambda: source.calls == 2, "the source is called again")
     assert source.ended.wait(20)
 
 
@@ -281,12 +281,12 @@ def test_a_connection_that_raises_is_closed(crowd: Crowd, caplog: pytest.LogCapt
         assert source.ended.wait(20)
     staying = crowd.add()
     staying.sendall(frame(b"on"))
-    until(lambda: crowd.received == [(0, b"on")], "the loop goes on")
+    until(lambda: crowd.received == [(0, b"on")], "the loop continues")
     assert caplog.text.count("reading a ROS 1 connection failed") == 1
 
 
 def test_threads_that_open_and_close_connections_do_not_disturb_others(crowd: Crowd) -> None:
-    """`select` fails for a descriptor that was closed while it waits."""
+    """`select` fails for a descriptor that is closed while it waits."""
     staying = crowd.add()
 
     def churn() -> None:
@@ -303,14 +303,14 @@ def test_threads_that_open_and_close_connections_do_not_disturb_others(crowd: Cr
         thread.start()
     for n in range(100):
         staying.sendall(frame(bytes([n])))
-        until(lambda n=n: crowd.received[-1:] == [(0, bytes([n]))], "it is read", every=0.001)  # type: ignore[misc]
+        until(lambda n=n: crowd.received[-1:] == [(0, bytes([n]))], "the message is read", every=0.001)  # type: ignore[misc]
     for thread in threads:
         thread.join()
     assert len(crowd.received) == 100
 
 
 def test_a_source_may_use_the_loop_while_it_is_added(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The thread calls it as soon as its socket is watched."""
+    """The thread calls the source as soon as its socket is watched."""
 
     class Eager(Listener):
         def on_ready(self) -> None:
@@ -325,7 +325,7 @@ def test_a_source_may_use_the_loop_while_it_is_added(crowd: Crowd, monkeypatch: 
     def slow(file: socket.socket | int, readable: Any = None, writable: Any = None) -> None:
         watch(file, readable, writable)
         if readable is not None and not crowd.loop.is_own_thread:
-            until(lambda: source.calls, "the loop calls it")
+            until(lambda: source.calls, "the loop calls the source")
             passed = threading.Event()
             crowd.loop.call_soon(passed.set)
             passed.wait(0.3)
@@ -336,6 +336,6 @@ def test_a_source_may_use_the_loop_while_it_is_added(crowd: Crowd, monkeypatch: 
         theirs.sendall(b"x")
         assert crowd.loop.add(source)
         monkeypatch.undo()
-        until(lambda: source.calls >= 2, "it is called again")
+        until(lambda: source.calls >= 2, "the source is called again")
         crowd.loop.remove(source)
         source.abandon()

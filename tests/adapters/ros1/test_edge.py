@@ -104,7 +104,7 @@ def test_messages_are_received_with_their_source(master, edge):
 
 
 def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge):
-    """The message then counts as a latched publisher's, so that it is retained for late joiners."""
+    """The message then counts as a latched publisher's, so it is retained for late joiners."""
     with master.peer("late_latch") as peer:
 
         def latches(number: int) -> bool:
@@ -115,7 +115,11 @@ def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge)
             assert not edge.endpoint(topic=topic, made_by="native")["latched"]
             peer.publish(peer.advertise(topic, "std_msgs/String", latched=True), {"data": "kept"})
             with contextlib.suppress(AssertionError):
-                until(lambda: edge.endpoints(topic=topic, made_by="native", latched=True), "it is known to latch", 5)
+                until(
+                    lambda: edge.endpoints(topic=topic, made_by="native", latched=True),
+                    "the publisher is known to latch",
+                    5,
+                )
                 (latched,) = edge.endpoints(topic=topic, made_by="native", latched=True)
                 until(
                     lambda: (string("kept"), latched["id"]) in edge.received(inbox, 1), "the retained message arrives"
@@ -127,7 +131,7 @@ def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge)
 
 
 def test_messages_from_and_to_roscpp_programs(master, edge):
-    # roscore's rosout is a roscpp program: it publishes /rosout again on /rosout_agg, as that of the embedded master
+    # roscore's rosout is a roscpp program that republishes /rosout on /rosout_agg, as does the embedded master's
     with master.peer("logger") as peer:
         endpoint = edge.endpoint(topic="/rosout_agg", made_by="native")
         assert (endpoint["type"], endpoint["node"]) == ("rosgraph_msgs/Log", "/rosout")
@@ -143,7 +147,7 @@ def test_messages_from_and_to_roscpp_programs(master, edge):
         def received(text: str) -> bool:
             return text in [m["msg"] for m in peer.wait(aggregated, 0, 0)]
 
-        until(lambda: peer.ask("log", text="again") and received("again"), "it is connected", every=0.2)
+        until(lambda: peer.ask("log", text="again") and received("again"), "the subscriber is connected", every=0.2)
         publisher = edge.ask("advertise", topic="/rosout", type="rosgraph_msgs/Log", latched=True, depth=1)["id"]
         fields = [w.encode() for w in ("/bridged", "over roscpp", "file", "function")]
         strings = [struct.pack("<I", len(w)) + w for w in fields]
@@ -201,7 +205,7 @@ def test_a_warning_names_a_subscriber_with_another_definition(master, edge):
     with master.peer("old_version") as peer:
         md5 = peer.ask("define", type="std_msgs/String", definition="string data\nint32 extra\n")["md5"]
         peer.subscribe("/version", "std_msgs/String")
-        (warning,) = until(warnings, "a warning")
+        (warning,) = until(warnings, "the warning")
         assert "/old_version does not receive it" in warning
         assert md5 in warning
         assert STRING_MD5 in warning
@@ -325,7 +329,7 @@ def test_a_type_without_md5_is_refused(edge):
 
 @contextlib.contextmanager
 def registered(master, topic, node, uri):
-    """Register a publisher of the topic at the master, with any URI."""
+    """Register a publisher of the topic with the master, with any URI."""
     with ServerProxy(master.uri) as proxy:
         proxy.registerPublisher(node, topic, "std_msgs/String", uri)
         try:
@@ -357,7 +361,7 @@ def test_dead_and_malformed_publishers_do_not_affect_a_good_one(master, edge):
 
 
 def test_a_publisher_that_disconnects_after_its_header_is_connected_again(master, edge):
-    """Its connection is reset before the adapter has read the header."""
+    """The publisher resets its connection before the adapter has read the header."""
     attempts = []
 
     def reset(sock) -> None:

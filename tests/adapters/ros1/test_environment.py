@@ -19,7 +19,7 @@ GENPY_FILE = '''class Own(genpy.Message):
 
 @pytest.fixture
 def noetic(tmp_path):
-    """A folder with ROS 1's Python packages, one of which is known nowhere else."""
+    """A folder with ROS 1's Python packages, one of which exists nowhere else."""
     folder = tmp_path / "noetic"
     for name in ("rospy", "own_msgs/msg"):
         (folder / name).mkdir(parents=True)
@@ -32,7 +32,7 @@ def on(packages):
 
 
 def test_a_sourced_shell(tmp_path, noetic):
-    """ROS 2's packages and the neighbors of ROS 1's must not shadow Midspan's libraries."""
+    """ROS 2's packages, and the neighbors of ROS 1's packages, must not shadow Midspan's libraries."""
     jazzy, work = tmp_path / "jazzy", tmp_path / "work"
     (jazzy / "rclpy").mkdir(parents=True)
     path = os.pathsep.join(map(str, [jazzy, noetic, work]))

@@ -1,4 +1,4 @@
-"""Facts about publishers and servers are passed on in the order of their discovery."""
+"""Facts about publishers and servers are passed on in the order of discovery."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HEADER = {"type": FACTS.type, "md5sum": FACTS.md5}
 
 
 class LateProber:
-    """Returns outdated facts to the first caller, and only after another caller has passed on newer ones."""
+    """Returns outdated facts to its first caller, and only after another caller has passed on newer facts."""
 
     def __init__(self, follow: Callable[[], None]) -> None:
         self._follow, self._asked = follow, 0
@@ -32,7 +32,7 @@ class LateProber:
             return {LINK: FACTS}
         self.other = threading.Thread(target=self._follow)
         self.other.start()
-        self.other.join(0.2)  # a caller that waits for the first one is not awaited
+        self.other.join(0.2)  # do not wait for a caller that itself waits for the first one
         return {}
 
     def close(self) -> None:
@@ -90,7 +90,7 @@ def test_facts_about_one_topic_are_not_passed_to_others() -> None:
 
 
 def test_the_topics_of_an_action_that_is_served_here_never_cross_as_topics() -> None:
-    """A client registers its topics in sequence."""
+    """A client registers its topics one after the other."""
 
     def handle(*_: Any) -> Any:
         return SimpleNamespace(close=lambda: None, send=lambda *_: None, dropped=0)

@@ -65,7 +65,7 @@ def sending(data):
 
 
 def trickle(sock):
-    """Send a byte now and then, forever: each one restarts a plain time-out."""
+    """Send a byte now and then, forever, because each byte restarts a plain timeout."""
     sock.sendall(struct.pack("<I", 1000))
     sock.settimeout(0.05)
     while True:

@@ -1,4 +1,4 @@
-"""Joining, losing and leaving a master; dead predecessors; other Midspan daemons."""
+"""The edge joins, loses and leaves a master, with dead predecessors and with other Midspan daemons."""
 
 import contextlib
 import signal
@@ -51,9 +51,9 @@ def test_a_clean_stop_leaves_nothing(master, tmp_path):
             for n in range(20):
                 edge.open("/clean/in", "std_msgs/String")
                 edge.ask("advertise", topic=f"/clean/out{n}", type="std_msgs/String", latched=True)
-            until(lambda: "/clean/out19" in master.state()["publishers"], "all is registered")
+            until(lambda: "/clean/out19" in master.state()["publishers"], "all topics are registered")
             assert (master.state(), master.parameters()) != before
-            assert edge.ask("stop")["seconds"] < AT_ONCE, "the limit of Edge.stop"
+            assert edge.ask("stop")["seconds"] < AT_ONCE, "Edge.stop returns within twice its limit"
             assert (master.state(), master.parameters()) == before
             assert edge.ask("network")["network"] is None
             edge.ask("stop")
@@ -67,8 +67,11 @@ def test_registrations_of_a_killed_edge_are_removed(master, tmp_path):
         edge = edge_on(master, tmp_path, node="first_name")
         edge.open("/bystander", "std_msgs/String")
         edge.ask("advertise", topic="/left", type="std_msgs/String")
-        until(lambda: "/left" in master.state()["publishers"], "it is registered")
-        until(lambda: "/first_name" in master.state()["subscribers"].get("/bystander", []), "both are")
+        until(lambda: "/left" in master.state()["publishers"], "the publisher is registered")
+        until(
+            lambda: "/first_name" in master.state()["subscribers"].get("/bystander", []),
+            "both endpoints are registered",
+        )
         edge.signal(signal.SIGKILL)
         edge.stop()
         assert "/left" in master.state()["publishers"], "the master does not notice"
@@ -80,7 +83,7 @@ def test_registrations_of_a_killed_edge_are_removed(master, tmp_path):
         with edge_on(master, tmp_path, node="second_name") as again:
             assert "/left" not in master.state()["publishers"]
             assert "/first_name" not in master.nodes()
-            until(lambda: "second_name" in presence(master), "its own entry exists")
+            until(lambda: "second_name" in presence(master), "the other edge's entry exists")
             assert "first_name" not in presence(master)
             again.ask("stop")
         assert (master.state(), master.parameters()) == before
@@ -89,7 +92,7 @@ def test_registrations_of_a_killed_edge_are_removed(master, tmp_path):
 def test_the_same_name_again_after_a_kill(master, tmp_path):
     edge = edge_on(master, tmp_path)
     edge.ask("advertise", topic="/same", type="std_msgs/String")
-    until(lambda: "/same" in master.state()["publishers"], "it is registered")
+    until(lambda: "/same" in master.state()["publishers"], "the publisher is registered")
     edge.signal(signal.SIGKILL)
     edge.stop()
     with edge_on(master, tmp_path) as again:
@@ -99,13 +102,16 @@ def test_the_same_name_again_after_a_kill(master, tmp_path):
 
 def test_two_daemons_discover_each_other(master, tmp_path):
     with edge_on(master, tmp_path / "a", "first") as first, edge_on(master, tmp_path / "b", "se-cond") as second:
-        others = until(lambda: first.ask("status")["others"], "the first discovers the second")
+        others = until(lambda: first.ask("status")["others"], "the first edge discovers the second")
         assert [(o["daemon"], o["node"]) for o in others] == [("se-cond", "/midspan_se_cond")]
-        others = until(lambda: second.ask("status")["others"], "the second discovers the first")
+        others = until(lambda: second.ask("status")["others"], "the second edge discovers the first")
         assert [(o["daemon"], o["node"]) for o in others] == [("first", "/midspan")]
-        assert not first.ask("status")["failures"], "the master did not shut down the first one because of its name"
+        assert not first.ask("status")["failures"], "the master did not shut down the first edge because of its name"
         second.ask("advertise", topic="/of/second", type="std_msgs/String")
-        until(lambda: master.state()["publishers"].get("/of/second") == ["/midspan_se_cond"], "it has another name")
+        until(
+            lambda: master.state()["publishers"].get("/of/second") == ["/midspan_se_cond"],
+            "the second edge has another name",
+        )
         second.signal(signal.SIGKILL)
         until(lambda: not first.ask("status")["others"], "a dead edge is not listed")
 
@@ -115,12 +121,12 @@ def test_records_of_one_edge_reach_the_others(master, tmp_path):
         second.ask("announce", record="before it came")
         third = edge_on(master, tmp_path / "c", "third")
         with third:
-            until(lambda: third.ask("sightings")["settled"], "it has read the master with its own entry")
-            # earlier edges are known by then; their records arrive over connections that are being opened
+            until(lambda: third.ask("sightings")["settled"], "the third edge has read the master with its own entry")
+            # earlier edges are known by then, and their records arrive over connections that are being opened
             assert len(third.ask("sightings")["records"]) == 2
             until(lambda: "before it came" in third.ask("sightings")["records"], "the last record arrives")
             third.ask("announce", record="from the third")
-            until(lambda: "from the third" in first.ask("sightings")["records"], "the first receives it")
+            until(lambda: "from the third" in first.ask("sightings")["records"], "the first edge receives the record")
             first.signal(signal.SIGSTOP)
             for number in range(3):
                 second.ask("announce", record=f"record {number}")
@@ -128,7 +134,7 @@ def test_records_of_one_edge_reach_the_others(master, tmp_path):
             first.signal(signal.SIGCONT)
             until(
                 lambda: "record 2" in first.ask("sightings")["records"],
-                "and receives the newest record when it resumes",
+                "the suspended edge receives the newest record when it resumes",
             )
             third.signal(signal.SIGKILL)
             until(lambda: len(first.ask("sightings")["records"]) == 1, "a crash is noticed by the broken connection")
@@ -142,7 +148,7 @@ def test_two_that_start_at_once_take_different_names(master, tmp_path):
         for edge in edges:
             stack.enter_context(edge)
         for edge in edges:
-            until(lambda edge=edge: len(edge.ask("status")["others"]) == 2, "it has discovered both others")
+            until(lambda edge=edge: len(edge.ask("status")["others"]) == 2, "each edge has discovered both others")
             assert not edge.ask("status")["failures"]
         entries = (master.call("getParam", "/midspan/nodes") or {}).values()
         assert len({e["node"] for e in entries if e["daemon"] in ("one", "two", "three")}) == 3
@@ -151,9 +157,9 @@ def test_two_that_start_at_once_take_different_names(master, tmp_path):
 def test_a_shutdown_request_is_a_failure(master, tmp_path):
     with edge_on(master, tmp_path) as edge:
         edge.ask("advertise", topic="/asked", type="std_msgs/String")
-        until(lambda: "/asked" in master.state()["publishers"], "it is registered")
+        until(lambda: "/asked" in master.state()["publishers"], "the publisher is registered")
         with master.peer("midspan") as peer:  # the master shuts down the older node of a name
-            reason = until(lambda: edge.ask("status")["failures"], "the edge reports it")
+            reason = until(lambda: edge.ask("status")["failures"], "the edge reports the shutdown request")
             edge.ask("advertise", topic="/asked/too", type="std_msgs/String")
             out = peer.advertise("/asked/peer", "std_msgs/String")
             until(lambda: "/asked/peer" in master.state()["publishers"], "the other node is alive")
@@ -197,8 +203,10 @@ def test_a_restarted_master_is_joined_again(tmp_path, record_property):
         begin = time.monotonic()
         second = edge.joined(master.call("getParam", "/run_id"))
         until(lambda: "/midspan" in master.state()["publishers"].get("/out", []), "the publisher is registered again")
-        until(lambda: "/midspan" in master.state()["subscribers"].get("/in", []), "so is the subscription")
-        until(lambda: "midspan" in presence(master), "so is the presence")
+        until(
+            lambda: "/midspan" in master.state()["subscribers"].get("/in", []), "the subscription is registered again"
+        )
+        until(lambda: "midspan" in presence(master), "the presence is registered again")
         record_property("seconds_to_rejoin", time.monotonic() - begin)
         assert first != second
         with master.peer("after") as peer:
@@ -213,6 +221,6 @@ def test_stop_while_the_master_is_unreachable(tmp_path):
         edge.ask("advertise", topic="/out", type="std_msgs/String")
         master.signal(signal.SIGSTOP)
         try:
-            assert edge.ask("stop")["seconds"] < AT_ONCE, "the limit of Edge.stop"
+            assert edge.ask("stop")["seconds"] < AT_ONCE, "Edge.stop returns within twice its limit"
         finally:
             master.signal(signal.SIGCONT)

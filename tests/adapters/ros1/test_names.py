@@ -1,4 +1,4 @@
-"""The mapping of ROS 1 names to legal names on the hub."""
+"""ROS 1 names are mapped to legal names on the hub."""
 
 import re
 
@@ -54,10 +54,12 @@ def test_hub_names_are_mapped_back():
     assert table.side_name("/camera/n1/image") == "/camera/1/image"
     assert table.side_name("/scan") == "/scan"
     assert table.side_name("/other") == "/other"
-    assert table.side_name("/b_c") == "/b-c", "of two names the alphabetically first one"
+    assert table.side_name("/b_c") == "/b-c", "of two names, the alphabetically first one is used"
     table.learn(["/b_c"])
     assert table.side_name("/b_c") == "/b_c", "a legal name has precedence"
-    assert table.side_name("/camera/n1/image") == "/camera/1/image", "names are kept when they leave"
+    assert table.side_name("/camera/n1/image") == "/camera/1/image", (
+        "the mapping of a name is kept after the name has left"
+    )
 
 
 def test_only_illegal_names_are_kept_when_they_leave():

@@ -1,4 +1,4 @@
-"""Requests to other nodes: few at a time to each of them, without delaying those to others."""
+"""Only a few requests at a time go to each node, without delaying requests to other nodes."""
 
 from __future__ import annotations
 
@@ -64,13 +64,13 @@ def test_a_failed_request_frees_its_place(pool: PeerPool, doubtful: bool) -> Non
         pool.submit(NODE, fail)
     for _ in range(AT_ONCE):
         pool.submit(NODE, talks.talk)
-    until(lambda: talks.now == AT_ONCE, "as many as before")
+    until(lambda: talks.now == AT_ONCE, "as many requests as before run")
     talks.go_on.set()
     until(lambda: talks.done == AT_ONCE, "all requests have ended")
 
 
 def test_waiting_requests_to_a_failed_node_move_to_the_other_pool(pool: PeerPool) -> None:
-    """Its waiting jobs move to the pool for failed addresses."""
+    """The node's waiting jobs move to the pool for failed addresses."""
     pool = PeerPool(fresh=1, doubtful=1)
     try:
         dead, good = Talks(), Talks()

@@ -1,4 +1,4 @@
-"""Programs on Midspan's own ROS 1 node, at a real roscore with real actionlib servers."""
+"""Programs on Midspan's own ROS 1 node use a real roscore and real actionlib servers."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_goals_end_with_state_text_result_and_feedback(
 
     def on_feedback(message: Message) -> None:
         feedback.append(message)
-        server.ask("finish_all", id=action)  # only now: a result may overtake feedback
+        server.ask("finish_all", id=action)  # only now, because a result may overtake feedback
 
     done = client.send_goal({"goal": 5}, on_feedback)
     assert (done.state, done.result, done.succeeded) == (GoalState.SUCCEEDED, {"result": 5}, True)
@@ -76,7 +76,7 @@ def test_a_goal_ends_when_its_server_dies(program: Ros1Program, server: Peer, re
 def test_an_interrupt_cancels_the_goal(
     program: Ros1Program, server: Peer, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, when: str
 ) -> None:
-    """An interrupt ends a ``with`` block, also while another thread runs the program's callback."""
+    """An interrupt ends a ``with`` block, even while another thread runs the program's callback."""
     name = action_of(request)
     server.ask("server", name=name)
     client = program.action_client(name, TEST)

@@ -1,4 +1,4 @@
-"""The XML-RPC server of ROS 1's APIs: Python's client, invalid requests, and clients that are slow, hostile or many."""
+"""The XML-RPC server of ROS 1's APIs: Python's client, invalid requests, and slow, hostile or many clients."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Served:
         return socket.create_connection(("127.0.0.1", self.server.port), 20)
 
     def post(self, body: bytes) -> bytes:
-        """Post one request on a new connection; return the body of the response."""
+        """Post one request on a new connection, and return the body of the response."""
         with contextlib.closing(http.client.HTTPConnection("127.0.0.1", self.server.port, 20)) as client:
             client.request("POST", "/", body)
             return client.getresponse().read()
@@ -185,7 +185,7 @@ def test_a_multicall_returns_a_result_or_fault_per_call(proxy: xmlrpc.client.Ser
 
 
 def test_multicall_makes_no_calls_for_the_characters_of_a_text(served: Served):
-    """Otherwise a request of a megabyte had a response of hundreds."""
+    """Otherwise a request of a megabyte would have a response of hundreds of megabytes."""
     for params in (("x" * 90_000,), ({"a": 1},), ([], [])):
         body = xmlrpc.client.dumps(params, "system.multicall").encode()
         response = served.post(body)
@@ -201,7 +201,7 @@ def test_a_method_of_any_type_is_a_fault_of_that_call(proxy: xmlrpc.client.Serve
 
 
 def test_the_response_to_many_calls_is_limited(served: Served):
-    """A small request could cause a response that fills the memory."""
+    """A small request could otherwise cause a response that fills the memory."""
     calls = [{"methodName": "large", "params": []} for _ in range(100)]
     body = xmlrpc.client.dumps((calls,), "system.multicall").encode()
     assert "exceeds 1000000 bytes" in fault_of(lambda: xmlrpc.client.loads(served.post(body))).faultString
@@ -211,7 +211,7 @@ def test_the_response_to_many_calls_is_limited(served: Served):
 
 @pytest.mark.parametrize("text", ["\0\x1b", "\ud800", "\uffff", "\x7f\n\r\t"], ids=ascii)
 def test_a_response_is_xml_whatever_its_texts_contain(text: str):
-    """A connected node's name, which `getBusInfo` returns, may have any bytes."""
+    """A connected node's name, which `getBusInfo` returns, may contain any bytes."""
     value = decode_response(encode_response([text, {text: text}]))
     assert len(value[0]) == len(text)
     assert decode_response(encode_responses([[text]], LIMITS)) == [[value[0]]]

@@ -26,7 +26,7 @@ DEFINITIONS = Definitions(())
 
 
 class YarpPort(Record):
-    """A port of a YARP program without ROS, and the received messages."""
+    """A port of a YARP program without ROS, and the messages that it has received."""
 
     def __init__(
         self, names: Names, name: str, profile: Profile = Profile.YARP3, naming: NameClient | None = None
@@ -37,11 +37,11 @@ class YarpPort(Record):
         self.core.open()
 
     def messages(self, count: int = 1, seconds: float = 10.0) -> list[PortMessage]:
-        """Wait for ``count`` messages, at most ``seconds``, and return all received ones."""
+        """Wait for ``count`` messages, at most ``seconds``, and return all received messages."""
         return self.wait(count, seconds)
 
     def bottles(self, count: int = 1, seconds: float = 10.0) -> list[Any]:
-        """Return the values of the received Bottles, like `messages`."""
+        """Return the values of the received Bottles; waits like `messages`."""
         return [binary.decode(bytes(m.payload), self.profile) for m in self.messages(count, seconds)]
 
     def write(self, values: list[Any] | bytes, envelope: str = "") -> None:
@@ -50,11 +50,11 @@ class YarpPort(Record):
         self.core.write(payload, envelope, strict=True)
 
     def listen_to(self, port: str) -> None:
-        """Connect another port to this one, as soon as that is open."""
+        """Connect another port to this one, as soon as the other port is open."""
         until(lambda: _connected(self.names, port, self.name), f"{port} is open")
 
     def write_to(self, port: str) -> None:
-        """Connect this port to another, as soon as that is open."""
+        """Connect this port to another one, as soon as the other port is open."""
         until(lambda: self.core.add_output(port)[0], f"{port} is open")
 
     def stop(self) -> None:
@@ -64,7 +64,7 @@ class YarpPort(Record):
 def _connected(names: Names, source: str, target: str) -> bool:
     try:
         connections.connect(names.client, source, target)
-    except NamingError:  # registered, but not listening yet
+    except NamingError:  # the port is registered, but not listening yet
         return False
     return True
 

@@ -1,4 +1,4 @@
-"""Clocks: ``/clock`` is YARP's network clock in both directions, and messages without a stamp get its time."""
+"""``/clock`` is YARP's network clock in both directions, and messages without a stamp get that clock's time."""
 
 from __future__ import annotations
 

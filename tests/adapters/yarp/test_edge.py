@@ -1,4 +1,4 @@
-"""The YARP adapter, with events between two steps of its name-server thread."""
+"""The YARP adapter, with events between two steps of its name server thread."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def names() -> Iterator[Names]:
 
 @pytest.fixture
 def edge(names: Names, tmp_path: Path) -> Iterator[YarpEdge]:
-    """A YARP adapter that is not started."""
+    """A YARP adapter that has not been started."""
     yarp = {"nameserver": "site", "address": names.endpoint, "poll": 0.1}
     edge = YarpEdge(Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp}), REGISTRY, tmp_path)
     yield edge
@@ -85,7 +85,7 @@ def test_reader_that_connects_while_the_port_opens_receives_the_latched_message(
 def test_subscription_added_during_an_update_receives_every_later_message(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The update works with the subscriptions that existed when it began."""
+    """The update uses the subscriptions that existed when it began."""
     writer, received = YarpPort(names, "/writer"), list[bytes]()
     abandon_calls, connect, subscribed = OwnPorts.abandon_calls, OwnPorts.connect, threading.Event()
 
@@ -114,7 +114,7 @@ def test_subscription_added_during_an_update_receives_every_later_message(
 def test_delayed_update_does_not_disconnect_the_new_owner_of_the_name(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The worker hung after it had read the name server's list, and another worker registered the port meanwhile."""
+    """The worker hung after it had read the name server's list; meanwhile, another worker registered the port."""
     reader = YarpPort(names, "/talk-@/reader")
     names.client.set_property(reader.name, "type", "std_msgs/String")
     edge.advertise("/talk", STRING, Qos())
@@ -144,7 +144,7 @@ def test_delayed_update_does_not_disconnect_the_new_owner_of_the_name(
 def test_port_opened_by_a_delayed_update_is_closed(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The name-server thread hangs for longer than `stop` waits for it, and then opens a port."""
+    """The name server thread hangs for longer than `stop` waits for it, and then opens a port."""
     monkeypatch.setattr(edge_module, "_STOP_TIMEOUT", 0.05)
     apply, reached, resume = OwnPorts.apply, threading.Event(), threading.Event()
 
@@ -185,7 +185,7 @@ def test_delayed_update_does_not_join_the_network(
 
 
 class Failing(dict[str, PortPlan]):
-    """A plan without ports; each lookup in it records one more failed connection."""
+    """A plan without ports, in which each lookup records one more failed connection."""
 
     def __init__(self, trouble: dict[str, tuple[float, str]]) -> None:
         super().__init__()
@@ -229,7 +229,7 @@ def test_service_can_close_during_planning(
 
 
 def test_worker_id_never_parses_as_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A name server parses an unquoted id such as 715758e2 as a number."""
+    """A name server parses an unquoted ID such as 715758e2 as a number."""
     monkeypatch.setattr(uuid, "uuid4", lambda: SimpleNamespace(hex="123456789e12" + 20 * "0"))
     yarp = {"nameserver": "site", "address": "127.0.0.1:10000"}
     edge = YarpEdge(Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp}), REGISTRY, tmp_path)

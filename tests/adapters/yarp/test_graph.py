@@ -27,7 +27,7 @@ def names() -> Iterator[Names]:
 
 
 def update(graph: YarpGraph, names: Names) -> NodePort:
-    """Update the graph and return its only port."""
+    """Update the graph, and return its only port."""
     graph.update(names.client, names.client.list(), ())
     (port,) = graph.nodes
     return port
@@ -103,7 +103,7 @@ def test_port_whose_connection_ends_during_an_update_is_discarded(names: Names) 
 
 
 def test_a_publisher_with_an_invalid_host_is_unreachable(names: Names) -> None:
-    """Ports register any text as their host; the other ports of the network are still listed."""
+    """Ports may register any text as their host; the network's other ports are still listed."""
     names.client.register(PORT, "a" * 70, 10999)
     graph = YarpGraph(Registry())
     update(graph, names)

@@ -1,4 +1,4 @@
-"""A name server or port that accepts connections and never answers does not delay the worker's exit."""
+"""A name server or port that accepts connections but never responds does not delay the worker's exit."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ pytestmark = pytest.mark.alone
 STRING = "std_msgs/String"
 TOPICS = 20
 STOP_SECONDS = 2.0
-"""The guarantee of `bridge.worker.Worker.stop`."""
+"""Seconds guaranteed by `bridge.worker.Worker.stop`."""
 
 
 @contextmanager
 def hanging(address: Address) -> Iterator[socket.socket]:
-    """Listen at an address without answering."""
+    """Listen at an address without ever responding."""
     with socket.create_server((address.host, address.port), backlog=1000) as server:
         server.settimeout(20)
         yield server
@@ -37,10 +37,10 @@ def test_hanging_name_server_does_not_delay_the_workers_exit(place: Place) -> No
         place.far.advertise(f"/topic_{number}", STRING)
     worker = WorkerProcess("yarp", place.config(), dict(os.environ))
     try:
-        until(lambda: len(place.names.client.list("/midspan")) > 2 * TOPICS, "its ports are registered", 20)
+        until(lambda: len(place.names.client.list("/midspan")) > 2 * TOPICS, "the worker's ports are registered", 20)
         place.names.stop()
         with hanging(place.names.address) as server:
-            waiting = server.accept()[0]  # the worker sends a query and gets no answer
+            waiting = server.accept()[0]  # the worker sends a query and gets no reply
             began = time.monotonic()
             worker.stop()
             took = time.monotonic() - began

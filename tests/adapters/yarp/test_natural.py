@@ -1,4 +1,4 @@
-"""Each natural type from topic to port and back, in both profiles, with stamps, through a running adapter."""
+"""Each natural type crosses from topic to port and back, in both profiles, with stamps, through a running adapter."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ CASES: dict[str, tuple[dict[str, Any], Any]] = {
     "nav_msgs/OccupancyGrid": (
         {"header": HEADER, "info": {"map_load_time": STAMP, "resolution": 0.5, "width": 2, "height": 1, "origin": POSE},
          "data": [100, -1]},
-        # the same corner, in YARP's form of a rotated map
+        # the same corner, as YARP describes a rotated map
         [2, 1, 2.0, -1.0, -90.0, 0.5, "map", 0, bytes([100, 255]), bytes([4, 5])],
     ),
     "std_msgs/String": ({"data": "two words"}, ["two words"]),
@@ -56,7 +56,7 @@ CASES: dict[str, tuple[dict[str, Any], Any]] = {
 
 
 def near(value: Any, other: Any) -> bool:
-    """Return whether two values are equal apart from rounding."""
+    """Return whether two values are equal, apart from rounding."""
     if isinstance(value, dict):
         return value.keys() >= other.keys() and all(near(value[name], other[name]) for name in other)
     if isinstance(value, list):
@@ -112,9 +112,9 @@ def _payload(bottle: list[Any], profile: Profile) -> bytes:
 
 @pytest.mark.parametrize("profile", Profile)
 def test_yarps_classes_read_and_write_natural_topics(place: Place, profile: Profile) -> None:
-    """Scans, odometry, images, clouds and vectors in the classes of YARP programs.
+    """Scans, odometry, images, clouds and vectors cross to and from the classes of YARP programs.
 
-    The configuration does not set the YARP release: the programs' ports announce it.
+    The configuration does not set the YARP release, because the programs' ports announce it.
     """
     types = {"scan": "sensor_msgs/LaserScan", "odom": "nav_msgs/Odometry", "picture": "sensor_msgs/Image",
              "cloud": "sensor_msgs/PointCloud2", "numbers": "std_msgs/Float64MultiArray"}  # fmt: skip

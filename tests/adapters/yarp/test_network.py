@@ -68,7 +68,7 @@ def test_embedded_name_server_is_read_only_after_changes(tmp_path: Path, monkeyp
     monkeypatch.setattr(network.naming, "list", lambda: queries.append("list") or query())
     try:
         while network.list_ports() is None or len(queries) < 2:
-            pass  # the first calls open it and assign the network's id
+            pass  # the first calls open the network and assign its ID
         network.list_ports()
         known, before = network.list_ports(), len(queries)
         assert network.list_ports() is known
@@ -113,12 +113,12 @@ def test_connections_survive_a_name_server_that_restarts_empty(place: Place) -> 
     place.far.publish_until(program, back, {"data": "before"}, lambda: place.far.wait(subscription, 1, 0.2))
     place.names.stop()
     place.far.publish(out, {"data": "meanwhile"})
-    until(lambda: ["meanwhile"] in reader.bottles(2, 0.2), "data flow without a name server")
+    until(lambda: ["meanwhile"] in reader.bottles(2, 0.2), "data flows without a name server")
     place.names.start()
     until(lambda: place.names.client.query("/midspan/kept:o"), "Midspan's ports are registered again", 10)
-    until(lambda: place.names.client.get_property("/midspan/kept:o", OWNER), "and marked", 10)
+    until(lambda: place.names.client.get_property("/midspan/kept:o", OWNER), "the port has its owner mark", 10)
     place.far.publish(out, {"data": "after"})
-    until(lambda: ["after"] in reader.bottles(3, 0.2), "over the same connection")
+    until(lambda: ["after"] in reader.bottles(3, 0.2), "data flows over the same connection")
     assert sum(values == ["after"] for values in reader.bottles()) == 1
 
 
@@ -159,7 +159,7 @@ def test_port_name_of_another_program_is_a_warning(place: Place) -> None:
     bridge = place.bridge()
     out = place.far.advertise("/taken", STRING)
     warnings = until(
-        lambda: [w for w in place.far.status()["warnings"] if "another program" in w], "a warning", every=0.1
+        lambda: [w for w in place.far.status()["warnings"] if "another program" in w], "the warning", every=0.1
     )
     assert warnings[0].startswith("/midspan/taken:o: another program has a port of this name")
     other.stop()
@@ -175,7 +175,7 @@ def test_several_daemons_cause_no_loops_and_no_duplicates(place: Place, hubs: st
     far = [place.far]
 
     def have_distinct_names() -> bool:
-        """Return whether each daemon has its own ports: after a conflict, one daemon reopens them."""
+        """Return whether each daemon has its own ports. After a conflict, one daemon reopens its ports."""
         names = [contact.name for contact in place.names.client.list("/midspan")]
         ends = ("/both:o", "/both:i", "/both/nodes:i")
         return hubs == "one hub" or all(sum(name.endswith(end) for name in names) == 2 for end in ends)
@@ -189,7 +189,7 @@ def test_several_daemons_cause_no_loops_and_no_duplicates(place: Place, hubs: st
             far.append(HubSide(Hub.open(other.settings("far")), Registry()))
         try:
             from_far = exchange(program, out, subscription, far, have_distinct_names)
-            if hubs == "one hub":  # the standby takes over
+            if hubs == "one hub":  # the standby daemon takes over
                 states = [bridge.bridge.health().state for bridge in (first, second)]
                 assert sorted(states) == ["running", "standby"]
                 (first, second)[states.index("running")].stop()

@@ -1,4 +1,4 @@
-"""Parts of the YARP side, without a network."""
+"""Parts of the YARP side that need no network."""
 
 from __future__ import annotations
 

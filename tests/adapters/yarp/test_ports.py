@@ -1,4 +1,4 @@
-"""Ports and topics: rules, reconnection, contents, loops, commands, late joiners."""
+"""Ports and topics: rules, reconnection, content, loops, commands, late joiners."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_port_in_a_rule_is_a_topic_again_when_it_returns(place: Place) -> None:
         assert port.core.outputs()[0].carrier == "fast_tcp"
         until(
             lambda p=port, c=count: p.write([c, 0.5, 0.25]) or place.far.wait(subscription, c, 0.2)[c - 1 :],
-            "a message",
+            "a message is bridged",
         )
         assert place.far.wait(subscription, count)[-1] == velocity(float(count))
         port.stop()
@@ -59,7 +59,7 @@ def test_topic_is_written_to_the_port_in_a_rule_again_when_it_returns(place: Pla
 
 
 def test_one_topic_in_two_contents_and_two_profiles(place: Place) -> None:
-    """The topic's main port has the converter's layout, the rule's port its fields and profile."""
+    """The topic's main port has the converter's layout; the rule's port has the rule's fields and profile."""
     place.bridge({"port": "/short", "topic": "/cmd_vel", "direction": "out", "fields": SHORT, "profile": "yarp4"})
     short, long = place.port("/short", Profile.YARP4), place.port("/long")
     out = place.far.advertise("/cmd_vel", TWIST)
@@ -84,7 +84,7 @@ def test_port_that_writes_to_a_topics_port_is_a_publisher(place: Place) -> None:
 
 def test_message_of_a_writer_that_leaves_at_once_is_bridged(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """``echo hello | yarp write ... /midspan/once:i`` registers, writes and leaves before the graph is updated."""
-    monkeypatch.setattr(topics, "HOLD_SECONDS", 20.0)  # an update of the graph may take long on a slow machine
+    monkeypatch.setattr(topics, "HOLD_SECONDS", 20.0)  # on a slow machine, an update of the graph may take long
     place.bridge({"topic": "/once", "type": "std_msgs/msg/String"})
     out = place.far.advertise("/dynamic", "std_msgs/String")
     until(lambda: place.names.client.query("/midspan/dynamic:i"), "the input port")
@@ -113,7 +113,7 @@ def test_untyped_port_of_a_node_has_the_rules_type(place: Place) -> None:
 
 
 def test_line_of_text_is_a_command(place: Place) -> None:
-    """The text carrier needs only a socket and two lines."""
+    """A client of the text carrier needs only a socket and two lines."""
     place.bridge({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "fields": SHORT})
     subscription = place.far.subscribe("/cmd_vel", TWIST)
     place.far.until_published("/cmd_vel")
@@ -141,7 +141,7 @@ def test_invalid_messages_are_counted_with_the_reason(place: Place) -> None:
         writer.write(bad)
     route = until(
         lambda: (r := place.far.route("/cmd_vel", "in")) and r["drops"].get("bad") == 4 and r,
-        "four refused",
+        "four messages are refused",
         10,
         every=0.1,
     )
@@ -158,11 +158,11 @@ def test_output_connected_to_an_input_causes_no_loop(place: Place) -> None:
     reader = place.port("/reader")
     reader.listen_to("/midspan/loop:o")
     until(lambda: place.names.client.query("/midspan/loop:i"), "the input port")
-    until(lambda: _connect(place, "/midspan/loop:o", "/midspan/loop:i"), "they are connected")
+    until(lambda: _connect(place, "/midspan/loop:o", "/midspan/loop:i"), "the ports are connected")
     for number in range(5):
         place.far.publish(out, {"data": str(number)})
-    until(lambda: ["4"] in reader.bottles(5, 0.2), "all arrive on YARP")
-    assert len(place.far.wait(subscription, 6, 0.5)) <= 5  # the far end's own messages
+    until(lambda: ["4"] in reader.bottles(5, 0.2), "all messages arrive on YARP")
+    assert len(place.far.wait(subscription, 6, 0.5)) <= 5  # at most the far end's own messages
 
 
 def _connect(place: Place, source: str, target: str) -> bool:
@@ -218,7 +218,11 @@ def test_commands_are_neither_latched_nor_delivered_late(place: Place) -> None:
         "a command is bridged",
     )
     writer.write([[7, 0, 0], [0, 0, 0]], f"2 {now - 5}")
-    until(lambda: (place.far.route("/cmd_vel", "in") or {"drops": {}})["drops"].get("stale"), "it is stale", every=0.1)
+    until(
+        lambda: (place.far.route("/cmd_vel", "in") or {"drops": {}})["drops"].get("stale"),
+        "the command is stale",
+        every=0.1,
+    )
     assert all(m["linear"]["x"] != 7.0 for m in place.far.wait(subscription, 2, 0.2))
 
 
@@ -249,13 +253,13 @@ def test_rule_that_does_not_fit_the_type_is_explained(place: Place) -> None:
 
 
 def test_text_reader_of_a_type_without_text_does_not_affect_others(place: Place) -> None:
-    """A point cloud is not a Bottle: readers by a text carrier receive nothing, others everything."""
+    """A point cloud is not a Bottle: text carriers deliver nothing to readers, and other readers get all."""
     place.bridge(yarp={"as": "natural"})
     cloud = {"width": 1, "height": 1, "point_step": 16, "row_step": 16, "data": [0] * 16, "fields": [
         {"name": a, "offset": 4 * n, "datatype": 7, "count": 1} for n, a in enumerate("xyz")]}  # fmt: skip
     out = place.far.advertise("/cloud", "sensor_msgs/PointCloud2")
     text, binary = place.port("/text"), place.port("/binary")
     binary.listen_to("/midspan/cloud:o")
-    until(lambda: _connect(place, "/midspan/cloud:o", "text://text"), "a reader by text")
+    until(lambda: _connect(place, "/midspan/cloud:o", "text://text"), "a reader connects by text")
     place.far.hub_publish_until(out, cloud, lambda: binary.messages(1, 0.2))
     assert text.messages(1, 0.3) == []

@@ -1,4 +1,4 @@
-"""The search of a worker for the others on its YARP network."""
+"""A worker searches for the other workers on its YARP network."""
 
 from __future__ import annotations
 
@@ -40,6 +40,6 @@ def test_tries_to_connect_a_dead_worker_become_rarer(monkeypatch: pytest.MonkeyP
     assert tried == [0.0, 2.0, 6.0, 14.0, 30.0, 46.0]
     workers._on_event(
         ConnectionEvent(ConnectionRoute(name, core.name, "tcp"), up=True, incoming=True)
-    )  # it is alive after all
+    )  # the other worker is alive after all
     workers.connect(contacts, now)
     assert tried[-1] == 60.0

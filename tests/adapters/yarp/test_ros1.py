@@ -46,7 +46,7 @@ class NativeNaming(NameClient):
 
 
 class Network:
-    """Replaces the names of a `Place` by those of a server that behaves like ``yarpserver``."""
+    """Replaces the name server of a `Place` with one that behaves like ``yarpserver``."""
 
     def __init__(self, server: RealNameServer) -> None:
         self.server = server
@@ -111,7 +111,7 @@ def publish_until(site: Place, condition: Callable[[], object], description: str
 
 
 def test_yarp_side_does_not_write_to_the_port_of_a_ros1_node(site: Place, master: RosMaster) -> None:
-    """34 of 62 messages arrived twice: over TCPROS from the ROS 1 side, and from a port of the YARP side."""
+    """34 of 62 messages used to arrive twice: over TCPROS from the ROS 1 side, and from a port of the YARP side."""
     listener = native(site, "/chatter-@/listener")
     site.bridge(ros1={"enabled": True, "master": master.uri})
     plain = site.port("/plain")
@@ -138,7 +138,7 @@ def test_yarp_side_writes_to_the_port_without_a_ros1_side_on_that_master(site: P
 
 
 def test_yarp_side_does_not_read_the_port_of_a_ros1_node(site: Place, master: RosMaster) -> None:
-    """A program of `yarp_compat` is read over YARP: the master lists its name, but it has no TCPROS server."""
+    """A `yarp_compat` program is read over YARP: the master lists its name, but the program has no TCPROS server."""
     talker, ours = native(site, "/chatter+@/talker"), native(site, "/chatter+@/ours", NameClient)
     site.bridge(ros1={"enabled": True, "master": master.uri})
     subscription = site.far.subscribe("/chatter", STRING)
@@ -156,7 +156,7 @@ def test_yarp_side_does_not_read_the_port_of_a_ros1_node(site: Place, master: Ro
 
 
 def test_existing_connection_to_a_ros1_node_is_closed(site: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The master can start after the program."""
+    """The connection may already exist, because the master can start after the program."""
     known = frozenset[str]()
     monkeypatch.setattr(Ros1Ports, "select", lambda *_: known)
     listener = native(site, "/chatter-@/listener")

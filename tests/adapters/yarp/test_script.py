@@ -1,4 +1,4 @@
-"""A YARP script uses ROS topics: a separate program without ROS, which gets message types from the daemon."""
+"""A YARP script uses ROS topics: a separate program without ROS, which gets the message types from the daemon."""
 
 from __future__ import annotations
 

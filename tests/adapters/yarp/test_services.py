@@ -1,4 +1,4 @@
-"""Services and RPC ports: the hub's services for YARP programs, and ports in rules as services."""
+"""Services and RPC ports: YARP programs call the hub's services, and rules offer ports as services."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_pending_call_fails_when_the_server_leaves(place: Place, robot: Robot) -
 
 
 def test_native_client_is_served_again_when_the_server_returns(place: Place, robot: Robot) -> None:
-    """For example a module's service whose worker was killed: the port closes and returns with it."""
+    """The port closes and returns with the server, such as a module whose worker was killed."""
     robot.node.server("/lamp", BOOL, robot.switch)
     place.bridge()
     client = NativeClient("/native/rpc", place.names.client)
@@ -197,7 +197,7 @@ def test_calls_end_when_the_port_closes_and_work_again_when_it_returns(place: Pl
         waiting = [robot.call(client, {"data": False}) for _ in range(3)]
         assert begun.wait(20)
         quick = robot.call(client, {"data": True})
-        assert until(lambda q=quick: q, "slow calls block no other", 20)[0]["message"] == text
+        assert until(lambda q=quick: q, "slow calls do not block others", 20)[0]["message"] == text
         threading.Timer(0.2, gate.set).start()
         port.close()
         ends = [until(lambda r=replies: r, "the call ends", 20)[0] for replies in waiting]
@@ -214,7 +214,7 @@ def test_malformed_reply_is_an_error(place: Place, robot: Robot) -> None:
 
 
 def test_port_of_midspan_is_not_called(place: Place, robot: Robot) -> None:
-    """A rule that offers the port of a hub service as another service would cause a loop."""
+    """A rule that offered a hub service's own port as another service would cause a loop."""
     robot.node.server("/lamp", BOOL, robot.switch)
     rule = {"service": "/again", "port": "/midspan/lamp/rpc", "type": BOOL}
     place.bridge(yarp={"services": [rule]})

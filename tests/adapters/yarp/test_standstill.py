@@ -1,4 +1,4 @@
-"""Two daemons on one YARP network, one of which stalls for a while, like a machine that is short of memory."""
+"""Two daemons share a YARP network, and one of them stalls for a while, as on a machine that is short of memory."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OLD = 9.0
 
 @contextmanager
 def stalled(worker: WorkerProcess, seconds: float) -> Iterator[None]:
-    """Stall a worker for ``seconds``, or as long as the body takes."""
+    """Stall a worker for ``seconds``, or for as long as the body takes."""
     began = time.monotonic()
     worker.process.signal(signal.SIGSTOP)
     until(lambda: is_stopped(worker.process.pid), "the worker is stalled")
@@ -67,12 +67,12 @@ class Pair:
         worker.stop()
 
     def states(self) -> dict[str, str]:
-        """Return the state of each worker that answers."""
+        """Return the state of each worker that responds."""
         answers = [a for far in self.far for a in far.hub.ask("status", {}, timeout=0.5)]
         return {a.daemon: a.value["state"] for a in answers if isinstance(a.value, dict) and a.worker == "yarp"}
 
     def active(self) -> str:
-        """Return the active worker; with two hubs the first."""
+        """Return the active worker; with two hubs, the first one."""
 
         def running() -> list[str]:
             return sorted(name for name, state in self.states().items() if state == "running")
@@ -88,7 +88,7 @@ def stack() -> Iterator[ExitStack]:
 
 
 class Talk:
-    """Numbered messages between a YARP program and programs on the hubs, each of which must arrive once."""
+    """Numbered messages between a YARP program and programs on the hubs; each message must arrive once."""
 
     def __init__(self, pair: Pair) -> None:
         self._states = pair.states
@@ -101,7 +101,7 @@ class Talk:
         return [m["data"] for m in self._ends[end].wait(self._subscriptions[end], 0)]
 
     def until_open(self) -> None:
-        """Wait until probes of the YARP program reach every hub, and probes of each hub the YARP program."""
+        """Wait until probes from the YARP program reach every hub, and probes from each hub reach the YARP program."""
 
         def through() -> bool:
             self._probes += 1
@@ -118,7 +118,7 @@ class Talk:
         until(through, "probes are bridged", 30, every=0.1)
 
     def exchange(self, label: str) -> None:
-        """Publish messages at all ends; each must arrive at the other side."""
+        """Publish messages at all ends, and check that each arrives at the other side."""
         for number in range(COUNT):
             for end in range(len(self._ends)):
                 self._ends[end].publish(self._out[end], {"data": f"{label} {end} {number}"})
@@ -129,7 +129,7 @@ class Talk:
         def missing() -> dict[int, list[str]]:
             return {end: lost for end, lines in wanted.items() if (lost := sorted(lines - set(self._texts(end))))}
 
-        with contextlib.suppress(AssertionError):  # the next assertion shows which
+        with contextlib.suppress(AssertionError):  # the next assertion shows which messages are missing
             until(lambda: not missing(), f"{label} arrives", 30)
         assert not missing(), self._states()
 
@@ -149,7 +149,7 @@ class Talk:
 
 
 class Commands:
-    """Velocity commands from a hub to the YARP program and in the other direction."""
+    """Velocity commands between a hub and the YARP program, in both directions."""
 
     def __init__(self, pair: Pair) -> None:
         far, program = pair.far[0], pair.program
@@ -164,7 +164,7 @@ class Commands:
                 source.publish(out, {"linear": {**none, "x": speed}, "angular": none})
 
     def until_open(self, speed: float) -> None:
-        """Send commands until one arrives, in both directions."""
+        """Send commands in both directions until one arrives in each."""
 
         def through() -> bool:
             self.send(speed)
@@ -194,7 +194,7 @@ def test_two_second_stall_on_one_hub_delays_no_commands_and_causes_no_duplicates
     talk.until_open()
     commands.until_open(0.2)
     talk.exchange("after")
-    until(lambda: len(pair.states()) == 2, "both answer", 20)
+    until(lambda: len(pair.states()) == 2, "both workers respond", 20)
     commands.until_open(0.3)
     assert not talk.duplicates()
     assert OLD not in commands.received()
@@ -220,7 +220,7 @@ def test_another_daemon_takes_over_after_a_ten_second_stall_without_duplicates(p
     first = pair.active()
     (second,) = set(pair.workers) - {first}
     with stalled(pair.workers[first], 10.0):
-        until(lambda: pair.states().get(second) == "running", "the other takes over", 9)
+        until(lambda: pair.states().get(second) == "running", "the other worker takes over", 9)
         talk.until_open()
         talk.exchange("meanwhile")
     until(lambda: pair.states() == {first: "standby", second: "running"}, "the stalled worker is on standby", 20)

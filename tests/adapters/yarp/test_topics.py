@@ -1,4 +1,4 @@
-"""An input port: messages held until their sender is known, and their order."""
+"""An input port holds messages until their sender is known, and delivers them in order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bridge.routing.edge import MadeBy
 
 
 class Maker:
-    """The answer to who created the peer."""
+    """A stand-in for the lookup of who created a peer."""
 
     def __init__(self, made_by: MadeBy) -> None:
         self.made_by = made_by
@@ -47,7 +47,7 @@ def message(payload: bytes) -> Any:
 
 
 def test_message_that_arrives_during_a_delivery_is_delivered_after_it() -> None:
-    """An older command must not be the last one."""
+    """An older command must not be delivered last."""
     maker, delivered = Maker(MadeBy.UNKNOWN), list[bytes]()
     input_port = make_port(maker)
     second = threading.Thread(target=lambda: input_port.on_message(message(b"2")))
@@ -55,7 +55,7 @@ def test_message_that_arrives_during_a_delivery_is_delivered_after_it() -> None:
     def deliver(cdr: bytes, *_: object) -> None:
         if cdr == b"1":
             second.start()
-            second.join(0.3)  # it is waiting
+            second.join(0.3)  # the second delivery is waiting
         delivered.append(cdr)
 
     input_port.deliver_to(deliver)
@@ -79,7 +79,7 @@ def test_held_message_is_delivered_before_a_new_one() -> None:
 
 
 def test_route_connected_during_a_message_receives_it() -> None:
-    """The message is delivered at once, not with the next update, though no route existed when it arrived."""
+    """The message is delivered at once, not with the next update, although no route existed when it arrived."""
     input_port, delivered = make_port(Maker(MadeBy.NATIVE)), list[bytes]()
 
     def connect_route() -> None:

@@ -46,15 +46,15 @@ class Place(HubRig):
         return self._node.node
 
     def on_node(self, action: Callable[[], Any]) -> Any:
-        """Run an action on the node's thread; return its result."""
+        """Run an action on the node's thread, and return its result."""
         return self.node.loop.call(action)
 
     def ros2dds(self, namespace: str = "") -> Ros2ddsBridge:
-        """Start a zenoh-bridge-ros2dds."""
+        """Start a bridge like zenoh-bridge-ros2dds."""
         return self.keep(Ros2ddsBridge(self.router.endpoint, ROS2, namespace))
 
     def ros1(self, namespace: str = "*", period: float = PERIOD) -> Ros1Bridge:
-        """Start a zenoh-bridge-ros1."""
+        """Start a bridge like zenoh-bridge-ros1."""
         return self.keep(Ros1Bridge(self.router.endpoint, ROS1, namespace, period))
 
     def json(self) -> JsonProgram:
@@ -62,12 +62,12 @@ class Place(HubRig):
         return self.keep(JsonProgram(self.router.endpoint))
 
     def route(self, side: str, topic: str, direction: str) -> Any:
-        """Return one route of one dialect as a dictionary, None without one."""
+        """Return one route of one dialect as a dictionary, or None if it does not exist."""
         routes = self.answer(side)["routes"]
         return next((r for r in routes if r["topic"] == topic and r["direction"] == direction), None)
 
     def until_route(self, side: str, topic: str, direction: str) -> dict[str, Any]:
-        """Wait for a route and return it."""
+        """Wait for a route, and return it."""
         result = until(lambda: self.route(side, topic, direction), f"{side} routes {topic} {direction}", every=0.1)
         assert result is not None
         return result
@@ -99,7 +99,7 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Place]:
 
 
 def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict[str, Any]) -> Any:
-    """Publish until a message arrives; return the first one."""
+    """Publish until a message arrives, and return the first one."""
 
     def once() -> list[Any]:
         sender.publish(out, message)

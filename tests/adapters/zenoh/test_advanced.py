@@ -1,4 +1,4 @@
-"""Programs that read the dialects with zenoh's advanced subscribers, which use the source numbers of samples."""
+"""Programs read the dialects with zenoh's advanced subscribers, which use the source numbers of samples."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ def test_every_message_of_a_dialect_arrives(place: Place, dialect: dict[str, Any
             number for text in texts for number in range(20) if text.rstrip(b'\0"}').endswith(b"number %d" % number)
         ]
 
-    until(lambda: 19 in numbers(), "the last one arrives")
+    until(lambda: 19 in numbers(), "the last message arrives")
     assert numbers() == list(range(20))
     reader.close()
 
 
 def test_every_beacon_of_the_ros1_dialect_arrives(place: Place) -> None:
-    """A program would ignore beacons without new source numbers, and drop the topic."""
+    """A program would ignore beacons without new source numbers, and then drop the topic."""
     reader = Reader(place.router.endpoint, "ros1_discovery_info/**")
     place.bridge({"dialect": "ros1"})
     place.far.advertise("/orders", STRING)
@@ -93,5 +93,5 @@ def test_every_beacon_of_the_ros1_dialect_arrives(place: Place) -> None:
 def test_a_sample_that_arrives_live_and_from_the_cache_counts_once(
     sample: tuple[int | None, int], last: tuple[int | None, int], later: bool
 ) -> None:
-    """Recognized by number, which wraps, or by time after a restart with the same id."""
+    """The sample is recognized by its number, which wraps around, or by its time after a restart with the same ID."""
     assert is_later(*sample, *last) == later

@@ -1,4 +1,4 @@
-"""When endpoints are announced and their announcements withdrawn."""
+"""Endpoints are announced after they exist, and closed after their announcements are withdrawn."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_an_endpoint_that_closed_before_is_not_announced() -> None:
 
 @pytest.mark.parametrize("dialect", MODULES)
 def test_an_endpoint_exists_before_it_is_announced(place: Place, monkeypatch: pytest.MonkeyPatch, dialect: str) -> None:
-    """A client that discovers a server calls at once, and a publisher that discovers a subscriber publishes."""
+    """A client that discovers a server calls at once, and a publisher that discovers a subscriber publishes at once."""
     done: list[str] = []
     module, announcer = MODULES[dialect]
     noted = functools.partial(_noted, monkeypatch, done)

@@ -1,4 +1,4 @@
-"""Dialects with zenoh sessions in client mode: zenoh cannot open a client session without its router."""
+"""Dialects use zenoh sessions in client mode, which zenoh cannot open without the router."""
 
 from __future__ import annotations
 
@@ -31,17 +31,19 @@ def test_a_client_waits_for_its_router(
     place.router.stop()
     client = {"mode": "client", "connect": {"endpoints": [place.router.endpoint]}}
     config = place.config(zenoh={"zenoh": client, "dialects": [DIALECTS[dialect]]})
-    monkeypatch.setattr("tests.contract.zenohside.until", lambda *_: None)  # returns before the dialect has joined
+    monkeypatch.setattr(
+        "tests.contract.zenohside.until", lambda *_: None
+    )  # so that the fixture returns before the dialect has joined
     bridge = ZenohBridge(config)
     (joined,) = bridge.bridges
     try:
-        until(lambda: "Unable to connect" in joined.health().text, "the reason")
+        until(lambda: "Unable to connect" in joined.health().text, "the state gives the reason")
         health = joined.health()
         assert health.state == "waiting"
         assert health.text.startswith(f"waiting for the zenoh router at {place.router.endpoint}: ")
         assert health.text in place.answer(joined.name)["warnings"]
         place.router.start()
-        until(lambda: joined.health().state == "running", "it joins")
+        until(lambda: joined.health().state == "running", "the dialect joins")
         topic = "/json/both" if dialect == "json" else "/both"
         program = {"ros2dds": place.ros2dds, "ros1": place.ros1, "json": place.json}[dialect]()
         out, received = program.advertise(topic, STRING), place.far.subscribe("/both", STRING)
@@ -51,7 +53,7 @@ def test_a_client_waits_for_its_router(
         place.router.stop()
         until(lambda: joined.health().state == "waiting", "the router has left")
         place.router.start()
-        until(lambda: joined.health().state == "running", "it joins again")
+        until(lambda: joined.health().state == "running", "the dialect joins again")
     finally:
         bridge.stop()
 
@@ -66,5 +68,8 @@ def test_a_client_that_waits_stops_at_once(place: Place) -> None:
     assert joined.health().state == "waiting"
     joined.stop()
     place.router.start()
-    until(lambda: f"midspan-{created.side}-tick" not in {t.name for t in threading.enumerate()}, "its attempt ends")
+    until(
+        lambda: f"midspan-{created.side}-tick" not in {t.name for t in threading.enumerate()},
+        "the dialect's attempt ends",
+    )
     assert created.network() is None

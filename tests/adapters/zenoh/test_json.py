@@ -70,7 +70,7 @@ def test_keys_in_each_direction(place: Place) -> None:
     assert cross(place.far, reported, program, orders, {"data": "out"}) == {"data": "out"}
     assert cross(place.far, talk, program, talks, {"data": "there"}) == {"data": "there"}
     assert cross(program, program.advertise("talk"), place.far, talked, {"data": "back"}) == {"data": "back"}
-    # no message has come back to the side that it came from
+    # no message has returned to the side from which it came
     assert {m["data"] for m in place.far.wait(talked, 10_000, 0.5)} == {"back"}
     wrong = place.far.advertise("/robot/speech", STRING)
     place.far.publish(wrong, {"data": "not published on this key"})
@@ -78,7 +78,7 @@ def test_keys_in_each_direction(place: Place) -> None:
     def decided() -> list[str]:
         return [line["decision"] for line in place.explain(SIDE, "/robot/speech") if line["direction"] == "out"]
 
-    assert until(decided, "the decision", every=0.1) == ["own"]
+    assert until(decided, "explain has a decision", every=0.1) == ["own"]
     assert place.answer(SIDE)["refused"] == []
 
 
@@ -89,18 +89,18 @@ def test_a_late_reader_gets_the_newest_message(place: Place) -> None:
     program.session.declare_subscriber("mode", zenoh.handlers.Callback(samples.append, indirect=False))
     out = place.far.advertise("/mode", STRING, latched=True, depth=1)
     place.far.publish(out, {"data": "first"})
-    until(lambda: samples, "the sample")
+    until(lambda: samples, "the sample arrives")
     assert samples[0].payload.to_bytes() == b'{"data":"first"}'
     assert (str(samples[0].encoding), samples[0].attachment) == ("application/json", None)
     assert program.get("mode") == [({"data": "first"}, "application/json")]
     place.far.publish(out, {"data": "second"})
-    until(lambda: program.get("mode") == [({"data": "second"}, "application/json")], "the newest is cached")
+    until(lambda: program.get("mode") == [({"data": "second"}, "application/json")], "the newest message is cached")
     place.far.drop(out)
-    until(lambda: program.get("mode") == [], "nothing is cached of a publisher that left")
+    until(lambda: program.get("mode") == [], "messages of a publisher that left are no longer cached")
 
 
 def test_a_latched_key_is_queried_for_earlier_values(place: Place) -> None:
-    """A program or zenoh storage that holds a key's value replies to a get, for late joiners on the hub."""
+    """A program or zenoh storage that has a key's value replies to a get, for late joiners on the hub."""
     program = place.json()
     kept = program.session.declare_queryable("mode", lambda query: query.reply("mode", b'{"data": "kept"}'))
     place.bridge(keys({"key": "mode", "direction": "in", "latched": True}))
@@ -120,11 +120,11 @@ def test_invalid_json_is_counted_and_does_not_stop_the_key(place: Place) -> None
     until(lambda: place.route(SIDE, "/talk", "in")["drops"]["bad"] == 4, "four are counted", every=0.1)
     assert place.route(SIDE, "/talk", "in")["error"]
     program.publish(out, {"data": "good"})
-    until(lambda: {"data": "good"} in place.far.wait(subscription, 1, 0.1), "the good one")
+    until(lambda: {"data": "good"} in place.far.wait(subscription, 1, 0.1), "the valid message arrives")
 
 
 def test_a_velocity_command_is_never_cached(place: Place) -> None:
-    """Neither for a get nor for late joiners, in any configuration."""
+    """A command is cached neither for a get nor for late joiners, in any configuration."""
     program = place.json()
     twist = "geometry_msgs/msg/Twist"
     place.bridge(keys({"key": "cmd_vel", "type": twist, "latched": True}))
@@ -149,13 +149,13 @@ def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
     def why() -> list[str]:
         return [x["why"] for x in place.explain("zenoh_ros2dds", "/talk") if x["direction"] == "out"]
 
-    assert "JSON" in until(why, "the decision", every=0.1)[0]
+    assert "JSON" in until(why, "explain has a decision", every=0.1)[0]
     bridge.advertise("/talk", STRING)
     until(lambda: [w for w in place.answer("zenoh_ros2dds")["warnings"] if "JSON" in w], "a warning", every=0.1)
 
 
 def test_services_by_a_get(place: Place) -> None:
-    """Services of programs, and services that programs call."""
+    """Programs offer services, and call services, with a get."""
     program, set_bool, trigger = place.json(), "std_srvs/srv/SetBool", "std_srvs/srv/Trigger"
     place.bridge(
         {
@@ -178,12 +178,15 @@ def test_services_by_a_get(place: Place) -> None:
 
     queryable = program.session.declare_queryable("robot/light", zenoh.handlers.Callback(light, indirect=False))
     on = {"success": True, "message": "on"}
-    until(lambda: place.far.call("/robot/light", "std_srvs/SetBool", data=True).result()["reply"] == on, "the reply")
+    until(
+        lambda: place.far.call("/robot/light", "std_srvs/SetBool", data=True).result()["reply"] == on,
+        "the program replies",
+    )
     assert requests[-1] == {"data": True}
     queryable.undeclare()
     place.far.serve("/beep", "std_srvs/Trigger", reply=on)
     arm = place.far.serve("/arm", "std_srvs/SetBool", error="the arm is stuck")
-    replies = until(lambda: program.get("robot/beep"), "its reply", every=0.1)
+    replies = until(lambda: program.get("robot/beep"), "the service replies", every=0.1)
     assert replies == [(on, "application/json")]
     place.until_route(SIDE, "/arm", "out")
 

@@ -1,4 +1,4 @@
-"""Midspan's other sessions on a dialect's network."""
+"""Midspan's other sessions are detected on a dialect's network."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def test_the_end_of_a_discovery_period_is_reported_once_however_late(place: Plac
     with open_session(place.router.endpoint) as session:
         neighbors = KeyNeighbors(session, "ros1", "", frozenset(), lambda: reported.append(True), lambda: None)
         try:
-            assert neighbors.is_own("5ea"), "its token may be delayed"
+            assert neighbors.is_own("5ea"), "the session's token may be delayed"
             now = time.monotonic()
             neighbors.tick(now + DISCOVERY_SECONDS / 2)
             assert reported == []

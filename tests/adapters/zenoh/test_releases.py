@@ -1,4 +1,4 @@
-"""Topics, services and actions between Humble's nodes on the hub, which announce no type hashes, and a side."""
+"""Topics, services and actions between a side and nodes of Humble on the hub, which announce no type hashes."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_topics_from_humble_reach_each_dialect_once(place: Place, humble: Releas
                 for name, program in dialects.items()
             )
 
-        until(arrived, "it arrives")
+        until(arrived, "the message arrives")
     for name, program in dialects.items():
         speeds = [m["linear"]["x"] for m in program.wait(received[name], 1) if not m["angular"]["z"]]
         assert speeds == [m["linear"]["x"] for m in TWISTS], name
@@ -84,13 +84,13 @@ def test_topics_of_a_dialect_reach_humble_and_jazzy_once(place: Place, humble: R
         bridge.publish(publisher, {"linear": {"x": 9.0}})
         return all(subscription.samples for subscription in received)
 
-    until(put, "both are matched", every=0.1)
+    until(put, "both endpoints are matched", every=0.1)
     for subscription in received:
         subscription.samples.clear()
     for number, message in enumerate(TWISTS):
         bridge.publish(publisher, message)
         for subscription in received:
-            until(lambda s=subscription, n=number: len([x for x in twists(s) if x < 9.0]) > n, "it arrives")
+            until(lambda s=subscription, n=number: len([x for x in twists(s) if x < 9.0]) > n, "the message arrives")
     for subscription in received:
         assert [speed for speed in twists(subscription) if speed < 9.0] == [m["linear"]["x"] for m in TWISTS]
         numbers = [sample.sequence for sample in subscription.samples]
@@ -106,7 +106,7 @@ def test_a_latched_map_in_each_direction(place: Place, humble: ReleaseNode) -> N
     bridge.publish(sent, {"header": {"frame_id": "there"}, "data": [1]})
     place.until_route(SIDE, "/there", "in")
     late = ReleaseSubscription(humble, there)
-    until(lambda: late.samples, "a late subscription receives it")
+    until(lambda: late.samples, "a late subscription receives the message")
     assert ROS2.decode(type_name, late.samples[0].payload)["header"]["frame_id"] == "there"
     back = ReleasePublisher(humble, Topic("/back", "nav_msgs/msg/OccupancyGrid", "unused", LATCHED))
     back.put(ROS2.encode(type_name, {"header": {"frame_id": "back"}, "data": [2]}))
@@ -122,7 +122,7 @@ def test_a_type_that_no_one_defines_is_refused_with_the_cure(place: Place, humbl
     def refused() -> list[dict[str, Any]]:
         return [line for line in place.explain(SIDE, "/own") if line["decision"] == "refused"]
 
-    (line,) = until(refused, "it is refused", every=0.2)
+    (line,) = until(refused, "the endpoint is refused", every=0.2)
     assert "own_msgs/msg/Own" in line["reason"]
     assert line["cure"]
 
@@ -147,7 +147,7 @@ def test_services_in_each_direction(place: Place, humble: ReleaseNode) -> None:
 
 
 class HumbleAction:
-    """An action server of a Humble node, which accepts each goal and ends it at once."""
+    """An action server of a Humble node that accepts each goal and ends it at once."""
 
     def __init__(self, node: ReleaseNode, name: str) -> None:
         self.goals: list[dict[str, Any]] = []
@@ -171,7 +171,7 @@ class HumbleAction:
         return ROS2.encode(f"{NAME}_GetResult_Response", {"status": SUCCEEDED, "result": result})
 
     def report(self) -> None:
-        """Publish feedback and the status of the last goal."""
+        """Publish feedback, and the status of the last goal."""
         goal_id = self.goals[-1]["goal_id"]
         self.feedback.put(ROS2.encode(f"{NAME}_FeedbackMessage", {"goal_id": goal_id}))
         statuses = {"status_list": [{"goal_info": {"goal_id": goal_id}, "status": SUCCEEDED}]}
@@ -191,7 +191,9 @@ def test_an_action_of_humble_is_driven_from_a_dialect(place: Place, humble: Rele
     assert answered("send_goal", {**ID, "goal": {"target_frame": "map"}})["accepted"]
     assert server.goals[-1]["goal"]["target_frame"] == "map"
     until(lambda: (server.report(), client.feedback)[1], "feedback arrives", every=0.1)
-    until(lambda: client.statuses and client.statuses[-1]["status_list"][-1]["status"] == SUCCEEDED, "the status")
+    until(
+        lambda: client.statuses and client.statuses[-1]["status_list"][-1]["status"] == SUCCEEDED, "the status arrives"
+    )
     result = answered("get_result", ID)
     assert (result["status"], result["result"]["transform"]["child_frame_id"]) == (SUCCEEDED, "laser")
     client.close()

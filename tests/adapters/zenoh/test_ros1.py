@@ -1,4 +1,4 @@
-"""The ros1 dialect: keys and bytes exactly as zenoh-plugin-ros1 writes them."""
+"""The ros1 dialect uses exactly the keys and bytes of zenoh-plugin-ros1."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_bridge_receives_beacons_and_exact_samples(place: Place) -> None:
         place.far.publish(out, {"data": "hi"})
         return bool(samples)
 
-    until(publish_and_check, "the sample")
+    until(publish_and_check, "the sample arrives")
     assert (str(samples[0].key_expr), samples[0].payload.to_bytes(), samples[0].attachment) == (KEY, HI, None)
     place.far.drop(out)
     until(lambda: f"ros1_discovery_info/*/pub/{KEY}" not in bridge.beacons(), "the beacon ends with the topic")
@@ -103,7 +103,7 @@ def test_midspans_beacons_never_silence_a_native_bridge(place: Place) -> None:
 
 
 def test_a_native_bridge_that_paused_its_beacons_resumes(place: Place) -> None:
-    """It pauses if it receives Midspan's beacon before it has sent one."""
+    """The bridge pauses if it receives Midspan's beacon before it has sent one."""
     place.bridge({"dialect": "ros1"})
     place.far.advertise("/chatter", STRING)
     bridge = place.ros1()
@@ -116,7 +116,7 @@ def test_a_native_bridge_that_paused_its_beacons_resumes(place: Place) -> None:
 
 
 def test_all_midspans_pause_their_beacons_together(place: Place) -> None:
-    """Two daemons on separate hubs are active on one network; unaligned beacons would leave no pause."""
+    """Two daemons on separate hubs are active on one network; if their beacons were not aligned, none would pause."""
     sessions = [open_session(place.router.endpoint, id=new_zid()) for _ in range(2)]
     first, second = (Aloha(s, "*", lambda: None, lambda _topic, _first: None) for s in sessions)
     endpoint = (Kind.PUBLISHER, AnnouncedTopic("/chatter", STRING, "992ce8a1687cec8c8bd883ec73ca41d1"))
@@ -128,7 +128,7 @@ def test_all_midspans_pause_their_beacons_together(place: Place) -> None:
         return first._own[endpoint].due > due
 
     try:
-        until(paused, "the first pauses when the second sends a beacon")
+        until(paused, "the first daemon pauses when the second sends a beacon")
     finally:
         first.close()
         second.close()
@@ -137,7 +137,7 @@ def test_all_midspans_pause_their_beacons_together(place: Place) -> None:
 
 
 def test_a_stall_of_the_worker_expires_no_bridge(place: Place) -> None:
-    """A worker that hangs for longer than the beacon timeout keeps the bridges that it had discovered."""
+    """A worker that hangs for longer than the beacon timeout keeps the bridges that it has discovered."""
     bridge = place.ros1()
     bridge.advertise("/chatter", STRING)
     crossing = place.bridge({"dialect": "ros1"})
@@ -164,7 +164,7 @@ def test_an_unknown_md5_is_reported(place: Place) -> None:
 
 
 def cross_latched(place: Place) -> None:
-    """Start a bridge, and publish one latched message to it."""
+    """Start a bridge, and publish a latched message to it."""
     place.bridge({"dialect": "ros1"})
     out = place.far.advertise("/state", STRING, latched=True, depth=1)
     place.far.publish(out, {"data": "kept"})
@@ -177,19 +177,21 @@ def test_a_latched_message_is_republished_for_the_first_subscriber_and_for_anoth
     subscription = first.subscribe("/state", STRING)
     assert first.wait(subscription, 1) == [{"data": "kept"}]
     # A beacon is lost if its session is not linked to Midspan yet, and the plugin may not send another one. The wait
-    # below is for a link to Midspan, so the first program must no longer match the beacons that it subscribes to.
+    # below is for a link to Midspan, so the first program must no longer subscribe to these beacons.
     first.ignore_beacons()
     list(first.session.liveliness().get("nothing"))  # its reply shows that the network has processed the change
     remote = zenoh.Locality.REMOTE
 
     def received_by_another_bridge() -> list[Any]:
         another = place.ros1()
-        until(lambda: len(another.session.info.peers_zid()) > 1, "it is linked to Midspan and to the first")
+        until(
+            lambda: len(another.session.info.peers_zid()) > 1, "the bridge is linked to Midspan and to the first bridge"
+        )
         other = another.discovery("sub", "/other", STRING)
         probe = another.session.declare_publisher(other, allowed_destination=remote)
-        until(lambda: probe.matching_status.matching, "its beacons have a subscriber")  # type: ignore[attr-defined]
+        until(lambda: probe.matching_status.matching, "the bridge's beacons have a subscriber")  # type: ignore[attr-defined]
         messages: list[Any] = another.wait(another.subscribe("/state", STRING), 1, 5)
-        return messages  # empty if a busy machine lost its only beacon; only a new bridge receives the message again
+        return messages  # empty if a busy machine lost the only beacon; then only a new bridge receives the message
 
     assert until(received_by_another_bridge, "the latched message")[0] == {"data": "kept"}
 
@@ -218,9 +220,9 @@ def test_a_get_returns_latched_messages(place: Place) -> None:
         replies = bridge.session.get(key, consolidation=zenoh.ConsolidationMode.NONE)
         return sorted(bridge.decode(STRING, r.ok.payload.to_bytes())["data"] for r in replies if r.ok)
 
-    until(lambda: latched() == ["of 0", "of 1"], "the messages of both publishers", every=0.1)
+    until(lambda: latched() == ["of 0", "of 1"], "the messages of both publishers are retained", every=0.1)
     place.far.drop(outs[0])
-    until(lambda: latched() == ["of 1"], "the other's message is dropped with its publisher", every=0.1)
+    until(lambda: latched() == ["of 1"], "the other message is dropped with its publisher", every=0.1)
 
 
 def test_topics_configured_as_latched_are_cached(place: Place) -> None:
@@ -234,7 +236,7 @@ def test_topics_configured_as_latched_are_cached(place: Place) -> None:
 
 
 def test_a_free_fleet_client_exchanges_goals_and_transforms(place: Place) -> None:
-    """Its client has the robot's namespace, sends no beacons, and uses the same keys (free_fleet, ``utils.py``)."""
+    """The client uses the robot's namespace, sends no beacons, and uses the same keys (free_fleet, ``utils.py``)."""
     goal = {"topic": "/move_base_simple/goal", "type": "geometry_msgs/msg/PoseStamped"}
     place.bridge({"dialect": "ros1", "namespace": "nav1_tb3", "keys": [goal]})
     fleet = place.ros1("nav1_tb3")
@@ -247,7 +249,7 @@ def test_a_free_fleet_client_exchanges_goals_and_transforms(place: Place) -> Non
         publisher.put(fleet.encode(pose, {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1.5}}}))
         return place.far.wait(subscription, 1, 0.2)
 
-    assert until(publish_goal, "the goal")[0]["pose"]["position"]["x"] == 1.5
+    assert until(publish_goal, "the goal arrives")[0]["pose"]["position"]["x"] == 1.5
     transforms = "tf2_msgs/TFMessage"
     out = place.far.advertise("/tf", transforms)
     read, callback = fleet.listener("/tf", transforms)
@@ -259,7 +261,7 @@ def test_a_free_fleet_client_exchanges_goals_and_transforms(place: Place) -> Non
 
 
 def test_services_byte_for_byte(place: Place) -> None:
-    """Keys, beacons, requests and responses; an empty request is valid, and a bridge of any namespace may call."""
+    """Keys, beacons, requests and responses are exact; empty requests are valid, and any bridge may call a service."""
     set_bool, trigger, yes = "std_srvs/SetBool", "std_srvs/Trigger", {"success": True, "message": "hi"}
     bridge, named = place.ros1(), place.ros1("robot1")
     place.bridge({"dialect": "ros1"})
@@ -284,7 +286,7 @@ def test_services_byte_for_byte(place: Place) -> None:
 
 
 def test_services_of_actions_do_not_cross(place: Place) -> None:
-    """ROS 1 has no action services, and explain gives that reason."""
+    """ROS 1 has no action services, which is the reason that explain gives."""
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
     place.node.action_server("/lookup", "tf2_msgs/action/LookupTransform", lambda _goal: True)

@@ -1,4 +1,4 @@
-"""The ros2dds dialect, token for token and byte for byte."""
+"""The ros2dds dialect uses exactly the plugin's tokens and bytes."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_a_marked_id_is_random_and_accepted_by_zenoh() -> None:
 
 
 def test_a_bridge_receives_exact_tokens_and_samples(place: Place) -> None:
-    """The token and the sample of a hub publisher, byte for byte."""
+    """The token and the sample of a hub publisher are correct byte for byte."""
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     out = place.far.advertise("/chatter", STRING, depth=7)
@@ -120,7 +120,7 @@ def test_a_bridge_receives_exact_tokens_and_samples(place: Place) -> None:
         place.far.publish_raw(out, HI)
         return bool(samples)
 
-    until(received, "the sample")
+    until(received, "the sample arrives")
     assert samples[0].payload.to_bytes() == HI
     assert samples[0].attachment is None
 
@@ -169,7 +169,7 @@ def test_the_history_of_a_deep_publisher_arrives_complete_and_in_order(place: Pl
 
 
 def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> None:
-    """The plugin has one cache for all writers of a topic; the whole set counts, not only its last message."""
+    """The plugin has one cache for all writers of a topic, and the whole set counts, not only its last message."""
     bridge = place.ros2dds()
     out = bridge.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1)
     for child in ("laser", "camera", "imu"):
@@ -182,11 +182,11 @@ def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> N
         place.far.drop(subscription)
         return sorted(t["child_frame_id"] for t in got[-1]["transforms"]) if got else []
 
-    until(lambda: frames() == ["camera", "imu", "laser"], "all static transforms")
+    until(lambda: frames() == ["camera", "imu", "laser"], "all static transforms are retained")
 
 
 def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
-    """A Python program with an advanced publisher: its history has numbers and time stamps, and arrives once."""
+    """A Python program has an advanced publisher whose history has numbers and time stamps, and arrives once."""
     session = open_session(place.router.endpoint)
     publisher = ext.declare_advanced_publisher(
         session, "state", cache=ext.CacheConfig(1), publisher_detection=True,
@@ -198,12 +198,14 @@ def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
     publisher.put(ROS2.encode(STRING, {"data": "kept"}))
     try:
         place.bridge({"dialect": "ros2dds"})
-        until(lambda: (place.route(SIDE, "/state", "in") or {}).get("messages"), "it has arrived", 15, every=0.1)
+        until(
+            lambda: (place.route(SIDE, "/state", "in") or {}).get("messages"), "the message has arrived", 15, every=0.1
+        )
         subscription = place.far.subscribe("/state", STRING, latched=True)
         assert place.far.wait(subscription, 1) == [{"data": "kept"}]
         publisher.put(ROS2.encode(STRING, {"data": "new"}))
         assert place.far.wait(subscription, 2) == [{"data": "kept"}, {"data": "new"}]
-        until(lambda: place.route(SIDE, "/state", "in")["messages"] == 2, "both are counted")
+        until(lambda: place.route(SIDE, "/state", "in")["messages"] == 2, "both messages are counted")
         token.undeclare()
         alive.undeclare()
         place.far.until_unpublished("/state")
@@ -212,7 +214,7 @@ def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
 
 
 def test_a_plain_program_on_a_configured_key(place: Place) -> None:
-    """Like free_fleet's clients: it declares no token, and a client of the router sets no time stamp."""
+    """Like free_fleet's clients, the program declares no token, and as a client of the router it sets no time stamp."""
     place.bridge({"dialect": "ros2dds", "keys": [{"topic": "/robot1/goal", "type": "std_msgs/msg/String"}]})
     subscription = place.far.subscribe("/robot1/goal", STRING)
     place.far.until_published("/robot1/goal")
@@ -222,7 +224,7 @@ def test_a_plain_program_on_a_configured_key(place: Place) -> None:
             session.put("robot1/goal", HI)
             return place.far.wait(subscription, 1, 0.2)
 
-        assert until(published, "it is received")[0] == {"data": "hi"}
+        assert until(published, "the message is received")[0] == {"data": "hi"}
         session.put("robot1/goal", b"\0\1\0\0junk")
         until(
             lambda: place.route(SIDE, "/robot1/goal", "in")["drops"]["bad"] == 1,
@@ -232,7 +234,7 @@ def test_a_plain_program_on_a_configured_key(place: Place) -> None:
 
 
 def test_keys_without_announcement_are_ignored(place: Place) -> None:
-    """The hub's keys and rmw_zenoh's tokens on the same network do not count as this dialect's."""
+    """The hub's keys and rmw_zenoh's tokens on the same network do not belong to this dialect."""
     hub = {"listen": place.hubs.endpoint}
     bridge = place.bridge({"dialect": "ros2dds"}, zenoh={"dialects": [{"dialect": "ros2dds"}]}, hub=hub)
     out = place.far.advertise("/chatter", STRING)
@@ -246,7 +248,7 @@ def test_keys_without_announcement_are_ignored(place: Place) -> None:
 
 
 def test_a_token_that_claims_a_key_of_the_hub(place: Place) -> None:
-    """It is ignored and reported; the hub's own topic is not affected."""
+    """The token is ignored and reported, and the hub's own topic is not affected."""
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     key = f"0§chatter§std_msgs::msg::dds_::String_§{HASH}"
@@ -284,5 +286,5 @@ def test_topics_of_actions_have_no_tokens(place: Place) -> None:
         place.far.publish_raw(out, HI)
         return bool(samples)
 
-    until(received, "the sample")
+    until(received, "the sample arrives")
     assert bridge.tokens("/go/_action/feedback") == []

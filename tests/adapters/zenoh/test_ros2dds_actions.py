@@ -1,4 +1,4 @@
-"""Actions of the ros2dds dialect, in the five parts of the plugin."""
+"""Actions of the ros2dds dialect, in the plugin's five parts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ID = {"goal_id": {"uuid": list(range(16))}}
 
 
 class Sent:
-    """A goal of the hub's node, and its result."""
+    """A goal of the hub's node, and the goal's result."""
 
     def __init__(self, place: Place) -> None:
         self.place = place
@@ -74,7 +74,7 @@ def test_a_goal_is_canceled_at_a_server_behind_a_bridge(place: Place) -> None:
 
 @pytest.mark.parametrize("end", ["its node", "its bridge"])
 def test_a_server_that_leaves_ends_its_goals(place: Place, end: str) -> None:
-    """The plugin keeps the queries of a node that has left; the goal's state is unknown, as it may still execute."""
+    """The plugin keeps the queries of a node that has left. The goal's state is unknown, as it may still execute."""
     bridge = place.ros2dds()
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
@@ -109,7 +109,7 @@ def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> N
     assert answered("send_goal", {**ID, "goal": {"target_frame": "map"}})["accepted"]
     goal = goals[-1]
     place.on_node(goal.execute)
-    until(lambda: (place.on_node(lambda: goal.feedback({})), client.feedback)[1], "feedback", every=0.1)
+    until(lambda: (place.on_node(lambda: goal.feedback({})), client.feedback)[1], "feedback arrives", every=0.1)
     assert client.feedback[0]["goal_id"] == ID["goal_id"]
     result = client.ask("get_result", ID)
     canceled = answered("cancel_goal", {"goal_info": ID})
@@ -118,15 +118,17 @@ def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> N
     place.on_node(lambda: goal.canceled({"transform": {"child_frame_id": "half way"}}))
     reply = result.result()["reply"]
     assert (reply["status"], reply["result"]["transform"]["child_frame_id"]) == (CANCELED, "half way")
-    until(lambda: client.statuses and client.statuses[-1]["status_list"][-1]["status"] == CANCELED, "the status")
+    until(
+        lambda: client.statuses and client.statuses[-1]["status_list"][-1]["status"] == CANCELED, "the status arrives"
+    )
     client.close()
     late = ActionClient(bridge, "/lookup")
-    until(lambda: late.statuses and late.statuses[-1]["status_list"][-1]["status"] == CANCELED, "it is cached")
+    until(lambda: late.statuses and late.statuses[-1]["status_list"][-1]["status"] == CANCELED, "the status is cached")
     late.close()
 
 
 def test_a_server_of_the_hub_that_leaves(place: Place) -> None:
-    """DDS clients receive no errors: the state of the goal is unknown."""
+    """DDS clients receive no errors, so the goal's state is unknown."""
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     place.node.action_server("/lookup", ACTION, lambda _goal: True)
@@ -134,9 +136,13 @@ def test_a_server_of_the_hub_that_leaves(place: Place) -> None:
     until(lambda: bridge.tokens("/lookup", "AS"), "Midspan's token", 30)
     for part in ("send_goal", "get_result"):
         place.until_route(SIDE, f"/lookup/_action/{part}", "out")
-    until(lambda: client.ask("send_goal", ID).result()["reply"], "it is taken")
+    until(lambda: client.ask("send_goal", ID).result()["reply"], "the goal is accepted")
     result = client.ask("get_result", ID)
-    until(lambda: place.route(SIDE, "/lookup/_action/get_result", "out")["pending"] == 1, "it waits", every=0.1)
+    until(
+        lambda: place.route(SIDE, "/lookup/_action/get_result", "out")["pending"] == 1,
+        "the result call is pending",
+        every=0.1,
+    )
     place.close_node()
     assert result.result(30)["reply"]["status"] == GoalState.UNKNOWN
     until(lambda: not bridge.tokens("/lookup", "AS"), "Midspan's token is withdrawn")

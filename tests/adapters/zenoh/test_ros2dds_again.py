@@ -1,4 +1,4 @@
-"""Latched publishers of the ros2dds dialect that are announced again: their messages stay, or come back."""
+"""Latched ros2dds publishers are announced again: their messages stay, or come back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TOPIC = "/state"
 
 
 def late(place: Place, expected: list[str]) -> list[str]:
-    """Wait until a late subscription receives exactly these messages; return them."""
+    """Wait until a late subscription receives exactly these messages, and return them."""
     received: list[list[str]] = []
 
     def once() -> bool:
@@ -31,7 +31,7 @@ def late(place: Place, expected: list[str]) -> list[str]:
         return received[-1] == expected
 
     try:
-        until(once, "all retained messages", 20)
+        until(once, "all retained messages arrive", 20)
     except AssertionError as err:
         raise AssertionError(f"{err}: received {received}") from None
     return received[-1]
@@ -40,7 +40,7 @@ def late(place: Place, expected: list[str]) -> list[str]:
 def test_message_that_overtakes_the_change_from_volatile_to_latched_is_retained(
     place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A program advertises a topic again and publishes at once, while the engine still follows the previous graph."""
+    """A program advertises a topic again and publishes at once, while the engine still uses the previous graph."""
     delivered: list[bytes] = []
     deliver = SideToHubRoute.deliver
 

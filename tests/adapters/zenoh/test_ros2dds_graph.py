@@ -1,4 +1,4 @@
-"""Midspan's tokens of the ros2dds dialect, as a bridge on the network receives them."""
+"""A bridge on the network receives Midspan's tokens of the ros2dds dialect."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ SERVICES = {"send_goal": f"{ACTION}_SendGoal", "cancel_goal": "action_msgs/srv/C
 RESULT = {"get_result": f"{ACTION}_GetResult"}
 TOPICS = {"feedback": f"{ACTION}_FeedbackMessage", "status": "action_msgs/msg/GoalStatusArray"}
 END = "the/end"
-"""A topic that is announced last: tokens of one session arrive in order."""
+"""A topic that is announced last, because tokens of one session arrive in order."""
 
 
 class Tokens:
-    """The tokens of an announcer, and those that a bridge has received."""
+    """An announcer's tokens, and those that a bridge has received."""
 
     def __init__(self, announcer: TokenAnnouncer, bridge: Ros2ddsBridge) -> None:
         self.announcer, self.bridge, self.registry = announcer, bridge, Registry()
@@ -35,12 +35,12 @@ class Tokens:
             self.withdraw[part] = self.announcer.announce(kind, f"lookup/_action/{part}", known, Qos())
 
     def tokens(self, letters: str) -> int:
-        """Return how many of them a bridge has received."""
+        """Return how many of the tokens a bridge has received."""
         end = self.announcer.announce(Kind.PUBLISHER, END, self.registry.ros2("std_msgs/msg/Empty"), Qos())
-        until(lambda: self.bridge.tokens(f"/{END}"), "all have arrived")
+        until(lambda: self.bridge.tokens(f"/{END}"), "all tokens have arrived")
         result = len(self.bridge.tokens("/lookup", letters))
         end()
-        until(lambda: not self.bridge.tokens(f"/{END}"), "the last one is withdrawn")
+        until(lambda: not self.bridge.tokens(f"/{END}"), "the last token is withdrawn")
         return result
 
 
@@ -54,7 +54,7 @@ def announced(place: Place) -> Iterator[Tokens]:
 
 def test_an_action_server_is_announced_once_it_is_complete(announced: Tokens) -> None:
     announced.announce(Kind.SERVER, SERVICES | RESULT)
-    assert announced.tokens("AS") == 0, "a client that sends a goal now would miss feedback"
+    assert announced.tokens("AS") == 0, "no announcement, because a client that sends a goal now would miss feedback"
     announced.announce(Kind.PUBLISHER, TOPICS)
     assert announced.tokens("AS") == 1
     for part in ("feedback", "status", "send_goal"):

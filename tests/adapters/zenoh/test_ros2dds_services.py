@@ -1,4 +1,4 @@
-"""Services of the ros2dds dialect: exact tokens and bytes. The contract suite has the tests that all sides share."""
+"""Services of the ros2dds dialect: exact tokens and bytes. The contract suite has the tests shared by all sides."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ REPLY = bytes.fromhex("00010000 01000000 04000000 79657300")
 
 
 def until_called(bridge: Ros2ddsBridge, service: str, type_: str = SET) -> None:
-    """Call a server of the hub until it replies: its token arrives shortly before zenoh can route a query to it."""
+    """Call a hub server until it replies, because its token arrives shortly before zenoh can route queries to it."""
     request = {"data": True} if type_ == SET else {}
-    until(lambda: bridge.call(service, type_, request).result()["reply"] == YES, "the reply", every=0.1)
+    until(lambda: bridge.call(service, type_, request).result()["reply"] == YES, "the server replies", every=0.1)
 
 
 def test_a_bridge_receives_tokens_and_exact_replies(place: Place) -> None:
@@ -58,7 +58,7 @@ def test_a_bridge_receives_tokens_and_exact_replies(place: Place) -> None:
 
 
 def test_invalid_requests_are_errors(place: Place) -> None:
-    """Each returns an error, is counted, and does not affect valid calls."""
+    """Each invalid request returns an error, is counted, and does not affect valid calls."""
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     serving = place.far.serve("/do", SET, reply=YES)
@@ -89,7 +89,7 @@ def test_a_bridge_receives_the_token_and_the_request_id_of_another_bridge(place:
 
 
 def test_invalid_replies_and_error_replies(place: Place) -> None:
-    """A plain zenoh program can serve an announced service; the client receives zenoh's error reply."""
+    """A plain zenoh program can provide an announced service; the client receives zenoh's error reply."""
     bridge = place.ros2dds()
     answers = iter([None, b"\0\1\0\0", b"", REPLY])
 
@@ -108,15 +108,15 @@ def test_invalid_replies_and_error_replies(place: Place) -> None:
     for _ in range(2):
         assert "the reply does not match its type" in place.far.call("/do", SET).result()["error"]
     assert place.far.call("/do", SET).result()["reply"] == YES
-    queryable.undeclare()  # the token stays
+    queryable.undeclare()  # the token remains
     # until zenoh has removed the queryable from its routes, calls can fail with another error
-    until(lambda: "no server" in place.far.call("/do", SET).result()["error"], "an error that gives the reason")
+    until(lambda: "no server" in place.far.call("/do", SET).result()["error"], "the error gives the reason")
     token.undeclare()
 
 
 @pytest.mark.parametrize("dialect", ["ros2dds", "ros1"])
 def test_a_hundred_calls_at_once(place: Place, dialect: str) -> None:
-    """In both directions; held calls do not delay the replies to others."""
+    """The calls run in both directions; held calls do not delay the replies to others."""
     bridge = place.ros2dds() if dialect == "ros2dds" else place.ros1()
     place.bridge({"dialect": dialect})
     slow = bridge.ask("serve", service="/slow", type=SET, reply=YES, held=True)["id"]
@@ -160,7 +160,7 @@ def test_a_client_that_disconnects_only_loses_its_own_reply(place: Place) -> Non
 
 
 def expect_single_request(call: Callable[[], Any], requests: Callable[[], list[Any]]) -> None:
-    """Call until a call succeeds; each call reaches the server at most once, none during the daemons' election."""
+    """Call until a call succeeds. Each call reaches the server at most once, and not during the daemons' election."""
 
     def succeeds() -> bool:
         count = len(requests())
@@ -187,7 +187,7 @@ def test_two_daemons_on_one_network(place: Place, hubs: str) -> None:
         try:
             for end in ends:  # a call may fail while the two daemons discover each other
                 until(lambda end=end: end.call("/in", SET).result()["reply"] == YES, "a reply", every=0.1)
-                until(lambda end=end: len(end.hub.graph.servers("/in")) == 1, "one daemon serves it")
+                until(lambda end=end: len(end.hub.graph.servers("/in")) == 1, "one daemon offers the service")
                 expect_single_request(
                     lambda end=end: end.call("/in", SET, data=True).result()["reply"],
                     lambda: list(bridge.servings[served].taken),

@@ -1,4 +1,4 @@
-"""Two daemons with a dialect on one network, on one hub or on two: nothing loops, nothing arrives twice."""
+"""Two daemons have a dialect on one network, on one hub or on two: nothing loops, and nothing arrives twice."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_nothing_loops_and_nothing_arrives_twice(place: Place, dialect: str, hub
             far.append(HubSide(Hub.open(other.settings("far")), Registry()))
         try:
             from_far = exchange(program, out, subscription, far)
-            if hubs == "one hub":  # the standby takes over
+            if hubs == "one hub":  # the standby daemon takes over
                 active = min((first, second), key=lambda bridge: bridge.bridges[0].health().state != "running")
                 active.stop()
                 until_all_receive(

@@ -1,4 +1,4 @@
-"""Between all dialects and the hub, in each direction: five types of messages, including a latched map."""
+"""Five types of messages, including a latched map, cross between all dialects and the hub in each direction."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def topic(from_: str, to: str, name: str) -> str:
 
 
 def name_at(end: str, name: str) -> str:
-    """Return a topic's name at one end: JSON has separate keys, as a key cannot carry both JSON and CDR."""
+    """Return a topic's name at one end. JSON has separate keys, because a key cannot carry both JSON and CDR."""
     return f"/json{name}" if end == "json" else name
 
 
@@ -111,7 +111,7 @@ def test_a_map_that_was_published_once_reaches_late_joiners(ends: dict[str, Any]
         out = ends[from_].advertise(name_at(from_, name), type_, latched=True, depth=1)
         side = f"zenoh_{to}" if to != "hub" else f"zenoh_{from_}"
         direction = "out" if to != "hub" else "in"
-        if from_ in ("ros1", "json"):  # these dialects have no cache: their publishers are received only live
+        if from_ in ("ros1", "json"):  # these dialects have no cache, so messages are received only live
             ends[from_].until_subscribed(out)
         ends[from_].publish(out, message)
         until(
@@ -125,7 +125,7 @@ def test_a_map_that_was_published_once_reaches_late_joiners(ends: dict[str, Any]
 
 
 def holds(got: Any, given: Any) -> bool:
-    """Return whether a message has the given fields; ROS 1's header has a number, octets may be base64."""
+    """Return whether a message has the given fields. ROS 1's header has a number, and octets may be base64."""
     if isinstance(given, dict):
         return all(name in got and holds(got[name], value) for name, value in given.items())
     if isinstance(given, list):

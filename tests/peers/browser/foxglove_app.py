@@ -57,7 +57,7 @@ class App:
         self.socket.send(json.dumps(message))
 
     def read(self, seconds: float = 0.05) -> bool:
-        """Read one frame; return whether there was one."""
+        """Read one frame, and return whether there was one."""
         try:
             frame = self.socket.recv(timeout=seconds)
         except TimeoutError:
@@ -86,7 +86,7 @@ class App:
             removed = set(texts["serviceIds"])
             self.services = {name: entry for name, entry in self.services.items() if entry["id"] not in removed}
         elif texts.get("message", "").startswith("Unknown channel ID"):
-            # the SDK announces a channel before it accepts subscriptions to it; a fast client asks again
+            # the SDK announces a channel before it accepts subscriptions to it, so a fast client repeats them
             for number, topic in self._subscriptions.items():
                 self._ask(number, topic)
         else:
@@ -121,7 +121,7 @@ class App:
         self.send(op="unsubscribe", subscriptionIds=[number])
 
     def advertise(self, topic: str, type_name: str, encoding: str) -> int:
-        """Start to publish; return the channel's number."""
+        """Start publishing, and return the channel's number."""
         self._numbers += 1
         channel = {"id": self._numbers, "topic": topic, "encoding": encoding, "schemaName": type_name}
         self.send(op="advertise", channels=[channel])
@@ -142,7 +142,7 @@ class App:
         return self._numbers
 
     def sync(self) -> None:
-        """Wait until the server has handled all requests so far: it answers in order."""
+        """Wait until the server has handled all requests so far; it replies in order."""
         self._numbers += 1
         request_id = f"sync {self._numbers}"
         self.send(op="getParameters", parameterNames=["nothing"], id=request_id)

@@ -34,15 +34,15 @@ from yarp_compat.ports.sockets import closed_on_failure
 TWIST = "geometry_msgs/msg/Twist"
 SPEED, TURN = 0.3, 0.6
 MOST_GROWTH = 32 << 20
-"""Allowed growth in bytes after the warm-up. Measured: 14 MB over 135,000 requests and frames, 18 over 426,000;
-cyclic garbage waits for Python's collector, and a single kind of request stops growing after some thousand."""
+"""Allowed growth in bytes after the warm-up. Measured: 14 MB over 135,000 requests and frames, 18 MB over 426,000.
+Cyclic garbage waits for Python's collector, and growth by any one kind of request stops after some thousand."""
 
 _WARM = 1000
 _LOOK = 200
 _ANSWERS = {100, 101, 200, 206, 304, 307, 400, 403, 404, 405, 413, 416, 426, 431, 503}
 _OPS = {"hello", "value", "reply", "held", "error"}
 _LATER_NS = 3_000_000_000
-"""Nanoseconds after a page's last hold in which the base may still be commanded to move: 0.3 s, and the time that a
+"""Nanoseconds after a page's last hold in which the base may still be commanded to move: 0.3 s, plus the time that a
 console on a busy machine takes to read what a closed page has sent."""
 
 
@@ -109,7 +109,7 @@ class HostileConsole:
     # -- HTTP ----------------------------------------------------------------------------------------------------------
 
     def ask(self, requests: Sequence[bytes]) -> None:
-        """Send each request on a separate connection, all at once; each reply must be a valid response."""
+        """Send each request on a separate connection, all at once; each connection must get a valid response."""
         open_ = [socket.create_connection(("127.0.0.1", self.port), 10) for _ in requests]
         received = dict.fromkeys(open_, b"")
         try:
@@ -119,7 +119,7 @@ class HostileConsole:
             left = set(open_)
             while left and (ready := select.select(left, [], [], 0.004)[0]):
                 left -= {sock for sock in ready if not _more(sock, received)}
-            for sock in left:  # an unfinished request: nothing more is sent
+            for sock in left:  # the request is unfinished, and nothing more is sent
                 with contextlib.suppress(OSError):
                     sock.shutdown(socket.SHUT_WR)
             end = time.monotonic() + 20.0
@@ -148,7 +148,7 @@ class HostileConsole:
     # -- WebSocket -----------------------------------------------------------------------------------------------------
 
     def converse(self, pieces: Sequence[bytes]) -> None:
-        """Open a socket as a page does, and send frames; the first byte of each piece gives its kind."""
+        """Open a WebSocket as a page does, and send frames; the first byte of each piece gives its kind."""
         with socket.create_connection(("127.0.0.1", self.port), 10) as sock:
             sock.sendall(opening(self.host))
             received = _Frames(sock)
@@ -180,7 +180,7 @@ class HostileConsole:
             self.check()
 
     def check(self) -> None:
-        """Raise `AssertionError` if the worker ended, drove, grew, or logged an unexpected error."""
+        """Raise `AssertionError` if the worker has ended, driven, grown too much, or logged an unexpected error."""
         assert self._process.poll() is None, f"the worker has ended: {self.log()[-3000:]}"
         wrong, self._wrong = self._wrong, ""
         assert not wrong, wrong
@@ -202,7 +202,7 @@ class HostileConsole:
         return self._log.read_text(errors="replace")
 
     def close(self) -> None:
-        """End it."""
+        """End the worker."""
         self._process.terminate()
         try:
             self._process.wait(10)
@@ -227,7 +227,7 @@ def _end_with_parent() -> None:
 
 
 def _more(sock: socket.socket, received: dict[socket.socket, bytes]) -> bool:
-    """Read once; return whether more may arrive."""
+    """Read once, and return whether more may arrive."""
     try:
         data = sock.recv(1 << 16)
     except OSError:
@@ -237,7 +237,7 @@ def _more(sock: socket.socket, received: dict[socket.socket, bytes]) -> bool:
 
 
 def client_frame(opcode: int, content: bytes, *, fin: bool = True) -> bytes:
-    """Return a client's frame, masked with zeros (RFC 6455, 5.2)."""
+    """Return a client's frame, masked with zeros (RFC 6455, section 5.2)."""
     size = len(content)
     head = bytes([(0x80 if fin else 0) | opcode])
     if size < 126:
@@ -274,7 +274,7 @@ def _frames(kind: bytes, content: bytes) -> bytes:
 
 
 def _holds(kind: bytes, content: bytes) -> bool:
-    """Return whether a piece may be a valid hold; parts of messages may combine to one."""
+    """Return whether a piece may be a valid hold; parts of messages may combine into a hold."""
     if kind in (b"s", b"n", b"e", b"r"):
         return True
     try:
@@ -306,7 +306,7 @@ class _Frames:
         return head
 
     def until_pong(self, content: bytes, seconds: float) -> None:
-        """Read up to a pong or the end; each text must be a valid message of the protocol."""
+        """Read until a pong or the end; each text must be a valid message of the protocol."""
         end = time.monotonic() + seconds
         while True:
             while (frame := self._next()) is not None:
@@ -322,7 +322,7 @@ class _Frames:
                 return
 
     def _next(self) -> tuple[int, bytes] | None:
-        """Return the next complete frame; the console's are not masked."""
+        """Return the next complete frame. The console's frames are not masked."""
         if len(self._left) < 2:
             return None
         size, at = self._left[1] & 0x7F, 2

@@ -1,4 +1,4 @@
-"""A person who uses the console's page in a real Chromium, and what the robot does meanwhile."""
+"""A person who uses the console's page in a real Chromium, and the robot's reaction."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ const [x, y] = [canvas.width / 2, canvas.height / 2 - 10 * devicePixelRatio];
 return [...canvas.getContext("2d").getImageData(x, y, 1, 1).data];
 """
 until = partial(wait.until, every=0.2)
-"""Interval between checks: each is a request to the browser, and one of its pixels is as costly as drawing them."""
+"""Checks rarely, because each check is a request to the browser, and reading pixels costs as much as drawing them."""
 
 
 class Operator:
@@ -51,7 +51,7 @@ class Operator:
         return self.chrome.find_element(By.ID, "line-text").text
 
     def button(self, text: str, within: str = "") -> WebElement:
-        """Return the visible button with this text or name, within elements that match a selector."""
+        """Return the visible button with this text or name, within elements that match the selector ``within``."""
 
         def find() -> WebElement | None:
             for element in self.chrome.find_elements(By.CSS_SELECTOR, f"{within} button"):
@@ -60,7 +60,7 @@ class Operator:
                         return element
             return None
 
-        shown = until(find, f"the button is shown:  {text!r}")
+        shown = until(find, f"the button is shown: {text!r}")
         assert shown is not None
         return shown
 
@@ -87,7 +87,7 @@ class Operator:
         return color
 
     def texts(self, selector: str) -> list[str]:
-        """Return the texts of elements that may be filled again meanwhile."""
+        """Return the texts of elements that the page may refill meanwhile."""
         script = "return [...document.querySelectorAll(arguments[0])].map((each) => each.textContent)"
         texts: list[str] = self.chrome.execute_script(script, selector)
         return texts
@@ -124,7 +124,7 @@ def offset(page: TestPage, x: float, y: float) -> float:
 
 @contextlib.contextmanager
 def viewport(chrome: Chrome, width: int, height: int) -> Iterator[None]:
-    """Give the page this size in pixels; narrow ones emulate a phone."""
+    """Give the page this size in pixels; a narrow page emulates a phone."""
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:

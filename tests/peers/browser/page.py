@@ -1,4 +1,4 @@
-"""A client of the console's protocol for tests, over a real WebSocket."""
+"""A client for tests that uses the console's protocol over a real WebSocket."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PROTOCOL = "midspan.console.1"
 
 
 class TestPage:
-    """Acknowledges each value at once, unless ``takes`` is false.
+    """A page that acknowledges each value at once, unless ``takes`` is false.
 
     Attributes:
         values: the newest message of each feed.

@@ -1,6 +1,6 @@
-"""The console's protocol as types, which the tests check every message with, and the published JSON Schema.
+"""The console's protocol as types, with which the tests check every message, and the published JSON Schema.
 
-``python -m tests.peers.browser.protocol > docs/operate/console_protocol.schema.json`` writes the schema again.
+``python -m tests.peers.browser.protocol > docs/operate/console_protocol.schema.json`` writes the schema.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Run = Annotated[list[int | None], Field(min_length=4, max_length=5)]
 
 
 class Model(BaseModel):
-    """An object with these keys and no others."""
+    """An object with exactly these keys."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -51,7 +51,7 @@ class OtherRobot(Model):
 
 
 class OnMap(Model):
-    """x, y, x, y, ... on the map."""
+    """Points on the map: x, y, x, y, ..."""
 
     points: Points
 
@@ -409,7 +409,7 @@ VERBS: dict[str, tuple[dict[str, Any], Any]] = {
     "publish": ({"topic": Name, "type": Name, "message": dict[str, JsonValue]}, str),
     "call_service": ({"name": Name, "type": Name, "request": dict[str, JsonValue]}, dict[str, JsonValue]),
 }  # fmt: skip
-"""Each verb's arguments, optional ones with their default, and its value."""
+"""Each verb's arguments, optional ones with their default value, and its return value."""
 
 
 # -- messages ----------------------------------------------------------------------------------------------------------
@@ -530,7 +530,7 @@ _RESULTS: dict[str, TypeAdapter[Any]] = {verb: TypeAdapter(value) for verb, (_, 
 
 
 def check_said(message: dict[str, Any]) -> None:
-    """Raises `pydantic.ValidationError` if the console sends what the protocol lacks."""
+    """Raise `pydantic.ValidationError` if a message from the console violates the protocol."""
     FROM_CONSOLE.validate_python(message)
 
 
@@ -541,7 +541,7 @@ def check_done(verb: str, args: dict[str, Any], value: Any) -> None:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON Schema of all messages; the console may add keys."""
+    """Return the JSON Schema of all messages. The console may add keys."""
     from_console, from_page = (adapter.json_schema() for adapter in (FROM_CONSOLE, FROM_PAGE))
     results = {f"{_title(verb)}Result": definition.json_schema() for verb, definition in _RESULTS.items()}
     defs: dict[str, Any] = {}

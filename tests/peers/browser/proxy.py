@@ -17,11 +17,11 @@ from tests.support.wait import until
 
 PAGE = Path(__file__).parents[3] / "docs" / "operate" / "console_proxy.md"
 WEB = {"names": ["robots.example", "127.0.0.1"], "prefix": "/robot1"}
-"""The console's settings; 127.0.0.1 is for browsers, which cannot resolve the other name."""
+"""The console's settings. 127.0.0.1 is for browsers, which cannot resolve the other name."""
 
 
 class Proxy:
-    """nginx with the page's configuration, in front of a console."""
+    """nginx with the configuration from the page, in front of a console."""
 
     def __init__(self, folder: Path, keys: Path, console: int, *, tokens: bool = False) -> None:
         need(NGINX)
@@ -60,7 +60,7 @@ class Proxy:
             return sock.connect_ex(("127.0.0.1", self.port)) == 0
 
     def get(self, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
-        """Return the response to a request of a browser that has the page's address."""
+        """Return the response to a request from a browser that uses the documented address."""
         connection = http.client.HTTPSConnection("127.0.0.1", self.port, timeout=10, context=self.context)
         try:
             connection.request("GET", path, headers={"Host": f"robots.example:{self.port}", **headers})

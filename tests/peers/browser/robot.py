@@ -23,7 +23,7 @@ from yarp_compat.naming.config import Address
 ROOT = Path(__file__).parents[3]
 CONFIG = ROOT / "configs" / "navigation.yaml"
 PORTER = {"name": "porter", "base_frame": "odom", "path": "/planner/robot_path_planner/path"}
-"""Another robot: it stands at the start of the odometry, and has the same goal as the first one."""
+"""Another robot, which stands at the start of the odometry and has the same goal as the first one."""
 
 
 class WebRobot(MidspanDaemon):

@@ -1,6 +1,6 @@
 """Services and actions between every pair of sides, through one daemon, with real middlewares on both ends.
 
-``python -m tests.peers.daemon.calls_table [--json FILE]`` prints the table; `test_calls_table` does so, too.
+``python -m tests.peers.daemon.calls_table [--json FILE]`` prints the table, as does `test_calls_table`.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ ROS1_KEYS = "zenoh, ros1 plugin"
 JSON = "zenoh, JSON"
 YARP = "YARP RPC"
 HUB = "zenoh, Midspan's module"
-"""zenoh-ros2-sdk has no actions; on the hub they end at the classes that Midspan's modules use. Those of the plugins
-end at bridges, see `tests.peers.zenoh.programs`."""
+"""zenoh-ros2-sdk has no actions, so on the hub they end at the classes that Midspan's modules use. The actions of the
+plugins end at bridges; see `tests.peers.zenoh.programs`."""
 
 KEYS = {
     ROS1: "ros1", ROS2: "ros2", ZENOH: "zenoh", ROS2DDS: "ros2dds", ROS1_KEYS: "ros1_keys", JSON: "json", YARP: "yarp",
@@ -53,7 +53,7 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 @dataclass(frozen=True)
 class Line:
-    """The results between two sides."""
+    """The results for one pair of sides."""
 
     kind: str
     server: str
@@ -72,7 +72,7 @@ class ServiceSide(Protocol):
     """A program that serves and calls services."""
 
     def serve(self, service: str, message: str) -> None:
-        """Reply true with this text; reject False if the side supports errors."""
+        """Serve a service that replies true with this text, and rejects False if the side supports errors."""
 
     def call(self, service: str, *, data: bool) -> dict[str, Any]:
         """Return the reply, or {} after an error."""
@@ -94,13 +94,13 @@ class RosServices:
 
 
 class YarpServices:
-    """An RPC port as a server, and clients of the RPC ports of the hub's services."""
+    """A server on an RPC port, and clients of the RPC ports that stand for the hub's services."""
 
     def __init__(self, names: NameClient) -> None:
         self._names = names
         self._open: list[Any] = []
 
-    def serve(self, service: str, message: str) -> None:  # noqa: ARG002 - a rule gives the port its service
+    def serve(self, service: str, message: str) -> None:  # noqa: ARG002 - a rule assigns the port to its service
         port = Server(YARP_RPC, lambda values: [int(values == [1]), message], naming=self._names)
         self._open.append(port.open())
 
@@ -118,7 +118,7 @@ class YarpServices:
 
 
 class JsonServices:
-    """Keys that a program without ROS serves and calls."""
+    """Keys that a program without ROS serves and queries."""
 
     def __init__(self, program: JsonProgram) -> None:
         self._program = RosServices(program)
@@ -146,7 +146,7 @@ def place(message: dict[str, Any]) -> tuple[str, float]:
 
 
 class Pair:
-    """An action server on one side and its client on the other, both with the commands of `tests.peers.peer`."""
+    """An action server on one side and a client on the other, both with the commands of `tests.peers.peer`."""
 
     def __init__(self, server: tuple[str, Any], client: tuple[str, Any]) -> None:
         self.sides = server[0], client[0]
@@ -154,7 +154,7 @@ class Pair:
         self._of = "_to_".join(name.split()[-1].split("'")[0].lower() for name in self.sides)
 
     def name(self, kind: str) -> str:
-        """Return a unique action name of this pair."""
+        """Return an action name that only this pair uses."""
         return f"/{self._of}/{kind}"
 
     def act(self, name: str, **more: Any) -> int:
@@ -168,11 +168,11 @@ class Pair:
         return int(self.client.ask("send_goal", **request)["id"])
 
     def goal(self, goal: int, **wanted: Any) -> dict[str, Any]:
-        """Return the client's state of a goal, once it has these fields."""
+        """Return the client's state of a goal, once the state has these values."""
         return self.goal_within(goal, SECONDS, **wanted)
 
     def goal_within(self, goal: int, seconds: float, **wanted: Any) -> dict[str, Any]:
-        """Return the client's state of a goal like `goal`, with a given time limit."""
+        """Return the client's state of a goal, like `goal`, but with a given time limit."""
         result: dict[str, Any] = self.client.ask("goal", id=goal, until=wanted, seconds=seconds)
         seen = {k: len(result[k]) if k == "feedback" else result[k] for k in wanted}
         assert seen == wanted, f"{seen}, not {wanted}"
@@ -181,7 +181,7 @@ class Pair:
     # -- messages ------------------------------------------------------------------------------------------------------
 
     def type(self, end: int) -> str:
-        """Return the action's type at the server (0) and at the client (1)."""
+        """Return the action's type at the server (0) or at the client (1)."""
         return TYPES[self.sides[end]]
 
     def sent(self) -> dict[str, Any]:
@@ -200,7 +200,7 @@ class Pair:
     # -- parts of an action --------------------------------------------------------------------------------------------
 
     def goal_and_result(self) -> None:
-        """Send a goal; check its feedback and its result."""
+        """Send a goal, and check its feedback and its result."""
         acting = self.act(self.name("held"), held=True)
         goal = self.send(self.name("held"))
         answer = self.goal(goal, accepted=True, feedback=1)
@@ -238,7 +238,7 @@ class Pair:
 
 
 class LookupPair(Pair):
-    """A pair for ``tf2_msgs/LookupTransform``, whose feedback has no fields."""
+    """A pair that uses ``tf2_msgs/LookupTransform``, whose feedback has no fields."""
 
     def type(self, end: int) -> str:  # noqa: ARG002
         return LOOKUP
@@ -282,7 +282,7 @@ def table(deployment: Deployment) -> Iterator[Line]:
 
 
 def dialects() -> list[dict[str, Any]]:
-    """Return the configuration of the dialects, with each service for JSON."""
+    """Return the dialects' configuration, in which each JSON service is declared."""
     names = {f"/from_{key}": "in" if side == JSON else "out" for side, key in KEYS.items()}
     keys = [
         {"key": f"json{name}", "topic": name, "type": "std_srvs/srv/SetBool", "direction": direction}
@@ -292,7 +292,7 @@ def dialects() -> list[dict[str, Any]]:
 
 
 def services(sides: dict[str, ServiceSide]) -> Iterator[Line]:
-    """Let each side serve one service, and each other side call it."""
+    """Let each side serve one service, which all other sides call."""
     for server, side in sides.items():
         side.serve(f"/from_{KEYS[server]}", f"by {server}")
     for server in sides:
@@ -303,7 +303,7 @@ def services(sides: dict[str, ServiceSide]) -> Iterator[Line]:
 
 
 def ask(side: ServiceSide, service: str, server: str) -> None:
-    """Call a service until it is discovered; check that the reply is its server's."""
+    """Call a service until it is discovered, and check that the reply is that of its server."""
     end = time.monotonic() + SECONDS
     while True:
         reply: object = "no server"
@@ -327,7 +327,7 @@ def actions(peers: dict[str, Any]) -> Iterator[Line]:
 
 
 def line(kind: str, server: str, client: str, parts: dict[str, Callable[[], None]]) -> Line:
-    """Test the parts between two sides."""
+    """Test all parts between two sides."""
     began = time.monotonic()
     passed, failed = [], []
     for name, part in parts.items():

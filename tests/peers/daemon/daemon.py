@@ -36,7 +36,7 @@ class Daemon:
         }
 
     def configure(self, config: str) -> None:
-        """Write the configuration file; its name and state folder are the test's."""
+        """Write the configuration file, with the test's name and state folder."""
         self.file.write_text(f"name: test\nstate: state\n{config}")
 
     def order(self, worker: str, *orders: str) -> None:
@@ -83,7 +83,7 @@ class Daemon:
 
     def wait_ready(self, process: Process) -> None:
         """Wait until the daemon logs that it is ready."""
-        until(lambda: "ready: " in process.output(), "ready")
+        until(lambda: "ready: " in process.output(), "the daemon is ready")
 
     def expect_output(self, process: Process, text: str, seconds: float = 40.0) -> None:
         """Wait for a text in a process's output."""
@@ -109,5 +109,5 @@ def alive(pid: int) -> bool:
 
 
 def exited(pid: int) -> Callable[[], bool]:
-    """Return the condition that the process has exited."""
+    """Return a function that checks whether a process has exited."""
     return lambda: not alive(pid)

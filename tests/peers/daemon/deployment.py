@@ -1,4 +1,4 @@
-"""A deployment for one test: roscore, ROS 2 domain, hub port, state folder, and the real daemon."""
+"""A deployment for one test: roscore, a ROS 2 domain, a hub port, a state folder, and the real daemon."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from tests.support.status_documents import DOCUMENTS, check_document
 from tests.support.wait import until
 
 ANSWER_SECONDS = 5.0
-"""Timeout (s) for a worker's answer on a busy machine; a worker that has exited is not waited for."""
+"""Timeout (s) for a worker's reply on a busy machine; nothing waits for a worker that has exited."""
 
 
 class Deployment(MidspanDaemon):
-    """Everything on one machine, started by `midspan run` like a user would.
+    """Everything on one machine, started by `midspan run` as a user would do.
 
     ``embedded`` selects Midspan's own ROS 1 master.
     """
@@ -100,11 +100,11 @@ class Deployment(MidspanDaemon):
         return [line for a in answers if isinstance(a.value, list) for line in a.value]
 
     def worker(self, side: str) -> dict[str, Any]:
-        """Return the status of one side's worker, empty if it does not answer."""
+        """Return the status of one side's worker, or an empty one if it does not respond."""
         return next((d for d in self.status() if d.get("side") == side), {})
 
     def route(self, side: str, topic: str, direction: str) -> Any:
-        """Return one route of one worker as a dictionary, None without one."""
+        """Return one route of one worker as a dictionary, or None if it does not exist."""
         routes = self.worker(side).get("routes", [])
         return next((r for r in routes if r["topic"] == topic and r["direction"] == direction), None)
 
@@ -138,7 +138,7 @@ class Deployment(MidspanDaemon):
         return peer
 
     def keep(self, thing: Any) -> Any:
-        """Stop something with the deployment."""
+        """Register something to be stopped with the deployment, and return it."""
         self._open.append(thing)
         return thing
 
@@ -147,7 +147,7 @@ class Deployment(MidspanDaemon):
         return f"{side}_program_{self._names}"
 
     def until_route(self, side: str, topic: str, direction: str, **values: Any) -> dict[str, Any]:
-        """Wait for a route with these values."""
+        """Wait for a route with these values, and return it."""
 
         def matching() -> dict[str, Any] | None:
             route = self.route(side, topic, direction)
@@ -156,12 +156,12 @@ class Deployment(MidspanDaemon):
         return until(matching, f"{side} routes {topic} {direction} with {values}", 60, every=0.1)  # type: ignore[return-value]
 
     def hang_up(self) -> None:
-        """Reload the daemon's configuration by SIGHUP."""
+        """Reload the daemon's configuration with SIGHUP."""
         assert self.daemon is not None
         os.kill(self.daemon.pid, signal.SIGHUP)
 
     def stop_programs(self) -> None:
-        """Stop the programs that a test has started; daemon and master keep running for the next test."""
+        """Stop the programs that a test has started; the daemon and the master keep running for the next test."""
         programs = self._open[self._own :]
         del self._open[self._own :]
         stop_all(programs)

@@ -1,4 +1,4 @@
-"""A deployment for the examples: the daemon with its gateway, a fast planner, and places on a map."""
+"""A deployment for the examples: the daemon with its gateway, a fast planner, and locations on a map."""
 
 from __future__ import annotations
 

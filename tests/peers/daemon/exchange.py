@@ -1,4 +1,4 @@
-"""An exchange between a program of a side and one or two hubs through two daemons, without loss and duplicates."""
+"""A lossless exchange, without duplicates, between a side's program and one or two hubs, through two daemons."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def exchange(
             error.add_note(f"at a hub: {sorted(_texts(end, subscription))}; its bridges: {_routes(end)}")
         raise
     got = sorted(m["data"] for m in program.wait(received, 10_000, 0.5) if "probe" not in m["data"])
-    # on the program's network it also receives its own messages
+    # the program also receives its own messages
     assert got == sorted(from_hubs + from_program)
     for end, _, subscription in ends:
         got = sorted(m["data"] for m in end.wait(subscription, 10_000, 0.2) if m["data"].startswith("program"))
@@ -62,7 +62,7 @@ def _routes(end: HubSide) -> list[Any]:
 
 
 def until_all_receive(program: Any, out: int, received: int, far: list[tuple[HubSide, int, int]]) -> None:
-    """Wait until a new probe of the program arrives at every hub, and one of every hub at the program."""
+    """Wait until a new probe from the program arrives at every hub, and one from every hub at the program."""
     mark = f"probe {len(program.wait(received, 0))}"
 
     missing: set[str] = set()

@@ -1,4 +1,4 @@
-"""Workers that record their events, and misbehave as a file orders.
+"""Workers that record their events, and that misbehave as ordered by a file.
 
 They run in real processes of the real daemon, configured by ``$MIDSPAN_WORKERS``. Files in ``$FAKE_FOLDER``:
 ``<worker>.events`` is written, one event per line; ``<worker>.do`` is read before each start and heartbeat.

@@ -1,7 +1,7 @@
-"""A daemon whose loop hangs as soon as it gets SIGUSR1, while another thread of its process continues.
+"""A daemon whose loop hangs as soon as it receives SIGUSR1, while another thread of its process continues.
 
-Usage: ``python -m tests.peers.daemon.hanging CONFIG TICKS HANGS``. The other thread keeps writing to
-TICKS, and the file HANGS exists once the loop hangs.
+Usage: ``python -m tests.peers.daemon.hanging CONFIG TICKS HANGS``. The other thread keeps writing to the file TICKS,
+and the file HANGS exists once the loop hangs.
 """
 
 from __future__ import annotations

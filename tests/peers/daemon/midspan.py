@@ -20,7 +20,7 @@ MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
 
 
 def verb_module(verb: str) -> str:
-    """Return the module that a verb of the command line imports."""
+    """Return the module that the command line imports for a command."""
     return VERBS[verb].register.partition(":")[0]
 
 
@@ -30,11 +30,11 @@ class MidspanDaemon:
     Args:
         folder: for the configuration file and the state.
         name: the daemon's name.
-        env: environment of the daemon and of commands; None: that of the test.
+        env: environment of the daemon and of commands; None for the test's environment.
 
     Attributes:
-        port: of its router.
-        daemon: its process; None if it does not run.
+        port: port of the daemon's router.
+        daemon: process of the daemon; None if it does not run.
     """
 
     def __init__(self, folder: Path, name: str, env: Mapping[str, str] | None = None) -> None:
@@ -64,11 +64,11 @@ class MidspanDaemon:
         return run_forked(command, self.env, imports=[*COMMAND, verb_module(words[0])], seconds=seconds)
 
     def settings(self, node: str, worker: str = "") -> HubSettings:
-        """Return settings for a session in the test's process, without the shared memory of workers that it kills."""
+        """Return settings for a session in the test's process, without shared memory of workers that the test kills."""
         return HubSettings(router=self.endpoint, node=node, daemon="far", worker=worker or node, shared_memory=False)
 
     def stop_daemon(self) -> int:
-        """Stop the daemon by SIGTERM, and return its exit code."""
+        """Stop the daemon with SIGTERM, and return its exit code."""
         assert self.daemon is not None
         daemon, self.daemon = self.daemon, None
         return daemon.stop()

@@ -1,4 +1,4 @@
-"""An older release of Midspan together with this one: its files from the history, run in separate processes."""
+"""An older release of Midspan together with this one: its files come from the history and run in separate processes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.wait import until
 
 ROOT = Path(__file__).parents[3]
 RELEASE = "d6b37d89e995789d8d8920127709dce0aac44feb"
-"""0.1 before Midspans announced their protocol version."""
+"""A commit of 0.1 from before Midspan announced its protocol version."""
 
 MISSING = f"not on this machine: the history back to {RELEASE[:8]} (git fetch --unshallow)"
 
@@ -45,7 +45,7 @@ with Shared(Path(folder), name, router, domain=int(domain)) as shared:
 
 
 def older_tree(folder: Path) -> Path:
-    """Extract the older release's files; skip, or in CI fail, if the history is truncated."""
+    """Extract the older release's files; skip the test, or fail in CI, if the history is truncated."""
     done = subprocess.run(
         ["git", "archive", RELEASE, "bridge", "yarp_compat", "navigation", "sim", "tests", "pyproject.toml"],
         cwd=ROOT, capture_output=True, check=False,
@@ -58,7 +58,7 @@ def older_tree(folder: Path) -> Path:
 
 @contextmanager
 def python(tree: Path, code: str, *words: str | Path, pipes: bool = False) -> Iterator[Process]:
-    """Start a program with the Midspan of a tree."""
+    """Start a program with the Midspan of a source tree."""
     environ = {**os.environ, "PYTHONPATH": str(tree), "PYTHONSAFEPATH": "1"}
     with Process([sys.executable, "-c", code, *words], environ, pipes=pipes) as process:
         try:
@@ -69,7 +69,7 @@ def python(tree: Path, code: str, *words: str | Path, pipes: bool = False) -> It
 
 
 class OtherStore:
-    """A store in the Midspan of a tree, controlled line by line."""
+    """A store in the Midspan of a source tree, controlled line by line."""
 
     def __init__(self, process: Process) -> None:
         self._process = process
@@ -83,7 +83,7 @@ class OtherStore:
         return json.loads(line)
 
     def ask(self, *words: Any) -> tuple[dict[str, float], list[str], int]:
-        """Execute a command; return the locations, the other stores, and the conflicts."""
+        """Execute a command; return the locations, the other stores, and the number of conflicts."""
         into = self._process.popen.stdin
         assert into is not None
         into.write(json.dumps(words) + "\n")
@@ -92,5 +92,5 @@ class OtherStore:
         return result, others, conflicts
 
     def until(self, found: dict[str, float]) -> None:
-        """Wait until it contains these locations."""
-        until(lambda: self.ask("look")[0] == found, f"it holds {found}", 30)
+        """Wait until the store contains these locations."""
+        until(lambda: self.ask("look")[0] == found, f"the store contains {found}", 30)

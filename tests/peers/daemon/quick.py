@@ -1,4 +1,4 @@
-"""A daemon with short limits, so that a test need not wait for the real ones.
+"""A daemon with short limits, so that tests need not wait for the real ones.
 
 Usage: ``python -m tests.peers.daemon.quick CONFIG CORES NAME=SECONDS...``; the names are those of `Timing`.
 """

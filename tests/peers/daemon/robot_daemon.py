@@ -1,4 +1,4 @@
-"""A real daemon with a router, a store and a gateway, without sides, and the command line."""
+"""A real daemon with a router, a store and a gateway, but without sides, and its command line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OFF = {side: {"enabled": False} for side in ("ros1", "ros2", "yarp", "zenoh")}
 
 
 class RobotDaemon(MidspanDaemon):
-    """The daemon ``robot``; ``stand_in`` is the class of a stand-in for its worker ``modules``.
+    """The daemon ``robot``; ``stand_in`` is a class that replaces its worker ``modules``.
 
     Attributes:
         env: the environment of the daemon and the commands.
@@ -46,7 +46,7 @@ class RobotDaemon(MidspanDaemon):
         return process
 
     def worker(self, name: str) -> dict[str, Any]:
-        """Return the daemon's report of a worker, empty if the daemon does not run."""
+        """Return the daemon's report about a worker, or an empty one if the daemon does not run."""
         status = ask_daemon(load(self.file))
         reports = [] if status is None else status.workers
         return next((report.document() for report in reports if report.worker == name), {})
@@ -62,7 +62,7 @@ class RobotDaemon(MidspanDaemon):
         return report
 
     def kill(self) -> int:
-        """Kill the daemon only, and wait until its workers have exited; return the process id of its router."""
+        """Kill only the daemon, and wait until its workers have exited; return the process ID of its router."""
         assert self.daemon is not None
         router, modules = self.worker("router")["pid"], self.worker("modules").get("pid", 0)
         os.kill(self.daemon.pid, signal.SIGKILL)

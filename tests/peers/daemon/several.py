@@ -32,7 +32,7 @@ STRING = "std_msgs/String"
 
 
 class Network(Protocol):
-    """A foreign network."""
+    """A network outside Midspan."""
 
     side: str
 
@@ -40,7 +40,7 @@ class Network(Protocol):
         """Return the side's section of a daemon's configuration."""
 
     def program(self, name: str) -> Peer:
-        """Start a native program on it."""
+        """Start a native program on the network."""
 
     def close(self) -> None:
         """Stop the network."""
@@ -96,11 +96,11 @@ class Daemon:
     watch: Hub | None = field(default=None, repr=False)
 
     def start(self) -> None:
-        """Start it without waiting for its workers."""
+        """Start the daemon without waiting for its workers."""
         self.process = Process([*MIDSPAN, "run", "--config", self.file], imports=DAEMON_AND_WORKERS)
 
     def status(self, side: str) -> dict[str, Any]:
-        """Return the status of one of its workers."""
+        """Return the status of one of the daemon's workers."""
         if self.watch is None:
             settings = HubSettings(router=f"tcp/127.0.0.1:{self.port}", node="watch", shared_memory=False)
             self.watch = Hub.open(settings)
@@ -108,19 +108,19 @@ class Daemon:
         return next((a.value for a in answers if isinstance(a.value, dict) and a.worker == side), {})
 
     def explain(self, side: str, topic: str) -> list[dict[str, Any]]:
-        """Return the decision of one of its workers on a topic."""
+        """Return the decision of one of the daemon's workers on a topic."""
         assert self.watch is not None
         answers = self.watch.ask("explain", {"topic": topic}, daemon=self.name, timeout=ANSWER_SECONDS)
         return next((a.value for a in answers if isinstance(a.value, list) and a.worker == side), [])
 
     def processes(self, side: str = "") -> list[psutil.Process]:
-        """Return its processes, or those of one worker."""
+        """Return the daemon's processes, or those of one worker."""
         assert self.process is not None
         whole = [psutil.Process(self.process.pid), *psutil.Process(self.process.pid).children(recursive=True)]
         return [p for p in whole if not side or p.pid == self.status(side).get("pid")]
 
     def kill(self) -> float:
-        """Kill all its processes, the daemon first; return the time."""
+        """Kill all the daemon's processes, the daemon itself first; return the time."""
         processes = self.processes()
         at = time.monotonic()
         for process in processes:
@@ -132,20 +132,20 @@ class Daemon:
         return at
 
     def signal(self, number: int) -> float:
-        """Send a signal to all its processes, the daemon first."""
+        """Send a signal to all the daemon's processes, the daemon itself first; return the time."""
         at = time.monotonic()
         for process in self.processes():
             os.kill(process.pid, number)
         return at
 
     def end(self) -> None:
-        """Request its stop; `close` waits for it."""
+        """Request the daemon's stop; `close` waits for it."""
         if self.process is not None and self.process.popen.poll() is None:
             self.signal(signal.SIGCONT)
             self.process.signal(signal.SIGTERM)
 
     def close(self) -> None:
-        """Stop it, and wait for its end."""
+        """Stop the daemon, and wait until it has exited."""
         if self.watch is not None:
             self.watch.close()
         if self.process is not None:
@@ -175,7 +175,7 @@ class Several:
         return network
 
     def daemon(self, name: str, *networks: Network, join: Daemon | None = None, node: str = "midspan") -> Daemon:
-        """Return a daemon on these networks with a separate hub; its router joins that of ``join``."""
+        """Return a daemon on these networks with its own hub, whose router joins the router of ``join``."""
         folder = self.folder / name
         folder.mkdir()
         port = free_port()
@@ -195,13 +195,13 @@ class Several:
         return daemon
 
     def _short_folder(self) -> str:
-        """Return a folder with a path short enough for Unix sockets; pytest's may be too long."""
+        """Return a folder whose path is short enough for Unix sockets, because pytest's may be too long."""
         folder = tempfile.mkdtemp(prefix="midspan-")
         self._folders.append(folder)
         return folder
 
     def start(self, *daemons: Daemon) -> None:
-        """Start them at the same time, and wait until each worker is active or on standby."""
+        """Start daemons at the same time, and wait until each worker is active or on standby."""
         for daemon in daemons:
             daemon.start()
         try:
@@ -246,7 +246,7 @@ class Several:
 
 
 class Flow:
-    """A stream of numbers from one program to others, which are counted."""
+    """A stream of numbers from one program to others, which count the received numbers."""
 
     def __init__(self, source: Peer, topic: str, *sinks: Peer, first: int = 0) -> None:
         self.source, self.sinks, self._first = source, sinks, first
@@ -269,25 +269,25 @@ class Flow:
         self._first += count
 
     def end(self, *, now: bool = False) -> int:
-        """Wait until all are published; return their number."""
+        """Wait until all numbers are published, and return how many."""
         return int(self.source.ask("counted", id=self._out, now=now)["sent"])
 
     def tallies(self, since: float = 0.0) -> list[dict[str, Any]]:
-        """Return what each sink has received."""
+        """Return what each sink has received, as the ``tally`` command reports it."""
         return [s.ask("tally", id=i, since=since) for s, i in zip(self.sinks, self._heard, strict=True)]
 
     def duplicates(self) -> int:
-        """Return the numbers that any sink has received more than once."""
+        """Return how many received messages were duplicates, over all sinks."""
         return sum(t["received"] - t["distinct"] for t in self.tallies())
 
     def silence(self, since: float, seconds: float) -> float:
-        """Return the longest time without a message at any sink, within some seconds from a time on."""
+        """Return the longest time without a message at any sink, during the given seconds from ``since`` on."""
         until(lambda: all(t["last"] > since + seconds for t in self.tallies()), "messages continue", 30, every=0.1)
         return max(float(t["silence"]) for t in self.tallies(since))
 
 
 def ring(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list[Daemon], list[Network]]:
-    """Start two daemons at the same time that join the same ROS 1 and ROS 2 networks."""
+    """Start two daemons at the same time, which join the same ROS 1 and ROS 2 networks."""
     networks = [several.ros1(), several.ros2()]
     first = several.daemon("first", *networks)
     second = several.daemon("second", *networks, join=first if joined else None, node=node)
@@ -296,11 +296,11 @@ def ring(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list
 
 
 def triangle(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list[Daemon], list[Network]]:
-    """Join each two of three networks, by separate hubs, or by hubs that are joined, too."""
+    """Join each pair of three networks, by separate hubs, or, if ``joined``, by hubs that are joined, too."""
     left, middle, right = several.ros1(), several.ros2(), several.ros1()
     first = several.daemon("one_two", left, middle)
     second = several.daemon("two_three", middle, right, join=first if joined else None, node=node)
-    # A daemon joins one ROS 1 network; the third link joins two, by two workers on one hub, as on two machines.
+    # A daemon joins only one ROS 1 network, so the third link needs two daemons with joined hubs, as on two machines.
     third = several.daemon("one", left, join=first if joined else None)
     fourth = several.daemon("three", right, join=third, node=node)
     daemons = [first, second, third, fourth]
@@ -321,7 +321,7 @@ def flows(several: Several, networks: list[Network]) -> list[Flow]:
 
 
 def pour(made: list[Flow], count: int, rate: float) -> None:
-    """Publish ``count`` numbers on each flow at once, and wait until nothing more arrives."""
+    """Publish ``count`` numbers on all flows at once, and wait until nothing more arrives."""
     for flow in made:
         flow.start(count, rate)
     for flow in made:

@@ -1,4 +1,4 @@
-"""A stand-in for the worker ``modules``: it crashes, or never comes up, as the file ``modules.do`` orders."""
+"""A stand-in for the worker ``modules``, which crashes or never starts, as ordered by the file ``modules.do``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bridge.worker import Health, Worker
 
 
 class Modules(Worker):
-    """Starts as ordered: ``crash``, ``hang``, or anything else."""
+    """Starts as ordered: ``crash``, ``hang``, or any other word for a normal start."""
 
     def start(self, config: Config) -> None:  # noqa: ARG002
         """Follow the order."""
@@ -22,12 +22,12 @@ class Modules(Worker):
             threading.Event().wait(600)
 
     def reload(self, config: Config) -> bool:  # noqa: ARG002
-        """Nothing changes."""
+        """Ignore the change."""
         return True
 
     def health(self) -> Health:
-        """All is well."""
+        """Report that the worker is running."""
         return Health("running", "")
 
     def stop(self) -> None:
-        """Nothing to stop."""
+        """Do nothing."""

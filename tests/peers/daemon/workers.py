@@ -1,4 +1,4 @@
-"""Workers on a real hub: one that serves prepared documents, one with a real engine over a network in memory."""
+"""Workers on a real hub: one serves prepared documents, and one has a real engine for an in-memory network."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
 
 def route(topic: str, direction: str = "in", **more: Any) -> dict[str, Any]:
-    """A route's entry in a status document."""
+    """Return a route's entry in a status document."""
     return {
         "direction": direction, "topic": topic, "hub_topic": topic, "type": "sensor_msgs/msg/LaserScan",
         "side_type": "sensor_msgs/LaserScan", "priority": "stream", "state": "active", "sources": 1, "messages": 100,
@@ -39,7 +39,7 @@ def route(topic: str, direction: str = "in", **more: Any) -> dict[str, Any]:
 
 
 def status(worker: str, **more: Any) -> dict[str, Any]:
-    """A worker's status document."""
+    """Return a worker's status document."""
     return {
         "daemon": "robot1", "worker": worker, "side": worker, "pid": 4711, "zid": "ab", "network": "net-1",
         "state": "running", "uptime": 200.0, "cpu": 0.031, "rss": 52428800, "routes": [], "refused": [],
@@ -48,7 +48,7 @@ def status(worker: str, **more: Any) -> dict[str, Any]:
 
 
 class FakeWorker:
-    """Serves prepared answers to any verb of the control plane."""
+    """Serves prepared replies to any verb of the control plane."""
 
     def __init__(
         self, network: HubNetwork, worker: str, daemon: str = "robot1", identity: DaemonIdentity | None = None,
@@ -63,7 +63,7 @@ class FakeWorker:
             _wait_until_routable(network, f"{daemon}/{worker}", answers)
 
     def publish(self, topic: str, type_name: str, type_hash: str, cdr: bytes) -> None:
-        """Publish one latched message, kept until the worker is closed."""
+        """Publish one latched message, which is retained until the worker is closed."""
         publisher = self.hub.publisher(topic, type_name, type_hash, LATCHED)
         self.endpoints.append(publisher)
         publisher.put(cdr)
@@ -79,7 +79,7 @@ class FakeWorker:
 
 
 def _wait_until_routable(network: HubNetwork, worker_key: str, verbs: Iterable[str]) -> None:
-    """Wait until the router knows all verbs of a worker; it learns them slightly after they are declared."""
+    """Wait until the router knows all verbs of a worker, which is slightly after they are declared."""
     config = zenoh.Config()
     for key, value in (("mode", "client"), ("connect/endpoints", [network.endpoint])):
         config.insert_json5(key, json.dumps(value))
@@ -94,13 +94,13 @@ def _constant(answer: Any) -> Callable[[dict[str, Any]], Any]:
 
 
 class _Edge(FakeEdge):
-    """A fake edge that calls itself ros1, so that ROS 1's private names apply."""
+    """A fake edge named ros1, so that ROS 1's private names apply."""
 
     side = "ros1"
 
 
 class EngineWorker:
-    """A real engine between the hub and a network in memory, with the verbs that a bridge worker serves."""
+    """A real engine between the hub and an in-memory network, with the verbs that a bridge worker serves."""
 
     def __init__(self, network: HubNetwork, registry: Registry, **routing: Any) -> None:
         self.side = FakeNetwork()
@@ -131,7 +131,7 @@ class EngineWorker:
 
 
 def config_file(folder: Path, network: HubNetwork, **sections: Any) -> Path:
-    """A configuration file for this hub (JSON is YAML)."""
+    """Write a configuration file for this hub, and return its path (JSON is YAML)."""
     file = folder / "midspan.yaml"
     file.write_text(json.dumps({"name": "robot1", "hub": network.config(), **sections}))
     return file

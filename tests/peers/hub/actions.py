@@ -1,4 +1,4 @@
-"""A program with actions on the hub: a module's node with the commands of `tests.peers.peer`."""
+"""A program with actions on the hub: a module's node that executes the commands of `tests.peers.peer`."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ class Acting(Record):
 
 
 class PolledGoal:
-    """A goal whose state is read when it is needed."""
+    """A goal whose state is read only when needed."""
 
     def state(self) -> dict[str, Any]:
-        """Return the goal's state, as that of `tests.peers.commands.GoalRecord`."""
+        """Return the goal's state, in the form of `tests.peers.commands.GoalRecord`."""
         raise NotImplementedError
 
     def wait(self, until: dict[str, Any], seconds: float) -> dict[str, Any]:
-        """Return the state, once it has these values (feedback: at least that many) or the time is over."""
+        """Return the state, once it has these values (at least as much feedback) or the time is over."""
 
         def reached() -> bool:
             state = self.state()

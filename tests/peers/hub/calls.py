@@ -1,4 +1,4 @@
-"""Service calls in the test's own process, by fields or as bytes; parameters as in `tests.peers.peer`."""
+"""Service calls in the test's own process, with fields or bytes; the parameters are those of `tests.peers.peer`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ECHO = "diagnostic_msgs/srv/AddDiagnostics"
 
 
 class Serving(Record):
-    """A server with one answer to all requests: a reply's fields, or an error; optionally held until `release`."""
+    """A server with one answer to all requests (a reply's fields, or an error), which may be held until `release`."""
 
     def __init__(self, registry: Registry, type_name: str, params: dict[str, Any]) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""A module that republishes each message, on the hub and on YARP."""
+"""A module that republishes each message on the hub and on YARP."""
 
 from __future__ import annotations
 

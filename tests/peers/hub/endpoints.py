@@ -1,4 +1,4 @@
-"""What the hub's tests share."""
+"""Publishers and subscribers that the hub's tests share."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BEST_EFFORT_LATCHED = Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, d
 
 
 def endpoint(topic: str, gid: bytes, qos: Qos = STREAM) -> HubEndpoint:
-    """A publisher as the graph reports it."""
+    """Return a publisher as the graph reports it."""
     return HubEndpoint("1", "node", "/", EndpointKind.PUBLISHER, topic, TYPE, HASH, qos, gid, None, False, False)
 
 
@@ -38,7 +38,7 @@ class Subscriber:
             self.samples.append(sample)
 
     def texts(self) -> list[str]:
-        """The payloads so far."""
+        """Return the payloads so far, decoded."""
         with self._lock:
             return [sample.data().decode() for sample in self.samples]
 
@@ -57,12 +57,12 @@ def advertise(hub: Hub, topic: str, qos: Qos = STREAM, *texts: str, **more: Any)
 
 
 def see_each_other(*hubs: Hub) -> None:
-    """Wait until each session sees every other's node, and links to it directly."""
+    """Wait until each session discovers every other's node, and has a direct link to it."""
     zids = {hub.zid for hub in hubs}
     for hub in hubs:
-        until(lambda hub=hub: zids <= {node.zid for node in hub.graph.nodes()}, "all nodes seen")
+        until(lambda hub=hub: zids <= {node.zid for node in hub.graph.nodes()}, "all nodes are seen")
 
 
 def matched(publisher: HubPublisher) -> None:
-    """Wait for a subscriber."""
+    """Wait until a publisher is matched."""
     until(publisher.matched, "the publisher is matched")

@@ -2,8 +2,8 @@
 
 Usage: gap.py ENDPOINT
 
-Each line on standard input is answered by a line: the longest time in seconds between two received messages since the
-previous line, including the time since the last message.
+For each line on standard input, it prints the longest time in seconds between two received messages since the previous
+line, including the time since the last message.
 """
 
 import sys

@@ -12,13 +12,13 @@ from tests.support.wait import until
 
 
 def subscription(heard: Subscriber) -> LaneSubscription:
-    """Return a subscriber's subscription, which has a lane."""
+    """Return a subscriber's subscription, which can use the lane."""
     assert isinstance(heard.subscription, LaneSubscription)
     return heard.subscription
 
 
 def goes_by(heard: Subscriber, way: str, why: str = "") -> None:
-    """Wait until all messages use this transport, for a reason that contains ``why``."""
+    """Wait until all messages use the transport ``way``, for a reason that contains ``why``."""
     chosen = subscription(heard)
 
     def so() -> bool:
@@ -27,7 +27,7 @@ def goes_by(heard: Subscriber, way: str, why: str = "") -> None:
     try:
         until(so, f"{chosen.topic} goes by {way} {why}")
     except AssertionError as err:
-        err.add_note(f"it goes by {chosen.way} ({chosen.why}), settled: {chosen.settled}")
+        err.add_note(f"it uses {chosen.way} ({chosen.why}), settled: {chosen.settled}")
         raise
 
 

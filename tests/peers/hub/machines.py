@@ -38,7 +38,7 @@ class Machines:
                 "connect_certificate": str(self.folder / f"{name}.pem"),
                 "connect_private_key": str(self.folder / f"{name}.key"),
             }
-        refused = name in ("", "stranger")  # an attempt that must fail is given up early
+        refused = name in ("", "stranger")  # the attempt must fail, so it has a short timeout
         wait = {"timeout_ms": 1000 if refused else 30_000}
         return {"mode": "client", "connect": wait, "transport": {"link": {"tls": tls}}}
 
@@ -49,7 +49,7 @@ class Machines:
         return Hub.open(self.settings(name))
 
     def session(self, name: str | None, mode: str = "client") -> zenoh.Session:
-        """A plain zenoh session: of another machine, or with None of this one."""
+        """Open a plain zenoh session on another machine, or, for None, on this machine."""
         place, over = (self.network.endpoint, {}) if name is None else (self.place, self.zenoh_config(name))
         over["mode"] = mode
         tree = session_tree(place, shared_memory=False, max_payload=1 << 20)
@@ -64,7 +64,7 @@ class Machines:
 
 
 def make_keys(folder: Path) -> Path:
-    """Certificates of the robot (``test``), a ``friend`` and a ``guest``, and a ``stranger``'s of another authority."""
+    """Write certificates of the robot (``test``), a ``friend``, a ``guest``, and another authority's ``stranger``."""
     authority = Authority(folder)
     authority.make()
     for name in ("test", "friend", "guest"):

@@ -1,4 +1,4 @@
-"""A hub with the worker of modules, and an address for a name server."""
+"""A hub with the modules' worker, and an address for a name server."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Place(HubRig):
         self.names = NameClient(Address("127.0.0.1", self.port), namespace="/root")
 
     def yarp_section(self, **more: Any) -> dict[str, Any]:
-        """Return the section that leads to the name server."""
+        """Return the configuration section that names the name server."""
         return {"address": f"127.0.0.1:{self.port}", "namespace": "/root", "ip": "127.0.0.1", **more}
 
     def config(self, *own: dict[str, Any], **sections: Any) -> Config:

@@ -99,29 +99,29 @@ class HubNetwork:
 
     @contextmanager
     def program(self) -> Iterator[zenoh.Session]:
-        """A session of a plain zenoh program without ROS 2."""
+        """Open a session as a plain zenoh program without ROS 2."""
         tree = session_tree(self.endpoint, shared_memory=False, max_payload=1 << 20)
         with zenoh.open(make_config(tree, {"mode": "client"})) as session:
             yield session
 
     @contextmanager
     def rmw_session(self, mode: str = "peer") -> Iterator[zenoh.Session]:
-        """A session as an rmw_zenoh node opens it; see `tests.peers.zenoh.rmw`."""
+        """Open a session as an rmw_zenoh node does; see `tests.peers.zenoh.rmw`."""
         with rmw_session(self.endpoint, mode) as session:
             yield session
 
     def rmw_process(self, node: str, lease: float) -> Process:
-        """A node of rmw_zenoh in a separate process, with a lease in seconds; see `tests.peers.zenoh.rmw_node`."""
+        """Start an rmw_zenoh node in a separate process, with a lease in seconds; see `tests.peers.zenoh.rmw_node`."""
         arguments = [self.endpoint, str(self.domain), node, str(round(lease * 1000))]
         return Process([sys.executable, RMW_PROGRAM, *arguments], {"PYTHONPATH": str(ROOT)}, pipes=True)
 
     def hub_peer(self, node: str, **more: Any) -> Peer:
-        """A hub session in a separate process, driven by `tests.peers.hub.peer`'s commands."""
+        """Start a hub session in a separate process, driven by the commands of `tests.peers.hub.peer`."""
         env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "PYTHONPATH": str(ROOT)}
         settings = json.dumps(asdict(self.settings(node, **more)))
         return Peer(PEER_PROGRAM, Path(sys.executable), env, settings)
 
     def sdk_peer(self) -> Peer:
-        """A zenoh-ros2-sdk program on this hub, in a separate process."""
+        """Start a zenoh-ros2-sdk program on this hub, in a separate process."""
         env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "HOME": "/nonexistent"}
         return Peer(SDK_PROGRAM, Path(sys.executable), env, str(self.port), str(self.domain))

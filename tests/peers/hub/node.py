@@ -18,8 +18,8 @@ class HubNode:
     """A node on the hub with its own thread.
 
     Args:
-        hub: settings of a session that it opens and closes, or an open session.
-        registry: of message types.
+        hub: settings of a session that the node opens and closes, or an open session.
+        registry: message types.
     """
 
     def __init__(self, hub: Hub | HubSettings, registry: Registry = REGISTRY) -> None:
@@ -30,7 +30,7 @@ class HubNode:
         self.loop.start()
 
     def on(self, action: Callable[[], Any]) -> Any:
-        """Run an action on the node's thread; return its result."""
+        """Run an action on the node's thread, and return its result."""
         return self.loop.call(action, 20.0)
 
     def close(self) -> None:

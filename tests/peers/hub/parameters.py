@@ -14,7 +14,7 @@ from bridge.messages.services import ServiceCodec
 _KINDS: dict[type, tuple[int, str]] = {
     bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value"), str: (4, "string_value"),
 }  # fmt: skip
-"""rcl_interfaces/msg/ParameterType and the field of ParameterValue, by Python's type."""
+"""Value of rcl_interfaces/msg/ParameterType and field of ParameterValue, by Python type."""
 
 
 class HubParameters:

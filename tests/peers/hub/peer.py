@@ -122,7 +122,7 @@ class HubPeer(Commands):
         real, session = zenoh.handlers.Callback, self._hub._session
 
         def end(drop: Callable[[], None]) -> None:
-            """Run on zenoh's thread, which holds the lock of all queries if their server's session was lost."""
+            """Run on zenoh's thread, which holds the lock of all queries if the server's session was lost."""
             for work in (lambda: session.get("other/key"), lambda: session.declare_subscriber("other/key")):
                 other = Thread(target=work, daemon=True)
                 other.start()
@@ -137,7 +137,7 @@ class HubPeer(Commands):
 
 
 def qos(latched: bool = False, depth: int = 1) -> Qos:
-    """Return a command's quality of service."""
+    """Return a command's QoS."""
     durability = Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE
     return Qos(durability=durability, depth=depth)
 

@@ -1,4 +1,4 @@
-"""A hub whose router runs in the test's process and is available at once, for tests of something else."""
+"""A hub whose router runs in the test's process and is available at once, for tests that do not test the router."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.peers.hub.network import HubNetwork
 
 
 class QuickHub(HubNetwork):
-    """A `tests.peers.hub.network.HubNetwork` whose router lists its sessions like Midspan's router.
+    """A `tests.peers.hub.network.HubNetwork` whose router lists its sessions as Midspan's router does.
 
     Attributes:
         unanswered: number of further requests for the list to leave unanswered.
@@ -41,13 +41,13 @@ class QuickHub(HubNetwork):
         return {"zid": str(session.zid()), "members": members, "peers": peers}
 
     def serve_conflicting_list(self, members: Any) -> None:
-        """Also answer requests for the list of sessions with these members, in the router's name."""
+        """Reply to requests for the list of sessions with these members, too, in the router's name."""
         assert self._session is not None
         router = str(self._session.info.zid())
         self._control.serve(MEMBERS, lambda _: {"zid": router, "members": members})
 
     def list_also(self, *zids: str) -> None:
-        """Also list peers that do not exist."""
+        """List further peers, which do not exist."""
         self._others = zids
 
     def stop_router(self) -> None:

@@ -1,4 +1,4 @@
-"""A participant of the hub that publishes for the recorder's tests, and a reader of the written files."""
+"""A hub participant that publishes for the recorder's tests, and a reader of the recorded files."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class FoundMessage(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """The content of a file; ``whole``: it has its end."""
+    """The content of a file; ``whole`` is whether the file has its end."""
 
     messages: list[FoundMessage]
     channels: dict[str, list[Channel]]
@@ -68,7 +68,7 @@ def text_of(data: bytes) -> str:
 
 
 def read(path: Path) -> Contents:
-    """Read a file's records in order, as far as possible, with the format's own library."""
+    """Read a file's records in order, as far as possible, with the MCAP library."""
     contents = Contents([], {}, {}, whole=True)
     names: dict[int, str] = {}
     with path.open("rb") as stream:
@@ -96,7 +96,7 @@ def recording(hubs: QuickHub, state: Path, place: RecordPlace, **section: Any) -
     """Run a recorder on a hub."""
     recorded = Recording("recorder", config(hubs, state, **section), RecordSection.model_validate(section), place)
     try:
-        until(recorded.host.node.hub.linked, "it has joined the hub")
+        until(recorded.host.node.hub.linked, "the recorder has joined the hub")
         yield recorded
     finally:
         recorded.close()

@@ -1,4 +1,4 @@
-"""A hub with a router in the test's process, a native program on it, and objects that are stopped with it."""
+"""A hub with a router in the test's process, a native program on it, and objects that are stopped with the hub."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ class HubRig:
         return Config.model_validate({"name": "here", "state": self.folder, "hub": hub, **sections})
 
     def keep(self, thing: Any) -> Any:
-        """Stop an object with the rig, before what was started earlier."""
+        """Register an object to be stopped with the rig, before those that were started earlier; return it."""
         self._open.append(thing)
         return thing
 
     def status(self, worker: str) -> dict[str, Any] | None:
-        """Return a worker's status document, None if it does not reply."""
+        """Return a worker's status document, or None if the worker does not respond."""
         answers = self.far.hub.ask("status", {}, worker=worker)
         return next((a.value for a in answers if isinstance(a.value, dict)), None)
 
     def answer(self, worker: str) -> dict[str, Any]:
-        """Wait for a worker's status document; a busy worker may not reply at once."""
+        """Wait for a worker's status document, because a busy worker may not respond at once."""
         status: dict[str, Any] = until(lambda: self.status(worker), f"{worker} reports its status")
         return status
 

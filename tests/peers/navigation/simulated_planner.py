@@ -174,7 +174,7 @@ class PlannerSide(ABC):
         self.clock.after(0.05, self._publish_controller)
 
     def _withdraw(self, lease: float = 0.0) -> None:
-        """Remove the action's parts from the hub one by one, and fail pending calls, as after the planner or worker exited.
+        """Remove the action's parts from the hub one by one, and fail pending calls, as if planner or worker exited.
 
         The parts of a killed DDS program can remain for its ``lease`` (seconds).
         """

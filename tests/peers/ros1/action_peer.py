@@ -1,9 +1,9 @@
-"""A real rospy program with actionlib's clients and servers, driven by JSON lines like `tests.peers.peer`.
+"""A real rospy program with actionlib clients and servers, driven with JSON lines as in `tests.peers.peer`.
 
 Runs on the system's Python. Actions are ``actionlib/TestAction`` (goal, feedback and result an int32 each) unless
 another type is named. Usage: action_peer.py NODE
 
-A goal's number determines what an ``ActionServer`` here does with it: see `OUTCOMES`. A held goal waits for ``finish``.
+A goal's number determines how an ``ActionServer`` here handles it; see `OUTCOMES`. A held goal waits for ``finish``.
 A cancel request ends a goal as canceled, unless its thousands digit is odd.
 """
 # ruff: noqa: A002, ANN003, ANN204, ARG002  # parameters are named as in the commands; it runs without Midspan
@@ -26,7 +26,7 @@ from tests.peers.ros1.shutdown import shut_down
 from tests.support.wait import until
 
 OUTCOMES = ("succeed", "abort", "reject", "preempt", "hold")
-"""The outcome of a goal, by its number modulo 10; goals with any other number are held."""
+"""The outcome of a goal, by its number modulo 10; goals with other numbers are held."""
 
 
 def action_class(type):
@@ -34,12 +34,12 @@ def action_class(type):
 
 
 def to_plain(value):
-    """Convert a message to values for JSON."""
+    """Return a message as JSON values."""
     return {n: to_plain(getattr(value, n)) for n in value.__slots__} if hasattr(value, "__slots__") else value
 
 
 class Server(Record):
-    """An actionlib.ActionServer that acts according to the goals' numbers."""
+    """An actionlib.ActionServer that acts on each goal according to its number."""
 
     def __init__(self, name, type):
         super().__init__()
@@ -179,7 +179,7 @@ class Peer(Commands):
         return {}
 
     def finish_all(self, id):
-        """End the held goals, each according to its number's hundreds digit."""
+        """End each held goal according to the hundreds digit of its number."""
         server = self.parts[id]
         for goal_id, number in list(server.items):
             server.finish(goal_id, ("succeed", "abort", "preempt")[number // 100 % 3])
@@ -201,7 +201,7 @@ class Peer(Commands):
         return {}
 
     def outcomes(self, id, numbers, seconds=40.0, state="DONE"):
-        """Return the outcomes of goals, once each is in a state of the client or the time is over."""
+        """Return the outcomes of goals, once all goals are in a client state or the time is over."""
         client = self.parts[id]
         with client.ready:
             client.ready.wait_for(lambda: all(state in client.goals[n]["states"] for n in numbers), seconds)
@@ -232,7 +232,7 @@ class Peer(Commands):
 
     def flood(self, name, count, type="actionlib/Test"):
         flood = Flood(name, type)
-        # a probe connects earlier
+        # the bridge's probe may connect earlier
         until(lambda: flood.publisher.impl.has_connection("/midspan"), "the bridge is connected")
         flood.send(count)
         return self.add(flood)

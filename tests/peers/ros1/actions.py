@@ -1,6 +1,6 @@
 """Actions of the rospy program `tests.peers.ros1.peer`; see `tests.peers.peer` for the commands.
 
-Runs on the system's Python. A goal's ``status`` and ``cancel`` are as ROS 2's: see docs/sides/actions.md.
+Runs on the system's Python. A goal's ``status`` and ``cancel`` have ROS 2's values; see docs/sides/actions.md.
 """
 # ruff: noqa: ANN204  # it runs without Midspan
 
@@ -112,7 +112,7 @@ class Goal(GoalRecord):
         self.handle.cancel()
 
     def drop(self):
-        """Do nothing: the client stays for other goals."""
+        """Do nothing, because other goals use the client."""
 
 
 def action_client(action, type_):

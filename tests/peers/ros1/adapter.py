@@ -22,17 +22,17 @@ from tests.support.wait import until
 ROOT = Path(__file__).parents[3]
 PROGRAM = Path(__file__).with_name("adapter_program.py")
 AT_ONCE = 4.0
-"""Seconds: twice the limit of `Edge.start` and `Edge.stop`, for a busy machine."""
+"""Seconds: twice the limit of `Edge.start` and `Edge.stop`, to allow for a busy machine."""
 
 
 def string(text: str) -> str:
-    """Return a std_msgs/String in ROS 1's bytes, in base64 for the edge's program."""
+    """Return a std_msgs/String in the ROS 1 serialization, as base64 for the edge's program."""
     data = text.encode()
     return base64.b64encode(struct.pack("<I", len(data)) + data).decode()
 
 
 def text(payload: str) -> str:
-    """Return the text of a std_msgs/String in ROS 1's bytes."""
+    """Return the text of a std_msgs/String in the ROS 1 serialization, given as base64."""
     data = base64.b64decode(payload)
     (length,) = struct.unpack_from("<I", data)
     assert len(data) == length + 4
@@ -55,7 +55,7 @@ class EdgeUnderTest(Peer):
         super().__init__(PROGRAM, Path(sys.executable), env, config.model_dump_json(by_alias=True), str(state))
 
     def joined(self, network: str = "") -> str:
-        """Wait until a master (with a given run id, if any) is joined; return the network's identity."""
+        """Wait until the edge has joined a master (with this run ID, if given); return the network's identity."""
 
         def there() -> Any:
             result = self.ask("network")["network"]
@@ -74,11 +74,11 @@ class EdgeUnderTest(Peer):
         return result
 
     def received(self, subscription: int, count: int, seconds: float = 40.0) -> list[tuple[str, str]]:
-        """Return payloads and sources so far, once ``count`` have arrived or the time is over."""
+        """Return the payloads and sources so far, once ``count`` have arrived or the time is over."""
         return [(p, s) for p, s, _ in self.ask("wait", id=subscription, count=count, seconds=seconds)["messages"]]
 
     def open(self, topic: str, type_: str, **more: str) -> int:
-        """Subscribe; return the subscription's id."""
+        """Subscribe, and return the subscription's id."""
         return int(self.ask("subscribe", topic=topic, type=type_, **more)["id"])
 
     def until_connected(self, publisher: int, count: int = 1) -> None:

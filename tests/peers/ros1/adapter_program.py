@@ -1,4 +1,4 @@
-"""A ROS 1 edge in the worker's environment, driven by JSON lines like the peers of `tests.peers.peer`.
+"""A ROS 1 edge in the worker's environment, driven with JSON lines like the programs of `tests.peers.peer`.
 
 Usage: adapter_program.py CONFIG STATE. Payloads are base64.
 """
@@ -28,7 +28,7 @@ from tests.peers.listener import Listener
 
 
 class Inbox(Record):
-    """Records what a subscription delivers."""
+    """Records the messages that a subscription delivers."""
 
     handle: Any = None
 
@@ -207,13 +207,13 @@ class Program(Commands):
         }
 
     def set_period(self, every: float) -> dict[str, Any]:
-        """Read the master now, and from now on with this period in seconds."""
+        """Read the master now, and from then on with this period in seconds."""
         self.edge._master._period = every
         self.edge._master.wake()
         return {}
 
     def stop_timer(self) -> dict[str, Any]:
-        """Stop running delayed calls."""
+        """Prevent delayed calls from being made."""
         self.edge._timer.after = lambda *_: None  # type: ignore[method-assign]
         return {}
 

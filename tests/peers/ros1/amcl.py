@@ -1,6 +1,7 @@
 """A stand-in for ROS 1's amcl, for a robot whose odometry never drifts from the map.
 
-Like amcl it publishes ``/amcl_pose`` rarely: at the start, and after each ``/initialpose``; the current pose is in /tf.
+Like amcl, it publishes ``/amcl_pose`` rarely: at the start, and after each ``/initialpose``. The current pose is in
+/tf.
 """
 # ruff: noqa: ANN202  # it runs without Midspan
 
@@ -10,7 +11,7 @@ from tf2_msgs.msg import TFMessage
 
 PERIOD = 0.05
 VARIANCES = {0: 0.04, 7: 0.09, 35: 0.01}
-"""Variances of x, y and yaw, by their indices in the covariance."""
+"""Variances of x, y and yaw, by their index in the covariance."""
 
 
 def main():

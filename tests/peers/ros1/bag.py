@@ -1,4 +1,4 @@
-"""Writes and reads ROS 1 bags with ``rosbag`` of ROS 1; needs only the system's Python.
+"""Writes and reads ROS 1 bags with ROS 1's ``rosbag``; needs only the system's Python.
 
 ``bag.py write`` reads ``{file: [[topic, type, definition, values], ...], ...}`` from standard input.
 ``bag.py read FILE...`` prints ``[[[topic, type, values], ...], ...]``, with the error in place of a file's list.

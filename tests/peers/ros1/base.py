@@ -1,7 +1,7 @@
-"""A robot's base on ROS 1: it follows ``/cmd_vel`` and publishes ``/tf``; see `base_body` for its output.
+"""A robot's base on ROS 1, which follows ``/cmd_vel`` and publishes ``/tf``; see `base_body` for its output.
 
-Like the driver of a real base it brakes after half a second without a velocity, and publishes odometry whatever becomes
-of the planner. It also publishes ``map`` to ``odom``, in place of a localizer. Runs on the system's Python.
+Like a real base's driver, it brakes after half a second without a velocity, and it publishes odometry even if the
+planner fails. It also publishes ``map`` to ``odom``, in place of a localizer. Runs on the system's Python.
 Usage: base.py [--ramp M/S2] [--no-odometry]
 """
 

@@ -1,8 +1,8 @@
-"""The real tf2_ros.BufferClient of ROS 1, driven by the commands of `tests.peers.peer`; needs the system Python.
+"""The real tf2_ros.BufferClient of ROS 1, driven by the commands of `tests.peers.peer`; needs the system's Python.
 
-``lookup`` target, source, stamp (ns), timeout (s); in the full form target_stamp and fixed too -> pose [stamp, x, y, z,
-qx, qy, qz, qw], or error (the exception's name) and text. ``frames`` -> yaml, by the service /tf2_frames. ``server``
-seconds -> there.
+``lookup`` target, source, stamp (ns), timeout (s), and, in the full form, target_stamp and fixed -> pose [stamp, x, y,
+z, qx, qy, qz, qw], or error (the exception's name) and text. ``frames`` -> yaml, from the service /tf2_frames.
+``server`` seconds -> there.
 """
 
 import sys
@@ -19,7 +19,7 @@ from tests.peers.commands import Commands, only_answers, serve
 
 
 def time(ns):
-    """Return a time as a rospy type."""
+    """Return a time in nanoseconds as a rospy time."""
     return rospy.Time(*divmod(ns, 10**9))
 
 

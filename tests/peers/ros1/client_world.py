@@ -1,4 +1,4 @@
-"""A world without ROS for `ActionlibClient`, and parsers of its responses."""
+"""An environment without ROS for `ActionlibClient`, and parsers of its responses."""
 
 from uuid import UUID
 
@@ -13,7 +13,7 @@ AT = RosTime(5, 0)
 
 
 class World:
-    """Records what an `ActionlibClient` does, and has a clock."""
+    """Records the effects of an `ActionlibClient`, and provides its clock."""
 
     def __init__(self) -> None:
         self.goals, self.cancels, self.states, self.feedbacks = [], [], [], []
@@ -39,7 +39,7 @@ class World:
     def feedback(self, payload):
         self.feedbacks.append(wire.read_with_uuid(payload))
 
-    # -- calls of the hub
+    # -- calls from the hub
 
     def send(self, number, body=b"body"):
         answers = []

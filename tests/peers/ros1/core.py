@@ -1,4 +1,4 @@
-"""What roscore starts, without its launcher, which takes a second: the real master and the real rosout.
+"""The real master and the real rosout, as roscore starts them, but without its launcher, which takes a second.
 
 Usage: core.py PORT
 """
@@ -13,13 +13,13 @@ from rosmaster.main import configure_logging
 from rosmaster.master import Master
 
 ROSOUT = "/usr/lib/rosout/rosout"
-"""The path in Debian's package."""
+"""The program's path in Debian's package."""
 
 ME = "/roslaunch"
 
 
 def main():
-    """Run until a signal arrives; rosout is in the same process group, and ends with this process."""
+    """Run until a signal arrives; rosout is in the same process group, and exits with this process."""
     configure_logging()
     master = Master(int(sys.argv[1]))
     master.start()

@@ -1,4 +1,4 @@
-"""The slave API of a ROS 1 node, which records its calls."""
+"""A ROS 1 node's slave API, which records the calls."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bridge.adapters.ros1.xmlrpc import XmlRpcServer
 
 
 class FakeNode:
-    """A slave API that records its calls; it answers only while ``answers`` is set."""
+    """A slave API that records the calls, and responds only while ``answers`` is set."""
 
     def __init__(self, code: int = 1) -> None:
         self.calls: list[tuple[Any, ...]] = []

@@ -1,8 +1,8 @@
-"""Run by the system's Python: what real genmsg and genaction read from definitions.
+"""Parses definitions with the real genmsg and genaction; run by the system's Python.
 
-Reads one JSON list from standard input: ``{"kind", "text"}`` with ``msg``, ``srv`` or ``action`` and the file's text.
-Writes for each ``{"constants", "md5", "parts"}``: the constants' values by name, genmsg's md5 (not of an action), and
-the names of the fields in each part; or ``{"error"}``.
+It reads one JSON list from standard input: ``{"kind", "text"}``, with ``msg``, ``srv`` or ``action`` and the file's
+text. For each it writes ``{"constants", "md5", "parts"}``: the constants' values by name, genmsg's md5 (not for an
+action), and the names of the fields in each part; or ``{"error"}``.
 """
 
 import importlib.util

@@ -1,4 +1,4 @@
-"""Run by the system's Python: what real genpy makes of sample messages.
+"""Converts sample messages with the real genpy; run by the system's Python.
 
 Reads one JSON list from standard input: ``{"type", "definition", "values", "ros1"}`` with the fields' values in ROS
 2's naming and the base64 bytes that were converted; a service's request is of type ``pkg/srv/Name_Request``. Writes for

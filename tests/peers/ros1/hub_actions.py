@@ -1,4 +1,4 @@
-"""The hub's end of the actions of a ROS 1 edge, as raw bytes; actionlib's end is a real program."""
+"""The hub's end of a ROS 1 edge's actions, as raw bytes; actionlib's end is a real program."""
 
 import base64
 import struct
@@ -24,7 +24,7 @@ TYPES = {
 
 
 def peer_on(master, name):
-    """Start a program with actionlib's servers and clients."""
+    """Start a program with actionlib servers and clients."""
     return Peer(PEER, ROS1_PYTHON, master.env, name)
 
 
@@ -41,7 +41,7 @@ def new_uuid():
 
 
 class HubClient:
-    """A client on the hub of an actionlib server, as the engine would create it."""
+    """A hub client of an actionlib server, as the engine would create it."""
 
     def __init__(self, edge, name, action="actionlib/action/Test") -> None:
         self.edge, self.name, self.number = edge, name, 0
@@ -61,7 +61,7 @@ class HubClient:
         return part, self.number
 
     def reply(self, call, seconds=SECONDS):
-        """Return the only reply of a call, decoded from base64; an error stays text."""
+        """Return the only reply to a call, decoded from base64; an error stays text."""
         part, number = call
 
         def arrived() -> list | None:
@@ -71,7 +71,7 @@ class HubClient:
         return answer if answer.startswith("error") else base64.b64decode(answer)
 
     def replies(self, part, count):
-        """Return the reply of each call so far, in the order of the calls."""
+        """Return the replies to the calls so far, in the order of the calls."""
         result = self.edge.ask("results", id=self.callers[part], count=count, seconds=120)["results"]
         assert len(result) == count
         assert all(len(answers) == 1 for answers in result.values())
@@ -112,7 +112,7 @@ class HubClient:
         return until(arrived, "feedback", SECONDS)
 
     def states(self):
-        """Return the goal states of the status topic, by UUID."""
+        """Return the goal states in the status topic, by UUID."""
         messages = self.edge.received(self.topics["status"], 0, 0)
         if not messages:
             return {}
@@ -129,7 +129,7 @@ class HubClient:
 
 
 class HubServer:
-    """A server on the hub, as the engine would offer it to the edge."""
+    """A hub server, as the engine would offer it to the edge."""
 
     def __init__(self, edge, name) -> None:
         self.edge, self.name = edge, name
@@ -156,7 +156,7 @@ class HubServer:
         self.answer("send_goal", number, wire.goal_response(wire.RosTime(7, 0), accepted=accepted))
 
     def result_call(self, goal):
-        """Return the number of the get_result call of a goal."""
+        """Return the number of a goal's get_result call."""
         return until(lambda: [i for i, g in enumerate(self.calls("get_result")) if g == goal], "get_result", SECONDS)[0]
 
     def end(self, goal, state, number):
@@ -174,7 +174,7 @@ class HubServer:
 
 
 class Served:
-    """A `HubServer` and a real actionlib client of it."""
+    """A `HubServer`, and a real actionlib client that uses it."""
 
     def __init__(self, edge, peer, name) -> None:
         self.hub, self.peer = HubServer(edge, name), peer

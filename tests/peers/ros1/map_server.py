@@ -1,6 +1,6 @@
-"""A stand-in for ROS 1's map_server: one map of a YAML file, latched on /map.
+"""A stand-in for ROS 1's map_server: one map from a YAML file, latched on /map.
 
-Like the real one (navigation 1.17.3) it publishes /map_metadata and serves /static_map and /change_map, but never
+Like the real one (navigation 1.17.3), it publishes /map_metadata and serves /static_map and /change_map, but never
 changes the map.
 
 map_server.py apartment.yaml
@@ -16,7 +16,7 @@ from nav_msgs.srv import GetMap, GetMapResponse, LoadMap, LoadMapResponse
 
 
 def pixels(file):
-    """Return width, height and bytes of a binary PGM."""
+    """Return the width, height and bytes of a binary PGM file."""
     data = file.read_bytes()
     parts, remainder = [], data
     while len(parts) < 4:

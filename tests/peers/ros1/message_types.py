@@ -15,14 +15,14 @@ DEFINED = {}
 
 
 def define(name, definition):
-    """Create and store the classes of a type and its nested types from its full definition; a service has a ``---``."""
+    """Create and store the classes of a type and its nested types from a full definition; a service has ``---``."""
     classes = {name: service_class(name, definition)} if "\n---\n" in definition else message_classes(name, definition)
     DEFINED.update(classes)
     return classes[name]
 
 
 def message_class(name):
-    """Return a message's class: a defined one, otherwise an installed one."""
+    """Return a message's class, preferring a defined one over an installed one."""
     cls = DEFINED.get(name) or roslib.message.get_message_class(name)
     if cls is None:
         raise ValueError(f"no type {name}: install its package, or define it")
@@ -30,14 +30,14 @@ def message_class(name):
 
 
 def service_type(name):
-    """Return a service's class: a defined one, otherwise an installed one."""
+    """Return a service's class, preferring a defined one over an installed one."""
     return DEFINED.get(name) or roslib.message.get_service_class(name)
 
 
 def message_classes(name, definition):
     """Return the classes of a message and its nested types by name, from a full definition as in connection headers.
 
-    The folder that genpy writes is deleted at once, so that it does not remain if the program is killed.
+    The folder that genpy writes is deleted at once, so that it is not left behind if the program is killed.
     """
     with tempfile.TemporaryDirectory() as folder, mock.patch.object(tempfile, "tempdir", folder):
         classes = genpy.dynamic.generate_dynamic(name, definition)

@@ -1,13 +1,13 @@
 """A stand-in for ROS 1's move_base: a real actionlib server on rospy, which drives the base of `base.py`.
 
-It copies the measured behavior of move_base (navigation 1.17, Noetic): a goal in an unknown frame, or one with a slash,
-stays ACTIVE forever; a new goal preempts the old one; ``/move_base_simple/goal`` becomes a goal on ``/move_base/goal``;
-the texts are move_base's; it starts once it has received the pose of the base. actionlib's server itself provides the
-rest: the RECALLED state, repeated ids, cancel-all, long status lists, unlatched results.
+It copies the measured behavior of move_base (navigation 1.17, Noetic). A goal in an unknown frame, or in one with a
+slash, stays ACTIVE forever. A new goal preempts the old one. ``/move_base_simple/goal`` becomes a goal on
+``/move_base/goal``. The texts are move_base's. It starts once it has received the pose of the base. actionlib's server
+itself provides the rest: the RECALLED state, repeated ids, cancel-all, long status lists, unlatched results.
 
 Goals with x of 900 and more are unreachable. Runs on the system's Python. It starts the base as a process. With the
-argument ``there`` it uses a base that already runs, and that keeps running when the stand-in is killed or stopped.
-It prints ``ended`` and ``time.monotonic()`` whenever it ends a goal, except by preemption.
+argument ``there``, it uses a base that is already running and that keeps running when the stand-in is killed or
+stopped. It prints ``ended`` and ``time.monotonic()`` whenever it ends a goal, except by preemption.
 Usage: move_base.py SPEED PATIENCE [there [CYCLE]], CYCLE: seconds between two control cycles
 """
 # ruff: noqa: ANN204  # it runs without Midspan
@@ -27,7 +27,7 @@ from tf2_msgs.msg import TFMessage
 
 PERIOD = float(sys.argv[4]) if len(sys.argv) > 4 else 0.1
 NEAR, GAIN = 0.05, 5.0
-"""Distance at which the goal is reached, meters; gain of the approach, in m/s per meter left."""
+"""Meters within which the goal is reached; gain of the approach, in m/s per remaining meter."""
 UNREACHABLE = 900.0
 FRAMES = ("map", "odom", "base_link")
 ACCEPTED = "This goal has been accepted by the simple action server"
@@ -37,7 +37,7 @@ QUATERNION = "Aborting on goal because it was sent with an invalid quaternion"
 
 
 class MoveBase:
-    """One goal at a time."""
+    """The node, which executes one goal at a time."""
 
     def __init__(self, speed, patience):
         self.speed, self.patience = speed, patience
@@ -52,7 +52,7 @@ class MoveBase:
         self.server = actionlib.ActionServer(
             "move_base", MoveBaseAction, self.on_goal, self.on_cancel, auto_start=False
         )
-        self.lock = self.server.lock  # the server calls us with its lock held: a second lock could deadlock
+        self.lock = self.server.lock  # the server calls us with its lock held, so a second lock could deadlock
 
     def on_transforms(self, message):
         for frame in message.transforms:

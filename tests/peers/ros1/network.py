@@ -37,7 +37,7 @@ needs_ros1 = needs(ROS1)
 
 
 def ros1_environment(master: str = "", environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Return an environment for real ROS 1 programs: the system's Python packages and libraries, loopback only."""
+    """Return an environment for real ROS 1 programs: the system's Python packages and libraries, and only loopback."""
     unset = ("PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "ROS_HOSTNAME", "AMENT_PREFIX_PATH")
     env = {k: v for k, v in environ.items() if k not in unset and not k.startswith("ROS_")}
     env["ROS_IP"] = "127.0.0.1"
@@ -51,8 +51,8 @@ class RosMaster:
     """A roscore (master, parameters, rosout) on its own port, which stays the same when it is restarted.
 
     The programs run without roscore's launcher, unless ``command`` requests the real command. ``embedded`` selects
-    Midspan's own master instead, which keeps its state over a restart. ``address`` is the host in its URI, and that of
-    its nodes.
+    Midspan's own master instead, which keeps its state over a restart. ``address`` is the host in its URI and in those
+    of its nodes.
     """
 
     def __init__(
@@ -77,14 +77,14 @@ class RosMaster:
         self._process: Process | None = None
 
     def start(self, *, forget: bool = False) -> None:
-        """Start roscore, and wait until it replies; ``forget``: discard what Midspan's master has saved."""
+        """Start roscore, and wait until it responds; with ``forget``, discard what Midspan's master has saved."""
         if forget:
             Path(self._folder, "master.json").unlink(missing_ok=True)
         self._process = Process([*self._program, str(self.port)], self.env)
         until(lambda: self._ready(), "roscore replies", 30.0)
 
     def stop(self) -> None:
-        """Stop roscore; its nodes stay."""
+        """Stop roscore; its nodes keep running."""
         if self._process is not None:
             self._process.stop()
             self._process = None
@@ -95,7 +95,7 @@ class RosMaster:
         self._process.signal(number)
 
     def kill(self) -> None:
-        """Kill roscore, because its command takes a second to stop by itself; its nodes stay."""
+        """Kill roscore, because its command takes a second to stop by itself; its nodes keep running."""
         if self._process is not None:
             # the command's master and rosout have their own sessions
             parts = psutil.Process(self._process.pid).children() if self._process.popen.poll() is None else []
@@ -111,7 +111,7 @@ class RosMaster:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def call(self, method: str, *params: Any) -> Any:
-        """Call the master's API; return the value of the answer, None if the call failed."""
+        """Call the master's API; return the value in the response, or None if the call failed."""
         with ServerProxy(self.uri) as proxy:
             code, _, value = getattr(proxy, method)("/test", *params)
         return value if code == 1 else None
@@ -123,7 +123,7 @@ class RosMaster:
         return {n: {name: sorted(nodes) for name, nodes in kind} for n, kind in zip(names, kinds, strict=True)}
 
     def nodes(self) -> set[str]:
-        """Return all nodes that are registered at the master."""
+        """Return all nodes that are registered with the master."""
         return {n for kind in self.state().values() for nodes in kind.values() for n in nodes}
 
     def parameters(self) -> set[str]:
@@ -131,7 +131,7 @@ class RosMaster:
         return set(self.call("getParamNames"))
 
     def peer(self, name: str = "peer") -> Peer:
-        """Return a real rospy program on this network, with a node of this name."""
+        """Start a real rospy program on this network, with a node of this name."""
         return Peer(ROS1_PEER, ROS1_PYTHON, self.env, name)
 
     def _ready(self) -> bool:

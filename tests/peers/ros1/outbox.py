@@ -9,7 +9,7 @@ from bridge.adapters.ros1.master.registrations import Link
 
 
 class RecordedCalls:
-    """Calls by address, in order: method and parameters after the caller."""
+    """Calls by address, in order: method and parameters, without the caller ID."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []

@@ -1,4 +1,4 @@
-"""A node on the hub with parameters, a client of their services, and rules that share them with ROS 1."""
+"""A hub node with parameters, a client of its services, and rules that share the parameters with ROS 1."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def integer(value: int) -> ParameterValue:
 
 
 class ParameterClient:
-    """Calls the parameter services of one node on the hub."""
+    """Calls the parameter services of one hub node."""
 
     def __init__(self, hub: Hub, node: str) -> None:
         self._clients = {
@@ -62,11 +62,11 @@ class ParameterClient:
 
 
 class ParameterNode:
-    """A ROS 2 node on the hub with parameters, of which it rejects some changes.
+    """A ROS 2 node on the hub with parameters, which rejects some changes.
 
     Attributes:
-        values: the declared parameters; the type of one without a value is in ``types``, DOUBLE by default.
-        asked: number of requests for the names of its parameters.
+        values: the declared parameters; the type of a parameter without a value is in ``types``, DOUBLE by default.
+        asked: number of requests for the names of the parameters.
     """
 
     def __init__(self, hub: Hub, node: str, **values: ParameterValue) -> None:

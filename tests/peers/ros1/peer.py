@@ -1,4 +1,4 @@
-"""The peer program of `tests.peers.peer` for ROS 1: a real rospy node on the system's Python with dist-packages only.
+"""The peer program of `tests.peers.peer` for ROS 1: a real rospy node on the system's Python, with only dist-packages.
 
 Beyond the common commands: ``define`` type, definition (full text: own fields, then each nested type's after a line of
 ``=`` and ``MSG: name``; a service's request and response with a line ``---`` between) makes a type known that is not

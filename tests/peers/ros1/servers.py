@@ -1,4 +1,4 @@
-"""Misbehaving peers: servers on loopback whose responses the test determines."""
+"""Misbehaving peers: loopback servers whose responses the test determines."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 @contextlib.contextmanager
 def tcp_server(serve: Callable[[socket.socket], None]) -> Iterator[tuple[str, int]]:
-    """A TCP server that passes each connection to ``serve`` on a separate thread."""
+    """Run a TCP server that passes each connection to ``serve`` on a separate thread; yield its address."""
     listener = socket.create_server(("127.0.0.1", 0), backlog=64)
     threads: list[threading.Thread] = []
     connections: list[socket.socket] = []
@@ -62,7 +62,7 @@ class _Handler(SimpleXMLRPCRequestHandler):
 
 
 class _Server(socketserver.ThreadingMixIn, SimpleXMLRPCServer):
-    """Serves each connection on a separate thread, and closes all when it is closed."""
+    """Serves each connection on a separate thread, and closes all connections when it is closed."""
 
     def __init__(self) -> None:
         super().__init__(("127.0.0.1", 0), _Handler, allow_none=True)

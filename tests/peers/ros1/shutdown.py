@@ -1,7 +1,7 @@
 """A fast shutdown for rospy test programs, which saves half a second of busy waiting in a rospy thread.
 
-rospy closes the socket of its XML-RPC server while a thread polls it, and then waits for another thread, which ends
-only with its next cycle.
+rospy closes the socket of its XML-RPC server while a thread polls that socket, and then waits for another thread, which
+ends only with its next cycle.
 """
 
 import rospy
@@ -19,6 +19,6 @@ ThreadingXMLRPCServer.server_close = close_and_end
 
 
 def shut_down():
-    """Unregister everything at the master and the peers, without waiting for rospy's threads."""
+    """Unregister everything from the master and the peers, without waiting for rospy's threads."""
     del rospy.core._shutdown_threads[:]
     rospy.signal_shutdown("end of the test")

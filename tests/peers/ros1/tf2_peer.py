@@ -1,8 +1,8 @@
-"""The real tf2 of ROS 1 (tf2_py) with the cases of `trees`; runs on the system's Python only.
+"""Runs the cases of `trees` on ROS 1's real tf2 (tf2_py); runs only on the system's Python.
 
 Usage: tf2_peer.py SEED COUNT. It writes results to standard output (marshal): for each lookup of all cases (stamp, x,
-y, z, qx, qy, qz, qw), or (name of the exception, its text); after each case all frames as YAML. tf2 logs refusals to
-standard error.
+y, z, qx, qy, qz, qw), or (name of the exception, its text); after each case, all frames as YAML. tf2 logs rejected
+transforms to standard error.
 """
 
 import marshal
@@ -19,7 +19,7 @@ from tests.peers.ros1 import trees
 
 
 def stamp_of(ns):
-    """Return a time as a ROS 1 type."""
+    """Return a time in nanoseconds as a ROS 1 time."""
     return genpy.Time(*divmod(ns, trees.SECOND))
 
 

@@ -1,4 +1,4 @@
-"""Random trees of frames and lookups in them, identical in two processes; runs on the system's Python too.
+"""Random frame trees and lookups in them, the same in two processes; also runs on the system's Python.
 
 A case is a list of steps: ("set", parent, child, stamp in ns, translation, rotation, static), ("clear",),
 ("ask", target, source, stamp), ("full", target, target stamp, source, source stamp, fixed) and, last, ("frames",).
@@ -9,7 +9,7 @@ import random
 
 SECOND = 10**9
 START = 1_000_000 * SECOND
-"""tf2_py converts each time to seconds as a double, whose rounding error for present dates is up to 120 ns."""
+"""Tolerance in ns: tf2_py converts each time to seconds as a double, which rounds present dates by up to 120 ns."""
 
 
 def rotation(dice, length=1.0):
@@ -46,21 +46,21 @@ def transforms(dice, names):
         for _ in range(1 if static else dice.randint(1, 5)):
             at += round(spacing * dice.choice((0.3, 1, 1, 1, 2)) * SECOND)
             odd = dice.random()
-            above = dice.choice(names) if odd < 0.04 else parent  # another parent, itself, or a loop
+            above = dice.choice(names) if odd < 0.04 else parent  # another parent, the frame itself, or a loop
             name = names[k]
             if odd > 0.99:
                 above, name = dice.choice((("", name), (above, ""), ("/" + above, "/" + name)))
             stamp = dice.choice((0, at)) if static else at
             steps.append(("set", above, name, stamp, *pose(dice), static))
             if odd > 0.95:
-                steps.append(("set", above, name, stamp, *pose(dice), dice.random() < 0.5))  # twice, or as static
+                steps.append(("set", above, name, stamp, *pose(dice), dice.random() < 0.5))  # set twice, or as static
     if dice.random() < 0.3:
         dice.shuffle(steps)
     return steps
 
 
 def lookup(dice, names, stamps):
-    """Return a lookup at the latest time (0), a transform's stamp, or a time within a second of it."""
+    """Return a lookup at the latest time (0), at a transform's stamp, or at a time within a second of it."""
 
     def stamp() -> int:
         odd = dice.random()

@@ -1,6 +1,6 @@
 """A ROS 2 edge in a separate process, driven by JSON lines like the peers of `tests.peers.peer`.
 
-Usage: adapter_program.py CONFIG STATE, the configuration as JSON. Messages are the texts of std_msgs/msg/String.
+Usage: adapter_program.py CONFIG STATE, with the configuration in JSON. Messages are the texts of std_msgs/msg/String.
 """
 
 from __future__ import annotations

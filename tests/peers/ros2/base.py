@@ -1,4 +1,4 @@
-"""A robot's base on ROS 2: it follows ``/cmd_vel`` and publishes ``/tf``, like that of ROS 1.
+"""A robot's base on ROS 2, which follows ``/cmd_vel`` and publishes ``/tf``, like the base on ROS 1.
 
 Usage: base.py [--ramp M/S2] [--no-odometry]
 """

@@ -14,7 +14,7 @@ from tests.peers.ros2.peer import Peer, main
 
 
 class BestAvailablePeer(Peer):
-    """The program's commands; ``advertise`` and ``subscribe`` ignore the QoS that a command asks for."""
+    """The program's commands; ``advertise`` and ``subscribe`` ignore the command's QoS."""
 
     def profile(self, _params: dict[str, Any]) -> Any:
         return qos_profile_best_available

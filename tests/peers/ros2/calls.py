@@ -25,7 +25,7 @@ def type_class(name: str, folder: str) -> Any:
 
 
 class Serving(Record):
-    """A service with one answer to all requests, or none if it has an ``error``, as ROS 2 has no error replies."""
+    """A service with one answer to all requests, or none if it has an ``error``, because ROS 2 has no error replies."""
 
     def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
         super().__init__()
@@ -63,7 +63,7 @@ class Serving(Record):
 
 
 class Calling:
-    """Concurrent calls of one service, with their replies in the order of the calls."""
+    """Concurrent calls of one service, and their replies in the order of the calls."""
 
     def __init__(self, client: Any, requests: list[Any], plain: Plain) -> None:
         self.plain = plain
@@ -88,7 +88,7 @@ class Calling:
         return {"done": done, "reply": replies[0], "replies": replies, "error": "", "at": self.at}
 
     def drop(self) -> None:
-        """Do nothing: the client stays for other calls."""
+        """Do nothing, because other calls use the client."""
 
 
 def depths(profile: Any, *parts: str) -> dict[str, Any]:
@@ -178,7 +178,7 @@ def on_executor(node: Any, work: Callable[[], None]) -> None:
     """Run a function on the thread that handles replies, and wait for it.
 
     rclpy's action client (7.1) sends a request before it registers that it waits for the reply. If another thread
-    handles the reply in between, it is dropped as unexpected, and the request never completes.
+    handles the reply in between, rclpy drops the reply as unexpected, and the request never completes.
     """
     done = threading.Event()
 
@@ -233,4 +233,4 @@ class Goal(GoalRecord):
         on_executor(self.node, lambda: self.handle.cancel_goal_async().add_done_callback(on_answer))
 
     def drop(self) -> None:
-        """Do nothing: the client stays for other calls."""
+        """Do nothing, because other calls use the client."""

@@ -5,9 +5,9 @@ simple_action_server.hpp, timed_behavior.hpp and the behavior plugins):
 
 - A new path replaces the old one without a stop; the old goal ends ABORTED without a code.
 - A canceled path continues for ``--braking`` seconds, like a controller that brakes by itself; then the goal ends, and
-  zero velocity follows. Without transforms the robot is stopped, and the goal ends ABORTED with 102.
+  zero velocity follows. Without transforms, the robot stops and the goal ends ABORTED with code 102.
 - A behavior first stops the robot, then ends. A second goal of a behavior ends the first one ABORTED.
-- assisted_teleop repeats the last velocity of ``/cmd_vel_teleop`` until the next one.
+- assisted_teleop repeats the last velocity of ``/cmd_vel_teleop`` until it receives another one.
 
 Only the path's last pose matters. A behavior with a target of 0 runs until its time is over.
 Usage: controller.py controller_server|behavior_server SPEED [--braking S] [--tf-tolerance S]
@@ -38,7 +38,7 @@ from tests.peers.ros2.transforms import Pose, Transforms
 
 PERIOD = 0.05
 NEAR, GAIN = 0.05, 5.0
-"""Distance at which the goal is reached, meters; speed per meter of distance before it, 1/s."""
+"""Meters within which the goal is reached; speed per meter of remaining distance, 1/s."""
 TURN = 1.0
 TF_ERROR, INVALID_PATH = 102, 103
 
@@ -50,7 +50,7 @@ def twist(x: float = 0.0, y: float = 0.0, turn: float = 0.0) -> Twist:
 
 
 class Server:
-    """One action of Nav2; each goal runs on a thread, and is preempted by a newer one."""
+    """One Nav2 action. Each goal runs on a thread, and is preempted by a newer goal."""
 
     def __init__(self, node: Driving, type_: Any, action: str) -> None:
         self.node, self.type = node, type_
@@ -77,7 +77,7 @@ class Server:
             time.sleep(PERIOD)
 
     def step(self, handle: Any, start: Pose | None, seconds: float) -> int | None:
-        """Run one control cycle; return the result's code if the goal ended."""
+        """Run one control cycle; return the result's code if the goal has ended."""
         raise NotImplementedError
 
 

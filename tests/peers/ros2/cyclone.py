@@ -1,4 +1,4 @@
-"""Programs on Cyclone DDS, on the domain of a test's ROS 2 side."""
+"""Cyclone DDS programs on the domain of a test's ROS 2 side."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _CONFIG = """<CycloneDDS><Domain>
 <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>120</MaxAutoParticipantIndex>
 <Peers><Peer address="127.0.0.1"/></Peers></Discovery>
 </Domain></CycloneDDS>"""
-"""This machine only. Midspan's participant index is above 31, which Cyclone DDS does not try by default."""
+"""On this machine only. Midspan's participant index is above 31, where Cyclone DDS does not look by default."""
 
 
 class CyclonePeer(Peer):
     """A program of `tests.peers.ros2.cyclone_peer` on this test process's domain.
 
     Args:
-        domain: another domain.
-        user_data: of its participant; ROS 2 programs name their enclave there.
+        domain: a domain other than the test process's.
+        user_data: the participant's user data, in which ROS 2 programs name their enclave.
     """
 
     def __init__(self, domain: int | None = None, user_data: str = "") -> None:
@@ -35,11 +35,11 @@ class CyclonePeer(Peer):
         super().__init__(PROGRAM, Path(sys.executable), env, user_data)
 
     def serve(self, service: str, type_: str, reply: bytes) -> int:
-        """Serve with one reply for all requests; return the server's id."""
+        """Serve one reply to all requests, and return the server's id."""
         return int(self.ask("serve", service=service, type=type_, reply=reply.hex())["id"])
 
     def act(self, action: str, type_: str, result: bytes = b"\0\1\0\0\1") -> int:
-        """Serve the three services and two topics of an action, which accepts each goal; return its servers' id."""
+        """Serve an action's three services and two topics; each goal is accepted. Return the id of the servers."""
         return int(self.ask("act", action=action, type=type_, result=result.hex())["id"])
 
     def requests(self, server: int) -> list[bytes]:
@@ -51,11 +51,11 @@ class CyclonePeer(Peer):
         return int(self.ask("call", service=service, type=type_, request=request.hex())["id"])
 
     def reply(self, call: int, seconds: float = 20.0) -> bytes:
-        """Return the reply to a call, b"" if none arrives in time."""
+        """Return the reply to a call, or b"" if none arrives in time."""
         return bytes.fromhex(self.ask("result", id=call, seconds=seconds)["reply"])
 
     def advertise_raw(self, topic: str, type_: str, *, latched: bool = False) -> int:
-        """Advertise a DDS topic by its own name and the name of its type in DDS; return the publisher's id."""
+        """Advertise a DDS topic by its own name and its type's name in DDS; return the publisher's id."""
         return int(self.ask("advertise_raw", topic=topic, type=type_, latched=latched)["id"])
 
     def put(self, endpoint: int, payload: bytes) -> None:
@@ -63,7 +63,7 @@ class CyclonePeer(Peer):
         self.ask("publish", id=endpoint, payload=payload.hex())
 
     def received(self, endpoint: int, count: int, seconds: float = 20.0) -> list[bytes]:
-        """Return all messages of a subscription as CDR, after ``count`` have arrived or the time is over."""
+        """Return all messages of a subscription as CDR, once ``count`` have arrived or the time is over."""
         return _payloads(self.ask("wait", id=endpoint, count=count, seconds=seconds))
 
 

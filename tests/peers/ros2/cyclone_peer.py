@@ -1,4 +1,4 @@
-"""A Cyclone DDS program that a test drives by JSON lines, as `tests.peers.peer` does; it uses the `cyclonedds` wheel.
+"""A Cyclone DDS program that a test drives with JSON lines, as in `tests.peers.peer`; it uses the `cyclonedds` wheel.
 
 Payloads are CDR in hex, with their encapsulation header, so the program needs no message packages. Like
 rmw_cyclonedds_cpp, its readers accept payloads of any size, and requests and replies carry 16 bytes after the
@@ -51,11 +51,11 @@ LATCHED = Qos(Policy.Durability.TransientLocal, base=RELIABLE)
 
 
 class Bytes(bytes):
-    """A payload; the wheel sets ``sample_info`` on samples."""
+    """A payload, to which the wheel can add ``sample_info``."""
 
 
 def raw_type(name: str) -> Any:
-    """Return a type with this DDS name whose samples are bytes."""
+    """Return a type with this DDS name, whose samples are bytes."""
 
     @dataclass
     class Raw(IdlStruct, typename=name):
@@ -71,13 +71,13 @@ def raw_type(name: str) -> Any:
 
 
 def dds_type(name: str, kind: str) -> str:
-    """Return ``package::msg::dds_::Name_`` of ``package/Name``; ``kind`` is used if the name has none."""
+    """Return ``package::KIND::dds_::Name_`` for a type's name; the kind is ``kind`` unless the name has one."""
     package, *middle, short = name.split("/")
     return f"{package}::{middle[0] if middle else kind}::dds_::{short}_"
 
 
 class Reader(Listener):  # type: ignore[misc]
-    """A reader that stores all payloads, and hands each to ``received``."""
+    """A reader that stores all payloads, and passes each to ``received``."""
 
     def __init__(self, peer: Peer, topic: str, type_: str, qos: Qos, received: Callable[[bytes], None] = len) -> None:
         super().__init__()
@@ -86,7 +86,7 @@ class Reader(Listener):  # type: ignore[misc]
         self.end = DataReader(peer.participant, peer.topic(topic, type_), qos=qos, listener=self)
 
     def on_data_available(self, reader: Any) -> None:
-        """Store what has arrived; runs on a thread of Cyclone DDS."""
+        """Store the samples that have arrived; runs on a thread of Cyclone DDS."""
         for payload in reader.take(N=1000):
             if isinstance(payload, Bytes):
                 self.record.add(bytes(payload))
@@ -110,12 +110,12 @@ class Writer:
         return len(self.end.get_matched_subscriptions())
 
     def drop(self) -> None:
-        """Close it, while the participant stays."""
+        """Close the writer; the participant stays."""
         del self.end
 
 
 class Server:
-    """A service: answers each request with the same reply, under the request's header; b"" sends none."""
+    """A service that sends the same reply to each request, with the request's header; b"" sends no reply."""
 
     def __init__(self, peer: Peer, service: str, type_: str, reply: bytes) -> None:
         self._reply = reply
@@ -128,7 +128,7 @@ class Server:
 
 
 class Client:
-    """One call of a service."""
+    """One service call."""
 
     def __init__(self, peer: Peer, service: str, type_: str) -> None:
         self._header = os.urandom(8) + struct.pack("<q", 1)
@@ -141,7 +141,7 @@ class Client:
         self.writer.write(request[:4] + self._header + request[4:])
 
     def reply(self, seconds: float) -> bytes:
-        """Return the reply without its header, b"" if none arrives."""
+        """Return the reply without its header, or b"" if none arrives."""
         end = time.monotonic() + seconds
         count = 0
         while True:

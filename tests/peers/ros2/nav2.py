@@ -3,16 +3,16 @@
 It follows the public sources (ros-navigation/navigation2, branch jazzy: bt_action_node.hpp,
 simple_action_server.hpp, navigate_to_pose.cpp) and measurements of Nav2 1.3.13:
 
-- One goal at a time: a new one has the old one ABORTED without a code, even if that was canceled, and the robot drives
-  on.
+- One goal at a time: a new goal ends the old one ABORTED without a code, even if the old one was canceled, and the
+  robot drives on.
 - ``/goal_pose`` becomes a goal. An abort has a code and no text.
 - It only plans; controller_server (`controller.py`) drives, by a FollowPath goal that is sent again each second.
 - If controller_server acknowledges a path late, the goal is ABORTED with code 0, and the path is not canceled: the
-  robot drives to its end. SIGUSR1 makes the next acknowledgment late.
-- If another client cancels the path, the tree counts it as done, and the goal ends SUCCEEDED.
+  robot drives to the path's end. SIGUSR1 makes the next acknowledgment late.
+- If another client cancels the path, the behavior tree counts it as done, and the goal ends SUCCEEDED.
 - A canceled goal ends after `CANCEL_SECONDS` even if controller_server has not stopped.
 
-Goals with x of 900 and more are unreachable. Without ``--servers``, the robot is a point that it moves itself.
+Goals with x of 900 and more are unreachable. Without ``--servers``, the stand-in itself moves the robot, a point.
 It prints ``ended`` and ``time.monotonic()`` when it cancels a goal.
 Usage: nav2.py SPEED PATIENCE [--servers] [--tf-tolerance S]
 """
@@ -46,7 +46,7 @@ from tests.peers.ros2.transforms import Transforms
 PERIOD = 0.1
 PLAN_SECONDS = 1.0
 ACKNOWLEDGE_SECONDS = 10.0
-"""Nav2's default is 0.02 s, which a busy machine exceeds; the tests choose the moment by a signal."""
+"""Seconds. Nav2's default is 0.02 s, which a busy machine exceeds; the tests choose the moment with a signal."""
 CANCEL_SECONDS = 0.05
 UNREACHABLE = 900.0
 TF_ERROR, NO_PATH = 202, 208
@@ -68,13 +68,13 @@ class Following:
         threading.Thread(target=executor.spin, daemon=True).start()
 
     def connect(self) -> None:
-        """Wait until controller_server answers: a server that is visible may not know its client yet."""
+        """Wait until controller_server responds: a server that is visible may not have discovered its client yet."""
         self.client.wait_for_server()
         while not self.send(Path(), 1.0):
             pass
 
     def send(self, path: Path, seconds: float) -> bool:
-        """Send a path; return whether it was acknowledged in time. If not, it is never canceled."""
+        """Send a path, and return whether it was acknowledged in time. If it was not, it is never canceled."""
         acknowledged = threading.Event()
         number = object()
         with self.lock:
@@ -116,7 +116,7 @@ class Following:
 
 
 class Navigator(Node):
-    """One goal at a time."""
+    """The node of bt_navigator, which executes one goal at a time."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("bt_navigator")
@@ -133,7 +133,7 @@ class Navigator(Node):
         self.create_subscription(PoseStamped, "goal_pose", self.on_pose, 1, callback_group=group)
 
     def activate(self) -> None:
-        """Accept goals once the transforms and controller_server are there."""
+        """Accept goals once transforms arrive and controller_server responds."""
         if self.transforms is not None and self.following is not None:
             self.transforms.wait()
             self.following.connect()
@@ -193,7 +193,7 @@ class Navigator(Node):
         return self.follow(goal, plans=plans) if self.following is not None else self.move(goal, left)
 
     def follow(self, goal: PoseStamped, *, plans: bool) -> int | None:
-        """Drive by controller_server."""
+        """Drive through controller_server."""
         assert self.following is not None
         if plans:
             start = PoseStamped(header=goal.header)
@@ -208,7 +208,7 @@ class Navigator(Node):
         return -1 if end.status in (SUCCEEDED, CANCELED) else int(end.result.error_code)
 
     def move(self, goal: PoseStamped, left: float) -> int | None:
-        """Move the point."""
+        """Move the point robot."""
         place = goal.pose.position
         step = min(1.0, self.speed * PERIOD / left) if left else 1.0
         self.x, self.y = self.x + step * (place.x - self.x), self.y + step * (place.y - self.y)

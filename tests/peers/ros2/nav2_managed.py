@@ -1,8 +1,8 @@
-"""Stand-ins for more of Nav2's servers (Jazzy): lifecycle nodes, their manager, docking_server and waypoint_follower.
+"""Stand-ins for further Nav2 servers (Jazzy): lifecycle nodes, their manager, docking_server and waypoint_follower.
 
 They follow the public sources (ros-navigation/navigation2, branch jazzy: lifecycle_manager.cpp, waypoint_follower.cpp,
-simple_action_server.hpp, docking_server.cpp). The nodes are rclpy's real lifecycle nodes. All action servers exist from
-configuration on, and reject goals while their node is not active; shutdown and reset end them.
+simple_action_server.hpp, docking_server.cpp). The nodes are rclpy's real lifecycle nodes. All action servers exist
+from configuration on, and reject goals while their node is not active; shutdown and reset remove them.
 
 - `NavigateToPose` is reached at once.
 - `NavigateThroughPoses`: each pose is reached after `DRIVE_SECONDS`; x from 900 on is never reached.
@@ -10,7 +10,7 @@ configuration on, and reject goals while their node is not active; shutdown and 
   fails with 901; any other goal drives until it is canceled. `UndockRobot` drives for `DRIVE_SECONDS`.
 - `FollowWaypoints`: each pose is reached after `DRIVE_SECONDS`; x below 0 is missed; x from 900 on is never reached.
 
-The servers that drive publish ``/cmd_vel``. It prints ``ready``, and ``goal`` with the action and the goal's fields.
+The servers that drive publish ``/cmd_vel``. Output: ``ready``, and ``goal`` with the action and the goal's fields.
 Usage: nav2_managed.py
 """
 
@@ -40,7 +40,7 @@ DOCK_NOT_IN_DB, TASK_EXECUTOR_FAILED = 901, 601
 
 
 class Server(LifecycleNode):
-    """A lifecycle node with actions: (type, name, method that executes a goal)."""
+    """A lifecycle node with actions, each given by type, name and the method that executes a goal."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -50,7 +50,7 @@ class Server(LifecycleNode):
         self.velocity = self.create_publisher(Twist, "cmd_vel", 1)
 
     def actions(self) -> list[tuple[Any, str, Callable[[Any], Any]]]:
-        """Return its actions."""
+        """Return the node's actions."""
         return []
 
     def on_configure(self, _state: State) -> TransitionCallbackReturn:
@@ -97,7 +97,7 @@ class Server(LifecycleNode):
 
 
 class Navigator(Server):
-    """bt_navigator."""
+    """The stand-in for bt_navigator."""
 
     def actions(self) -> list[tuple[Any, str, Callable[[Any], Any]]]:
         return [
@@ -124,7 +124,7 @@ class Navigator(Server):
 
 
 class Docking(Server):
-    """docking_server."""
+    """The stand-in for docking_server."""
 
     def actions(self) -> list[tuple[Any, str, Callable[[Any], Any]]]:
         return [(DockRobot, "dock_robot", self.dock), (UndockRobot, "undock_robot", self.undock)]
@@ -156,7 +156,7 @@ class Docking(Server):
 
 
 class Waypoints(Server):
-    """waypoint_follower."""
+    """The stand-in for waypoint_follower."""
 
     def actions(self) -> list[tuple[Any, str, Callable[[Any], Any]]]:
         return [(FollowWaypoints, "follow_waypoints", self.follow)]
@@ -178,7 +178,7 @@ class Waypoints(Server):
 
 
 class Manager(Node):
-    """lifecycle_manager_navigation: it commands its nodes in order, and fails if one does not change its state."""
+    """The stand-in for lifecycle_manager_navigation, which commands its nodes in order, and fails if one refuses."""
 
     def __init__(self, nodes: list[Server]) -> None:
         super().__init__("lifecycle_manager_navigation")
@@ -199,7 +199,7 @@ class Manager(Node):
         return reply
 
     def change(self, node: Server, step: str, *, lenient: bool) -> bool:
-        """Request a transition; ``lenient``: a transition that does not exist in its state is left out."""
+        """Request a transition; if ``lenient``, skip a transition that the node's state does not have."""
         try:
             return bool(getattr(node, f"trigger_{step}")() is TransitionCallbackReturn.SUCCESS)
         except Exception as err:

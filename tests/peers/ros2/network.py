@@ -22,7 +22,7 @@ SHORT_LEASE = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("s
 """Environment of a program whose death is detected after 2 s; Fast DDS's default is 20 s."""
 
 SHORT_CYCLONE_LEASE = {"CYCLONEDDS_URI": "<CycloneDDS><Domain><Discovery><LeaseDuration>2s</></></></CycloneDDS>"}
-"""The same for a program on Cyclone DDS, where it is 10 s."""
+"""The same for a program on Cyclone DDS, whose default is 10 s."""
 
 _held: list[socket.socket] = []
 
@@ -43,7 +43,7 @@ def new_domain() -> int:
 def ros2_environment(*, on_cyclone: bool = False, **extra: str) -> dict[str, str]:
     """Return an environment for native ROS 2 programs on this process's domain: default settings, this machine only.
 
-    With ``on_cyclone`` they use rmw_cyclonedds_cpp, which must be installed (`has_rmw_cyclonedds`).
+    With ``on_cyclone``, the programs use rmw_cyclonedds_cpp, which must be installed (`has_rmw_cyclonedds`).
     """
     environment: Mapping[str, str] = os.environ
     rmw = {"rmw": "rmw_cyclonedds_cpp"} if on_cyclone else {}
@@ -61,11 +61,11 @@ def ros2_environment(*, on_cyclone: bool = False, **extra: str) -> dict[str, str
 
 
 def has_rmw_cyclonedds() -> bool:
-    """Return whether the ROS 2 of the tests has rmw_cyclonedds_cpp; the wheels come without it."""
+    """Return whether the tests' ROS 2 has rmw_cyclonedds_cpp, which the wheels lack."""
     return not available(Config.model_validate({"ros2": {"rmw": "rmw_cyclonedds_cpp"}}))
 
 
 def ros2_python() -> Path:
-    """Return the interpreter with rclpy; skips the test without one."""
+    """Return the interpreter that has rclpy; skip the test if there is none."""
     need(ROS2)
     return Path(sys.executable)

@@ -1,4 +1,4 @@
-"""A real rclpy program with parameters, which also reads and sets those of other nodes; see `tests.peers.peer`.
+"""A real rclpy program with parameters, which also reads and sets other nodes' parameters; see `tests.peers.peer`.
 
 Commands in addition to those of `peer.py`: ``declare`` parameters (name to value) and ``unset`` ones (name to type);
 ``refuse`` names; ``own`` name -> value; ``change`` name, value; ``get_of`` node, names -> values; ``set_of`` node,

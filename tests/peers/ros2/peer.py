@@ -1,4 +1,4 @@
-"""A real rclpy program that a test controls by JSON lines; see `tests.peers.peer`. It does not use Midspan."""
+"""A real rclpy program that a test controls with JSON lines; see `tests.peers.peer`. It does not use Midspan."""
 # ruff: noqa: A002  # parameters are named as in the commands
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def to_plain(value: Any) -> Any:
 
 
 def fill(message: Any, fields: dict[str, Any]) -> Any:
-    """Set the fields of a message from JSON; those not named keep their defaults."""
+    """Set the fields of a message from JSON; fields that are not named keep their defaults."""
     types = message.get_fields_and_field_types()
     for field, value in fields.items():
         setattr(message, field, converted(types[field], value))
@@ -52,7 +52,7 @@ def fill(message: Any, fields: dict[str, Any]) -> Any:
 
 
 def converted(kind: str, value: Any) -> Any:
-    """Return a field's value of the ROS 2 type ``kind``, in the form of ``get_fields_and_field_types``."""
+    """Return a field's value in the ROS 2 type ``kind``, spelled as in ``get_fields_and_field_types``."""
     if kind.startswith("sequence<"):
         return [converted(kind[9:-1].split(",")[0].strip(), item) for item in value]
     if kind.endswith("]"):
@@ -159,7 +159,7 @@ class Peer(Commands):
 
 
 def qos(params: dict[str, Any]) -> Any:
-    """Return the profile for a command; by default deep enough for bursts that a busy program handles late."""
+    """Return the QoS profile for a command; its default depth is enough for bursts that a busy program handles late."""
     profile: Any = QoSProfile(  # type: ignore[no-untyped-call]
         depth=params.get("depth") or (10 if params.get("latched") else 100),
         durability=DurabilityPolicy.TRANSIENT_LOCAL if params.get("latched") else DurabilityPolicy.VOLATILE,
@@ -170,14 +170,14 @@ def qos(params: dict[str, Any]) -> Any:
 
 def main(make: Callable[[Any], Peer] = Peer) -> None:
     """Execute the commands from standard input until it ends."""
-    answers = only_answers()  # Fast DDS writes to standard output, such as on port locks
+    answers = only_answers()  # Fast DDS writes to standard output, for example about port locks
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node: Any = rclpy.create_node(sys.argv[1] if len(sys.argv) > 1 else "peer")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     spinner = threading.Thread(target=executor.spin, daemon=True)
     spinner.start()
-    with contextlib.suppress(SystemExit):  # the shared memory is released
+    with contextlib.suppress(SystemExit):  # so that shared memory is released
         signal.signal(signal.SIGTERM, lambda *_: sys.exit())
         serve(make(node), answers)
     executor.shutdown(1.0)

@@ -1,9 +1,9 @@
-"""Run by the venv's Python: sample messages encoded and decoded by real rclpy.
+"""Encodes and decodes sample messages with real rclpy; run by the virtual environment's Python.
 
 Reads one JSON list from standard input, and writes a list with one reply for each item:
 
 - ``{"type", "values", "cdr"}``, with the test's bytes in base64: ``{"bytes", "same"}``, which are rclpy's own bytes for
-  the values (trailing padding included), and whether rclpy decodes the test's bytes to the same message;
+  the values (including trailing padding), and whether rclpy decodes the test's bytes to the same message;
 - ``{"hash"}``, the name of a service, an action or a service of an action: ``{"hash"}``, its hash in rclpy;
 - ``{"missing"}`` for an unknown type, ``{"error"}`` for a failure.
 """
@@ -59,7 +59,7 @@ def message_class(name: str) -> Any:
 
 
 def type_hash(name: str) -> str:
-    """Return the hash from the C type support, a structure with a pointer to the function that returns it."""
+    """Return the hash from the C type support, a structure with a pointer to the function that returns the hash."""
     package, kind, short = name.split("/")
     base, _, part = short.partition("_")
     interface = getattr(importlib.import_module(f"{package}.{kind}"), base)

@@ -13,9 +13,9 @@ Pose = tuple[float, float, float]
 
 
 class Transforms:
-    """Tracks the transform from ``map`` to ``base_link``, directly or by ``odom``; rotations in the plane only.
+    """Tracks the transform from ``map`` to ``base_link``, direct or through ``odom``; rotations in the plane only.
 
-    A transform's age counts from its arrival, because stamps on a busy machine are already late.
+    A transform's age is counted from its arrival, because stamps on a busy machine are already late.
     """
 
     def __init__(self, node: Node, tolerance: float, group: Any = None) -> None:
@@ -36,7 +36,7 @@ class Transforms:
             time.sleep(0.05)
 
     def pose(self) -> Pose | None:
-        """Return x, y and yaw on the map; None if a transform is missing, or older than the tolerance."""
+        """Return x, y and yaw in the map; None if a transform is missing or older than the tolerance."""
         x, y, yaw, frame = 0.0, 0.0, 0.0, "base_link"
         while frame != "map":
             if frame not in self.frames:

@@ -1,7 +1,7 @@
-"""The body of a simulated robot base, without a middleware; `base.py` of ROS 1 and of ROS 2 connect it to one.
+"""The body of a simulated robot base, without middleware; the programs `base.py` connect it to ROS 1 or ROS 2.
 
-It prints ``moves`` and ``stands``, each with ``time.monotonic()`` and x, whenever that changes: the truth that tests
-measure status words and answers against. Runs on the system's Python without Midspan.
+It prints ``moves`` and ``stands``, each with ``time.monotonic()`` and x, whenever that changes. Tests compare reported
+states and replies with this output. Runs on the system's Python without Midspan.
 """
 # ruff: noqa: ANN204  # it runs without Midspan
 
@@ -12,16 +12,16 @@ import time
 
 PERIOD = 0.05
 WATCHDOG = 0.5
-"""Seconds without a command after which the base brakes, like the driver of a real one."""
+"""Seconds without a command after which the base brakes, like the driver of a real base."""
 TURN_RAMP = 4.0
-"""Angular acceleration, rad/s², of a base with a ramp of 1 m/s²."""
+"""Angular acceleration, in rad/s², of a base with a ramp of 1 m/s²."""
 
 
 class Body:
     """A base that moves in any direction.
 
     Args:
-        ramp: the change of its speed in m/s²; infinite: each command applies at once.
+        ramp: acceleration in m/s²; if infinite, each command applies at once.
     """
 
     def __init__(self, ramp):
@@ -62,7 +62,7 @@ class Body:
             print("moves" if moves else "stands", time.monotonic(), round(self.x, 3), flush=True)
 
     def frames(self, x, y, yaw, odometry):
-        """Return the base's transforms as parent, child, x, y and yaw; without odometry, only its pose on the map."""
+        """Return the base's transforms as parent, child, x, y and yaw; without ``odometry``, only its pose in map."""
         if not odometry:
             return [("map", "base_link", x, y, yaw)]
         return [("map", "odom", 0.0, 0.0, 0.0), ("odom", "base_link", x, y, yaw)]

@@ -13,11 +13,11 @@ ROOM = (((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0)),)
 """Walls of a room of 4 m by 4 m."""
 
 INSIDE = 1.95
-"""Distance of its walls from its middle, meters."""
+"""Distance from the room's middle to its walls, meters."""
 
 
 def simulation(*, floor: dict[str, Any] | None = None, **section: Any) -> Simulation:
-    """Return a simulation in the room, with additions to it from ``floor``."""
+    """Return a simulation in the room, with additions from ``floor``."""
     plan = Plan(name="room", floors={"room": Floor(**{"walls": ROOM, **(floor or {})})})
     return Simulation(SimSection(**section), plan)
 

@@ -1,4 +1,4 @@
-"""A robot on the hub that stands in the laboratory: its scans, its odometry, and the laboratory's map."""
+"""A robot on the hub that stands in the laboratory, and publishes scans, odometry and the laboratory's map."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ _UNIT = (0.0, 0.0, 0.0, 1.0)
 
 
 class Robot(HubNode):
-    """A standing robot that publishes its scans, and odometry with an origin away from the map's.
+    """A standing robot that publishes its scans, and odometry whose origin is away from the map's.
 
     Attributes:
-        silent: outputs that it does not publish: "scan", "odometry".
-        localized: the odometry frame on the map that it publishes, as a localizer would; None for none.
+        silent: the outputs that the robot does not publish: "scan", "odometry".
+        localized: the odometry frame's pose in the map that the robot publishes, as a localizer would; None to publish
+        none.
     """
 
     def __init__(self, hub: Hub, registry: Registry) -> None:
@@ -39,18 +40,18 @@ class Robot(HubNode):
         super().__init__(hub, registry)
         self._tf = self.node.publisher(TF, TF_TYPE, Qos(depth=10))
         static = self.node.publisher(TF_STATIC, TF_TYPE, LATCHED, priority="state")
-        # the laser is mounted upside down and turned by half a circle
+        # the laser is mounted upside down and rotated by 180 degrees
         static.publish_cdr(write([Stamped("base_link", "laser", 0, (0.0, 0.0, 0.2), (0.0, 1.0, 0.0, 0.0))]))
         self._scan = self.node.publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=1))
         self._timer = self.loop.every(_PERIOD, self._publish)
 
     @property
     def pose(self) -> Pose:
-        """Its true pose."""
+        """Return the robot's true pose."""
         return Pose(*self._sim.base.pose())
 
     def carry(self, x: float, y: float, yaw: float) -> None:
-        """Move it to another place without a change of its odometry."""
+        """Move the robot to another place without a change of its odometry."""
         self._sim.teleport(self._sim.base.pose()._replace(x=x, y=y, yaw=yaw))
         self._sim.run(0.1)
 
@@ -62,7 +63,7 @@ class Robot(HubNode):
             self._tf.publish_cdr(write([stamped("map", "odom", self.localized, now + 100_000_000)]))
         if "scan" not in self.silent:
             scan = messages.scan(now, self._sim.scan, "laser", 20.0)
-            # from a laser with this mounting: its beams run clockwise and start at the back
+            # because of the laser's mounting, the beams run clockwise and start at the back
             first = math.pi - self._sim.scan.first
             step = -self._sim.scan.step
             scan |= {"angle_min": first, "angle_increment": step, "angle_max": first + step * 179}

@@ -1,4 +1,4 @@
-"""A point robot on the hub: it follows ``/cmd_vel``, and publishes its transforms and empty laser scans."""
+"""A point robot on the hub, which follows ``/cmd_vel`` and publishes its transforms and empty laser scans."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ BEAMS = 90
 
 
 class PointRobot(HubNode):
-    """Starts at (0, 0) of the map, facing along x; publishes a free map.
+    """A robot that starts at (0, 0) of the map, facing along x, and publishes a free map.
 
     Args:
-        settings: of its session.
-        size: of the map, meters along x and y; the robot starts 5 m from its left border, in the middle of y.
-        localized: whether it publishes the odometry's frame on the map; otherwise a localizer has to.
+        settings: settings of the robot's session.
+        size: of the map, meters along x and y; the robot starts 5 m from the left border, at the middle of y.
+        localized: whether the robot publishes the odometry's frame in the map; otherwise a localizer has to.
     """
 
     def __init__(self, settings: HubSettings, size: tuple[float, float], *, localized: bool = True) -> None:

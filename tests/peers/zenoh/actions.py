@@ -75,7 +75,7 @@ class ActionServer:
         self.get_result.release()
 
     def close(self) -> None:
-        """Close the node: the plugin undeclares its routes, but keeps pending queries."""
+        """Close the node. The plugin undeclares its routes, but keeps pending queries."""
         self.token.undeclare()
         for serving in (self.send_goal, self.cancel_goal, self.get_result):
             serving.undeclare()

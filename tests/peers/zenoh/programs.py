@@ -2,8 +2,8 @@
 
 Written from the plugins' sources (zenoh-plugin-ros2dds of August 2026: ``liveliness_mgt.rs``, ``route_publisher.rs``,
 ``route_subscriber.rs``; zenoh-plugin-ros1 of May 2025: ``topic_utilities.rs``, ``discovery.rs``,
-``aloha_declaration.rs``), without Midspan's code, including messages. A peer is a bridge together with its ROS nodes,
-which receive each other's messages. See `tests.peers.peer` for the commands.
+``aloha_declaration.rs``), without any of Midspan's code, not even its messages. A peer is a bridge together with its
+ROS nodes, which receive each other's messages. See `tests.peers.peer` for the commands.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from tests.support.wait import until
 
 
 def service_texts() -> dict[str, str]:
-    """Return the definitions of services' requests and responses, by name."""
+    """Return the definitions of the services' requests and responses, by name."""
     halves = ("Request", "Response")
     return {f"{name}_{half}": text for name, texts in TYPES.items() for half, text in zip(halves, texts, strict=True)}
 
 
 def open_session(endpoint: str, mode: str = "peer", **more: Any) -> zenoh.Session:
-    """Open a session to the router at an endpoint; with timestamps, like the plugins' bridges."""
+    """Open a session to the router at an endpoint, with timestamps like the plugins' bridges."""
     tree = {
         "mode": mode,
         "scouting": {"delay": 0, "multicast": {"enabled": False}},
@@ -71,7 +71,7 @@ class Router:
 
 
 class Program:
-    """Base class of these programs: numbered endpoints with their received messages."""
+    """Base class of these programs: numbered endpoints and their received messages."""
 
     def __init__(self, endpoint: str) -> None:
         self.session = open_session(endpoint)
@@ -113,7 +113,7 @@ class Program:
             self.on_message(number, type_, data)
 
     def until_subscribed(self, endpoint: int) -> None:
-        """Wait for a subscription to a publisher."""
+        """Wait until a publisher has a subscription."""
         publisher = self._things[endpoint][2][-1]
         until(lambda: publisher.matching_status.matching, "a subscription exists")
 
@@ -125,7 +125,7 @@ class Program:
             part.undeclare()
 
     def serve(self, service: str, type_: str, params: dict[str, Any]) -> tuple[Serving, list[Any]]:
-        """Return a server of the dialect, and what must be undeclared with it."""
+        """Return a server of the dialect, and the entities that must be undeclared with it."""
         raise NotImplementedError
 
     def call(self, service: str, type_: str, request: dict[str, Any] | bytes | None) -> Calling:
@@ -133,7 +133,7 @@ class Program:
         raise NotImplementedError
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
-        """Execute a command for services; see `tests.peers.peer`."""
+        """Execute a service command; see `tests.peers.peer`."""
         if do == "serve":
             serving, parts = self.serve(params["service"], params["type"], params)
             number = self.add(params["service"], params["type"], [*parts, serving])
@@ -154,7 +154,7 @@ class Program:
     def stop(self, seconds: float = 6.0) -> int:
         session, self.session = self.session, None
         if session is not None:
-            # closing zenoh waits for callbacks, and these for Python's lock
+            # closing zenoh waits for callbacks, which wait for Python's lock
             for number in list(self._things):
                 self.drop(number)
             for serving in self.servings.values():
@@ -168,7 +168,7 @@ class Program:
 
 
 class Ros2ddsBridge(Program):
-    """A zenoh-bridge-ros2dds."""
+    """A stand-in for zenoh-bridge-ros2dds."""
 
     def __init__(self, endpoint: str, messages: Messages, namespace: str = "") -> None:
         super().__init__(endpoint)
@@ -198,7 +198,7 @@ class Ros2ddsBridge(Program):
         return f"{self._namespace}/{topic[1:]}" if self._namespace else topic[1:]
 
     def token(self, letters: str, topic: str, type_: str, *, latched: bool, depth: int, best_effort: bool) -> str:
-        """Return the token of a topic, byte for byte."""
+        """Return a topic's token, byte for byte."""
         type_name = self._messages.full(type_).replace("/", "§")
         qos = f":{int(not best_effort)}:{int(latched)}:0,{depth}:typehash={self._messages.type_id(type_)};"
         return f"@/{self.zid}/@ros2_lv/{letters}/{self.key(topic).replace('/', '§')}/{type_name}/{qos}"
@@ -236,7 +236,7 @@ class Ros2ddsBridge(Program):
         return b"rqh" + self._client + next(self._sequence).to_bytes(8, "little") + b"\1"
 
     def declare_token(self, letters: str, name: str, type_name: str) -> zenoh.LivelinessToken:
-        """Declare the token of a service or an action, byte for byte."""
+        """Declare a service's or an action's token, byte for byte."""
         key, type_name = self.key(name).replace("/", "§"), type_name.replace("/", "§")
         return self.session.liveliness().declare_token(f"@/{self.zid}/@ros2_lv/{letters}/{key}/{type_name}")
 
@@ -274,7 +274,7 @@ def _is_cdr(query: zenoh.Query) -> bool:
 
 
 class Beacon:
-    """A plugin's beacon on one key, which pauses when others beacon there (``aloha_declaration.rs``)."""
+    """A plugin's beacon on one key, which pauses when others send beacons there (``aloha_declaration.rs``)."""
 
     def __init__(self, session: zenoh.Session, key: str, period: float, *, sending: bool = True) -> None:
         self._period, self._sending = period, sending
@@ -314,7 +314,7 @@ class Beacon:
 
 
 class Ros1Bridge(Program):
-    """A zenoh-bridge-ros1; the plugin does not announce whether its ROS 1 nodes latch."""
+    """A stand-in for zenoh-bridge-ros1. The plugin does not announce whether its ROS 1 nodes latch."""
 
     def __init__(self, endpoint: str, messages: Messages, namespace: str = "*", period: float = 1.0) -> None:
         super().__init__(endpoint)
@@ -328,7 +328,7 @@ class Ros1Bridge(Program):
         )
 
     def ignore_beacons(self) -> None:
-        """Ignore all beacons except those of its topics."""
+        """Ignore all beacons except those of this bridge's topics."""
         self.watch.undeclare()
         self.watch = self.session.declare_subscriber("nothing", zenoh.handlers.Callback(self._on_beacon))
 
@@ -390,7 +390,7 @@ class Ros1Bridge(Program):
         return Calling(self.session, self.key(service, type_, MD5[type_]), self.wire, type_, request)
 
     def beacons(self) -> list[str]:
-        """Return the keys of all beacons received in the last three periods, including its own."""
+        """Return the keys of all beacons received in the last three periods, including the bridge's own."""
         now = time.monotonic()
         return sorted(key for key, received_at in self._beacons.items() if now - received_at < 3 * self._period)
 
@@ -436,6 +436,6 @@ class JsonProgram(Program):
         return Calling(self.session, service.strip("/"), self.wire, type_, request)
 
     def get(self, key: str) -> list[tuple[Any, str]]:
-        """Query a key, and return each answer with its encoding."""
+        """Query a key, and return each reply with its encoding."""
         replies = self.session.get(key, timeout=5.0)
         return [(json.loads(r.ok.payload.to_bytes()), str(r.ok.encoding)) for r in replies if r.ok is not None]

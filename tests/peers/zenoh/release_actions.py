@@ -1,4 +1,4 @@
-"""Actions of `tests.peers.zenoh.releases`, with the versions of the types that each release has."""
+"""Actions of the nodes in `tests.peers.zenoh.releases`, with each release's versions of the types."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def hash_in(release: str, type_name: str) -> str:
 
 
 class ReleaseTypes:
-    """The types of a node's release; the messages of Humble are those of its own versions."""
+    """The types of a node's release. Humble's messages use Humble's versions of the types."""
 
     def __init__(self, node: ReleaseNode) -> None:
         self.node = node
 
     def topic(self, name: str, type_name: str, qos: Qos | None = None) -> Topic:
-        """Return a topic or service with the hash of the release."""
+        """Return a topic or service with the release's hash."""
         return Topic(name, type_name, hash_in(self.node.release.name, type_name), qos or Qos(depth=100))
 
     def _schema(self, type_name: str, part: str) -> Any:
@@ -59,10 +59,10 @@ class ReleaseTypes:
 
 
 class ReleaseActionServer:
-    """An action server, which accepts each goal, publishes feedback until its result is requested, and succeeds.
+    """An action server that accepts each goal, publishes feedback until the result is requested, and succeeds.
 
     Attributes:
-        goals: the goals so far.
+        goals: the goals received so far.
         canceled: the number of cancel requests.
     """
 
@@ -103,7 +103,7 @@ class ReleaseActionServer:
                 self._publisher.put(self.types.encode(self._kinds.feedback, message))
 
     def close(self) -> None:
-        """Withdraw its endpoints."""
+        """Withdraw the server's endpoints."""
         self._closed.set()
         self._thread.join()
         for end in (*self._ends, self._publisher, self._status):
@@ -121,13 +121,13 @@ class ReleaseActionClient:
         self._feedback = ReleaseSubscription(node, topic(parts.feedback, kinds.feedback))
 
     def send(self, goal_id: bytes, goal: Mapping[str, Any]) -> dict[str, Any]:
-        """Send a goal; return the response."""
+        """Send a goal, and return the response."""
         request = {"goal_id": {"uuid": list(goal_id)}, "goal": goal}
         (reply,) = self._send.call(self.types.encode(self._kinds.send_goal, request, "Request"))
         return self.types.decode(self._kinds.send_goal, reply, "Response")
 
     def result(self, goal_id: bytes) -> dict[str, Any]:
-        """Return the response with the result, once the goal has ended."""
+        """Return the response that contains the result, once the goal has ended."""
         request = {"goal_id": {"uuid": list(goal_id)}}
         (reply,) = self._result.call(self.types.encode(self._kinds.get_result, request, "Request"))
         return self.types.decode(self._kinds.get_result, reply, "Response")

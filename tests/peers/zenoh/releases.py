@@ -1,4 +1,4 @@
-"""Nodes of rmw_zenoh as each ROS 2 release has it, written from the published sources without Midspan's own wire code.
+"""rmw_zenoh nodes of each ROS 2 release, written from the published sources without Midspan's own wire code.
 
 Sources: rmw_zenoh_cpp 0.1.9 (Humble), 0.2.10 (Jazzy), 0.6.7 (Kilted) and 0.10.5 (Lyrical), in the repository
 ros2-gbp/rmw_zenoh-release: ``liveliness_utils.cpp`` (tokens, keys and GIDs), ``attachment_helpers.cpp``,
@@ -50,7 +50,7 @@ RELEASES = (HUMBLE, JAZZY, KILTED, LYRICAL)
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic or service with its type; ``array``: the type has a variable-length array of primitives."""
+    """A topic or service with its type; ``array`` is whether the type has a variable-length array of primitives."""
 
     name: str
     type_name: str
@@ -65,7 +65,7 @@ def _dds(type_name: str) -> str:
 
 
 def _qos(qos: Qos) -> str:
-    """Return the text of ``qos_to_keyexpr``: a policy equal to the default profile is empty."""
+    """Return the text of ``qos_to_keyexpr``, in which a policy equal to the default profile is empty."""
     numbers = int(qos.reliability), int(qos.durability), int(qos.history), qos.depth
     texts = ("" if number == usual else str(number) for number, usual in zip(numbers, (1, 2, 1, 42), strict=True))
     return "{}:{}:{},{}:,:,:,,".format(*texts)
@@ -102,7 +102,7 @@ class ReleaseNode:
         return topic.type_hash if self.release.hashes else NO_HASH
 
     def key(self, topic: Topic) -> str:
-        """Return the key of a topic's samples, or a service's calls."""
+        """Return the key of a topic's samples or a service's calls."""
         return f"{self._domain}/{topic.name.strip('/')}/{_dds(topic.type_name)}/{self._hash(topic)}"
 
     def buffered(self, topic: Topic) -> bool:
@@ -127,7 +127,7 @@ class ReleaseNode:
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A sample as `rmw_take` reads it."""
+    """A sample, parsed as `rmw_take` does."""
 
     payload: bytes
     sequence: int
@@ -136,7 +136,7 @@ class Received:
 
 
 class ReleaseSubscription:
-    """A subscription: on the key, and with buffers in the CPU's group."""
+    """A subscription on the topic's key and, if the type has buffers, in the CPU group."""
 
     def __init__(self, node: ReleaseNode, topic: Topic) -> None:
         self.samples: list[Received] = []
@@ -163,11 +163,11 @@ class ReleaseSubscription:
 
 
 class ReleasePublisher:
-    """A publisher. With buffers it publishes as ``PublisherData::publish`` of Lyrical does.
+    """A publisher. If the type has buffers, it publishes as Lyrical's ``PublisherData::publish`` does.
 
     It stores each subscription that it discovers, and never removes one. Subscriptions that announce only the CPU share
-    a group key; each other one has the key ``<key>/_buf/<GID>``. The topic's key is used only while more subscriptions
-    match than were discovered. Each put has a new number.
+    a group key; each other subscription has the key ``<key>/_buf/<GID>``. The topic's key is used only while more
+    subscriptions match than were discovered. Each put has a new number.
     """
 
     def __init__(self, node: ReleaseNode, topic: Topic) -> None:
@@ -196,7 +196,7 @@ class ReleasePublisher:
         wanted = ["MS", self._topic.name.replace("/", "%"), _dds(self._topic.type_name)]
         if len(parts) < 13 or [parts[5], *parts[9:11]] != wanted:
             return
-        gid = gid_of("/".join(parts[:14]))  # made again from the parts that the release knows
+        gid = gid_of("/".join(parts[:14]))  # computed from the parts that the release knows
         with self._lock:
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._present.discard(gid)
@@ -206,12 +206,12 @@ class ReleasePublisher:
             self._discovered[gid] = f"{self.key}/{CPU_GROUP}" if cpu else f"{self.key}/_buf/{gid.hex()}"
 
     def discovered(self) -> list[str]:
-        """Return the keys of the subscriptions that this publisher has discovered; with buffers only."""
+        """Return the keys of the subscriptions that this publisher has discovered, only if the type has buffers."""
         with self._lock:
             return sorted(self._discovered.values())
 
     def put(self, payload: bytes) -> list[str]:
-        """Publish one message; return the keys that it went to."""
+        """Publish one message, and return the keys that it was sent on."""
         keys = [self.key]
         if self._watch is not None:
             with self._lock:
@@ -230,7 +230,7 @@ class ReleasePublisher:
         self._declared(self.key).put(payload, attachment=attachment(self._sequence, self.gid))
 
     def close(self) -> None:
-        """Withdraw the publisher with its cached samples."""
+        """Withdraw the publisher and its cached samples."""
         self._token.undeclare()
         if self._watch is not None:
             self._watch.undeclare()
@@ -238,7 +238,7 @@ class ReleasePublisher:
 
 
 class ReleaseServer:
-    """A server: a complete queryable; a reply repeats the number and the GID of its request."""
+    """A server with a complete queryable; a reply repeats its request's number and GID."""
 
     def __init__(self, node: ReleaseNode, service: Topic, answer: Callable[[bytes], bytes]) -> None:
         self.requests: list[bytes] = []
@@ -262,7 +262,7 @@ class ReleaseServer:
 
 
 class ReleaseClient:
-    """A client, which calls all complete queryables of its key; a query without a reply is lost."""
+    """A client that queries all complete queryables of its key; a query without a reply is lost."""
 
     def __init__(self, node: ReleaseNode, service: Topic) -> None:
         self._node, self._key = node, node.key(service)
@@ -271,7 +271,7 @@ class ReleaseClient:
         self._token = node.announce(token)
 
     def call(self, request: bytes, seconds: float = 30.0) -> list[bytes]:
-        """Return all replies; waits until the query has ended."""
+        """Return all replies, once the query has ended."""
         self._sequence += 1
         replies: list[bytes] = []
         ended: Queue[None] = Queue()

@@ -2,8 +2,8 @@
 
 Since 0.2.2 rmw_zenoh_cpp declares every subscription as zenoh-ext's advanced subscriber and every publisher as its
 advanced publisher. The options depend on the QoS: `rmw_subscription_data.cpp` and `rmw_publisher_data.cpp` of
-rmw_zenoh_cpp, branch jazzy. An advanced subscriber drops a sample whose source number is not above the last one of its
-source; a plain subscriber delivers it.
+rmw_zenoh_cpp, branch jazzy. An advanced subscriber drops a sample whose source number is not above that source's last
+number; a plain subscriber delivers it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from bridge.hub.wire.qos import History, Qos, Reliability
 from tests.support.wait import until
 
 HEARTBEAT = 0.5
-"""Seconds, `SAMPLE_MISS_DETECTION_HEARTBEAT_PERIOD` of rmw_zenoh_cpp."""
+"""Seconds; `SAMPLE_MISS_DETECTION_HEARTBEAT_PERIOD` of rmw_zenoh_cpp."""
 
 CONFIG: dict[str, Any] = {
     "mode": "peer",
@@ -43,14 +43,14 @@ CONFIG: dict[str, Any] = {
     "queries_default_timeout": 600_000,
     "transport": {"link": {"tx": {"lease": 60_000, "keep_alive": 2}}, "shared_memory": {"enabled": False}},
 }
-"""The relevant part of rmw_zenoh_cpp's `DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`, with loopback for localhost."""
+"""The relevant part of rmw_zenoh_cpp's `DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`, with loopback instead of localhost."""
 
 
 def rmw_session(router: str, mode: str = "peer") -> zenoh.Session:
     """Open the zenoh session of an rmw_zenoh context.
 
-    As a peer, rmw_zenoh's default, it connects to the router and directly to other peers; as a client it reaches them
-    through the router only.
+    As a peer, rmw_zenoh's default, the session connects to the router and directly to other peers; as a client, it
+    reaches them only through the router.
     """
     listen = {} if mode == "client" else CONFIG["listen"]
     tree = {**CONFIG, "mode": mode, "listen": listen, "connect": {"endpoints": [router]}}
@@ -113,7 +113,7 @@ class _Announced:
         self._tokens: list[zenoh.LivelinessToken] = []
 
     def announce(self, token: str) -> None:
-        """Declare the endpoint's token; rmw_zenoh does so once the endpoint is declared."""
+        """Declare the endpoint's token, as rmw_zenoh does once the endpoint is declared."""
         self._tokens.append(self._liveliness.declare_token(token))
 
     def close(self) -> None:
@@ -123,7 +123,7 @@ class _Announced:
 
 
 class RmwSubscription(_Announced):
-    """Collects the payloads that one subscription of rmw_zenoh would deliver.
+    """Collects the payloads that one rmw_zenoh subscription would deliver.
 
     Attributes:
         missed: messages that zenoh counts as lost, from gaps between source numbers.
@@ -161,7 +161,7 @@ class RmwSubscription(_Announced):
     def expect(self, *texts: str, seconds: float = 40.0) -> None:
         """Wait until exactly these messages have arrived, in this order."""
         with contextlib.suppress(AssertionError):
-            until(lambda: len(self.payloads) >= len(texts), "all arrive", seconds)
+            until(lambda: len(self.payloads) >= len(texts), "all messages arrive", seconds)
         assert self.texts() == list(texts), f"{self.texts()} arrived, not {list(texts)}"
 
     def close(self) -> None:
@@ -172,7 +172,7 @@ class RmwSubscription(_Announced):
 
 
 class RmwPublisher(_Announced):
-    """Publishes with the attachment of rmw_zenoh: sequence number, time and GID.
+    """Publishes with rmw_zenoh's attachment: sequence number, time and GID.
 
     Args:
         gid: the publisher's GID, by default a random one.
@@ -201,7 +201,7 @@ class RmwPublisher(_Announced):
         until(self.matched, "the publisher is matched")
 
     def close(self) -> None:
-        """Withdraw the publisher with the samples it caches."""
+        """Withdraw the publisher and the samples that it caches."""
         super().close()
         self._matching.undeclare()
         # Not `undeclare`, which may hold Python's lock for 10 s; dropping the last reference releases it.
@@ -209,7 +209,7 @@ class RmwPublisher(_Announced):
 
 
 class RmwNode:
-    """A node of rmw_zenoh: a session, the node's liveliness token, and endpoints with theirs."""
+    """An rmw_zenoh node: a session, the node's liveliness token, and endpoints with their tokens."""
 
     def __init__(self, router: str, domain: int, name: str) -> None:
         self._session = rmw_session(router)

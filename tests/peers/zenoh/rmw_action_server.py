@@ -1,4 +1,4 @@
-"""A node that serves ``NavigateToPose`` on the hub like an rmw_zenoh node, without Midspan's endpoints."""
+"""A node that serves ``NavigateToPose`` on the hub as an rmw_zenoh node does, without Midspan's endpoints."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ Handler = Callable[[zenoh.Query, dict[str, Any]], None]
 class RmwActionServer:
     """The node with its five endpoints, each with a liveliness token and a queryable or publisher.
 
-    Accepted goals run until the test ends them. Its endpoints can be closed one by one and declared again while goals
-    are being executed, which is what the gateway observes if the worker of a planner's side is killed.
+    Accepted goals run until the test ends them. The endpoints can be closed one by one, and declared again, while goals
+    are executed; this is what the gateway observes if the worker of a planner's side is killed.
 
     Attributes:
-        goals: ids of accepted goals, the oldest first.
-        canceled: ids of goals that clients requested to cancel; zeros for all goals.
-        rejects: whether it rejects goals.
-        cancels: whether it ends goals that a client requests to cancel.
-        lists: whether it publishes its goal list when it is declared, as Midspan's servers do, but rcl's do not.
+        goals: ids of the accepted goals, oldest first.
+        canceled: ids of goals that clients requested to cancel; zeros stand for all goals.
+        rejects: whether the server rejects goals.
+        cancels: whether the server ends goals that a client requests to cancel.
+        lists: whether the goal list is published when the server is declared, as Midspan's servers do and rcl's do not.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class RmwActionServer:
         self.answer(status, code, why)
 
     def answer(self, status: GoalState, code: int = 0, why: str = "") -> None:
-        """Reply with the result of the last goal, without publishing the list; `GoalState.UNKNOWN` for a lost goal."""
+        """Reply with the last goal's result, without publishing the list; `GoalState.UNKNOWN` for a lost goal."""
         goal = self.goals[-1]
         if status.ended:
             self._statuses[goal] = status
@@ -95,7 +95,7 @@ class RmwActionServer:
             self._answer_result(query, status, code, why)
 
     def set(self, goal: bytes, status: GoalState = GoalState.EXECUTING) -> None:
-        """Set the state of a goal of any client, without publishing the list."""
+        """Set the state of any client's goal, without publishing the list."""
         self._statuses[goal] = status
 
     def forget(self) -> None:
@@ -181,7 +181,7 @@ class RmwActionServer:
             self.cancel(wanted)
 
     def cancel(self, wanted: bytes = bytes(16)) -> None:
-        """End a goal as canceled; zeros for all."""
+        """End a goal as canceled; zeros stand for all goals."""
         for goal in [goal for goal, status in self._statuses.items() if not status.ended]:
             if goal == wanted or not any(wanted):
                 self._statuses[goal] = GoalState.CANCELED

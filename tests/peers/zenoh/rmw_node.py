@@ -1,6 +1,6 @@
-"""A node of rmw_zenoh in a separate process, which a test can freeze. Arguments: router, domain, name, lease in ms.
+"""An rmw_zenoh node in a separate process, which a test can freeze. Arguments: router, domain, name, lease in ms.
 
-It has one subscription, and runs until its standard input ends or it is killed.
+The node has one subscription, and runs until its standard input ends or it is killed.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class Acting:
         if not self._server.send_goal.requests(1, self._seconds):
             return
         self._server.cancel_goal.reply = {"goals_canceling": [{"goal_id": self._server.goal()["goal_id"]}]}
-        until(lambda: self._server.feedback.matching_status.matching, "a client discovers it", self._seconds)  # type: ignore[attr-defined]
+        until(lambda: self._server.feedback.matching_status.matching, "a client matches", self._seconds)  # type: ignore[attr-defined]
         self._server.report(EXECUTING)
         if not self._held:
             self._end(ABORTED if self._outcome == "abort" else SUCCEEDED)
@@ -69,7 +69,7 @@ class Sent(PolledGoal):
         until(lambda: bridge.tokens(params["action"], "AS"), f"{params['action']} is announced", params["seconds"])
 
         def answered() -> Any:
-            """Return the reply; the plugin's client gets none before the other side's server exists."""
+            """Return the reply; the plugin's client gets no reply before the other side's server exists."""
             return self._client.ask("send_goal", request).result()["reply"]
 
         reply = until(answered, f"there is a server of {params['action']}", params["seconds"], every=0.1)

@@ -1,7 +1,8 @@
 """A zenoh-ros2-sdk program that a test controls, as an independent participant of the hub; see `tests.peers.peer`.
 
 Arguments: router port, ROS domain. Types are those of rosbags' Jazzy store; their definitions and hashes are passed
-explicitly, otherwise the SDK would fetch them from the network. ``topic_info`` topic -> the SDK's view of a topic.
+explicitly, because the SDK would otherwise fetch them from the network. ``topic_info`` topic -> the SDK's view of a
+topic.
 Services are those of ``SERVICES``, with the SDK's own hashes; ``serve`` -> id and hash.
 """
 # ruff: noqa: A002  # parameters are named as in the commands
@@ -42,7 +43,7 @@ def full_name(name: str) -> str:
 
 
 def fields_of(name: str, values: dict[str, Any], store: Any) -> dict[str, Any]:
-    """Return the values of all fields of a message for its class; missing fields are zero."""
+    """Return the values of all fields of a message, for its class; missing fields are zero."""
     _, fields = STORE.fielddefs[name]
     return {field: value_of(kind, values.get(field), store) for field, kind in fields}
 
@@ -74,7 +75,7 @@ def plain(value: Any) -> Any:
 
 
 class Publisher:
-    """A publisher of messages by their fields."""
+    """A publisher of messages given by their fields."""
 
     def __init__(self, topic: str, options: dict[str, Any]) -> None:
         self._endpoint = ROS2Publisher(topic, node_name="sdk_talker", **options)
@@ -126,7 +127,7 @@ class Serving(Record):
 
 
 class ClientCall(Calling):
-    """A call by a separate client."""
+    """A call made by a separate client."""
 
     def __init__(self, client: ROS2ServiceClient, request: dict[str, Any]) -> None:
         self._client, self._request = client, request
@@ -134,7 +135,7 @@ class ClientCall(Calling):
 
     def _reply_fields(self) -> Any:
         reply = self._client.call(**self._request)
-        assert reply is not None, "no reply by the SDK"  # it writes the reason to its log
+        assert reply is not None, "the SDK got no reply"  # the SDK writes the reason to its log
         return plain(reply)
 
     def drop(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 
 TIMEOUT = 30.0
-"""Time-out of these programs' queries, seconds; the plugins' defaults are 5 and 10."""
+"""Timeout of these programs' queries in seconds; the plugins' defaults are 5 and 10."""
 
 TYPES = {
     "std_srvs/SetBool": ("bool data\n", "bool success\nstring message\n"),
@@ -31,9 +31,9 @@ class Wire:
     Args:
         encode: converts a type's fields to bytes.
         decode: converts bytes to a type's fields.
-        failed: returns a bridge's reply for the error text of its server; None if bridges do not reply to errors.
+        failed: returns a bridge's reply to the error text of its server; None if bridges do not reply to errors.
         takes: whether a bridge forwards a request.
-        attachment: of each request.
+        attachment: attachment of each request.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Wire:
 
 
 class Serving:
-    """A bridge's queryable for a service, with a server that gives one answer to all requests."""
+    """A bridge's queryable for a service, whose server gives one answer to all requests."""
 
     def __init__(self, session: zenoh.Session, key: str, wire: Wire, params: dict[str, Any]) -> None:
         self.key, self.wire, self.type = key, wire, params["type"]
@@ -104,14 +104,14 @@ class Serving:
             self.arrived.notify_all()
 
     def drop_queries(self) -> None:
-        """Drop held queries, since closing the session would wait for them."""
+        """Drop held queries, because closing the session would wait for them."""
         waiting, self.waiting = self.waiting, []
         for query in waiting:
             query.drop()
 
 
 class Calling:
-    """One query of a bridge, and its first reply."""
+    """One query by a bridge, and its first reply."""
 
     def __init__(
         self, session: zenoh.Session, key: str, wire: Wire, type_: str, request: dict[str, Any] | bytes | None
@@ -136,7 +136,7 @@ class Calling:
             return {"done": False, "reply": None, "error": ""}
         if not self.answers:
             return {"done": True, "reply": None, "error": "no reply"}
-        assert len(self.answers) == 1, "one answer"
+        assert len(self.answers) == 1, "more than one answer"
         answer = self.answers[0]
         if answer.ok is None:
             return {"done": True, "reply": None, "error": answer.err.payload.to_bytes().decode()}

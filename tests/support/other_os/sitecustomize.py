@@ -1,8 +1,8 @@
-"""Makes every Python process below a folder on ``PYTHONPATH`` run Midspan as on Windows or macOS.
+"""Makes each Python process with a certain folder on ``PYTHONPATH`` run Midspan as on Windows or macOS.
 
-With ``HIDDEN_OS=windows`` or ``macos``, Midspan's own modules get restricted modules of the standard library: what the
-other system lacks is missing, and functions that differ there behave as there. Libraries get the real modules, since
-they are adapted to each system. Compiled kernels are not loaded: no other system has them.
+With ``HIDDEN_OS=windows`` or ``macos``, Midspan's own modules get restricted modules of the standard library: names
+that the other system lacks are missing, and functions that differ there behave as there. Libraries get the real
+modules, because they are adapted to each system. Compiled kernels are not loaded, because no other system has them.
 """
 
 from __future__ import annotations
@@ -62,17 +62,17 @@ NO_NAMES = {
         "resource": "prlimit RLIMIT_SIGPENDING RLIMIT_MSGQUEUE RLIMIT_NICE RLIMIT_RTPRIO RUSAGE_THREAD",
     },
 }
-"""By module; a star stands for any end. ``os.waitid`` is on macOS from Python 3.13 on."""
+"""The missing names by module; a star stands for any ending. macOS has ``os.waitid`` from Python 3.13 on."""
 
 NO_FOLDERS = ("/proc", "/dev/shm", "/dev/fd", "/sys", "/run", "/usr/share/zoneinfo", "/etc")
-"""Windows has none of them, macOS only the last three."""
+"""Windows has none of these modules, and macOS only the last three."""
 
 _replaced: dict[str, dict[str, object]] = {}
 _proxies: dict[str, types.ModuleType] = {}
 
 
 class Restricted(types.ModuleType):
-    """A module without the names that the other system lacks; assignments go to the real one."""
+    """A module without the names that the other system lacks; assignments go to the real module."""
 
     def __init__(self, module: types.ModuleType) -> None:
         hidden = NO_NAMES[SYSTEM].get(module.__name__, "").split()
@@ -114,7 +114,7 @@ def is_ours(scope: object) -> bool:
 
 
 def restrict() -> None:
-    """Give Midspan's modules the restricted ones."""
+    """Give Midspan's modules the restricted modules."""
     original = builtins.__import__
     restricted = {*NO_NAMES[SYSTEM], *_replaced}
 
@@ -141,7 +141,7 @@ def _proxy(module: types.ModuleType) -> types.ModuleType:
 
 
 def without_kernels() -> None:
-    """Let Midspan's compiled kernels not be found, so that Python runs their sources."""
+    """Hide Midspan's compiled kernels, so that Python runs their sources."""
     from importlib import machinery
 
     class Uncompiled:
@@ -158,7 +158,7 @@ def without_kernels() -> None:
 
 
 def named_encodings() -> None:
-    """Make Midspan fail if it opens a text file without an encoding, since the default is not UTF-8 on Windows."""
+    """Make Midspan fail if it opens a text file without an encoding, because Windows' default is not UTF-8."""
     warnings.filterwarnings("ignore", category=EncodingWarning)
     warnings.filterwarnings("error", category=EncodingWarning, module=rf"({'|'.join(OURS)})\b")
 
@@ -167,7 +167,7 @@ def named_encodings() -> None:
 
 
 def _calls_midspan(depth: int = 2) -> bool:
-    """Return whether Midspan's code runs, with at most the standard library between it and this function."""
+    """Return whether Midspan's code is calling, with only the standard library between it and this function."""
     frame = sys._getframe(depth)
     while frame is not None:
         name = frame.f_globals.get("__name__", "")
@@ -192,7 +192,7 @@ _DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT"
 
 
 def _check_name(path: object) -> None:
-    """Raise what Windows raises for a file name that it forbids."""
+    """Raise the error that Windows raises for a file name that it forbids."""
     if isinstance(path, int) or not isinstance(path, str | bytes | os.PathLike):
         return
     for part in os.fsdecode(path).split("/"):
@@ -204,7 +204,7 @@ def _check_name(path: object) -> None:
 
 
 def _check_closed(path: Any) -> None:
-    """Raise what Windows raises if a file of this process that is removed or replaced is open."""
+    """Raise the error that Windows raises if a removed or replaced file is open in this process."""
     try:
         at = _real_stat(path)
     except OSError:
@@ -247,11 +247,11 @@ def _is_socket(file: Any) -> bool:
 
 
 def _windows() -> None:
-    """Define what Windows has in other forms."""
+    """Define what Windows has in another form."""
     exclusive, new_group = -5, 0x200  # SO_EXCLUSIVEADDRUSE and CREATE_NEW_PROCESS_GROUP
 
     def kill(pid: int, number: int) -> None:
-        # CTRL_C_EVENT is 0, CTRL_BREAK_EVENT 1; every other number ends the process with it as its exit code
+        # CTRL_C_EVENT is 0, CTRL_BREAK_EVENT 1; any other number ends the process, and is its exit code
         if number in {0, 1}:
             os.kill(pid, signal.SIGINT)
         else:
@@ -341,7 +341,7 @@ def _windows() -> None:
 
 
 def _msvcrt() -> types.ModuleType:
-    """Return the part of Windows' C library that locks files: each open file has its own locks, as with flock(2)."""
+    """Return the file-locking part of Windows' C library; each open file has its own locks, as with flock(2)."""
     import fcntl
 
     module = types.ModuleType("msvcrt")
@@ -360,7 +360,7 @@ def _msvcrt() -> types.ModuleType:
 
 
 def _macos() -> None:
-    """Define what macOS has in other forms."""
+    """Define what macOS has in another form."""
 
     class Socket(socket.socket):
         def shutdown(self, how: int) -> None:

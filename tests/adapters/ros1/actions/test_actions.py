@@ -1,4 +1,4 @@
-"""Actions of real actionlib servers on the hub, with native clients of the same servers."""
+"""Real actionlib servers offer actions on the hub, and have native clients, too."""
 
 import signal
 import struct
@@ -23,14 +23,14 @@ MOVE_BASE = "move_base_msgs/action/MoveBase"
 
 @pytest.fixture(scope="module")
 def servers(master):
-    """A program with servers named per test."""
+    """A program whose servers are named by each test."""
     with peer_on(master, "servers") as peer:
         yield peer
 
 
 @pytest.fixture(scope="module")
 def clients(master):
-    """A program with clients named per test."""
+    """A program whose clients are named by each test."""
     with peer_on(master, "clients") as peer:
         yield peer
 
@@ -47,8 +47,8 @@ def test_an_actionlib_server_is_shown_as_a_ros_2_action(master, edge):
             present = [e for e in edge.endpoints() if e["topic"].startswith("/shown/")]
             return {e["topic"]: (e["kind"], e["type"], e["latched"]) for e in present}
 
-        # first as topics, which appear one by one, then as an action once all exist
-        until(lambda: shown() == parts, "it is shown as an action", SECONDS)
+        # first as topics, which appear one by one, and then as an action once all topics exist
+        until(lambda: shown() == parts, "the server is shown as an action", SECONDS)
     with peer_on(master, "alone_client") as client:
         client.ask("client", name="/alone")
         edge.endpoint(topic="/rosout", node="/alone_client", made_by="native")
@@ -106,7 +106,9 @@ def test_the_hub_cancels_goals_of_a_ros1_server(master, edge, servers):
     assert [hub.result(a)[0] for a in requests[1:]] == [GoalState.CANCELED] * 2
     stubborn, sent = hub.send(1_000_004)
     assert hub.accepted(sent)
-    assert hub.cancel(stubborn) == (CancelCode.NONE, {stubborn}), "by the server's library, not by its callbacks"
+    assert hub.cancel(stubborn) == (CancelCode.NONE, {stubborn}), (
+        "the server's library accepts the request, not its callbacks"
+    )
     hub.until_state(stubborn, GoalState.CANCELING)
     hub.close()
 
@@ -166,7 +168,7 @@ def test_goals_of_native_clients_are_listed_followed_and_canceled(master, edge, 
 
 @pytest.mark.parametrize("how", ["killed", "restarted", "stopped"])
 def test_goals_of_a_server_that_leaves_are_unknown(master, edge, how):
-    """The server has not reported their end, so the bridge does not, either."""
+    """The server has not reported the goals' ends, so the bridge does not report them, either."""
     name = f"/{how}"
     with peer_on(master, f"{how}_server") as peer:
         server = peer.ask("server", name=name)["id"]
@@ -191,7 +193,7 @@ def test_goals_of_a_server_that_leaves_are_unknown(master, edge, how):
                 new = until(taken, "the new server accepts goals", SECONDS)
                 assert hub.result(hub.ask(new)) == (GoalState.SUCCEEDED, 10)
                 assert hub.result(hub.ask(goal)) == (GoalState.UNKNOWN, 0)
-                until(lambda: goal not in hub.states(), "the new server does not list it", SECONDS)
+                until(lambda: goal not in hub.states(), "the new server does not list the old goal", SECONDS)
         else:
             assert hub.result(call) == (GoalState.UNKNOWN, 0)
             assert hub.accepted(hub.send(10)[1]) is False
@@ -200,7 +202,7 @@ def test_goals_of_a_server_that_leaves_are_unknown(master, edge, how):
 
 
 def test_an_action_that_is_opened_again_accepts_goals(edge, servers):
-    """Earlier goals keep the caller alive; it accepts goals again as soon as a part is open."""
+    """Earlier goals keep the caller alive. It accepts goals again as soon as a part is open."""
     servers.ask("server", name="/again")
     for number in range(10):
         hub = HubClient(edge, "/again")
@@ -211,19 +213,19 @@ def test_an_action_that_is_opened_again_accepts_goals(edge, servers):
 
 
 def test_a_returning_server_is_discovered_by_its_connection(tmp_path):
-    """Only its connection to the edge's topics shows it: the master is not polled."""
+    """Only the server's connection to the edge's topics reveals it, because the master is not polled."""
     with RosMaster() as master, edge_on(master, tmp_path) as edge:
         with peer_on(master, "returns") as peer:
             peer.ask("server", name="/returns")
             hub = HubClient(edge, "/returns")
             peer.signal(signal.SIGKILL)
         parts = {"topic": "/returns/_action/send_goal", "made_by": "native"}
-        until(lambda: not edge.endpoints(**parts), "its exit is noticed", SECONDS)
+        until(lambda: not edge.endpoints(**parts), "the server's exit is noticed", SECONDS)
         hub.close()
         edge.ask("set_period", every=3600.0)
         with peer_on(master, "returns") as peer:
             peer.ask("server", name="/returns")
-            until(lambda: edge.endpoints(**parts), "it is discovered", SECONDS)
+            until(lambda: edge.endpoints(**parts), "the server is discovered", SECONDS)
             edge.ask("set_period", every=0.1)  # a connection that fails is retried when the master is read
             again = HubClient(edge, "/returns")
             goal, sent = again.send(10)
@@ -233,12 +235,12 @@ def test_a_returning_server_is_discovered_by_its_connection(tmp_path):
 
 
 def test_a_result_that_was_lost_has_the_state_of_the_list(master, edge, servers, clients):
-    """The goal ended while no subscription of the edge was connected: results are not latched."""
+    """The goal ended while no subscription of the edge was connected, and results are not latched."""
     peer, native = servers, clients
     server = peer.ask("server", name="/lost")["id"]
     client = native.ask("client", name="/lost")["id"]
     assert native.ask("wait_for_server", id=client)["there"]
-    time.sleep(HOLD_SECONDS + 1.5)  # until then the probe's connection receives the result
+    time.sleep(HOLD_SECONDS + 1.5)  # until then, the probe's connection would receive the result
     goal = new_uuid()
     native.ask("raw_goal", id=client, number=14, goal=states.text_of(goal))
     peer.ask("goals", id=server)
@@ -286,7 +288,7 @@ def test_goals_in_unknown_frames_are_rejected(master, edge, servers):
 
 @pytest.mark.thorough
 def test_a_thousand_concurrent_goals_end_as_their_server_reports(master, edge, servers):
-    """Some are rejected, some end at once, all others are held until every one has been accepted."""
+    """Some goals are rejected, some end at once, and all others are held until all have been accepted."""
     count = 1000
     numbers = [100 * n + (n % 5 if n % 2 else 4) for n in range(count)]
     peer = servers

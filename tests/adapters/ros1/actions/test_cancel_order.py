@@ -11,7 +11,7 @@ ALL = GoalId(ZERO, "")
 
 
 class World:
-    """Records the goals and cancel requests at the server in order, and which clients have unread goals."""
+    """Records the order of goals and cancel requests at the server, and which clients have unread goals."""
 
     def __init__(self) -> None:
         self.now, self.passed, self.known = 100.0, [], set()
@@ -65,7 +65,7 @@ def test_a_cancel_request_that_arrives_first_is_forwarded_after_its_goal(world):
     world.send("a")
     assert world.passed == ["goal b", "goal a", "cancel a"]
     world.advance(LONGEST_SECONDS)
-    assert world.passed == ["goal b", "goal a", "cancel a"], "it is forwarded once"
+    assert world.passed == ["goal b", "goal a", "cancel a"], "the request is forwarded once"
 
 
 def test_a_request_whose_goal_never_arrives_is_forwarded_to_the_server(world):
@@ -114,7 +114,7 @@ def test_cancel_all_is_forwarded_at_once_and_repeated_for_goals_that_it_overtook
 
 
 def test_a_goal_after_cancel_all_runs_if_none_was_unread_when_the_request_arrived(world):
-    """A client that cancels all goals of the server and then connects to send its first goal."""
+    """A client cancels all goals of the server, and then connects to send its first goal."""
     world.listed.add(ME)
     world.stop(ALL)
     world.unread.add(ME)
@@ -123,7 +123,7 @@ def test_a_goal_after_cancel_all_runs_if_none_was_unread_when_the_request_arrive
 
 
 def test_a_goal_that_is_unread_when_cancel_all_arrives_is_canceled_even_if_it_was_sent_later(world):
-    """Neither message shows which was sent first; with an actionlib server, either may be handled first."""
+    """Neither message shows which was sent first. With an actionlib server, either may be handled first."""
     world.unread.add(ME)
     world.stop(ALL)
     world.send("earlier or later")

@@ -1,4 +1,4 @@
-"""`ActionlibClient` against a model of an actionlib server whose topics arrive in any order."""
+"""`ActionlibClient` is tested against a model of an actionlib server whose topics arrive in any order."""
 
 import pytest
 
@@ -113,10 +113,12 @@ def test_goals_of_a_lost_server_are_unknown_once_and_no_state_is_published(world
         (GoalState.UNKNOWN, EMPTY), (GoalState.UNKNOWN, EMPTY), (GoalState.SUCCEEDED, EMPTY)
     ]  # fmt: skip
     assert [reason(a) for a in requests[:2]] == [GONE, GONE]
-    assert canceled(stop) == (CancelCode.REJECTED, set()), "it can no longer be confirmed"
-    assert accepted(world.send(4)) is False, "none is held for an unreachable server"
+    assert canceled(stop) == (CancelCode.REJECTED, set()), "the request can no longer be confirmed"
+    assert accepted(world.send(4)) is False, "no goal is held for an unreachable server"
     world.advance(10.0)
-    assert world.states == states_before, "neither its end, nor a list without it: it may still be executing"
+    assert world.states == states_before, (
+        "the goal may still be executing, so neither its end nor a list without it is published"
+    )
     assert result(world.ask(2)) == (GoalState.UNKNOWN, EMPTY)
     world.client.discovered()
     world.client.connected()
@@ -152,7 +154,7 @@ def test_a_goal_that_is_reported_again_is_followed_to_its_end(world):
 
 
 def test_the_first_list_of_a_server_is_published_even_if_it_is_empty(world):
-    """It proves that the server has no goals, which is unknown before."""
+    """The empty list proves that the server has no goals, which was unknown before."""
     world.report()
     assert world.states == [{}]
     world.report()
@@ -170,9 +172,9 @@ def test_a_goal_that_its_server_no_longer_lists_is_unknown(world):
     world.report((1, Ros1State.ACTIVE))
     world.report()
     assert result(call) == (GoalState.UNKNOWN, EMPTY)
-    assert world.states[-1] == {}, "the server's list shows that it has no such goal"
+    assert world.states[-1] == {}, "the server's list shows that the server has no such goal"
     world.advance(5.0)
-    assert not world.ask(2), "it was never in the list, so it may not have arrived yet"
+    assert not world.ask(2), "the goal was never in the list, so it may not have arrived yet"
 
 
 def test_goals_wait_for_the_connections_but_not_forever(world):
@@ -214,9 +216,9 @@ def test_goals_of_native_clients_appear_and_can_be_followed_and_canceled(world):
     assert result(request) == (GoalState.CANCELED, b"stopped")
     assert wire.read_cancel_response(answers[0])[1] == [GoalInfo(native, RosTime(5, 0))]
     world.report(("/rviz-1", Ros1State.ACTIVE))
-    assert world.states[-1] == {native: GoalState.CANCELED}, "an old list that arrives late"
+    assert world.states[-1] == {native: GoalState.CANCELED}, "an old list may arrive late"
     world.report(("/rviz-1", Ros1State.ACTIVE, RosTime(9, 0)))
-    assert world.states[-1] == {native: GoalState.EXECUTING}, "a client that reuses the id"
+    assert world.states[-1] == {native: GoalState.EXECUTING}, "a client may reuse the id"
 
 
 def test_a_goal_of_a_killed_worker_is_recognized_by_its_id(world):

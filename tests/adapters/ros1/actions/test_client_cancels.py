@@ -1,4 +1,4 @@
-"""Cancel requests to an actionlib server."""
+"""Cancel requests are sent to an actionlib server."""
 
 import pytest
 
@@ -76,13 +76,13 @@ def test_a_cancel_request_waits_for_the_connections_but_not_forever(world):
     last = world.stop()
     world.client.lost("the server is gone")
     assert canceled(last) == (CancelCode.REJECTED, set())
-    assert canceled(early) == (CancelCode.REJECTED, set()), "the server has not confirmed it"
-    assert canceled(world.stop()) == (CancelCode.REJECTED, set()), "none is held for an unreachable server"
+    assert canceled(early) == (CancelCode.REJECTED, set()), "the server has not confirmed the request"
+    assert canceled(world.stop()) == (CancelCode.REJECTED, set()), "no request is held for an unreachable server"
     assert len(world.cancels) == 1
 
 
 def test_a_request_for_one_goal_is_sent_once_the_server_reports_the_goal(world):
-    """Goal and request use two connections, so the request could arrive first."""
+    """Goal and request use two connections, so otherwise the request could arrive first."""
     world.send(1)
     answers = world.stop(1)
     assert world.cancels == []

@@ -19,7 +19,7 @@ def world():
     ("state", "why"), [(Ros1State.ABORTED, "no way"), (Ros1State.PREEMPTED, "no way"), (Ros1State.SUCCEEDED, "")]
 )
 def test_the_servers_status_text_is_returned_with_the_result(world, state, why, by_result):
-    """Also if the result was lost; a reached goal has no error text."""
+    """The text is returned even if the result was lost. A reached goal has no error text."""
     world.send(1)
     before = world.ask(1)
     if by_result:
@@ -101,7 +101,7 @@ def test_a_lost_result_is_empty_and_has_the_state_of_the_list(world):
     world.advance(0.2)
     assert result(call) == (GoalState.SUCCEEDED, EMPTY)
     world.ends(1, Ros1State.SUCCEEDED, b"late")
-    assert result(world.ask(1)) == (GoalState.SUCCEEDED, EMPTY), "the empty one was already delivered"
+    assert result(world.ask(1)) == (GoalState.SUCCEEDED, EMPTY), "the empty result was already delivered"
 
 
 def test_a_late_result_counts_if_it_was_not_requested_before(world):

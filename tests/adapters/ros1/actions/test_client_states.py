@@ -47,7 +47,7 @@ def test_ended_goals_leave_the_status_topic(world):
 
 
 def test_an_unchanged_list_is_published_while_the_server_publishes_it(world):
-    """It shows clients that the server is alive; move_base publishes its list five times per second."""
+    """The list shows clients that the server is alive. move_base publishes its list five times per second."""
     world.send(0)
     world.report((0, Ros1State.ACTIVE))
     reported = len(world.states)
@@ -55,7 +55,7 @@ def test_an_unchanged_list_is_published_while_the_server_publishes_it(world):
         world.advance(0.2)
         world.report((0, Ros1State.ACTIVE))
     assert len(world.states) == reported + 5
-    world.advance(10.0)  # it hangs: nothing is published
+    world.advance(10.0)  # the server hangs, so nothing is published
     assert len(world.states) == reported + 5
     world.ends(0, Ros1State.SUCCEEDED)
     reported = len(world.states)

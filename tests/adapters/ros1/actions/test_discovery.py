@@ -1,4 +1,4 @@
-"""Deriving actions from the master's state."""
+"""Actions are derived from the master's state."""
 
 import pytest
 
@@ -64,7 +64,7 @@ def test_inconsistent_types_are_not_an_action(topic):
     other = find(master_state(servers=[("/planner", "/move_base")], types={**MOVE, topic: "std_msgs/String"}), OWN)
     assert not other.topics
     unknown = find(master_state(servers=[("/planner", "/move_base")], types={**MOVE, topic: "*"}), OWN)
-    assert bool(unknown.topics) == (topic != "/move_base/result"), "the result names the type"
+    assert bool(unknown.topics) == (topic != "/move_base/result"), "only the result names the type"
 
 
 def test_topics_of_several_nodes_are_not_a_server():

@@ -27,7 +27,7 @@ MD5 = {
 
 
 def test_the_first_goal_of_a_new_client_is_not_delayed(tmp_path):
-    """No delayed call of the edge runs: the goal is forwarded when its message arrives."""
+    """No delayed call of the edge is made, so the goal must be forwarded as soon as its message arrives."""
     with RosMaster() as master, edge_on(master, tmp_path) as edge, peer_on(master, "fresh") as peer:
         edge.ask("stop_timer")
         act = Served(edge, peer, "/fresh")
@@ -55,7 +55,7 @@ def test_an_immediate_cancel_request_never_overtakes_a_new_clients_first_goal(ma
 
 
 class RawClient:
-    """A hand-written actionlib client whose goal connection responds on the test's signal, so its goal is late."""
+    """A hand-written actionlib client whose goal connection responds on the test's signal, so that its goal is late."""
 
     def __init__(self, stack, master, name, goal, cancel) -> None:
         self.answers = threading.Event()
@@ -88,7 +88,11 @@ def test_a_goal_with_a_late_connection_precedes_its_cancel_request(master, edge)
     goal = wire.action_goal(GoalId(wire.RosTime(1, 0), "g"), struct.pack("<i", 7))
     with contextlib.ExitStack() as stack:
         hub = HubServer(edge, "/slow")
-        until(lambda: "/midspan" in master.state()["subscribers"].get("/slow/cancel", []), "it is offered", SECONDS)
+        until(
+            lambda: "/midspan" in master.state()["subscribers"].get("/slow/cancel", []),
+            "the action is offered",
+            SECONDS,
+        )
         client = RawClient(stack, master, "/slow", goal, wire.goal_id(GoalId(ZERO, "g")))
         assert client.canceled.wait(SECONDS)
         until(lambda: edge.ask("status")["held_cancels"] == 1, "the request is held for its goal", SECONDS)

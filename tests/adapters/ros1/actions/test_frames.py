@@ -1,4 +1,4 @@
-"""The frames of goals."""
+"""The frames of goals are checked."""
 
 import struct
 from types import SimpleNamespace
@@ -119,7 +119,7 @@ class TopicSubscription:
 
 
 class GuardFixture:
-    """A guard, its network and its clock."""
+    """A guard with its network and its clock."""
 
     def __init__(self, monkeypatch, *, check=True) -> None:
         self.now, self.callbacks = 100.0, {}
@@ -162,7 +162,7 @@ def test_the_first_transform_may_arrive_long_after_the_action_opened(monkeypatch
     side.guard.open("me")
     side.now += 3 * frames_module.SILENT_SECONDS
     side.callbacks["/tf"](transforms((b"odom", b"base")), "", None)
-    assert side.check(b"map") is None, "the guard must wait, as the frame may be in the next message"
+    assert side.check(b"map") is None, "the guard must wait, because the frame may be in the next message"
     side.now += frames_module.KNOW_SECONDS + 0.1
     assert "map" in side.check(b"map")
 
@@ -175,12 +175,12 @@ def test_an_action_that_opens_while_the_last_one_closes_subscribes_again(monkeyp
     side.callbacks.clear()
 
     class Interrupted:
-        """A lock; the other action opens as soon as it is first released."""
+        """A lock; the other action opens as soon as the lock is released for the first time."""
 
         released = False
 
         def __enter__(self) -> None:
-            """Do nothing: the test has one thread."""
+            """Do nothing, because the test has one thread."""
 
         def __exit__(self, *_: object) -> None:
             if not self.released:
@@ -213,7 +213,7 @@ def test_a_side_without_transforms_accepts_all_frames(monkeypatch):
     bare = GuardFixture(monkeypatch)
     bare.guard.open("me")
     bare.guard.seen(MasterState("run", "net"))
-    assert bare.check(b"mpa") == "", "without topics for transforms, all frames must be accepted"
+    assert bare.check(b"mpa") == "", "without transform topics, all frames must be accepted"
 
 
 def test_frames_are_not_checked_if_disabled(monkeypatch):

@@ -1,4 +1,4 @@
-"""A real roscore is killed while an actionlib server of rospy executes goals."""
+"""A real roscore is killed while an actionlib server on rospy executes goals."""
 
 import base64
 import signal
@@ -22,7 +22,7 @@ LOST = "lost sight of the goal: its action server /driver left"
 
 
 class Drive:
-    """An actionlib server that executes a goal of the hub and one of a native client, and publishes a command."""
+    """An actionlib server that executes a hub goal and a native client's goal, and publishes a command."""
 
     def __init__(self, master, edge, server, client) -> None:
         self.master, self.edge, self.server, self.client = master, edge, server, client
@@ -46,14 +46,14 @@ class Drive:
         return len(self.edge.received(self.hub.topics["status"], 0, 0))
 
     def goes_on(self):
-        """Check that the list is published again with both goals."""
+        """Check that the list, with both goals, is still being published."""
         before = self.lists()
         until(lambda: self.lists() >= before + 2, "the list is still published", SECONDS)
         self.drives()
         assert not self.hub.answered(self.asked)
 
     def ends(self):
-        """Check that a stop reaches the server, and that both goals end as the server reports."""
+        """Check that a stop reaches the server, and that both goals end as reported by the server."""
         assert self.hub.cancel(self.native) == (CancelCode.NONE, {self.native})
         (outcome,) = self.client.ask("outcomes", id=self.id, numbers=[24])["outcomes"]
         assert (outcome["state"], outcome["done"]) == (Ros1State.PREEMPTED, 1)
@@ -137,11 +137,11 @@ def test_a_server_that_is_killed_later_is_lost(drive, away):
     drive.server.signal(signal.SIGKILL)
     state, _, reason = wire.read_result_response(drive.hub.reply(drive.asked))
     assert (GoalState(state), reason) == (GoalState.UNKNOWN, LOST)
-    until(lambda: not shown(edge), "it leaves the graph", SECONDS)
-    assert drive.hub.states() == lists, "the list does not contain their end"
+    until(lambda: not shown(edge), "the server leaves the graph", SECONDS)
+    assert drive.hub.states() == lists, "the list does not contain the goals' ends"
     if away:
         drive.client.signal(signal.SIGKILL)
-        until(lambda: edge.ask("network")["network"] is None, "nothing is left of the network", SECONDS)
+        until(lambda: edge.ask("network")["network"] is None, "the network has left", SECONDS)
         assert edge.endpoints() == []
 
 
@@ -179,11 +179,15 @@ def test_commands_of_a_node_continue_without_a_master(master, tmp_path):
                 sent += 1
                 peer.publish(out, {"data": str(sent)})
             messages = [text(p) for p, _ in edge.received(inbox, sent)]
-            assert messages == [str(n + 1) for n in range(sent)], "each once, in order"
+            assert messages == [str(n + 1) for n in range(sent)], "each message arrives once, in order"
             edge.ask("send", id=mirror, payload=string(f"back {sent}"))
-            until(lambda: peer.wait(back, 1)[-1]["data"] == f"back {sent}", "the other direction", SECONDS)
+            until(
+                lambda: peer.wait(back, 1)[-1]["data"] == f"back {sent}",
+                "the last message arrives in the other direction",
+                SECONDS,
+            )
 
-        until(lambda: peer.ask("connections", id=out)["count"] == 1, "it is connected", SECONDS)
+        until(lambda: peer.ask("connections", id=out)["count"] == 1, "the publisher is connected", SECONDS)
         goes_on(3)
         master.kill()
         until(lambda: "no ROS 1 master" in str(edge.ask("status")["warnings"]), "the loss is noticed", SECONDS)
@@ -194,19 +198,19 @@ def test_commands_of_a_node_continue_without_a_master(master, tmp_path):
         goes_on(3)
         assert edge.endpoints(topic="/cmd") == [endpoint]
         peer.signal(signal.SIGKILL)
-        until(lambda: not edge.endpoints(topic="/cmd", made_by="native"), "its exit is noticed", SECONDS)
+        until(lambda: not edge.endpoints(topic="/cmd", made_by="native"), "the publisher's exit is noticed", SECONDS)
 
 
 def test_a_publisher_that_unregisters_leaves_at_once(master, tmp_path):
-    """Its connection ends, and nothing else proves its presence; the master keeps running."""
+    """The publisher's connection ends, and nothing else proves its presence; the master keeps running."""
     with edge_on(master, tmp_path) as edge, master.peer("leaves") as peer:
         out = peer.advertise("/left", "std_msgs/String")
         edge.endpoint(topic="/left", made_by="native")
         edge.open("/left", "std_msgs/String")
-        until(lambda: peer.ask("connections", id=out)["count"] == 1, "it is connected", SECONDS)
+        until(lambda: peer.ask("connections", id=out)["count"] == 1, "the publisher is connected", SECONDS)
         begin = time.monotonic()
         peer.drop(out)
-        until(lambda: not edge.endpoints(topic="/left"), "it leaves", SECONDS)
+        until(lambda: not edge.endpoints(topic="/left"), "the publisher leaves the graph", SECONDS)
         assert time.monotonic() - begin < SECONDS / 2
 
 
@@ -220,7 +224,7 @@ def test_services_of_a_node_continue_without_a_master_and_with_another(master, t
             edge.ask("begin", id=caller, request=base64.b64encode(b"\1").decode(), number=number)
             (answer,) = until(
                 lambda: edge.ask("results", id=caller, count=0, seconds=0)["results"].get(str(number)),
-                "it ends",
+                "the call ends",
                 SECONDS,
             )
             return base64.b64decode(answer)[:1] == b"\1"
@@ -235,4 +239,4 @@ def test_services_of_a_node_continue_without_a_master_and_with_another(master, t
         assert edge.endpoints(topic="/serve") == [endpoint]
         assert answers(3)
         peer.signal(signal.SIGKILL)
-        until(lambda: not edge.endpoints(topic="/serve", made_by="native"), "its exit is noticed", SECONDS)
+        until(lambda: not edge.endpoints(topic="/serve", made_by="native"), "the server's exit is noticed", SECONDS)

@@ -1,4 +1,4 @@
-"""Publications for action servers linger after their release while the server is absent, up to a limit."""
+"""Publications for absent action servers stay open for a while after their release, up to a limit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class TopicPublisher:
         self.sent.append(payload)
 
     def drop_source(self, source: str) -> None:
-        """Do nothing: no messages are retained."""
+        """Do nothing, because no messages are retained."""
 
     def close(self) -> None:
         self.open = False
@@ -65,9 +65,9 @@ def test_a_publication_with_an_absent_server_lingers_and_is_reused() -> None:
     side.publishers.tidy()
     assert "/go/goal" in side.publishers
     second = side.open()
-    first.close()  # it no longer has an effect
+    first.close()  # closing it no longer has an effect
     second.send(b"x", "")
-    side.publishers.close()  # this one is in use
+    side.publishers.close()  # this publication is in use
     assert [(m.open, m.sent) for m in side.made] == [(True, [b"x"])]
 
 

@@ -1,4 +1,4 @@
-"""Actions of the hub for real actionlib clients."""
+"""The hub's actions are served to real actionlib clients."""
 
 import signal
 import struct
@@ -19,7 +19,7 @@ pytestmark = needs_ros1
 
 @pytest.fixture(scope="module")
 def clients(master):
-    """A program with clients named per test."""
+    """A program whose clients are named by each test."""
     with peer_on(master, "clients") as peer:
         yield peer
 
@@ -37,7 +37,7 @@ def test_a_client_runs_a_goal_of_the_hub(master, edge, clients):
     act.hub.publish("feedback", goal + body(50))
     until(
         lambda: peer.ask("outcomes", id=act.id, numbers=[5], seconds=0)["outcomes"][0]["feedback"] == [50],
-        "feedback",
+        "feedback arrives",
         SECONDS,
     )
     act.hub.end(goal, GoalState.SUCCEEDED, 500)
@@ -91,22 +91,30 @@ def test_cancel_from_ros_1(master, edge, clients):
     act.hub.end(goals[2], GoalState.SUCCEEDED, 0)
     assert act.done(2)["state"] == Ros1State.SUCCEEDED
     peer.ask("cancel_id", id=act.id, goal="later")
-    until(lambda: ["later", Ros1State.RECALLING, ""] in peer.ask("status", id=act.id)["goals"], "it waits", SECONDS)
+    until(
+        lambda: ["later", Ros1State.RECALLING, ""] in peer.ask("status", id=act.id)["goals"],
+        "the cancel request waits for its goal",
+        SECONDS,
+    )
     peer.ask("raw_goal", id=act.id, goal="later", number=3, stamp=[1, 0])
-    until(lambda: ["later", Ros1State.RECALLED, ""] in peer.ask("status", id=act.id)["goals"], "recalled", SECONDS)
-    assert len(act.goals(2)) == 2, "that goal never reached the hub"
+    until(
+        lambda: ["later", Ros1State.RECALLED, ""] in peer.ask("status", id=act.id)["goals"],
+        "the goal is recalled",
+        SECONDS,
+    )
+    assert len(act.goals(2)) == 2, "the recalled goal never reached the hub"
     peer.ask("raw_goal", id=act.id, number=4)
     assert act.goals(3)[2][1] == body(4)
     until(
         lambda: any(g[0].startswith("/stop-1-") for g in peer.ask("status", id=act.id)["goals"]),
-        "it has an id",
+        "the goal has an id",
         SECONDS,
     )
     act.hub.close()
 
 
 def test_a_thousand_concurrent_goals_of_ros_1_end_as_the_hub_reports(master, edge, clients):
-    """All are accepted, are rejected or fail before the first one ends."""
+    """All goals are accepted or rejected, or have failed, before the first one ends."""
     count = 1000
     hub = HubServer(edge, "/crowd")
     flood = clients.ask("flood", name="/crowd", count=count)["id"]
@@ -186,13 +194,13 @@ def test_a_native_server_keeps_its_name(master, edge):
         until(lambda: reason in edge.ask("status")["warnings"], "a warning is reported", SECONDS)
         until(
             lambda: master.state()["publishers"]["/rival/status"] == ["/rival_server"],
-            "the hub's is withdrawn",
+            "the hub's action is withdrawn",
             SECONDS,
         )
         peer.ask("stop_server", id=server)
         until(
             lambda: master.state()["publishers"].get("/rival/status") == ["/midspan"],
-            "the hub's is offered again",
+            "the hub's action is offered again",
             SECONDS,
         )
         act.hub.close()

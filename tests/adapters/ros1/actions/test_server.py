@@ -1,4 +1,4 @@
-"""`ActionlibServer` against a model of the hub's three services and two topics."""
+"""`ActionlibServer` is tested against a model of the hub's three services and two topics."""
 
 import random
 
@@ -19,7 +19,7 @@ ASKED, TAKEN = RosTime(50, 0), RosTime(60, 0)
 
 
 class World:
-    """Records what an `ActionlibServer` does, and has a clock."""
+    """Records the effects of an `ActionlibServer`, and provides its clock."""
 
     def __init__(self) -> None:
         self.lists, self.feedbacks, self.results, self.forgotten = [], [], [], []
@@ -212,7 +212,7 @@ def test_cancel_by_id_affects_only_that_goal(world):
     assert [c for c, _ in world.cancels] == [GoalInfo(a, ZERO)]
     assert (world.state("a"), world.state("b")) == (Ros1State.PREEMPTING, Ros1State.ACTIVE)
     world.server.cancel(GoalId(ZERO, "a"))
-    assert len(world.cancels) == 1, "it is already canceling"
+    assert len(world.cancels) == 1, "the goal is already canceling"
 
 
 def test_cancel_all_is_one_call_and_includes_pending_goals(world):

@@ -1,4 +1,4 @@
-"""The bytes of actions, compared with rosbags' serializers."""
+"""The bytes of actions are compared with rosbags' serializers."""
 
 import contextlib
 import struct
@@ -84,7 +84,7 @@ def test_the_parts_of_a_ros_2_action(uuid, stamp, accepted, number, found, body,
 
 
 def test_a_long_text_is_cut_and_invalid_utf_8_is_replaced():
-    """Also when reading: another machine's bridge may send any text."""
+    """This also applies when reading, because another machine's bridge may send any text."""
     long = wire.result_response(6, b"body", "é" * 3000)
     assert len(long) == 1 + 4 + 2 * wire.MAX_TEXT + len(b"body")
     assert wire.read_result_response(long) == (6, b"body", "é" * wire.MAX_TEXT)

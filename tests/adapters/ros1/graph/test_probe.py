@@ -1,4 +1,4 @@
-"""Probing publishers: valid, dead, slow and malformed ones."""
+"""The prober handles valid, dead, slow and malformed publishers."""
 
 import contextlib
 import socket
@@ -77,7 +77,7 @@ def test_a_publisher_that_latches_slightly_later_is_probed_again():
         with publisher(answer) as native:
             link = Registration("/a", "/t", native)
             assert not known(prober, frozenset({link}), link).latching
-            until(lambda: prober.facts()[link].latching, "its second header is read")
+            until(lambda: prober.facts()[link].latching, "the publisher's second header is read")
     finally:
         prober.close()
         timer.close()
@@ -99,7 +99,7 @@ def test_dead_publishers_do_not_delay_others(prober):
         assert not prober.facts().keys() & dead
         until(lambda: len(prober.troubles()) >= 6, "the problems are reported")
         assert "not a ROS 1 answer" in until(
-            lambda: prober.troubles().get(Registration("/odd", "/odd", odd)), "the problem of the malformed one"
+            lambda: prober.troubles().get(Registration("/odd", "/odd", odd)), "the problem of the malformed publisher"
         )
 
 
@@ -112,7 +112,7 @@ def test_a_publisher_that_is_late_is_probed_again(prober):
     with tcp_server(serve()) as address, node(requestTopic=request) as uri:
         link = Registration("/late", "/t", uri)
         prober.follow(frozenset({link}))
-        until(lambda: prober.troubles().get(link) == "not yet", "it is probed")
+        until(lambda: prober.troubles().get(link) == "not yet", "the publisher is probed")
         listening.set()
         assert known(prober, frozenset({link}), link).native
         assert not prober.troubles()
@@ -132,8 +132,8 @@ def test_a_doubted_publisher_is_probed_again(prober):
 class YarpPort:
     """A publisher's port that behaves like a real YARP 3.9.1 (``TcpRosCarrier.cpp``, ``PortCoreInputUnit.cpp``).
 
-    It returns the caller's header with its own name, and with its type if known. Whatever the header contains (also a
-    field ``probe``), the caller is an output from then on, until a message cannot be written to it.
+    The port returns the caller's header with its own name, and with its type if known. Whatever the header contains
+    (even a field ``probe``), the caller is an output from then on, until a message cannot be written to it.
     """
 
     def __init__(self) -> None:
@@ -152,7 +152,7 @@ class YarpPort:
 
 @pytest.fixture
 def holding():
-    """A prober that holds the connections to native publishers."""
+    """A prober that keeps the connections to native publishers open."""
     pool, timer = PeerPool(), DelayedCalls("test")
     prober = Prober(asking(pool, timer), lambda _link: None, holds=True)
     yield prober
@@ -169,7 +169,7 @@ def test_a_publisher_that_waits_for_a_subscriber_writes_to_the_probe(holding):
         link = Registration("/talker", "/t", uri)
         facts = known(holding, frozenset({link}), link)
         assert facts == Facts("std_msgs/String", "992c", "string data\n", latching=False, native=True)
-        until(lambda: port.outputs, "it counts an output")[0].sendall(b"\4\0\0\0once")
+        until(lambda: port.outputs, "the port has an output")[0].sendall(b"\4\0\0\0once")
         sock, header = holding.take(link)
         assert holding.take(link) is None
         with sock:
@@ -208,7 +208,7 @@ def test_only_connections_to_native_publishers_are_held(holding):
 
 
 def test_a_yarp_port_without_a_type_is_probed_again(prober):
-    """It returns the received header: "*" must not count as a type."""
+    """The port returns the received header, whose "*" must not count as a type."""
     port = YarpPort()
     with publisher(port) as uri:
         link = Registration("/talker", "/t", uri)

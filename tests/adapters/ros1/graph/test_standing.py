@@ -1,4 +1,4 @@
-"""The graph of the edge while its master is unreachable, and when another master lists less."""
+"""The edge's graph while its master is unreachable, and when another master lists less."""
 
 from dataclasses import replace
 
@@ -68,7 +68,7 @@ def test_unlisted_registrations_outlive_a_restart_of_the_master(side, away):
     assert (state.publishers, state.subscribers, state.servers) == ({STATUS, SCAN}, {GOAL}, {CLEAR})
     assert state.types == TYPES, "the edge's own subscription is registered as any type"
     assert state.uris == FULL.uris
-    assert side.graph.update(EMPTY) is state, "nothing has changed"
+    assert side.graph.update(EMPTY) is state, "the state has not changed"
     side.publishers, side.servers = {STATUS}, set()
     state = side.graph.update(EMPTY)
     assert (state.publishers, state.subscribers, state.servers) == ({STATUS}, {GOAL}, frozenset())
@@ -76,7 +76,7 @@ def test_unlisted_registrations_outlive_a_restart_of_the_master(side, away):
     assert side.graph.update(EMPTY) is EMPTY
     assert not side.graph.unlisted
     side.publishers = {STATUS}
-    assert side.graph.update(EMPTY) is EMPTY, "it did not exist before"
+    assert side.graph.update(EMPTY) is EMPTY, "the registration did not exist before"
 
 
 def test_a_node_that_registers_again_is_listed_once(side):
@@ -89,7 +89,7 @@ def test_a_node_that_registers_again_is_listed_once(side):
 
 
 def test_a_node_whose_name_is_taken_over_is_removed(side):
-    """The master has requested the older node's shutdown; one that hangs does not react."""
+    """The master has requested the older node's shutdown, but a node that hangs does not react."""
     new = STATUS._replace(uri="http://c:1/")
     state = replace(FULL, publishers=frozenset({new}), subscribers=frozenset(), uris={"/move_base": new.uri})
     state = side.graph.update(state)
@@ -98,7 +98,7 @@ def test_a_node_whose_name_is_taken_over_is_removed(side):
 
 
 def test_a_registration_that_a_running_master_lost_stays_except_a_service(side):
-    """A server that unregisters may leave its connections open."""
+    """A server that unregisters may leave its connections open, so only services are removed."""
     state = replace(FULL, publishers=frozenset({SCAN}), servers=frozenset())
     state = side.graph.update(state)
     assert (state.publishers, state.servers) == (FULL.publishers, frozenset())

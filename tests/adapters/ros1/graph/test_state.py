@@ -1,4 +1,4 @@
-"""Reading a master's state."""
+"""A master's state is read."""
 
 import contextlib
 from collections.abc import Callable
@@ -24,7 +24,7 @@ class Master:
         self.at_end: Callable[[], None] = lambda: None
 
     def uri(self, _caller: str) -> list[Any]:
-        """Return the URI: the last call of a read that knows no nodes yet."""
+        """Return the URI. This is the last call of a read that does not know any nodes yet."""
         self.at_end()
         return [1, "", "http://master:11311/"]
 
@@ -114,7 +114,7 @@ def test_a_services_address_is_looked_up_once(master, reader):
 def test_a_doubted_service_is_looked_up_again(master, reader):
     first = reader.read()
     reader.doubt("/serve")
-    assert reader.read() is first, "its address is unchanged"
+    assert reader.read() is first, "the service's address is unchanged"
     master.services["/serve"] = ("/a", "rosrpc://a:7")
     assert reader.read() is first, "a new address is not visible in a master's state"
     reader.doubt("/serve")

@@ -1,4 +1,4 @@
-"""The master API: checks of calls, registrations, and the calls to nodes that follow from them."""
+"""The master API: checks of calls, registrations, and the resulting calls to nodes."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_new_subscribers_update_is_repeated_with_the_current_publishers(
     """The update may overtake the reply to the subscriber's registration."""
     master.call("registerPublisher", "/early", "t", STRING, A)
     master.call("registerSubscriber", "/sub", "t", "*", B)
-    assert master.outbox.delayed == [], "the reply has all publishers"
+    assert master.outbox.delayed == [], "the reply contains all publishers"
     for node, uri in (("/pub", C), ("/pub2", "http://host:4/")):
         master.call("registerPublisher", node, "t", STRING, uri)
     master.call("unregisterPublisher", "/pub", "t", C)
@@ -105,14 +105,14 @@ def test_a_new_subscribers_update_is_repeated_with_the_current_publishers(
     master.call("unregisterSubscriber", "/sub", "t", B)
     master.outbox.pop()
     master.outbox.delayed[1][1]()
-    assert master.outbox.pop() == [], "it has unsubscribed"
+    assert master.outbox.pop() == [], "the subscriber has unsubscribed"
 
     master.call("registerSubscriber", "/sub", "t", "*", B)
     monkeypatch.setattr(api, "NEW_SECONDS", 0.0)
     master.call("registerPublisher", "/late", "t", STRING, "http://host:5/")
     master.call("registerSubscriber", "/sub2", "other", "*", B)
     assert len(master.outbox.delayed) == 2
-    assert list(master.api._new_subscribers) == [("/other", B)], "older ones are forgotten"
+    assert list(master.api._new_subscribers) == [("/other", B)], "older subscribers are forgotten"
 
 
 def test_a_node_that_is_replaced_is_shut_down_and_loses_its_registrations(master: ApiUnderTest):
@@ -127,7 +127,7 @@ def test_a_node_that_is_replaced_is_shut_down_and_loses_its_registrations(master
     assert master.call("lookupService", "/n", "/srv")[0] == -1
     assert master.call("getSystemState", "/n")[2] == [[["/other", ["/node"]]], [["/t", ["/sub"]]], []]
     assert master.call("lookupNode", "/n", "/node")[2] == B
-    # the old node's late farewell removes nothing
+    # when the old node unregisters late, nothing is removed
     assert master.call("unregisterPublisher", "/node", "/other", A)[2] == 0
 
 
@@ -153,7 +153,9 @@ def test_of_two_nodes_of_one_name_that_start_at_the_same_time_one_remains(
     master.outbox.pop()
     master.call("registerPublisher", "/node", "/t", STRING, B)
     monkeypatch.setattr(api, "REPLACED_SECONDS", 0.0)
-    assert master.call("registerPublisher", "/node", "/t", STRING, A)[0] == 1, "a later start at the same address"
+    assert master.call("registerPublisher", "/node", "/t", STRING, A)[0] == 1, (
+        "a later node at the same address may register"
+    )
     assert [call[1] for call in master.outbox.pop()] == ["shutdown", "shutdown"]
 
 

@@ -1,4 +1,4 @@
-"""The same random calls to the embedded master and to the real rosmaster: replies, and calls to nodes."""
+"""The embedded master and the real rosmaster receive the same random calls; replies and calls to nodes are compared."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ VALUES: tuple[Any, ...] = (
 
 
 class Pair:
-    """A master with three fake nodes, whose addresses are replaced by names in replies and calls."""
+    """A master with three fake nodes; in replies and calls, names replace the nodes' addresses."""
 
     def __init__(self, uri: str) -> None:
         self.proxy = xmlrpc.client.ServerProxy(uri)
@@ -64,14 +64,14 @@ class Pair:
 
 @pytest.fixture
 def rosmaster() -> Iterator[str]:
-    """The real one, without rosout."""
+    """Run the real rosmaster, without rosout."""
     need(ROS1)
     port = free_port()
     with tempfile.TemporaryDirectory() as folder:
         env = {**ros1_environment(), "ROS_LOG_DIR": folder, "ROS_HOME": folder}
         with Process([ROS1_PYTHON, "/usr/bin/rosmaster", "--core", "-p", str(port)], env):
             uri = f"http://127.0.0.1:{port}/"
-            until(lambda: _answers(uri), "rosmaster answers")
+            until(lambda: _answers(uri), "rosmaster responds")
             yield uri
 
 
@@ -110,26 +110,26 @@ def random_calls(chance: random.Random) -> Iterator[tuple[str, list[Any]]]:
         "hasParam": [node, key], "searchParam": [node, key], "getParamNames": [node],
         "subscribeParam": [node, api, key], "unsubscribeParam": [node, api, key],
     }  # fmt: skip
-    # first, since rosmaster has another text for the removal of a service before the first one was ever registered
+    # first, because before any service is registered, rosmaster has another text for the removal of a service
     yield "registerService", ["/n1", "/first", "rosrpc://fake:1", "http://fake0/"]
     for _ in range(CALLS):
         method = chance.choice(list(specs))
         params = [make() for make in specs[method]]
         if "Param" in method and method != "searchParam" and not str(params[0]).startswith("/"):
-            params[0] = "/n1"  # rosmaster cuts the first part from the names of nodes that are not global
+            params[0] = "/n1"  # rosmaster cuts off the first part of node names that are not global
         count = len(params) + chance.choices((0, -1, 1), (97, 2, 1))[0]
         yield method, [*params, "more"][:count]
 
 
 def comparable(method: str, reply: Any) -> Any:
-    """Return the part of a reply that has to be the same."""
+    """Return the part of a reply that must be the same for both masters."""
     if method == "deleteParam" and reply[0] == -1:  # below a value, rosmaster reports its own exception
         return reply[0]
     return reply
 
 
 def test_replies_and_calls_are_those_of_rosmaster(rosmaster: str, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(api, "REPLACED_SECONDS", 0.0)  # rosmaster lets replaced nodes register
+    monkeypatch.setattr(api, "REPLACED_SECONDS", 0.0)  # because rosmaster lets replaced nodes register
     embedded = EmbeddedMaster("127.0.0.1", 0, rosout=False)
     embedded.start()
     real, own = Pair(rosmaster), Pair(embedded.uri)
@@ -148,7 +148,7 @@ def test_replies_and_calls_are_those_of_rosmaster(rosmaster: str, monkeypatch: p
         assert own.newest("paramUpdate") == real.newest("paramUpdate")
         for ours, theirs in zip(own.nodes, real.nodes, strict=True):
             assert {c for c in ours.calls if c[0] == "shutdown"} == {c for c in theirs.calls if c[0] == "shutdown"}
-        # rosmaster does not report publishers that end as another node takes their name
+        # rosmaster does not report publishers that end because another node takes their name
         registrations = embedded.api.registrations
         for node, updates in zip(own.nodes, own.newest("publisherUpdate"), strict=True):
             for topic, publishers in updates.items():

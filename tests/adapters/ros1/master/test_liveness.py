@@ -1,4 +1,4 @@
-"""Removal of dead nodes."""
+"""Dead nodes are removed."""
 
 from __future__ import annotations
 
@@ -60,24 +60,24 @@ def test_a_node_that_refuses_connections_is_removed_and_others_stay(checked: Che
     alive, silent, dying = FakeNode(), FakeNode(), FakeNode()
     checked.nodes = {"/alive": alive.api, "/silent": silent.api, "/dead": dying.api}
     checked.liveness.start({})
-    until(lambda: len(checked.alive) == 3, "all have answered")
+    until(lambda: len(checked.alive) == 3, "all nodes have responded")
     silent.answers.clear()
     dying.close()
     until(lambda: checked.dead, "the dead node is removed")
     checked.wait_for_rounds(20)
     assert checked.dead == ["/dead"]
     alive.close()
-    until(lambda: len(checked.dead) == 2, "a node that ends is removed")
+    until(lambda: len(checked.dead) == 2, "a node that exits is removed")
     assert checked.dead == ["/dead", "/alive"]
     silent.close()
 
 
 def test_a_node_that_registers_again_is_reported_again(checked: Checked):
-    """The master has a new entry for it, even if no check has missed it in between."""
+    """The master has a new entry for the node, even if no check has noticed its absence in between."""
     node = FakeNode()
     checked.nodes = {"/node": node.api}
     checked.liveness.start({})
-    until(lambda: checked.alive, "the node has answered")
+    until(lambda: checked.alive, "the node has responded")
     checked.alive.clear()
     until(lambda: checked.alive, "the node is reported again", 5)
     node.close()
@@ -95,7 +95,7 @@ def test_a_check_that_fails_is_repeated(checked: Checked, monkeypatch: pytest.Mo
     node = FakeNode()
     checked.nodes = {"/node": node.api}
     checked.liveness.start({})
-    until(lambda: checked.alive, "the node has answered", 5)
+    until(lambda: checked.alive, "the node has responded", 5)
     node.close()
 
 
@@ -104,9 +104,9 @@ def test_an_unreachable_node_is_removed_later(checked: Checked, monkeypatch: pyt
     silent = FakeNode()
     checked.nodes = {"/silent": silent.api}
     checked.liveness.start({})
-    until(lambda: checked.alive, "the node has answered")
+    until(lambda: checked.alive, "the node has responded")
     silent.answers.clear()
-    until(lambda: checked.dead == ["/silent"], "the node that does not answer is removed")
+    until(lambda: checked.dead == ["/silent"], "the node that does not respond is removed")
     silent.close()
 
 
@@ -120,7 +120,7 @@ def test_a_node_that_answers_again_stays(checked: Checked, monkeypatch: pytest.M
         checked.wait_for_rounds(15)
         node.answers.set()
         before = len(node.calls)
-        until(lambda before=before: len(node.calls) > before, "the node answers")  # type: ignore[misc]
+        until(lambda before=before: len(node.calls) > before, "the node responds")  # type: ignore[misc]
     assert checked.dead == []
     node.close()
 
@@ -132,7 +132,7 @@ def test_a_node_that_this_machine_never_reached_stays(
     monkeypatch.setattr(liveness, "UNREACHABLE_SECONDS", 0.3)
     checked.nodes = {"/of_another_machine": f"http://{host}:{free_port()}/"}
     checked.liveness.start({})
-    until(lambda: "set ROS_IP or ROS_HOSTNAME there" in caplog.text, "it is reported")
+    until(lambda: "set ROS_IP or ROS_HOSTNAME there" in caplog.text, "the unreachable node is reported")
     checked.wait_for_rounds(40)
     assert checked.dead == []
     assert caplog.text.count("/of_another_machine") == 1
@@ -148,7 +148,7 @@ def test_a_new_node_is_checked_before_the_next_round(checked: Checked, monkeypat
     checked.nodes = {"/new": node.api}
     until(lambda: checked.alive == ["/new"], "the new node is checked")
     checked.wait_for_rounds(5)
-    assert node.calls == [("getPid",)], "later only with the others"
+    assert node.calls == [("getPid",)], "later the node is checked only with the others"
     node.close()
 
 
@@ -159,7 +159,7 @@ def test_restored_nodes_have_less_time(checked: Checked, monkeypatch: pytest.Mon
     node = FakeNode()
     checked.nodes = {"/restored": f"http://127.0.0.1:{free_port()}/", "/new": node.api}
     checked.liveness.start({"/restored": checked.nodes["/restored"]})
-    until(lambda: checked.alive, "the new node has answered")
+    until(lambda: checked.alive, "the new node has responded")
     node.close()
     until(lambda: checked.dead, "the restored node is removed")
     checked.wait_for_rounds(5)

@@ -1,4 +1,4 @@
-"""Real rospy and roscpp nodes and the command-line tools of ROS 1 on the embedded master."""
+"""Real rospy and roscpp nodes and ROS 1's command-line tools use the embedded master."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Network:
         return Peer(ROS1_PEER, ROS1_PYTHON, self.env, name)
 
     def tool(self, *command: str, stdin: str = "") -> str:
-        """Run a command-line tool; return its output."""
+        """Run a command-line tool, and return its output."""
         result = subprocess.run(
             command, env=self.env, input=stdin, capture_output=True, text=True, timeout=120, check=False
         )
@@ -199,7 +199,7 @@ def test_logs_are_collected(network: Network, talker: Peer):
         logs = listener.subscribe("/rosout_agg", "rosgraph_msgs/Log")
         until(lambda: _relayed(talker, listener, logs), "the log of a rospy node is published again")
         late = network.peer("late")
-        until(lambda: _relayed(late, listener, logs, "from a late node"), "a later node's log, too")
+        until(lambda: _relayed(late, listener, logs, "from a late node"), "a later node's log is published, too")
         late.stop()
         info = network.tool("rosnode", "info", "/rosout")
         for part in ("* /rosout_agg [rosgraph_msgs/Log]", "* /rosout", "to: /collector", "to: /talker"):
@@ -216,7 +216,7 @@ def test_a_native_rosout_replaces_the_own_one_until_it_ends(tmp_path: Path, end:
         until(lambda: network.master.nodes().get("/rosout", own) != own, "the native node registers")
         until(lambda: not _connects(own), "the own node has ended")
         native = network.master.nodes()["/rosout"]
-        until(lambda: network.master.api.registrations.nodes["/rosout"].reachable, "the master has asked the node")
+        until(lambda: network.master.api.registrations.nodes["/rosout"].reachable, "the master has checked the node")
         process.signal(end)
         until(lambda: network.master.nodes().get("/rosout", native) != native, "the own node runs again")
     talker, listener = network.peer("again_talker"), network.peer("again_listener")
@@ -266,10 +266,10 @@ def test_a_killed_node_is_removed_and_its_subscribers_learn_of_it(tmp_path: Path
         peer.advertise("/t", STRING)
         listener.subscribe("/t", STRING)
         nodes = network.master.api.registrations.nodes
-        until(lambda: nodes["/killed"].reachable, "the master has asked the node")
+        until(lambda: nodes["/killed"].reachable, "the master has checked the node")
         peer.signal(signal.SIGKILL)
         until(lambda: "/killed" not in network.master.nodes(), "the killed node is removed")
-        until(lambda: network.master.calls.waiting == 0, "its subscribers have been called")
+        until(lambda: network.master.calls.waiting == 0, "the subscribers have been called")
         assert "/listener" in network.master.nodes()
     finally:
         listener.stop()

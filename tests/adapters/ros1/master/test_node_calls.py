@@ -1,4 +1,4 @@
-"""Calls to nodes: in order, with the newest values, and independent of nodes that do not answer."""
+"""Calls to nodes are made in order, with the newest values, and independently of nodes that do not respond."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tree of parameters: names, subtrees, limits, and the updates of subscribers."""
+"""The parameter tree: names, subtrees, limits, and updates of subscribers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The master's state file: restored after a restart, and never an obstacle to one."""
+"""The master's state file is restored after a restart, and never prevents one."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_a_master_writes_its_changes_and_restores_them(tmp_path: Path):
 def test_reachable_nodes_stay_known_as_such(tmp_path: Path):
     file, api = tmp_path / "state.json", filled()
     api.set_reachable("/b", B)
-    api.set_reachable("/a", B)  # no longer its address
+    api.set_reachable("/a", B)  # this is no longer the node's address
     file.write_text(saved.dump(api))
     restored = MasterApi("", RecordedCalls())
     assert saved.load(file, restored)
@@ -117,7 +117,7 @@ def test_reachable_nodes_stay_known_as_such(tmp_path: Path):
 
 
 class Disk:
-    """Replaces `keep`: a write waits for ``ready``, and fails while ``full``."""
+    """Replaces `keep`: a write waits for ``ready``, and fails while ``full`` is set."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.writes: list[str] = []
@@ -156,7 +156,7 @@ def test_a_full_disk_is_tried_again_without_another_change(tmp_path: Path, monke
     writer = saved.StateWriter(tmp_path / "state.json", filled())
     writer.start()
     writer.changed()
-    until(lambda: len(disk.writes) >= 3, "it is tried again")
+    until(lambda: len(disk.writes) >= 3, "the write is retried")
     disk.full = False
     writer.close()
 
@@ -179,7 +179,7 @@ def test_subscribers_receive_after_a_restart_what_the_previous_master_had_queued
     second = EmbeddedMaster("127.0.0.1", 0, state=tmp_path / "state.json", rosout=False)
     second.start()
     until(lambda: ("publisherUpdate", "/t", [A]) in subscriber.calls, "the subscriber gets the publisher")
-    until(lambda: ("paramUpdate", "/p/", 5) in subscriber.calls, "and the parameter")
+    until(lambda: ("paramUpdate", "/p/", 5) in subscriber.calls, "the subscriber gets the parameter")
     second.close()
     subscriber.close()
 
@@ -194,7 +194,7 @@ def test_the_node_that_has_the_port_of_a_killed_masters_rosout_is_not_shut_down(
     assert master.nodes()["/rosout"] != node.api
     master.api.methods["registerSubscriber"]("/node", "/t", "*", node.api)
     master.api.methods["registerPublisher"]("/a", "/t", "std_msgs/String", A)
-    until(lambda: any(call[0] == "publisherUpdate" for call in node.calls), "its calls are made")
+    until(lambda: any(call[0] == "publisherUpdate" for call in node.calls), "the restored master's calls are made")
     assert not any(call[0] == "shutdown" for call in node.calls)
     master.close()
     node.close()

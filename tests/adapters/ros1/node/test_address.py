@@ -1,4 +1,4 @@
-"""The node's address, by the rules of the real rosgraph."""
+"""The node's address follows the rules of the real rosgraph."""
 
 from __future__ import annotations
 

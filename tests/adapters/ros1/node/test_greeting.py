@@ -1,4 +1,4 @@
-"""The TCPROS server: silent, slow and hostile peers do not keep others from being admitted."""
+"""Silent, slow and hostile peers do not prevent the TCPROS server from admitting others."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Bench:
             return header["reject"]
         if "fail" in header:
             raise RuntimeError(header["fail"])
-        self.peers.enter_context(sock)  # before the reply, after which the test may end
+        self.peers.enter_context(sock)  # stored before the reply, because the test may end after it
         sock.sendall(encode(header))
         return ""
 
@@ -95,7 +95,7 @@ def test_the_reason_of_a_rejection_is_sent(bench: Bench) -> None:
 def test_a_connection_that_fails_at_once_leaves_the_listener_open(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, failing: str
 ) -> None:
-    """On macOS a socket's options cannot be set once its peer has reset the connection."""
+    """On macOS, a socket's options cannot be set once its peer has reset the connection."""
     error = OSError(errno.EINVAL, "Invalid argument") if failing == "keep_alive" else RuntimeError("no new thread")
 
     def fail(*_: object) -> None:
@@ -134,12 +134,12 @@ def test_a_malformed_header_closes_the_connection(bench: Bench, data: bytes) -> 
 def test_500_silent_clients_cost_no_thread_and_delay_no_other_client(bench: Bench) -> None:
     before = threading.active_count()
     silent = [bench.connect(b"\x10\0\0\0half"[: n % 9]) for n in range(500)]
-    until(lambda: len(bench.server._open) == 500, "all are connected")
+    until(lambda: len(bench.server._open) == 500, "all peers are connected")
     assert bench.greet(topic="/a") == {"topic": "/a"}
-    assert threading.active_count() <= before + 3, "the loop, the timer, and one thread that admits"
+    assert threading.active_count() <= before + 3, "only the loop, the timer and one admitting thread run"
     for sock in silent:
         sock.close()
-    until(lambda: not bench.server._open, "their ends are noticed")
+    until(lambda: not bench.server._open, "the disconnections are noticed")
     assert bench.server._bytes == 0
 
 
@@ -151,16 +151,16 @@ def test_500_clients_at_once_are_all_admitted(bench: Bench) -> None:
 def test_a_silent_client_is_disconnected(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(greeting, "_SECONDS", 0.05)
     assert bench.connect(b"\x10\0\0\0half").recv(1) == b""
-    until(lambda: not bench.server._open, "it is removed")
+    until(lambda: not bench.server._open, "the peer is removed")
 
 
 def test_further_silent_clients_are_rejected(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(greeting, "_MAX_OPEN", 3)
     kept = [bench.connect() for _ in range(3)]
-    until(lambda: len(bench.server._open) == 3, "they are connected")
+    until(lambda: len(bench.server._open) == 3, "the peers are connected")
     assert bench.connect().recv(1) == b""
     kept[0].close()
-    until(lambda: len(bench.server._open) == 2, "one has left")
+    until(lambda: len(bench.server._open) == 2, "one peer has left")
     assert bench.greet(topic="/a") == {"topic": "/a"}
 
 

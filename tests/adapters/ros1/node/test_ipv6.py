@@ -1,4 +1,4 @@
-"""A ROS 1 network on IPv6 only: a real roscore or Midspan's master, and rospy, with ``ROS_IPV6=on``."""
+"""A ROS 1 network only on IPv6: a real roscore or Midspan's master, and rospy, with ``ROS_IPV6=on``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.peers.ros1.network import RosMaster, needs_ros1
 
 
 class Master(RosMaster):
-    """A master at an IPv6 address; roscore without rosout, as roscpp's cannot use such a master."""
+    """A master at an IPv6 address; roscore runs without rosout, because roscpp's cannot use such a master."""
 
     def __init__(self, *, embedded: bool) -> None:
         super().__init__(embedded=embedded, address="::1")
@@ -29,7 +29,7 @@ class Master(RosMaster):
 @needs_ros1
 @pytest.mark.parametrize("embedded", [False, True], ids=["roscore", "embedded"])
 def test_topics_and_a_service_over_ipv6(tmp_path: Path, embedded: bool) -> None:
-    """The node of rospy registers ``http://::1:port/``, without brackets, and cannot call services at addresses."""
+    """A rospy node registers ``http://::1:port/``, without brackets, and cannot call services at such addresses."""
     master = Master(embedded=embedded)
     variables = {"ROS_IPV6": "on", "ROS_IP": "::1"}
     with master, EdgeUnderTest(master.uri, tmp_path, variables=variables) as edge, master.peer("six") as peer:

@@ -29,7 +29,7 @@ from bridge.messages.registry import Registry
 from tests.support.wait import until
 
 MASTER = "http://127.0.0.1:9/"
-"""Nobody listens there."""
+"""An address where nothing listens."""
 
 METHODS = {
     "getBusStats": 0, "getBusInfo": 0, "getMasterUri": 0, "shutdown": 1, "getPid": 0, "getSubscriptions": 0,
@@ -106,7 +106,7 @@ def node() -> Iterator[Node]:
 
 @pytest.fixture
 def listening(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
-    """Let slave APIs fail to listen; return the addresses on which nodes listen for connections."""
+    """Make slave APIs fail to listen; return the addresses on which nodes listen for connections."""
     opened: list[tuple[str, int]] = []
 
     def listen(address: NodeAddress) -> socket.socket:
@@ -165,7 +165,7 @@ def test_its_topics_and_figures(node: Node) -> None:
     with sock:
         assert (header["latching"], header["callerid"]) == ("1", "/midspan")
         entry = lambda: next(e for e in node.value("getBusStats")[0] if e[0] == "/figures")  # noqa: E731
-        ((number, _, _, _),) = until(lambda: entry()[2], "it is connected")
+        ((number, _, _, _),) = until(lambda: entry()[2], "the subscription is connected")
         publisher.send(b"\2\0\0\0bb", "hub")
         assert entry() == ["/figures", 11, [[number, 9 + 10, 2, True]]]
         (info,) = node.value("getBusInfo")
@@ -188,7 +188,7 @@ def test_udpros_is_refused_and_tcpros_chosen(node: Node) -> None:
     udpros = ["UDPROS", Binary(b"\4\0\0\0a=b"), "127.0.0.1", 4242, 1500]
     ready = ["TCPROS", "127.0.0.1", node.node.port]
     assert node.call("requestTopic", "/ask", [udpros, ["TCPROS"]])[2] == ready
-    assert node.call("requestTopic", "ask", [["TCPROS"]])[2] == ready, "relative to the caller"
+    assert node.call("requestTopic", "ask", [["TCPROS"]])[2] == ready, "the name is relative to the caller"
     code, text, value = node.call("requestTopic", "/ask", [udpros])
     assert (code, value) == (0, [])
     assert "TCPROS, not UDPROS" in text
@@ -212,7 +212,7 @@ def test_updates_wake_their_readers(node: Node, monkeypatch: pytest.MonkeyPatch)
 
 def test_parameter_updates_are_refused_once_the_rules_are_removed(node: Node) -> None:
     rule = ParameterRule(owner="ros2", ros1="/a", node="/b")
-    hub: Any = None  # a rule that is not active uses none
+    hub: Any = None  # a rule that is not active needs no hub
     stop = node.edge.carry_parameters([rule], hub, lambda: False)
     assert node.value("paramUpdate", "/a/", 1) == 0
     assert node.edge.details()["parameters"]
@@ -279,6 +279,6 @@ def test_a_subscribers_name_of_any_bytes_does_not_prevent_tools(node: Node) -> N
     publisher = node.edge.advertise("/bytes", node.registry.ros1("std_msgs/String"), Qos())
     with socket.create_connection(("127.0.0.1", node.node.port), 20) as sock:
         sock.sendall(encode({"callerid": "/odd\0\x1b", "topic": "/bytes", "md5sum": "*", "type": "*"}))
-        until(lambda: any(c.topic == "/bytes" for c in node.edge.connections()), "it is connected")
+        until(lambda: any(c.topic == "/bytes" for c in node.edge.connections()), "the subscription is connected")
         assert "/odd\ufffd\ufffd" in [entry[1] for entry in node.value("getBusInfo")]
     publisher.close()

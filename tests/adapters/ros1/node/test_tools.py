@@ -1,4 +1,4 @@
-"""The tools of ROS 1 with the adapter's node: they see it as any other."""
+"""ROS 1's command-line tools treat the adapter's node like any other node."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def edge(master: RosMaster, tmp_path: Path) -> Iterator[EdgeUnderTest]:
 
 
 def run(master: RosMaster, *lines: str) -> dict[str, str]:
-    """Run command lines in one process, as each would import for a second; return their outputs."""
+    """Run command lines in one process, because each would otherwise import for a second; return their outputs."""
     done = subprocess.run(
         [ROS1_PYTHON, "-c", RUN, *lines], env=master.env, text=True, capture_output=True, check=True, timeout=60
     )
@@ -58,8 +58,8 @@ def test_rosnode_and_rostopic(master: RosMaster, edge: EdgeUnderTest) -> None:
         inbox = peer.subscribe("/tool/out", "std_msgs/String")
         assert len(peer.wait(inbox, 1)) == 1
         edge.until_connected(out)
-        until(lambda: "/midspan" in master.state()["subscribers"].get("/tool/in", []), "it is subscribed")
-        until(lambda: edge.ask("connections")["in"], "it is connected to the publisher")
+        until(lambda: "/midspan" in master.state()["subscribers"].get("/tool/in", []), "the edge has subscribed")
+        until(lambda: edge.ask("connections")["in"], "the edge is connected to the publisher")
         outputs = run(
             master, "rosnode info /midspan", "rosnode ping -c 1 /midspan", "rosnode list", "rostopic info /tool/out",
             "rostopic type /tool/out", "rostopic echo -n 1 /tool/out", "rosnode kill /midspan",

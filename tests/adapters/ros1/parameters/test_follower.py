@@ -1,4 +1,4 @@
-"""Parameters shared between a real roscore's parameter server and nodes on the hub."""
+"""Parameters are shared between a real roscore's parameter server and nodes on the hub."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PERIOD = 0.1
 OWNER = "1d3f"
 COPIES = copies_parameter(OWNER)
 NOBODY = "http://127.0.0.1:1/"
-"""No master can report changes to this address: the next comparison detects them."""
+"""An address to which no master can report changes, so the next comparison detects them."""
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def network() -> Iterator[HubNetwork]:
 
 @pytest.fixture
 def hubs(network: HubNetwork) -> Iterator[tuple[Hub, Hub]]:
-    """The worker's session and another one."""
+    """The worker's session and another session."""
     with Hub.open(network.settings("midspan_ros1")) as ours, Hub.open(network.settings("others")) as others:
         yield ours, others
 
@@ -62,7 +62,7 @@ class RecordingServer(ParameterServer):
 
 
 class RejectingServer(ParameterServer):
-    """A parameter server in memory; it rejects lists of copies with more than ``limit`` names."""
+    """An in-memory parameter server that rejects lists of copies with more than ``limit`` names."""
 
     limit = 1
 
@@ -77,7 +77,7 @@ class RejectingServer(ParameterServer):
 
 
 def test_a_copy_that_the_master_does_not_list_is_not_set():
-    """A later process deletes only listed copies."""
+    """A later process deletes only copies that are listed."""
     store = RejectingServer()
     assert store.copy({"/a": 1}, ["/a"]) == []
     assert store.copy({"/a": 2, "/b": 1}, ["/a", "/b"]) == ["/b"]
@@ -89,7 +89,7 @@ def test_a_copy_that_the_master_does_not_list_is_not_set():
 
 
 class Share(Protocol):
-    """Starts to share parameters by rules."""
+    """Starts sharing parameters by rules."""
 
     def __call__(
         self, *rules: ParameterRule, active: Callable[[], bool] = ..., store: ParameterServer | None = ...
@@ -186,7 +186,10 @@ def test_changes_of_ros1_parameters_are_published_as_events(master: RosMaster, h
     until(
         lambda: [n["name"] for e in received for n in e["deleted_parameters"]] == ["goes"], "the deletion is published"
     )
-    until(lambda: [n["value"]["string_value"] for e in received for n in e["new_parameters"]] == ["new"], "the new one")
+    until(
+        lambda: [n["value"]["string_value"] for e in received for n in e["new_parameters"]] == ["new"],
+        "the new parameter is published",
+    )
     assert {event["node"] for event in received} == {"/told_node"}
 
 
@@ -235,7 +238,7 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
     )
     written, request = store.written, hdr.asked
     for node in (hdr, single, unset, huge):
-        until(lambda node=node: node.asked > request + 5, "several comparisons")
+        until(lambda node=node: node.asked > request + 5, "several comparisons are made")
     assert store.written == written, "nothing is written again"
     problems = parameters.warnings()
     for key, above in (("/hdr/exposure/1", "/hdr/exposure"), ("/hdr/exposure/a/b", "/hdr/exposure"),
@@ -244,7 +247,7 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
     del hdr.values["exposure"]
     until(lambda: master.call("getParam", "/hdr") == {"exposure": {"1": 100, "a": {"b": 5}}}, "the names below")
     hdr.values["exposure"] = integer(50)
-    until(lambda: master.call("getParam", "/hdr") == {"exposure": 50}, "the value has the name again")
+    until(lambda: master.call("getParam", "/hdr") == {"exposure": 50}, "the original value is back")
 
 
 @needs_ros1
@@ -256,10 +259,10 @@ def test_copies_of_a_killed_process_are_deleted_when_the_next_one_stops(
     node = ParameterNode(hubs[1], "/killed_node", speed=double(1.5), turn=double(0.5))
     rules = rule("ros2", "/killed", "/killed_node"), rule("ros2", "/killed_too", "/killed_node", prefix="turn")
     share(*rules, active=alive.is_set)
-    until(lambda: master.call("getParam", "/killed") == {"speed": 1.5, "turn": 0.5}, "both are copied")
-    until(lambda: master.call("getParam", "/killed_too") == 0.5, "the other rule's, too")
+    until(lambda: master.call("getParam", "/killed") == {"speed": 1.5, "turn": 0.5}, "both parameters are copied")
+    until(lambda: master.call("getParam", "/killed_too") == 0.5, "the other rule's parameter is copied")
     assert sorted(master.call("getParam", COPIES)) == ["/killed/speed", "/killed/turn", "/killed_too"]
-    alive.clear()  # from here on it does nothing, like a killed process
+    alive.clear()  # from here on the first process does nothing, as if it had been killed
     node.close()
     master.call("setParam", "/killed/mine", 1)
     again = share(rules[0])
@@ -275,12 +278,15 @@ def test_copies_of_another_daemon_are_deleted_by_its_successor(master: RosMaster
     first.set()
     node = ParameterNode(hubs[1], "/taken_node", speed=double(1.5), lasts=double(2.0))
     share(rule("ros2", "/taken", "/taken_node"), active=first.is_set, store=server(master, "dead"))
-    until(lambda: master.call("getParam", "/taken") == {"speed": 1.5, "lasts": 2.0}, "both are copied")
+    until(lambda: master.call("getParam", "/taken") == {"speed": 1.5, "lasts": 2.0}, "both parameters are copied")
     first.clear()
     second = share(rule("ros2", "/taken", "/taken_node"))
-    until(lambda: set(master.call("getParam", COPIES) or ()) == {"/taken/speed", "/taken/lasts"}, "it adopts them")
+    until(
+        lambda: set(master.call("getParam", COPIES) or ()) == {"/taken/speed", "/taken/lasts"},
+        "the next process adopts the copies",
+    )
     del node.values["speed"]
-    until(lambda: master.call("getParam", "/taken/speed") is None, "the node dropped it")
+    until(lambda: master.call("getParam", "/taken/speed") is None, "the parameter that the node dropped is deleted")
     second.stop()
     assert master.call("getParam", "/taken") == {}
 
@@ -300,7 +306,7 @@ def test_unknown_names_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], sh
     node = ParameterNode(hubs[1], "/names_node", gain=double(1.0), lens__focus=double(2.0))
     master.call("setParam", "/names", {"excluded": {"mine": 1}})
     parameters = share(rule("ros2", "/names", "/names_node", names=["*", "lens/**"]))
-    until(lambda: master.call("getParam", "/names/gain") == 1.0, "it is in ROS 1")
+    until(lambda: master.call("getParam", "/names/gain") == 1.0, "the parameter is in ROS 1")
     assert parameters.warnings() == []
     master.call("setParam", "/names/gian", 2.0)
     master.call("setParam", "/names/lens/focs", 2.0)
@@ -311,7 +317,7 @@ def test_unknown_names_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], sh
         for key, name, similar in (("gian", "gian", "gain"), ("lens/focs", "lens.focs", "lens.focus"))
     ]
     until(lambda: master.call("getParam", "/names/lens") == {"focus": 2.0, "focs": 2.0}, "the copy is back")
-    until(lambda: parameters.warnings() == want, "both are reported")
+    until(lambda: parameters.warnings() == want, "both parameters are reported")
     assert node.set == []
     master.call("deleteParam", "/names/gian")
     master.call("deleteParam", "/names/lens/focs")
@@ -322,10 +328,10 @@ def test_unknown_names_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], sh
 def test_a_declared_parameter_without_a_value_is_set_from_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = ParameterNode(hubs[1], "/late_node", lost=NOT_SET, mode=NOT_SET, count=NOT_SET, gain=double(1.0))
     node.types = {"mode": ParameterType.STRING, "count": ParameterType.INTEGER}
-    master.call("setParam", "/late/lost", 3)  # before the node starts, like a launch file
+    master.call("setParam", "/late/lost", 3)  # before the node starts, as in a launch file
     parameters = share(rule("ros2", "/late", "/late_node"))
-    until(lambda: node.values["lost"] == double(3.0), "it has the declared type")
-    until(lambda: "/late/lost" in (master.call("getParam", COPIES) or ()), "it is a copy now")
+    until(lambda: node.values["lost"] == double(3.0), "the node's value has the declared type")
+    until(lambda: "/late/lost" in (master.call("getParam", COPIES) or ()), "the parameter is a copy now")
     master.call("setParam", "/late/mode", 5)
     until(lambda: master.call("getParam", "/late/mode") is None, "the rejected value is deleted")
     assert any("/late/mode: /late_node rejected 5: not now" in item for item in parameters.warnings())
@@ -347,7 +353,7 @@ def test_problems_of_a_node_disappear_with_it(master: RosMaster, hubs: tuple[Hub
     )  # fmt: skip
     node.refuses = {"fixed", "lost"}
     parameters = share(rule("ros2", name, f"{name}_node", write=write))
-    until(lambda: master.call("getParam", f"{name}/fixed") == 1.0, "it is in ROS 1")
+    until(lambda: master.call("getParam", f"{name}/fixed") == 1.0, "the parameter is in ROS 1")
     for other in ("fixed", "lost", "unknown"):
         master.call("setParam", f"{name}/{other}", 2.0)
 
@@ -355,10 +361,10 @@ def test_problems_of_a_node_disappear_with_it(master: RosMaster, hubs: tuple[Hub
         return {warning.partition(": ")[0] for warning in parameters.warnings()}
 
     wanted = {f"parameter {name}/{remaining}" for remaining in ("huge", "speed/x", "fixed", "lost", "unknown")}
-    until(lambda: reported() == wanted, "all are reported")
-    until(lambda: master.call("getParam", f"{name}/fixed") == 1.0, "it is reset")
+    until(lambda: reported() == wanted, "all problems are reported")
+    until(lambda: master.call("getParam", f"{name}/fixed") == 1.0, "the parameter is reset")
     node.close()
-    until(lambda: parameters.warnings() == [], "they disappear with the node")
+    until(lambda: parameters.warnings() == [], "the warnings disappear with the node")
 
 
 @needs_ros1
@@ -370,7 +376,7 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
         mode=ParameterValue(ParameterType.STRING, "slow"),
     )
     parameters = share(rule("ros2", "/asked", "/asked_node"))
-    until(lambda: master.call("getParam", "/asked") == {"speed": 1.5, "mode": "slow"}, "both are in ROS 1")
+    until(lambda: master.call("getParam", "/asked") == {"speed": 1.5, "mode": "slow"}, "both parameters are in ROS 1")
     master.call("setParam", "/asked/speed", 3)
     parameters.changed()
     until(lambda: node.values["speed"] == ParameterValue(ParameterType.DOUBLE, 3.0), "the node has ROS 1's value")
@@ -388,9 +394,9 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
 def test_a_read_only_copy_is_reset(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = ParameterNode(hubs[1], "/read_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
     share(rule("ros2", "/read_only", "/read_node", write=False))
-    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is in ROS 1")
+    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "the parameter is in ROS 1")
     master.call("setParam", "/read_only/speed", 3.0)
-    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is reset")
+    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "the parameter is reset")
     assert node.set == []
 
 
@@ -398,7 +404,7 @@ def test_a_read_only_copy_is_reset(master: RosMaster, hubs: tuple[Hub, Hub], sha
 def test_values_set_while_the_node_is_absent_are_discarded(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = ParameterNode(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 1.5))
     parameters = share(rule("ros2", "/away", "/away_node"))
-    until(lambda: master.call("getParam", "/away/speed") == 1.5, "it is in ROS 1")
+    until(lambda: master.call("getParam", "/away/speed") == 1.5, "the parameter is in ROS 1")
     node.close()
     until(lambda: parameters.details()[0]["shared"] == 0, "the node is gone")
     master.call("setParam", "/away/speed", 9.0)
@@ -439,4 +445,4 @@ def test_a_worker_on_standby_shares_nothing(master: RosMaster, hubs: tuple[Hub, 
     active.set()
     assert ParameterClient(hubs[1], "/standing_node").get("speed") == [1.0]
     active.clear()
-    until(lambda: not hubs[1].graph.servers("/standing_node/get_parameters"), "it is withdrawn again")
+    until(lambda: not hubs[1].graph.servers("/standing_node/get_parameters"), "the service is withdrawn again")

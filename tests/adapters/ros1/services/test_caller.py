@@ -1,4 +1,4 @@
-"""Calling ROS 1 servers: valid, slow, malformed and crashing ones."""
+"""ROS 1 servers are called: valid, slow, malformed and crashing ones."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def request_of(sock: socket.socket) -> bytes:
 
 
 class Server:
-    """A server on loopback; ``serve(sock, header)`` handles each connection after the headers."""
+    """A loopback server; ``serve(sock, header)`` handles each connection after the headers."""
 
     def __init__(self, serve: Callable[[socket.socket, dict[str, str]], None]) -> None:
         self.connections: list[dict[str, str]] = []
@@ -69,7 +69,7 @@ def echo(sock: socket.socket, _header: Any) -> None:
 
 
 class Bench:
-    """A caller and its surroundings."""
+    """A caller and its environment."""
 
     def __init__(self) -> None:
         self.loop, self.pool, self.doubts = ConnectionLoop("test-calls"), PeerPool(), []
@@ -113,7 +113,7 @@ def test_sequential_calls_share_a_connection(bench):
         bench.warm()
         for n in range(50):
             assert bench.call(f"call {n}".encode()).wait() == [f"call {n}".encode()[::-1]]
-            until(lambda: bench.caller.load.idle, "it is idle again", every=0.001)
+            until(lambda: bench.caller.load.idle, "the connection is idle again", every=0.001)
         (header,) = server.connections
         assert header == {
             "callerid": "/me", "service": "/serve", "md5sum": "5e7e", "persistent": "1", "tcp_nodelay": "1"
@@ -149,7 +149,7 @@ def test_a_slow_call_does_not_delay_others(bench):
         go_on.set()
         assert all(ends.wait() == [b"slow"] for ends in slow)
         assert len(server.connections) < 60, "connections are reused"
-        until(lambda: bench.caller.load.connections <= 8, "only a few idle ones are kept")
+        until(lambda: bench.caller.load.connections <= 8, "only a few idle connections are kept")
 
 
 def test_a_reply_in_pieces(bench):
@@ -180,7 +180,7 @@ def test_a_call_without_a_server_fails_with_the_reason(bench):
     assert bench.call().error() == "/serve has no server on ROS 1 now"
     bench.toward(("127.0.0.1", free_port()))
     assert "cannot be called" in bench.call().error()
-    assert "refused" in until(lambda: bench.doubts, "its registration is checked")[0][1]
+    assert "refused" in until(lambda: bench.doubts, "the server's registration is checked")[0][1]
 
 
 def test_a_server_that_rejects_the_connection(bench):
@@ -191,7 +191,7 @@ def test_a_server_that_rejects_the_connection(bench):
     with tcp_server(refuse) as address:
         bench.toward(address)
         assert "md5sums do not match" in bench.call().error()
-        until(lambda: bench.doubts, "it is probed again")
+        until(lambda: bench.doubts, "the server is probed again")
 
 
 def test_a_server_that_crashes_during_a_call(bench):
@@ -225,13 +225,13 @@ def test_the_crash_of_a_server_is_noticed_without_a_call(bench):
         bench.toward(address)
         bench.warm()
         assert not bench.doubts
-    link, trouble = until(lambda: bench.poll() or bench.doubts, "its registration is checked")[0]
+    link, trouble = until(lambda: bench.poll() or bench.doubts, "the server's registration is checked")[0]
     assert (link.node, link.uri) == ("/server", f"rosrpc://{address[0]}:{address[1]}")
     assert "refused" in trouble
 
 
 def test_a_request_is_never_sent_twice(bench):
-    # a server whose connection breaks during the call: it is unknown whether it executed the request
+    # if the connection breaks during the call, it is unknown whether the server executed the request
     requests = []
 
     def serve(sock, _header) -> None:
@@ -344,7 +344,7 @@ def test_too_many_calls(bench):
         for abandon in under_way:
             abandon()
         assert not ends.items
-        until(lambda: bench.caller.load.connections == 0 or bench.caller.load.idle, "their connections are closed")
+        until(lambda: bench.caller.load.connections == 0 or bench.caller.load.idle, "the calls' connections are closed")
 
 
 def test_closing_ends_pending_calls(bench):
@@ -367,7 +367,7 @@ def test_closing_ends_pending_calls(bench):
 
 
 def test_a_large_request_to_a_server_that_does_not_read(bench):
-    # the first fills the socket; neither its sender nor the next caller waits
+    # the first call fills the socket; neither its sender nor the next caller waits
     blocked = threading.Event()
 
     def serve(sock, _header) -> None:
@@ -409,17 +409,17 @@ def test_without_descriptors_only_the_open_connection_is_used(bench):
         bench.warm()
         with no_descriptors():
             assert bench.call().wait() == [b"abc"], "the open connection suffices"
-            until(lambda: bench.caller.load.idle, "it is idle again", every=0.001)
+            until(lambda: bench.caller.load.idle, "the connection is idle again", every=0.001)
             slow = bench.call(b"slow")
             assert "no file descriptor" in bench.call().error()
-        assert not bench.doubts, "that is not the server's fault"
+        assert not bench.doubts, "a lack of descriptors is not the server's fault"
         go_on.set()
         assert slow.wait() == [b"slow"]
         assert bench.call().wait() == [b"abc"]
 
 
 def test_a_call_that_is_abandoned_while_it_connects_is_not_sent(bench, monkeypatch):
-    """Not even if its client leaves right before the request is sent."""
+    """The request is not sent even if its client leaves right before that."""
     outcomes = []
 
     def serve(sock, _header) -> None:

@@ -1,4 +1,4 @@
-"""Serving ROS 1 clients: valid, slow, malformed and leaving ones."""
+"""ROS 1 clients are served: valid, slow, malformed and leaving ones."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_one_call_per_connection(bench):
     }  # fmt: skip
     assert client.call(b"abc") == (1, b"cba")
     assert client.ended()
-    until(lambda: bench.server.clients == 0, "it is removed")
+    until(lambda: bench.server.clients == 0, "the client is removed")
 
 
 def test_a_persistent_connection(bench):
@@ -184,7 +184,7 @@ def test_errors_are_returned_and_the_connection_stays_open(bench):
     bench.handler.dones[1](b"twice")
     assert client.reply() == (1, b"the second")
     bench.handler.at_once = True
-    assert client.call(b"cd") == (1, b"dc"), "without anything in between"
+    assert client.call(b"cd") == (1, b"dc"), "no other bytes arrive in between"
 
 
 def test_a_handler_that_fails(bench):
@@ -256,7 +256,7 @@ def test_a_client_that_announces_a_request_and_sends_nothing(bench):
     cut_short.sock.sendall(struct.pack("<I", LIMIT) + b"start")
     cut_short.sock.close()
     assert bench.open().call(b"ab") == (1, b"ba")
-    until(lambda: bench.server.clients == 2, "the disconnected one is removed")
+    until(lambda: bench.server.clients == 2, "the disconnected client is removed")
     assert bench.handler.requests == [b"ab"]
 
 
@@ -268,7 +268,7 @@ def test_a_client_that_leaves_abandons_its_call(bench, persistent):
     bench.handler.wait(1)
     client.sock.close()
     until(lambda: bench.handler.abandoned == [0], "the call is abandoned")
-    until(lambda: bench.server.clients == 0, "it is removed")
+    until(lambda: bench.server.clients == 0, "the client is removed")
     bench.handler.dones[0](b"late")
     bench.handler.at_once = True
     assert bench.open().call(b"ab") == (1, b"ba")
@@ -287,7 +287,7 @@ def test_a_client_that_leaves_with_unread_data(bench):
 
 @pytest.mark.parametrize("size", [100, 4096, 10_000, 200_000])
 def test_a_request_of_any_size_may_arrive_during_a_call(bench, size):
-    """The first bytes are buffered, so that the end of the connection is noticed; the rest stays in the socket."""
+    """The first bytes are buffered, so that a disconnection is noticed; the rest stays in the socket."""
     bench.handler.at_once = False
     client = bench.open()
     client.send(b"first")
@@ -314,10 +314,10 @@ def test_a_client_that_does_not_read(bench):
     bench.handler.dones[0](bytes(large))
     bench.handler.dones[1](bytes(large))
     bench.handler.dones[2](b"quick")
-    assert other.reply() == (1, b"quick"), "nothing waits for it"
-    assert deaf.reply() == (1, bytes(large)), "when it finally reads, it receives everything"
+    assert other.reply() == (1, b"quick"), "other clients do not wait for the slow one"
+    assert deaf.reply() == (1, bytes(large)), "when the slow client finally reads, it receives everything"
     leaver.sock.close()
-    until(lambda: bench.server.clients == 2, "it is removed")
+    until(lambda: bench.server.clients == 2, "the client is removed")
     bench.handler.at_once = True
     assert deaf.call(b"ab") == (1, b"ba")
 
@@ -369,7 +369,7 @@ def test_too_many_clients(bench, monkeypatch):
     clients = [bench.open() for _ in range(5)]
     assert "has 5 clients already" in bench.connect()[1]["error"]
     clients.pop().sock.close()
-    until(lambda: bench.server.clients == 4, "one has left")
+    until(lambda: bench.server.clients == 4, "one client has left")
     assert bench.open().call(b"ab") == (1, b"ba")
 
 

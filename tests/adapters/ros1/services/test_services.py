@@ -29,12 +29,12 @@ SECONDS = 30.0
 
 
 def reply(success: bool, message: str) -> str:
-    """Return a std_srvs/SetBool response in ROS 1's bytes."""
+    """Return a std_srvs/SetBool response in the ROS 1 serialization, as base64."""
     return base64.b64encode(struct.pack("<BI", success, len(message.encode())) + message.encode()).decode()
 
 
 def server_of(edge, name):
-    """Wait until the type of a server is known; return its endpoint."""
+    """Wait until a server's type is known, and return its endpoint."""
 
     def known() -> Any:
         return next((e for e in edge.endpoints(kind="server", topic=name) if e["made_by"] != "unknown"), None)
@@ -48,7 +48,9 @@ def caller_of(edge, name, type_=SET_BOOL):
 
 
 def call(edge, caller, number=0, request=ON):
-    assert edge.ask("begin", id=caller, request=request, number=number)["seconds"] < AT_ONCE, "it never blocks"
+    assert edge.ask("begin", id=caller, request=request, number=number)["seconds"] < AT_ONCE, (
+        "beginning a call never blocks"
+    )
 
 
 def ends(edge, caller, count=1):
@@ -77,7 +79,7 @@ def give_back(master, edge, served, name):
 
 @pytest.fixture(scope="module")
 def rosout(master):
-    """A roscpp node with services: roscore's rosout, which also replaces the embedded one."""
+    """A roscpp node with services: roscore's rosout, which also replaces the embedded master's rosout."""
     if not master.embedded:
         yield
         return
@@ -95,7 +97,7 @@ def test_servers_are_listed(master, edge):
         assert result["made_by"] == "native"
         assert server_of(edge, "/rosout/get_loggers")["type"] == "roscpp/GetLoggers"
         peer.drop(service)
-        until(lambda: not edge.endpoints(topic="/seen/set"), "it disappears with its server", SECONDS)
+        until(lambda: not edge.endpoints(topic="/seen/set"), "the service disappears with its server", SECONDS)
 
 
 def test_calling_a_server(master, edge):
@@ -117,7 +119,7 @@ def test_calling_a_server(master, edge):
 
 @pytest.mark.usefixtures("rosout")
 def test_calling_a_roscpp_server(edge):
-    # not its get_loggers: the rosout of Debian 12 crashes on the first call of any client
+    # not its get_loggers: Debian 12's rosout crashes at the first such call, whichever client makes it
     caller = caller_of(edge, "/rosout/set_logger_level", "roscpp/SetLoggerLevel")
     request = b"".join(struct.pack("<I", len(name)) + name for name in (b"ros.rosout", b"info"))
     for number in range(3):
@@ -133,7 +135,7 @@ def test_a_slow_call_does_not_delay_others(master, edge):
         for number in range(20):
             call(edge, caller, number)
         assert len(peer.ask("requests", id=service, count=20, seconds=SECONDS)["requests"]) == 20, (
-            "all are at the server"
+            "all calls have reached the server"
         )
         call(edge, other)
         assert ends(edge, other) == {"0": [reply(False, "")]}
@@ -153,7 +155,7 @@ def test_a_server_that_is_killed_during_a_call(master, edge):
         peer.signal(signal.SIGKILL)
         for end in ends(edge, caller, 5).values():
             assert end == ["error: the server /killed closed the connection before it answered"]
-    until(lambda: edge.endpoints(topic="/killed", made_by="unknown"), "the dead server no longer counts", SECONDS)
+    until(lambda: edge.endpoints(topic="/killed", made_by="unknown"), "the dead server is listed as unknown", SECONDS)
     call(edge, caller, 9)
     assert ends(edge, caller, 6)["9"] == ["error: /killed has no server on ROS 1 now"]
     with master.peer("killed") as peer:
@@ -163,7 +165,7 @@ def test_a_server_that_is_killed_during_a_call(master, edge):
         def answered() -> bool:
             number = int(time.monotonic() * 1e6)
             call(edge, caller, number)
-            until(lambda: str(number) in ends(edge, caller, 0), "it ends", SECONDS)
+            until(lambda: str(number) in ends(edge, caller, 0), "the call has ended", SECONDS)
             return ends(edge, caller, 0)[str(number)] == [reply(False, "again")]
 
         until(answered, "the same caller reaches the new server", SECONDS)
@@ -174,7 +176,7 @@ def test_the_exit_of_a_server_is_noticed_without_calls(master, edge):
         peer.ask("serve", service="/mortal", type=SET_BOOL)
         caller_of(edge, "/mortal")
         peer.signal(signal.SIGKILL)
-        until(lambda: edge.endpoints(topic="/mortal", made_by="unknown"), "it no longer counts", SECONDS)
+        until(lambda: edge.endpoints(topic="/mortal", made_by="unknown"), "the server is listed as unknown", SECONDS)
     reported = "/mortal: its server /mortal does not announce its type: cannot connect"
     until(lambda: any(w.startswith(reported) for w in edge.ask("status")["warnings"]), "a warning is reported", SECONDS)
 
@@ -251,7 +253,7 @@ def test_many_clients_with_calls_of_any_length(master, edge):
         requests_at(edge, served, 50)
         edge.ask("answer", id=served, number=49, reply=reply(True, ""))
         done = until(
-            lambda: [i for p, i in requests if p.ask("result", id=i, seconds=0)["done"]], "one has ended", SECONDS
+            lambda: [i for p, i in requests if p.ask("result", id=i, seconds=0)["done"]], "one call has ended", SECONDS
         )
         assert len(done) == 1
         for number in range(49):
@@ -269,7 +271,11 @@ def test_a_client_that_is_killed(master, edge):
             peer.ask("call", service="/left", type=SET_BOOL, persistent=number == 3)
         requests_at(edge, served, 4)
         peer.signal(signal.SIGKILL)
-        until(lambda: edge.ask("calls", id=served)["abandoned"] == [0, 1, 2, 3], "its calls are abandoned", SECONDS)
+        until(
+            lambda: edge.ask("calls", id=served)["abandoned"] == [0, 1, 2, 3],
+            "the killed client's calls are abandoned",
+            SECONDS,
+        )
     for number in range(4):
         edge.ask("answer", id=served, number=number, reply=reply(True, "late"))
     with master.peer("next") as peer:
@@ -304,11 +310,14 @@ def test_servers_of_another_midspan_are_marked(master, edge, tmp_path):
     served = edge.ask("serve", service="/marked", type=SET_BOOL)["id"]
     registered(master, "/marked")
     with edge_on(master, tmp_path, "other") as other:
-        assert until(lambda: other.endpoints(topic="/marked"), "it is seen", SECONDS)[0]["made_by"] == "midspan"
+        assert (
+            until(lambda: other.endpoints(topic="/marked"), "the other daemon's server is seen", SECONDS)[0]["made_by"]
+            == "midspan"
+        )
         caller = other.ask("caller", service="/marked", type=SET_BOOL)["id"]
         call(other, caller)
         assert ends(other, caller) == {"0": ["error: /marked has no server on ROS 1 now"]}
-    assert edge.endpoints(topic="/marked") == [], "the edge's own are not listed"
+    assert edge.endpoints(topic="/marked") == [], "the edge's own servers are not listed"
     give_back(master, edge, served, "/marked")
 
 
@@ -339,7 +348,7 @@ def test_a_clean_stop_ends_calls_and_leaves_nothing(master, tmp_path):
             requests_at(edge, served, 1)
             caller = caller_of(edge, "/stays")
             call(edge, caller)
-            assert edge.ask("stop")["seconds"] < AT_ONCE, "the limit of Edge.stop"
+            assert edge.ask("stop")["seconds"] < AT_ONCE, "Edge.stop returns within twice its limit"
             assert "/stopped is no longer served" in peer.ask("result", id=request)["error"]
             assert edge.ask("calls", id=served)["abandoned"] == [0]
             assert ends(edge, caller) == {"0": ["error: /stays is no longer bridged"]}
@@ -366,7 +375,7 @@ def test_servers_that_misbehave(master, edge):
         until_closed(sock)
 
     with tcp_server(silent) as (host, port), socket.socket() as deaf:
-        deaf.bind(("127.0.0.1", 0))  # without a listener, and reserved meanwhile
+        deaf.bind(("127.0.0.1", 0))  # the port is reserved, but nothing listens on it
         dead = deaf.getsockname()[1]
         for name, address in (("/odd/silent", f"rosrpc://{host}:{port}"), ("/odd/dead", f"rosrpc://127.0.0.1:{dead}")):
             master.call("registerService", name, address, "http://127.0.0.1:1/")

@@ -1,4 +1,4 @@
-"""Connections to subscribers: slow ones lose only their own messages, and delay no others."""
+"""Connections to subscribers: slow subscribers lose only their own messages, and do not delay others."""
 
 import contextlib
 import socket
@@ -72,18 +72,18 @@ def loop(pair):
 
 def test_data_of_a_subscriber_is_discarded_and_its_end_noticed_behind_it(pair, loop):
     pair.subscriber.sendall(b"unexpected")
-    until(lambda: pair.outlet._unexpected == 10, "the loop has read it")
+    until(lambda: pair.outlet._unexpected == 10, "the loop has read the data")
     assert pair.outlet.send(b"on", "a", 1)
     assert pair.message() == b"on"
     pair.subscriber.close()
-    until(lambda: pair.outlet.done, "its end is noticed")
+    until(lambda: pair.outlet.done, "the end of the connection is noticed")
 
 
 def test_a_subscriber_that_sends_without_end_is_disconnected(pair, loop):
-    """Its data would keep the loop busy."""
+    """Such a subscriber's data would keep the loop busy."""
     with contextlib.suppress(ConnectionError):
         pair.subscriber.sendall(bytes(10_000_000))
-    until(lambda: pair.outlet.done, "it is disconnected")
+    until(lambda: pair.outlet.done, "the subscriber is disconnected")
 
 
 def test_large_messages_arrive_complete(pair):
@@ -114,8 +114,8 @@ def test_a_stalled_subscriber_loses_its_oldest_messages(pair):
             assert len(message) == big
             numbers.append(message[0])
     assert numbers == sorted(numbers)
-    assert numbers[-3:] == [47, 48, 49], "the newest stay"
-    assert others == [b"other"], "a source's messages only displace its own"
+    assert numbers[-3:] == [47, 48, 49], "the newest messages stay"
+    assert others == [b"other"], "a source's messages displace only its own"
 
 
 def test_a_broken_connection_is_reported(pair):
@@ -158,8 +158,8 @@ def test_queued_messages_of_many_sources_are_limited(pair, monkeypatch):
 
 
 def test_a_socket_whose_options_cannot_be_set_stays_the_callers():
-    """On macOS they cannot once the peer has reset the connection."""
-    near, far = socket.socketpair()  # without TCP's options
+    """On macOS, options cannot be set once the peer has reset the connection."""
+    near, far = socket.socketpair()  # sockets that do not have TCP's options
     with near, far:
         with pytest.raises(OSError, match="supported"):
             SubscriberConnection(near, "test-out")

@@ -1,4 +1,4 @@
-"""Reading messages from a TCPROS connection."""
+"""Messages are read from a TCPROS connection."""
 
 import contextlib
 import socket
@@ -17,7 +17,7 @@ from tests.support.wait import until
 
 
 class Connection:
-    """A publisher's end of a connection, and a reader at the other."""
+    """A publisher's end of a connection, and a reader at the other end."""
 
     def __init__(self, loop, limit=module.MAX_MESSAGE) -> None:
         listener = socket.create_server(("127.0.0.1", 0))
@@ -54,12 +54,12 @@ class Connection:
         return self.messages
 
     def until_closed(self) -> None:
-        until(lambda: self.reader.fileno() == -1, "its socket is closed", 40)
+        until(lambda: self.reader.fileno() == -1, "the reader's socket is closed", 40)
 
 
 @pytest.fixture
 def limit():
-    """Size limit of messages in bytes; a test may override it."""
+    """Size limit of messages in bytes, which a test may override."""
     return module.MAX_MESSAGE
 
 
@@ -131,7 +131,7 @@ def test_a_message_over_the_limit_is_skipped(connection, size, limit):
 
 
 def test_an_announced_length_allocates_no_memory():
-    """The publisher announces 500 MB, and sends nothing."""
+    """The publisher announces 500 MB, and then sends nothing."""
     code = (
         "import resource, socket, struct\n"
         "from bridge.adapters.ros1_peers import DeadlineSocket\n"
@@ -165,16 +165,16 @@ def test_an_undelivered_message_is_unread(connection):
     reader, publisher = connection.reader, connection.publisher
     assert not reader.unread
     publisher.sendall(frame(b"one"))
-    until(lambda: connection.messages == [b"one"], "it is delivered", 40)
-    until(lambda: not reader.unread, "nothing is left", 40)
+    until(lambda: connection.messages == [b"one"], "the message is delivered", 40)
+    until(lambda: not reader.unread, "nothing is left to read", 40)
     publisher.sendall(frame(b"two")[:5])
     until(lambda: reader.unread and not is_readable(reader._sock), "half a message has been read", 40)
     publisher.sendall(frame(b"two")[5:] + frame(b"x" * 100_000)[:50_000])
     until(lambda: connection.messages == [b"one", b"two"], "the other half has arrived", 40)
-    until(lambda: reader.unread and not is_readable(reader._sock), "half of a large one has been read", 40)
+    until(lambda: reader.unread and not is_readable(reader._sock), "half of a large message has been read", 40)
     publisher.sendall(frame(b"x" * 100_000)[50_000:])
-    until(lambda: len(connection.messages) == 3, "it is delivered", 40)
-    until(lambda: not reader.unread, "nothing is left", 40)
+    until(lambda: len(connection.messages) == 3, "the message is delivered", 40)
+    until(lambda: not reader.unread, "nothing is left to read", 40)
     reader.close()
     assert not reader.unread
 
