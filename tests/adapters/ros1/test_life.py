@@ -83,7 +83,7 @@ def test_registrations_of_a_killed_edge_are_removed(master, tmp_path):
         with edge_on(master, tmp_path, node="second_name") as again:
             assert "/left" not in master.state()["publishers"]
             assert "/first_name" not in master.nodes()
-            until(lambda: "second_name" in presence(master), "the other edge's entry exists")
+            until(lambda: "second_name" in presence(master), "the new edge's entry exists")
             assert "first_name" not in presence(master)
             again.ask("stop")
         assert (master.state(), master.parameters()) == before

@@ -25,7 +25,7 @@ def goes_by(heard: Subscriber, way: str, why: str = "") -> None:
         return chosen.way == way and chosen.settled and why in chosen.why
 
     try:
-        until(so, f"{chosen.topic} goes by {way} {why}")
+        until(so, f"{chosen.topic} uses {way} {why}")
     except AssertionError as err:
         err.add_note(f"it uses {chosen.way} ({chosen.why}), settled: {chosen.settled}")
         raise

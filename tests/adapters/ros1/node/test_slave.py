@@ -165,7 +165,7 @@ def test_its_topics_and_figures(node: Node) -> None:
     with sock:
         assert (header["latching"], header["callerid"]) == ("1", "/midspan")
         entry = lambda: next(e for e in node.value("getBusStats")[0] if e[0] == "/figures")  # noqa: E731
-        ((number, _, _, _),) = until(lambda: entry()[2], "the subscription is connected")
+        ((number, _, _, _),) = until(lambda: entry()[2], "the subscriber is connected")
         publisher.send(b"\2\0\0\0bb", "hub")
         assert entry() == ["/figures", 11, [[number, 9 + 10, 2, True]]]
         (info,) = node.value("getBusInfo")
@@ -279,6 +279,6 @@ def test_a_subscribers_name_of_any_bytes_does_not_prevent_tools(node: Node) -> N
     publisher = node.edge.advertise("/bytes", node.registry.ros1("std_msgs/String"), Qos())
     with socket.create_connection(("127.0.0.1", node.node.port), 20) as sock:
         sock.sendall(encode({"callerid": "/odd\0\x1b", "topic": "/bytes", "md5sum": "*", "type": "*"}))
-        until(lambda: any(c.topic == "/bytes" for c in node.edge.connections()), "the subscription is connected")
+        until(lambda: any(c.topic == "/bytes" for c in node.edge.connections()), "the subscriber is connected")
         assert "/odd\ufffd\ufffd" in [entry[1] for entry in node.value("getBusInfo")]
     publisher.close()

@@ -247,7 +247,7 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
     del hdr.values["exposure"]
     until(lambda: master.call("getParam", "/hdr") == {"exposure": {"1": 100, "a": {"b": 5}}}, "the names below")
     hdr.values["exposure"] = integer(50)
-    until(lambda: master.call("getParam", "/hdr") == {"exposure": 50}, "the original value is back")
+    until(lambda: master.call("getParam", "/hdr") == {"exposure": 50}, "the parameter is a single value again")
 
 
 @needs_ros1
@@ -283,7 +283,7 @@ def test_copies_of_another_daemon_are_deleted_by_its_successor(master: RosMaster
     second = share(rule("ros2", "/taken", "/taken_node"))
     until(
         lambda: set(master.call("getParam", COPIES) or ()) == {"/taken/speed", "/taken/lasts"},
-        "the next process adopts the copies",
+        "the successor adopts the copies",
     )
     del node.values["speed"]
     until(lambda: master.call("getParam", "/taken/speed") is None, "the parameter that the node dropped is deleted")
