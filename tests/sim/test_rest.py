@@ -138,3 +138,9 @@ def test_a_sliding_crate_prevents_rest() -> None:
     sim.run(0.2)
     after = sim.world.crates["box"].now()
     assert np.hypot(after.x - before.x, after.y - before.y) > 0.01
+    for tick in range(600):  # longer than the base takes to come to rest
+        skeleton.setVelocities([0.0, 0.0, 0.0, 0.5 - tick % 2, 0.0, 0.0])
+        sim.tick()
+        assert not sim.world.rests
+    sim.run(8.0)
+    assert sim.world.rests
