@@ -10,7 +10,7 @@ POINTS = np.array([[1.0, -2.0, 0.5], [3.0, 4.0, -5.0], [6.0, 7.0, 8.0], [-9.0, 1
 
 
 def cloud(points=POINTS, kind="<f4", datatype=7, order="xyz", gap=0, height=1, row_gap=0):
-    """Return a cloud of points (n, 3), with gaps of some bytes before the first field and between rows."""
+    """Return a cloud of points (n, 3), with padding before the first field and between rows."""
     layout = np.dtype(
         {"names": list(order), "formats": [kind] * 3, "offsets": [gap + i * int(kind[2]) for i in range(3)]}
     )

@@ -27,7 +27,7 @@ ROBOT = Pose(0.8, 2.5, 0.0)
 
 
 def explored() -> MapGrid2D:
-    """Return a floor of which the right half is unknown, with a wall between and two doors into it."""
+    """Return a floor whose right half is unknown, behind a wall with two doors."""
     grid = floor((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 3.6), (2.4, 4.6, 2.6, 5.0))
     paint(grid, (2.5, 0.0, 5.0, 5.0), MapFlag.UNKNOWN)
     return grid
@@ -42,7 +42,7 @@ def choose(exploration: Exploration, grid: MapGrid2D) -> FrontierGoal:
 def test_goals_are_in_view_of_the_frontiers_that_the_robot_reaches() -> None:
     grid, exploration = explored(), Exploration(radius=0.25, clearance=0.1)
     goal = choose(exploration, grid)
-    # the upper door is wider and as near
+    # the upper door is wider, and no farther away
     assert 1.7 < goal.pose.x < 2.4
     assert abs(goal.pose.y - 4.1) < 0.4
     assert abs(goal.pose.theta) < 0.5
@@ -54,7 +54,7 @@ def test_goals_are_in_view_of_the_frontiers_that_the_robot_reaches() -> None:
     exploration.failed(other)
     assert exploration.choose(grid, ROBOT) is None
     assert exploration.failures == 1 < MOST_FAILURES
-    assert Exploration(radius=0.55).choose(grid, ROBOT) is None, "the robot does not fit through"
+    assert Exploration(radius=0.55).choose(grid, ROBOT) is None, "the robot does not fit through the doors"
 
 
 def test_a_frontier_without_a_path_is_left_out() -> None:
@@ -137,7 +137,7 @@ def test_a_robot_explores_all_rooms_that_it_reaches() -> None:
 
 
 def known_share(grid: MapGrid2D) -> float:
-    """Return the share of the rooms' floor that a map knows."""
+    """Return the share of the rooms' floor that is known in a map."""
     truth = export.grid(PLAN, PLAN.first)
     rows, columns = np.nonzero(truth.flags == MapFlag.FREE)
     at = grid.cells_at(truth.centers_of(np.stack((columns, rows), -1)))

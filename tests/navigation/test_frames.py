@@ -125,7 +125,7 @@ def test_scans_of_a_laser_that_is_mounted_upside_down_are_mirrored() -> None:
     publisher = FramePublisher()
     publisher.publish("map", "odom", Pose(0.0, 0.0, 0.0))
     publisher.publish("odom", "base_link", Pose(0.0, 0.0, 0.0))
-    # mounted upside down, and then turned by half a radian on the base
+    # the laser is mounted upside down, and then turned by half a radian on the base
     mounting = Stamped("base_link", "laser", 0, (0.0, 0.0, 0.5), (math.cos(0.25), math.sin(0.25), 0.0, 0.0))
     publisher.publish("base_link", "upright", Pose(0.0, 0.0, 0.5))
     publisher.subscribers[TF_STATIC](write([mounting]))

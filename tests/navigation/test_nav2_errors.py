@@ -34,7 +34,9 @@ ACTIONS = {
 def test_each_code_of_an_action_has_a_reason(action: str) -> None:
     texts = [reason(code) for code in ACTIONS[action]]
     assert all(texts)
-    assert not [text for text in texts if re.search(r"\d|\.$|^[A-Z]", text)], "a fragment of a sentence, without code"
+    assert not [text for text in texts if re.search(r"\d|\.$|^[A-Z]", text)], (
+        "each reason is a fragment of a sentence without the code"
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Scans of ROS and of YARP."""
+"""Conversion of ROS and YARP scans."""
 
 import math
 

@@ -118,7 +118,7 @@ def test_items_from_before_a_jump_of_the_clock_are_discarded(sensor: Sensor) -> 
 
 
 def test_an_item_from_the_future_is_dropped(sensor: Sensor) -> None:
-    """The clock was set back, and the queue was not cleared yet."""
+    """The clock was set back, and the queue has not been cleared yet."""
     sensor.add(1)
     sensor.now_ns -= 1
     sensor.queue.work()

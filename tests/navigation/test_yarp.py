@@ -37,7 +37,7 @@ MOVES: dict[str, tuple[Any, ...]] = {
 
 @pytest.fixture
 def held() -> Iterator[tuple[EventLoop, threading.Event]]:
-    """A module's thread that is busy until the event is set."""
+    """A module's event loop whose thread is busy until the event is set."""
     loop, resume, begun = EventLoop("the module"), threading.Event(), threading.Event()
     loop.start()
     loop.post(lambda: (begun.set(), resume.wait(40)))
@@ -139,7 +139,7 @@ def test_moves_of_every_device_expire_with_their_client_but_stops_do_not(
 
 
 class Hanging:
-    """A name server that takes long to answer."""
+    """A name server that takes long to reply."""
 
     def __init__(self) -> None:
         self.queried, self.resume = threading.Event(), threading.Event()
@@ -157,7 +157,7 @@ def names() -> Iterator[Hanging]:
 
 
 def test_a_module_stops_in_time_while_its_ports_connect(names: Hanging):
-    """`bridge.modules.worker` gives it one second; the name server hangs for longer than a loaded machine needs."""
+    """`bridge.modules.worker` gives the module one second; the name server hangs longer than a busy machine needs."""
     connected = PortConnection(cast("Any", names), "/laser:o", "/mine/laser:i")
     assert names.queried.wait(40)
     begun = time.monotonic()

@@ -1,4 +1,4 @@
-"""A build without one kernel."""
+"""Simulates a build in which one kernel is not compiled."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from navigation.status import Compiled
 
 
 def uncompiled(monkeypatch: pytest.MonkeyPatch) -> Compiled:
-    """Return the state of a module that started without one compiled kernel."""
+    """Return the state of a module that started with one kernel uncompiled."""
     monkeypatch.setattr(kernels, "state", lambda: kernels.KernelState(("navigation.algorithms.stopping",), ()))
     return Compiled()

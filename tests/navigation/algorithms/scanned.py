@@ -16,7 +16,7 @@ from sim.laser_kernel import cast
 BEAMS = 360
 FARTHEST = 8.0
 WIDTH, HEIGHT = 8.0, 5.0
-"""Meters of the way around the block, in its middle."""
+"""Width and height of the laser's path around the block, along the middle of the corridor, meters."""
 
 _STEP = math.tau / BEAMS
 _ANGLES = np.arange(BEAMS) * _STEP
@@ -26,7 +26,7 @@ _DIRECTIONS = np.ascontiguousarray(np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), 
 def _wall(
     start: NDArray[np.float64], end: NDArray[np.float64], niches: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """Return the corners of a wall with niches to the right, at distances from its start."""
+    """Return the corners of a wall that has niches to its right at the given distances from its start."""
     along = (end - start) / np.linalg.norm(end - start)
     aside = np.array((along[1], -along[0])) * 0.35
     corners = [start]
@@ -37,7 +37,7 @@ def _wall(
 
 
 def corridor() -> NDArray[np.float64]:
-    """Return the segments of a closed corridor of two meters with different niches on each side, (n, 4) meters."""
+    """Return the walls of a closed corridor, 2 m wide with different niches on each side: segments (n, 4), meters."""
     rng = np.random.default_rng(7)
     segments = []
     for margin, side in ((1.0, 1.0), (-1.0, -1.0)):
@@ -61,7 +61,7 @@ class Seen(NamedTuple):
 
 
 class Laser:
-    """Scans of segments with a noise of one centimeter."""
+    """A laser that scans segments with one centimeter of noise."""
 
     def __init__(self, segments: NDArray[np.float64]) -> None:
         self._segments, self._rng = segments, np.random.default_rng(1)
@@ -73,7 +73,7 @@ class Laser:
 
 
 def drive(laser: Laser, meters: float, *, scale: float = 1.01, bend: float = 0.02) -> Iterator[Seen]:
-    """Drive around the block; the odometry is too long by a factor, and bends by radians a meter."""
+    """Drive around the block; odometry scales distances (``scale``) and drifts in yaw (``bend``, radians per meter)."""
     pose, odometry = Pose(-WIDTH / 2 + 1.0, -HEIGHT / 2, 0.0), Pose(0.0, 0.0, 0.0)
     corners = [(WIDTH / 2, -HEIGHT / 2), (WIDTH / 2, HEIGHT / 2), (-WIDTH / 2, HEIGHT / 2), (-WIDTH / 2, -HEIGHT / 2)]
     way, target = 0.0, 0

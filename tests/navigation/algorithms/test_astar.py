@@ -1,4 +1,4 @@
-"""Paths on grids, compared with a plain Dijkstra's algorithm."""
+"""Paths on grids, compared with those of a plain Dijkstra's algorithm."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ python_lines = uncompiled("navigation.algorithms.shortcut")
 
 
 def dijkstra(weights: Grid, start: tuple[int, int], goal: tuple[int, int]) -> float:
-    """Return the lowest cost, in the same integers; infinite without a path."""
+    """Return the lowest cost in the same integer unit as A*; infinity if there is no path."""
     rows, columns = weights.shape
 
     def free(row: int, column: int) -> bool:
@@ -164,7 +164,7 @@ def test_the_open_list_grows(monkeypatch: pytest.MonkeyPatch) -> None:
     weights[200, :-1] = 0
     start, door, goal = (0, 0), (200, 599), (599, 0)
     whole, parts = astar(weights, start, goal), [astar(weights, start, door), astar(weights, door, goal)]
-    assert whole is not None  # it has more than 4096 entries at once
+    assert whole is not None  # its open list has more than 4096 entries at once
     assert whole.cost == pytest.approx(sum(part.cost for part in parts if part is not None), rel=1e-12)
     few = weights[:30, :30]
     small = astar(few, (0, 0), (29, 29))

@@ -1,4 +1,4 @@
-"""The sparse solver has the solution of the dense one."""
+"""The sparse solver finds the same solution as a dense one."""
 
 from __future__ import annotations
 

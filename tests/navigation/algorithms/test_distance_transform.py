@@ -1,4 +1,4 @@
-"""Distances to obstacles, compared with all pairs."""
+"""Distances to obstacles, compared with a search over all pairs of cells."""
 
 from __future__ import annotations
 

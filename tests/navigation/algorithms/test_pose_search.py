@@ -28,7 +28,7 @@ def room() -> LikelihoodField:
 
 
 def seen(room: LikelihoodField) -> np.ndarray:
-    """Return the walls' cells, seen from the true pose."""
+    """Return the centers of the walls' cells in the frame of the true pose."""
     rows, columns = np.nonzero(room.distances == 0.0)
     dx, dy = (columns + 0.5) * CELL - TRUE[0], (rows + 0.5) * CELL - TRUE[1]
     c, s = math.cos(TRUE[2]), math.sin(TRUE[2])

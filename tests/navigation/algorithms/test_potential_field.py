@@ -34,7 +34,7 @@ def test_on_open_floor_the_path_is_a_straight_line():
     descent = way(free(), (10, 10), (50.0, 40.0))
     assert descent.direct
     assert descent.cost == pytest.approx(50.0)
-    assert way(free(), (10, 10), (10.0, 300.0)).direct, "also to a goal outside the window"
+    assert way(free(), (10, 10), (10.0, 300.0)).direct, "the path to a goal outside the window is direct too"
 
 
 def test_the_path_leaves_a_dead_end_without_a_local_minimum():

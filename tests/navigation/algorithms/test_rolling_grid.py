@@ -32,7 +32,7 @@ class Window:
         self.passed, self.ended, self.since = self.grid.times
 
     def mark(self, ranges: np.ndarray, now: float = 10.0, **other: Any) -> np.ndarray:
-        """Take up a scan; the points that it has."""
+        """Enter a scan into the grid; return the scan's points."""
         arguments = {"x": 0.01, "y": 0.01, "theta": 0.0, "first": -math.pi, "step": math.tau / max(len(ranges), 1)}
         arguments |= {"nearest": 0.1, "farthest": 20.0, "aside": 0.08} | other
         points = np.full((len(ranges), 3), np.nan)

@@ -1,4 +1,4 @@
-"""Maps from drifting odometry: the way closes, wrong closures are refused, and a loaded map is found again."""
+"""Maps from drifting odometry: loops are closed, wrong closures are refused, and a loaded map is recognized."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ AROUND = 30.0
 
 
 def off(pose: Pose, truth: Pose) -> tuple[float, float]:
-    """Return the meters and degrees between two poses."""
+    """Return the distance in meters and the angle in degrees between two poses."""
     return pose.distance(truth), abs(math.degrees(math.remainder(pose.theta - truth.theta, math.tau)))
 
 
@@ -78,11 +78,11 @@ def test_the_map_is_right_if_loops_are_found_late() -> None:
         before, found = list(slam.submaps.graph.poses), later.found
         known = len(before) - 1 if found is None or found.poses is None else len(found.poses) - 1
         if found is not None and found.poses is not None and known == len(before) - 1:
-            continue  # until a submap has begun that the search does not know
+            continue  # wait for a submap that the search does not know
         later.deliver()
         poses = slam.submaps.graph.poses
         moved = max(moved, before[known].distance(poses[known]))
-        # the newer submaps move with the last one that the search knew
+        # the newer submaps move with the last one known to the search
         assert poses[known].inverse @ poses[-1] == pytest.approx(before[known].inverse @ before[-1])
     meters, degrees = off(slam.pose, driven[-1].truth)
     assert moved > 0.005, "no search moved the submaps"
@@ -153,7 +153,7 @@ def test_a_reset_of_the_odometry_does_not_move_the_robot(driven: list[Seen]) -> 
 
 
 def square(*, wrong: bool) -> PoseGraph:
-    """Return a graph of a square whose ways bend, closed by a right measurement, and by a wrong one."""
+    """Return the graph of a square with drifting steps, closed by correct measurements and maybe a wrong one."""
     graph, sure = PoseGraph(), np.diag((1e4, 1e4, 1e5))
     graph.add(Pose(0.0, 0.0, 0.0))
     for number in range(8):

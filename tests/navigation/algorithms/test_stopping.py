@@ -25,7 +25,7 @@ def slowed(points, has, wanted, module=stopping, pose=(0.0, 0.0, 0.0), braking=B
 
 
 def follow(has, wanted, seconds=0.005):
-    """Return the robot's positions until it stops, in small steps."""
+    """Return the robot's positions in small time steps until it stops."""
     (vx, vy, turn), (x, y, theta), places = has, (0.0, 0.0, 0.0), []
     for step in range(2000):
         to = wanted if step * seconds < REACTION else (0.0, 0.0, 0.0)
@@ -46,13 +46,13 @@ def test_a_free_path_allows_full_speed_and_a_wall_ahead_does_not():
     share, blocker = slowed([(0.45, 0.0, 0.0)], (0.3, 0, 0), (0.3, 0, 0))
     assert share == 0.0
     assert tuple(blocker) == (0.45, 0.0, 0.0)
-    assert slowed([(0.32, 0.0, 0.0)], (0, 0, 0), (-0.3, 0, 0))[0] == 1.0, "away from the wall"
+    assert slowed([(0.32, 0.0, 0.0)], (0, 0, 0), (-0.3, 0, 0))[0] == 1.0, "driving away from the wall is not slowed"
     assert slowed([(0.32, 0.0, 0.0)], (0, 0, 0), (0, 0, 0.5))[0] == 1.0, "a disc can turn in place"
-    assert slowed([(0.302, 0.0, UNKNOWN)], (0, 0, 0), (0.3, 0, 0))[0] < 0.5, "also for an unseen cell"
+    assert slowed([(0.302, 0.0, UNKNOWN)], (0, 0, 0), (0.3, 0, 0))[0] < 0.5, "an unseen cell slows the robot too"
 
 
 def test_allowed_motions_stay_outside_the_radius():
-    """For thousands of velocities and points, a robot that starts from rest never touches one, and never creeps."""
+    """For thousands of velocities and points, a robot that starts from rest never touches a point."""
     rng = np.random.default_rng(5)
     braked = 0
     for _ in range(150):
@@ -106,13 +106,13 @@ class TestNotFinite:
     def test_a_velocity_that_is_none_is_not_let_through(self, module, odd, axis):
         velocity = [0.1, 0.0, 0.0]
         velocity[axis] = odd
-        if axis < 2 or not math.isfinite(odd):  # a turn is never slowed
+        if axis < 2 or not math.isfinite(odd):  # a rotation is never slowed
             assert slowed([], velocity, (0.1, 0.0, 0.0), module)[0] == 0.0
             assert slowed([], (0.1, 0.0, 0.0), velocity, module)[0] == 0.0
 
     @pytest.mark.timeout(30)
     def test_a_speed_whose_square_is_infinite(self, module):
-        """Also with a base that accelerates like that; the simulated path to a stop would not end."""
+        """The base's deceleration is as extreme: without a check, the simulated path to a stop would not end."""
         has, still = (6e153, 0.0, 0.0), (0.0, 0.0, 0.0)
         assert slowed([], has, (-6e153, 0.0, 0.0), module, braking=1e153)[0] == 0.0
         assert slowed([], (1e200, 0.0, 0.0), still, module, braking=1e200)[0] == 0.0

@@ -20,7 +20,7 @@ Box = tuple[slice, slice, slice]
 
 
 class Room:
-    """A completely seen room of 3 x 3 m: its floor, and free space above."""
+    """A completely observed room of 3 x 3 m: the floor, and free space above the floor."""
 
     def __init__(self) -> None:
         self.odds = np.full((SIDE, SIDE, HEIGHT), np.nan, np.float32)
@@ -45,7 +45,7 @@ class Room:
         return module.columns(voxels.blocks, voxels.values, CELL, base, robot, largest)
 
     def kinds(self, **settings: Any) -> np.ndarray:
-        """Return the room's cells only, by x and y."""
+        """Return the kinds of the room's cells (and no others), indexed by x and y."""
         layer = self.columns(**settings)
         assert layer.corner == (0.0, 0.0)
         return layer.kinds.T[:SIDE, :SIDE]
@@ -59,10 +59,10 @@ def test_the_heights_of_obstacles():
     room = Room().box(FAR, FAR, 0.7, 0.75).box(FAR, slice(50, 55), 0.1, 0.2).box(FAR, slice(50, 55), 0.9, 1.0)
     layer = room.box(slice(50, 55), FAR, 1.3, 1.35).columns()
     hits = layer.hits.transpose(1, 0, 2)
-    # from the floor's voxel to the first and last touched one
+    # heights above the floor's voxel of the lowest and highest voxels that the robot would touch
     assert hits[35, 35] == pytest.approx([0.75, 0.75])
     assert hits[35, 52] == pytest.approx([0.15, 1.0])
-    assert np.isnan(hits[52, 35]).all(), "the robot fits under it"
+    assert np.isnan(hits[52, 35]).all(), "the robot fits under the bar"
     assert (np.isnan(layer.hits[..., 0]) == (layer.kinds != OBSTACLE)).all()
 
 
@@ -76,9 +76,9 @@ def test_a_bare_floor_is_free_and_unknown_beyond():
 @pytest.mark.parametrize(
     ("low", "high", "kind"),
     [
-        (0.7, 0.75, OBSTACLE),  # a table's top: a laser at the ankles does not see it
+        (0.7, 0.75, OBSTACLE),  # a tabletop, which a laser at ankle height does not see
         (1.15, 1.2, OBSTACLE),
-        (1.3, 1.35, FLOOR),  # it fits under
+        (1.3, 1.35, FLOOR),  # the robot fits under it
         (0.0, 0.05, FLOOR),  # less than the voxels resolve
         (0.0, 0.15, OBSTACLE),  # a step
         (0.0, 2.0, OBSTACLE),
@@ -122,7 +122,7 @@ def test_the_floor_continues_beyond_unknown_and_blocked_columns():
 
 def test_a_ramp_is_floor_but_not_its_side_or_a_steeper_one():
     room = Room()
-    for x in range(30, 58):  # 1 in 7: 8 degrees
+    for x in range(30, 58):  # a slope of 1 in 7, 8 degrees
         room.odds[x, 20:40, GROUND : GROUND + (x - 30) // 7 + 1] = 2.0
     layer = room.kinds()
     assert (layer[30:57, 21:39] == FLOOR).all()

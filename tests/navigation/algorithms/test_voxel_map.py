@@ -1,4 +1,4 @@
-"""The voxel map gives the same tree as octomap for the same clouds."""
+"""The voxel map builds the same tree as octomap from the same clouds."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_compiled_and_uncompiled_leaves_are_equal():
     maps = [made(CELL, 10_000) for made in (VoxelMap, Uncompiled)]
     for each in maps:
         each.insert(points, origin, 1.1, 5.0)
-    # Python computes in double precision, C partly in single: a ray may pass a corner on the other side
+    # Python computes in double precision, C partly in single: a ray may pass a corner on different sides
     one, other = map(ours, maps)
     assert len(one.keys() ^ other.keys()) < 0.01 * len(one)
     assert {k for k, v in one.items() if v > 0} == {k for k, v in other.items() if v > 0}
@@ -107,7 +107,7 @@ def test_the_map_grows_to_its_limit_and_reports_dropped_voxels():
     assert bounded.count == 40
     kept = ours(bounded)
     bounded.insert(points, origin, 5.0)
-    assert bounded.count == 50, "the room of removed blocks is used again"
+    assert bounded.count == 50, "the memory of removed blocks is reused"
     assert ours(bounded).keys() >= kept.keys()
 
 

@@ -1,4 +1,4 @@
-"""Which input commands a base, and for how long."""
+"""Which input controls the base, and for how long."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_joystick_outranks_navigation_until_100_periods_after_its_timeout(
     arbiter: Arbiter, inputs: list[CommandInput]
 ) -> None:
     def choose(now: float) -> CommandChoice:
-        inputs[1].command(FORWARD, now)  # navigation never stops
+        inputs[1].command(FORWARD, now)  # navigation never stops publishing
         return arbiter.choose(now)
 
     inputs[0].command(BACK, 1.0)

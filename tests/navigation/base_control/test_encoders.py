@@ -1,4 +1,4 @@
-"""Velocities of encoders: jittering, repeated and missing stamps, bursts, rates, wraps, restarts, stops."""
+"""Velocities from encoders with jittering, repeated or missing stamps, bursts, wraparounds, restarts and stops."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def angles(seconds: float, speed: float = SPEED, turn: float = TURN) -> list[flo
 
 
 def late(delay: float, period: float, count: int = 1000) -> Iterator[tuple[float, float]]:
-    """Return the times of stamps and measurements: each stamp is late by up to a delay, and none decreases."""
+    """Yield (stamp, time of measurement): each stamp is late by up to ``delay``, and stamps never decrease."""
     random_delay = random.Random(1)
     last = 0.0
     for reading in range(count):
@@ -38,7 +38,7 @@ def late(delay: float, period: float, count: int = 1000) -> Iterator[tuple[float
 
 
 def bursts(longest: int, count: int = 1000) -> Iterator[tuple[float, float]]:
-    """Return readings at 100 Hz stamped in bursts, 0.4 ms apart, as from a simulator that catches up on its ticks."""
+    """Yield 100 Hz readings stamped in bursts, 0.4 ms apart, as by a simulator that catches up on its ticks."""
     size, reading = random.Random(2), 0
     while reading < count:
         burst = size.randint(1, longest)
@@ -191,7 +191,7 @@ def test_readings_continue_after_the_drivers_clock_is_set(hours: int) -> None:
 
 def test_a_simulation_step_counts_in_full_even_if_it_arrives_at_once() -> None:
     clock, base = ReadingTimes(simulated=True), DrivenBase(resolved(BaseControlSection())[0])
-    for reading in range(20):  # steps of one second, whose last reading arrives, sometimes before /clock
+    for reading in range(20):  # only the last reading of each one-second step arrives, sometimes before /clock
         at = clock.add((reading + 1) * 100 * TICK, 2.0 * (reading // 2), 0)
         assert at is not None
         base.measured(angles(at.seconds, 0.25, 0.1), at.seconds)

@@ -108,7 +108,7 @@ def test_hub_velocities_drive_the_base_and_silence_stops_it(place: Place, wheels
         return drives(wheels, 0.2, -0.5)()
 
     until(driven, "the wheels follow", 20)
-    until(drives(wheels, 0.0, 0.0), "the wheels stop without commands", 10)
+    until(drives(wheels, 0.0, 0.0), "the wheels stop when no commands arrive", 10)
     last = lambda: place.far.wait(odometry, 1)[-1]  # noqa: E731
     assert (last()["header"]["frame_id"], last()["child_frame_id"]) == ("odom", "base_link")
     until(lambda: last()["pose"]["pose"]["position"]["x"] > 0.0, "odometry follows", 20)
@@ -155,7 +155,7 @@ def test_halt_drops_commands(place: Place, wheels: Wheels) -> None:
     out = place.far.advertise("/cmd_vel", TWIST)
     until(lambda: (place.far.publish(out, twist(0.2, 0.0)), drives(wheels, 0.2, 0.0)())[1], "the base drives", 20)
     place.far.publish(out, twist(0.1, 0.0))
-    until(drives(wheels, 0.1, 0.0), "the last command has arrived: none follows the halt", 20)
+    until(drives(wheels, 0.1, 0.0), "the last command has arrived, so that none follows the halt", 20)
     answers = place.far.hub.ask("halt", {}, worker="base_control", timeout=20.0)
     assert [answer.value for answer in answers] == [{"halted": True}]
     until(drives(wheels, 0.0, 0.0), "the base stops", 40)
@@ -168,7 +168,11 @@ def test_yarp_ports_of_both_generations_are_served(place: Place, wheels: Wheels)
         until(lambda: names.query("/baseControl/rpc"), "the ports are registered", 20)
         until(lambda: "waiting" not in str(place.answer("base_control")["ports"]), "all ports are open", 20)
         with MobileBaseVelocityControl("/baseControl/input/command/rpc:i", naming=names) as base:
-            until(lambda: (base.drive(0.1, 0.0, 90.0), drives(wheels, 0.1, math.radians(30.0))())[1], "by RPC", 20)
+            until(
+                lambda: (base.drive(0.1, 0.0, 90.0), drives(wheels, 0.1, math.radians(30.0))())[1],
+                "the wheels follow a command sent over RPC",
+                20,
+            )
 
             def reported() -> bool:
                 base.drive(0.1, 0.0, 90.0)  # valid for a fifth of a second
@@ -237,7 +241,7 @@ def test_a_cut_link_stops_the_base_and_a_restored_one_brings_no_old_commands(pla
                 lambda: (stick.put(payload), drives(wheels, 0.0, 0.0)())[1], "the base stops while the link is cut", 10
             )
             stood = time.monotonic()
-            until(lambda: time.monotonic() - stood > 1.0, "messages in the link are older than the time-out")
+            until(lambda: time.monotonic() - stood > 1.0, "the messages held in the link are older than the time-out")
             before, wheels.fastest = base_stale(place), 0.0
             link.thaw()
             until(lambda: base_stale(place) > before, "waiting commands are dropped", 30)
@@ -267,7 +271,7 @@ def test_burst_stamps_give_steady_odometry(place: Place, measured: bool) -> None
     def received(stamp: int) -> bool:
         return any(stamp_ns(message) == stamp for message in place.far.wait(odometry, 1, 0.0)[-5:])
 
-    # no stamp is repeated: the driver's clock would seem to have stopped
+    # a repeated stamp would look as if the driver's clock had stopped
     early = itertools.count(start - 60_000_000_000, 10_000_000)
     until(lambda: (publish(next(early), 0.0), place.far.wait(odometry, 1, 0.2))[1], "readings become odometry", 20)
     for reading in range(readings):

@@ -17,15 +17,15 @@ from tests.sim.test_hub import Place
 from tests.support.wait import until
 
 COMMAND = 0.3
-"""m/s. The limit of the wheels is 0.286 m/s."""
+"""Commanded speed, m/s. The wheels limit the base to 0.286 m/s."""
 
 SPEED_ERROR, TURN_ERROR = 0.1, 0.25
-"""m/s and rad/s by which odometry may leave the range of the true velocities around it: the base rocks on its wheels
-when it starts and brakes. Velocities computed with the time between two bursts would be twice the true ones."""
+"""How far odometry may leave the range of the true velocities around it, m/s and rad/s: the base rocks on its wheels
+when it starts and brakes. Velocities computed from the time between two bursts would be twice the true ones."""
 
 TICK_NS = 10_000_000
 AROUND, TRUTH = 6, 2
-"""Ticks before and after a message in which true velocities are compared; ticks between two true messages."""
+"""Ticks before and after an odometry message that are compared with it; ticks between two messages of the truth."""
 
 
 @pytest.fixture
@@ -97,7 +97,7 @@ def test_odometry_of_a_simulator_that_ticks_in_bursts_has_the_true_velocities(pl
         until(drives, "the base drives", 40)
 
     def standing() -> int:
-        """Return the number of odometry messages once the base has stood still for some."""
+        """Return the number of odometry messages after the base has stood still for 20 messages of the truth."""
         still = lambda: all(max(map(abs, speeds(m))) < 1e-6 for m in far.wait(truth, 1)[-20:])  # noqa: E731
         until(still, "the base stands", 20)
         return len(far.wait(odometry, 1))
@@ -114,7 +114,7 @@ def test_odometry_of_a_simulator_that_ticks_in_bursts_has_the_true_velocities(pl
     assert max(speeds(m)[0] for m in messages) <= 1.1 * COMMAND
     compared = 0
     for tick, message in zip(map(round, ticks), messages, strict=True):
-        # without ticks that the simulator skipped after a long delay
+        # leave out ticks that the simulator skipped after a long delay
         if all(around in true for around in range(tick - AROUND, tick + AROUND + 1, TRUTH)):
             near = [speeds(true[around]) for around in range(tick - AROUND, tick + AROUND + 1, TRUTH)]
             for ours, theirs, error in zip(

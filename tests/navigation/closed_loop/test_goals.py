@@ -1,6 +1,6 @@
 """Random goals with Midspan's planner and localizer are reached without contact and without entering keep-out cells.
 
-Three for each world and base; benchmarks/goals.py drives to hundreds.
+Each world and base gets three goals; benchmarks/goals.py drives to hundreds.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from benchmarks.closedloop.targets import Targets
 from benchmarks.closedloop.worlds import world
 
 NEAR = 2.2
-"""The longest path to a goal, meters."""
+"""Length limit of the path to a goal, meters."""
 
 BASES = ("r1", "ikart_v1")
 WORLDS = ("apartment", "office", "lab", "hall", "tables", "two_storeys/ground", "two_storeys/upper")
 FEW = {("apartment", "r1")}
-"""The other cases show nothing more about a machine."""
+"""The case of a normal run; the others would show nothing more about a machine."""
 
 WORLDS_OF_BOTH = {"apartment", "lab", "two_storeys/ground"}
 """Worlds for the second base, which has another size and other wheels."""

@@ -44,8 +44,8 @@ def test_the_robot_drives_on_the_map_of_a_map_server(tmp_path: Path) -> None:
             heard = lambda message: said.append(message["data"])  # noqa: E731
             chain.client.node.subscription("/localization/status", "std_msgs/msg/String", heard, KEPT)
             until(lambda: said[-1:] == ["localized_ok"], "the localizer has the map of map_server", 40)
-            # each module takes the map by itself; a planner that has none refuses goals
-            until(lambda: chain.status("robot_path_planner").get("map"), "the planner has it too", 40)
+            # each module subscribes to the map itself, and a planner without a map refuses goals
+            until(lambda: chain.status("robot_path_planner").get("map"), "the planner has the map too", 40)
             asked = chain.goto("living_room")
             until(lambda: asked.ended, "the drive ends", 60)
             assert asked.status is GoalState.SUCCEEDED, asked

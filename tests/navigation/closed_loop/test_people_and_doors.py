@@ -62,7 +62,7 @@ def test_a_door_that_closes_during_the_drive_is_avoided() -> None:
         return loop.stack.status[0].ended
 
     loop.run(90, ended)
-    assert north > 3.0  # by the other door
+    assert north > 3.0  # through the other door
     arrive(loop, 1)
 
 
@@ -92,5 +92,5 @@ def test_a_person_who_crosses_the_path_is_not_touched() -> None:
         return loop.stack.status[0].ended
 
     loop.run(60, ended)
-    assert nearest < 1.5  # they did meet
+    assert nearest < 1.5  # the robot and Bob did meet
     arrive(loop, 1)

@@ -53,9 +53,9 @@ def nav2(rig: Rig) -> RmwActionServer:
 
 @pytest.fixture
 def other(rig: Rig) -> Iterator[RmwActionServer]:
-    """The same, started while the gateway runs."""
+    """An rmw_zenoh node that serves the gateway's name, started while the gateway runs."""
     with contextlib.closing(nav2(rig)) as started:
-        until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds it")
+        until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds the node")
         yield started
 
 
@@ -65,7 +65,7 @@ def parts(rig: Rig, worker: ModulesWorker | None = None) -> set[str]:
 
 
 def parts_of(rig: Rig, zid: str) -> set[str]:
-    """Return the same of a session on the hub."""
+    """Return the parts of the action that a session on the hub serves."""
     endpoints = rig.client.node.hub.graph.endpoints()
     return {end.topic for end in endpoints if end.zid == zid and end.kind in ("server", "publisher")} & set(PARTS)
 
@@ -95,20 +95,20 @@ def test_the_gateway_withdraws_all_parts_while_another_node_serves_the_name(rig:
 def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> None:
     graph, zid = rig.client.node.hub.graph, rig.worker.running("gateway").host.node.hub.zid
     rig.worker.running("gateway").stop()
-    until(lambda: not parts_of(rig, zid), "the gateway has left")
+    until(lambda: not parts_of(rig, zid), "the gateway has left the hub")
     other, seen = nav2(rig), set[str]()
     try:
-        until(lambda: graph.servers(PARTS.send_goal), "it is on the hub")
+        until(lambda: graph.servers(PARTS.send_goal), "the node's action is on the hub")
         unwatch = graph.watch(lambda: seen.update(parts_of(rig, zid)))
         rig.worker.running("gateway").start()
-        until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds it")
+        until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds the node")
         until(lambda: not parts(rig), "the gateway has no part of the action")
         client_goal = ClientGoal(rig.client, pose(1.0))
-        until(lambda: other.goals == [client_goal.sent.id], "the goal is at that node")
+        until(lambda: other.goals == [client_goal.sent.id], "the goal has reached that node")
         assert not rig.planner.goals
         assert rig.gateway.drive is None
         unwatch()
-        assert not seen, "not even for a moment"
+        assert not seen, "the gateway never served a part of the action"
     finally:
         other.close()
     until(lambda: parts(rig) == set(PARTS), "the gateway serves the name once the node has left")
@@ -119,13 +119,13 @@ def test_an_active_goal_of_the_gateway_continues_to_its_end(rig: Rig) -> None:
     goal = rig.planner.until(1)
     with contextlib.closing(nav2(rig)):
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
-        assert parts(rig) == set(PARTS) - {PARTS.send_goal}, "its client needs the others"
+        assert parts(rig) == set(PARTS) - {PARTS.send_goal}, "the gateway's client still needs the other parts"
         rig.planner.on(lambda: goal.feedback({"distance_remaining": 0.5}))
         until(lambda: client_goal.feedback, "feedback still arrives")
         assert not client_goal.ended
         rig.planner.reach(goal)
         assert client_goal.end() == ("SUCCEEDED", "")
-        until(lambda: not parts(rig), "now the others are withdrawn")
+        until(lambda: not parts(rig), "the other parts are withdrawn")
 
 
 def test_an_active_goal_of_the_gateway_can_be_canceled(rig: Rig) -> None:
@@ -134,7 +134,7 @@ def test_an_active_goal_of_the_gateway_can_be_canceled(rig: Rig) -> None:
     with contextlib.closing(nav2(rig)):
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         client_goal.cancel()
-        until(lambda: not goal.active, "the planner ends it")
+        until(lambda: not goal.active, "the planner ends the goal")
         assert client_goal.end()[0] == "CANCELED"
         until(lambda: not parts(rig), "all parts are withdrawn")
 
@@ -147,7 +147,7 @@ def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         for number, status in enumerate((GoalState.SUCCEEDED, GoalState.CANCELED), 1):
             client_goal = ClientGoal(rig.client, pose(2.0))
-            until(lambda: len(other.goals) == number, "a new goal is at that node")  # noqa: B023
+            until(lambda: len(other.goals) == number, "a new goal has reached that node")  # noqa: B023
             if status is GoalState.CANCELED:
                 client_goal.cancel()
             else:
@@ -160,16 +160,16 @@ def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
 
 
 def test_an_active_goal_of_the_gateway_outlives_a_node_that_leaves_soon(rig: Rig) -> None:
-    """The node leaves before the goal has ended: the server of that goal stays until then."""
+    """The node leaves before the goal has ended; the gateway keeps serving the goal until it ends."""
     client_goal = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
     other = nav2(rig)
     until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
     other.close()
-    until(lambda: rig.module.status()["served_by"] == "", "the gateway notices")
+    until(lambda: rig.module.status()["served_by"] == "", "the gateway notices that the node has left")
     rig.planner.reach(goal)
     assert client_goal.end() == ("SUCCEEDED", "")
-    until(lambda: parts(rig) == set(PARTS), "it serves the name again")
+    until(lambda: parts(rig) == set(PARTS), "the gateway serves the name again")
     again = ClientGoal(rig.client, pose(2.0))
     rig.planner.reach(rig.planner.until(2))
     assert again.end() == ("SUCCEEDED", "")
@@ -183,9 +183,9 @@ def test_other_entry_points_continue(rig: Rig) -> None:
         rig.far.publish(out, pose(7.0))
         return bool(rig.planner.goals)
 
-    until(once, "a published goal is driven to")
+    until(once, "the planner has the published goal")
     rig.state(State.MOVING)
-    until(lambda: rig.ask("stop")["success"], "the last of these goals is canceled")
+    until(lambda: rig.ask("stop")["success"], "a stop cancels the last published goal")
 
 
 @pytest.mark.usefixtures("other")
@@ -212,7 +212,7 @@ def test_status_and_doctor_have_no_warning_after_the_node_has_left(rig: Rig) -> 
 
 
 def test_another_gateway_may_become_known_in_two_steps(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """First its action, then the service by which gateways are recognized."""
+    """Its action appears first, and then the service by which gateways are recognized."""
     action: Any = rig.module._action
 
     def poll_twice() -> list[bool]:
@@ -229,7 +229,7 @@ def test_another_gateway_may_become_known_in_two_steps(rig: Rig, monkeypatch: py
 
 
 def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -> None:
-    """Daemons on two machines of one hub: both are gateways, so neither withdraws."""
+    """Two daemons on one hub each run a gateway; gateways do not withdraw because of each other."""
     worker = ModulesWorker()
     config: Any = rig.configured()
     second = config.model_copy(update={"name": "there", "state": tmp_path})
@@ -238,14 +238,14 @@ def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -
         until(lambda: parts(rig, worker) == set(PARTS), "the second gateway serves the name")
         gateways = [worker.running("gateway"), rig.worker.running("gateway")]
         for running in gateways:
-            until(lambda running=running: sees(running, gateways), "each sees the other")  # type: ignore[misc]
+            until(lambda running=running: sees(running, gateways), "each gateway sees the other")  # type: ignore[misc]
             entry: Any = running.module
             running.host.loop.call(entry._action.poll)
         assert parts(rig) == parts(rig, worker) == set(PARTS)
         assert [running.module.status()["served_by"] for running in gateways] == ["", ""]
         with contextlib.closing(nav2(rig)):
             until(lambda: not parts(rig) and not parts(rig, worker), "both step aside for a planner")
-        until(lambda: parts(rig) == parts(rig, worker) == set(PARTS), "both are back")
+        until(lambda: parts(rig) == parts(rig, worker) == set(PARTS), "both gateways serve the name again")
     finally:
         worker.stop()
 

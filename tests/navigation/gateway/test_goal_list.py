@@ -1,4 +1,4 @@
-"""Goals from a server's list: "no list yet" is not "no goals", and a list is valid while its publisher exists."""
+"""Goals from a server's list: no list does not mean "no goals", and a list is valid while its publisher exists."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_goals_are_unknown_before_the_first_list(clock: Clock, always: bool) -> 
     goals = GoalList(always=always)
     assert not goals.known
     later(clock, goals, 100.0)
-    assert not goals.known, "without a publisher, the absence of goals is not reported"
+    assert not goals.known, "without a publisher, goals are unknown"
     later(clock, goals, EMPTY_SECONDS - 0.5, SERVER)
     assert not goals.known
     assert not goals.any
@@ -57,7 +57,7 @@ def test_a_server_that_always_publishes_its_list_has_unknown_goals_until_then(cl
 
 
 def test_a_server_of_rcl_without_a_list_has_no_goals(clock: Clock) -> None:
-    """It publishes its first list with its first goal."""
+    """An rcl server publishes its first list with its first goal."""
     goals = GoalList(always=False)
     later(clock, goals, 0.1, SERVER)
     later(clock, goals, EMPTY_SECONDS - 0.2, SERVER)
@@ -76,7 +76,7 @@ def test_a_new_server_of_rcl_has_its_own_time_for_a_list(clock: Clock) -> None:
     later(clock, goals, 1.0)
     later(clock, goals, EMPTY_SECONDS - 0.2, OTHER)
     assert not goals.known
-    assert goals.active == (GOAL,), "the last that is known of it, marked as invalid"
+    assert goals.active == (GOAL,), "the previous server's goals are kept, but marked as invalid"
     later(clock, goals, 0.5, OTHER)
     assert goals.known
     assert goals.active == ()
@@ -87,15 +87,15 @@ def test_the_list_of_a_dead_publisher_is_invalid(clock: Clock, always: bool) -> 
     goals = GoalList(always=always)
     goals.receive(SERVER, DRIVING)
     later(clock, goals, 60.0, SERVER)
-    assert goals.known, "a list does not age while its publisher is there"
+    assert goals.known, "a list does not age while its publisher exists"
     goals.refresh(())
     assert not goals.known
     assert goals.active == (GOAL,)
     assert goals.status(GOAL) is GoalState.EXECUTING
     later(clock, goals, 60.0)
-    assert not goals.known, "silence does not make it valid again"
+    assert not goals.known, "silence does not make the list valid again"
     goals.refresh((SERVER,))
-    assert goals.known, "the publisher's token was lost for a moment, and the list was not"
+    assert goals.known, "the publisher's token was lost for a moment, but the list was not"
 
 
 def test_another_publisher_does_not_make_a_dead_one_valid(clock: Clock) -> None:
@@ -122,13 +122,13 @@ def test_a_list_may_be_ahead_of_the_graph_for_a_moment(clock: Clock, always: boo
     assert goals.known
     assert goals.active == (GOAL,)
     later(clock, goals, 0.4, OTHER)
-    assert not goals.known, "its publisher has not appeared"
+    assert not goals.known, "the list's publisher has not appeared"
     goals.refresh((OTHER, SERVER))
     assert goals.known
 
 
 def test_a_list_from_a_publisher_that_has_just_left_is_not_ahead_of_the_graph(clock: Clock) -> None:
-    """The last list of a killed worker arrives before its token is withdrawn, and is valid only until then."""
+    """The last list of a killed worker arrives before its token is withdrawn, and becomes invalid at the withdrawal."""
     goals = GoalList(always=True)
     later(clock, goals, 1.0, SERVER, OTHER)
     goals.receive(SERVER, {})
@@ -138,13 +138,13 @@ def test_a_list_from_a_publisher_that_has_just_left_is_not_ahead_of_the_graph(cl
 
 
 def test_a_new_server_has_its_own_time_also_while_the_graph_still_shows_the_one_before_it(clock: Clock) -> None:
-    """A frozen worker's tokens last until its lease is over; the worker in its place has not published a list yet."""
+    """A frozen worker's tokens remain until its lease expires; its successor has not published a list yet."""
     goals = GoalList(always=False)
     goals.receive(SERVER, DRIVING)
     later(clock, goals, 5.0, SERVER)
     later(clock, goals, 0.2, SERVER, OTHER)
     later(clock, goals, 0.2, OTHER)
-    assert not goals.known, "0.4 s after it appeared it has not reported its goals"
+    assert not goals.known, "0.4 s after the server appeared, it has not reported its goals"
     later(clock, goals, EMPTY_SECONDS, OTHER)
     assert goals.known
     assert goals.active == ()

@@ -1,4 +1,4 @@
-"""The gateway polls the lifecycle nodes of a planner, which tests play."""
+"""The gateway polls the lifecycle nodes of a planner, which these tests stand in for."""
 
 from __future__ import annotations
 
@@ -83,14 +83,14 @@ def test_a_silent_node_has_one_pending_request(
 
     with HubNode(network.settings("b")) as node:
         serve(node, "/b", on_request)
-        until(lambda: answers, "it is asked", 20)
+        until(lambda: answers, "the lifecycle node receives a request", 20)
         polls: list[None] = []
         polling.on(lambda: polling.loop.every(0.02, lambda: polls.append(None)))
-        until(lambda: len(polls) > 20, "the poller has polled again and again", 20)
+        until(lambda: len(polls) > 20, "the poller has run 20 more times", 20)
         assert (len(answers), polling.nodes.inactive) == (1, {})
         monkeypatch.setattr(lifecycle, "ANSWER_SECONDS", 0.2)
         polling.until({"/b": words.SILENT})
-        until(lambda: len(answers) > 1, "it is asked again", 20)
+        until(lambda: len(answers) > 1, "the lifecycle node receives another request", 20)
         awake.set()
         polling.until({})
 

@@ -55,7 +55,7 @@ def test_each_state_is_reached(states: type[Enum]) -> None:
 
 
 def test_a_planner_is_never_idle_before_it_has_reported() -> None:
-    """An empty container is not an answer: each path to `IDLE` has the event of a list without goals."""
+    """An empty container is not an answer: every transition to `IDLE` is caused by a list without goals."""
     paths = {(state, event) for state, row in PLANNER.items() for event, to in row.items() if to is PlannerState.IDLE}
     assert paths
     assert {event for _state, event in paths} == {PlannerEvent.NO_GOALS}
@@ -101,7 +101,7 @@ def test_no_report_claims_a_standing_robot_while_its_base_moves() -> None:
     for now in SITUATIONS:
         planner_moves = now.motion or now.doubtful or now.foreign or not now.planner_state.reported
         absent = now.planner_state is PlannerState.ABSENT and not (now.doubtful or now.motion or now.foreign)
-        resting = now.stop is StopState.RESTING  # by its own evidence the base stands
+        resting = now.stop is StopState.RESTING  # the stop order has its own evidence that the base stands
         if now.base is not Base.MOVING or absent or resting or now.drive in (DriveState.PAUSED, DriveState.ENDED):
             continue
         if now.drive is None and not planner_moves and not now.stop.open:
@@ -128,7 +128,7 @@ def test_an_unknown_planner_is_not_idle() -> None:
 
 
 def test_goals_of_several_poses_are_unknown_until_their_list_arrives() -> None:
-    """After a restart of the gateway, the planner may still drive to one."""
+    """After a restart of the gateway, the planner may still be executing such a goal."""
     moving = derive(Situation("nav2", PlannerState.IDLE, 9.0, base=Base.MOVING, unlisted=True))
     assert (moving.state, moving.fault) == (State.MOVING, Fault.MAY_MOVE)
     assert derive(Situation("nav2", PlannerState.IDLE, 9.0, base=Base.UNKNOWN, unlisted=True)).state is State.THINKING

@@ -1,6 +1,6 @@
-"""Random orders of faults and requests with a simulated planner and base: no report may contradict the base.
+"""Random sequences of faults and requests with a simulated planner and base: no report may contradict the base.
 
-A run that fails prints what happened in it; `world.run` with its seed repeats it.
+A failed run prints its events; `world.run` with the same seed repeats the run.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ import pytest
 from tests.peers.navigation import world
 
 FOUND = (9, 26, 32, 104, 327, 330, 335, 544, 3037, 3115, 3574, 4470, 4532, 6042, 6171, 6660, 7170, 7688)
-"""Seeds that found a fault, or a gap in the model, once."""
+"""Seeds that once found a fault, or a gap in the model."""
 
 BLOCK = 100
-"""Runs of one test; they take about 8 s of a core."""
+"""Runs per test; they take about 8 s on one core."""
 
 
 @pytest.mark.parametrize("seed", FOUND)

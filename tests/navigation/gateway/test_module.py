@@ -65,7 +65,7 @@ def test_an_abort_comes_with_its_reason(rig: Rig) -> None:
 
 
 def test_a_reason_without_a_code_is_believed_of_a_reachable_planner(rig: Rig) -> None:
-    """Those of move_base have none; a bridge reports a lost planner in the same way, which may return."""
+    """The reasons of move_base have no code, and a bridge that lost its planner, which may return, gives none either."""
     client_goal = ClientGoal(rig.client, pose(3.0))
     rig.planner.give_up(rig.planner.until(1), "Failed to find a valid plan.", 0)
     assert client_goal.end() == ("ABORTED", "Failed to find a valid plan.")
@@ -183,7 +183,7 @@ def test_a_planner_that_stays_unreachable_ends_the_goal_with_the_reason(rig: Rig
 
 def test_a_rejection_is_believed_of_a_planner_that_has_been_reachable_for_a_while(rig: Rig) -> None:
     rig.planner.rejects = 1
-    rig.gateway.link.presence.unreachable_at = math.inf  # it has just appeared: its bridge may not have found it yet
+    rig.gateway.link.presence.unreachable_at = math.inf  # just appeared: its bridge may not have found it yet
     client_goal = ClientGoal(rig.client, pose(1.0))
     rig.planner.reach(rig.planner.until(1))
     assert client_goal.end() == ("SUCCEEDED", "")
@@ -198,7 +198,7 @@ def test_a_planner_that_continues_behind_a_cut_link_is_stopped_when_the_link_is_
         far = {"router": f"tcp/127.0.0.1:{link.port}", "zenoh": {"mode": "client"}, "shared_memory": False}
         planner = rig.have("robot_goto", rig.hubs.settings("robot_goto", **far))
         try:
-            # it is back in time: the client's goal continues
+            # the planner is back in time: the client's goal continues
             client_goal = ClientGoal(rig.client, pose(5.0))
             planner.until(1)
             link.freeze()
@@ -207,10 +207,10 @@ def test_a_planner_that_continues_behind_a_cut_link_is_stopped_when_the_link_is_
             link.cut()
             rig.state(State.MOVING, "")
             until(lambda: rig.statuses[-1]["reason"] == "", "the planner still has the goal", 30)
-            assert len(planner.goals) == 1, "it is not sent again"
+            assert len(planner.goals) == 1, "the goal is not sent again"
             planner.reach(planner.goals[0])
             assert client_goal.end() == ("SUCCEEDED", "")
-            # it is late: the goal is aborted, and the planner is stopped when the link is back
+            # the planner is back too late: the goal is aborted, and the planner is stopped when the link is back
             rig.worker.reload(rig.configured(patience=0.3))
             client_goal = ClientGoal(rig.client, pose(6.0))
             goal = planner.until(2)
@@ -253,7 +253,7 @@ def test_a_planner_that_exits_with_a_goal_of_its_own_client_is_not_a_success(rig
     rig.planners.pop("robot_goto").close()
     status = rig.state(State.MOVING, "the planner robot_goto is not available; the robot may still be moving")
     assert status["error_code"] == Fault.MAY_MOVE
-    rig.planner = rig.have("robot_goto")  # another program, which has none of the goals
+    rig.planner = rig.have("robot_goto")  # a new process, which has none of the goals
     rig.state(State.ABORTED, "robot_goto has disappeared")
     until(lambda: not rig.gateway.driving, "nothing drives", 20)
     assert rig.ask("choose_planner", name="mine")["success"]
@@ -279,7 +279,7 @@ def test_the_planner_is_changed_at_rest_and_not_during_a_drive(rig: Rig) -> None
     assert rig.gateway.pending == "mine"
     rig.planner.reach(goal)
     assert client_goal.end()[0] == "SUCCEEDED"
-    until(lambda: rig.gateway.planner == "mine" and rig.gateway.link.reachable, "mine drives now", 20)
+    until(lambda: rig.gateway.planner == "mine" and rig.gateway.link.reachable, "the planner mine is in use", 20)
     client_goal = ClientGoal(rig.client, pose(2.0), tree="midspan: through=true")
     goal = mine.until(1)
     assert goal.goal["behavior_tree"] == ""  # Midspan's options are only for its own planners
@@ -287,19 +287,27 @@ def test_the_planner_is_changed_at_rest_and_not_during_a_drive(rig: Rig) -> None
     assert client_goal.end()[0] == "SUCCEEDED"
     assert rig.ask("choose_planner", name="robot_goto")["success"]
     rig.worker.reload(rig.configured(patience=61.0))
-    assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", ""), "the file's line is unchanged"
+    assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", ""), "the configured planner is unchanged"
     rig.worker.reload(rig.configured(patience=60.0, planner="robot_goto"))
-    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "the first one drives again", 20)
+    until(
+        lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable,
+        "the first planner is in use again",
+        20,
+    )
     assert rig.ask("choose_planner", name="mine")["success"]
     rig.worker.reload(rig.configured(planner="robot_path_planner"))
-    assert rig.gateway.planner == "robot_path_planner", "the file's line changed"
+    assert rig.gateway.planner == "robot_path_planner", "the configured planner has changed"
     rig.worker.reload(rig.configured(planner="robot_goto"))
-    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "the first one drives again", 20)
+    until(
+        lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable,
+        "the first planner is in use again",
+        20,
+    )
 
 
 def test_another_planner_waits_for_the_release_of_a_goal(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(execution, "GIVE_UP_SECONDS", 0.1)
-    monkeypatch.setattr(rig.planner, "cancels", lambda _goal: True)  # and continues
+    monkeypatch.setattr(rig.planner, "cancels", lambda _goal: True)  # accepts a cancel request, but continues
     for releases in (True, False):
         client_goal = ClientGoal(rig.client, pose(1.0))
         goal = rig.planner.until(1 if releases else 2)
@@ -313,9 +321,13 @@ def test_another_planner_waits_for_the_release_of_a_goal(rig: Rig, monkeypatch: 
             rig.planner.on(goal.canceled)
         else:
             monkeypatch.setattr(choice, "RELEASE_SECONDS", 0.0)
-        until(lambda: rig.gateway.planner == "mine", "another one drives", 20)
+        until(lambda: rig.gateway.planner == "mine", "the other planner is in use", 20)
         rig.worker.reload(rig.configured(planner="robot_goto"))
-        until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "the first one again", 20)
+        until(
+            lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable,
+            "the first planner is in use again",
+            20,
+        )
     rig.planner.on(goal.canceled)
 
 
@@ -347,4 +359,4 @@ def test_a_published_goal_and_places_by_name(rig: Rig) -> None:
         rig.far.publish(out, pose(7.0))
         return target(rig.planner.goals[-1])[1] == 7.0
 
-    until(once, "a published goal is driven to", 20)
+    until(once, "the planner has the published goal", 20)

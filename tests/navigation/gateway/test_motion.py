@@ -1,4 +1,4 @@
-"""Whether a base stands, with scripted odometry."""
+"""Whether a base stands, judged from scripted odometry."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_only_fresh_odometry_shows_that_the_base_stands() -> None:
         odometry.x, odometry.stamp = odometry.x + 0.03, odometry.stamp + TENTH
         motion.poll()
     assert motion.is_standing() is False
-    for _ in range(20):  # odometry stops in mid-drive: the last pose is no evidence of the current one
+    for _ in range(20):  # odometry stops in mid-drive: the last pose does not show the current motion
         motion.poll()
     assert motion.is_standing() is False
     for _ in range(4):
@@ -72,7 +72,7 @@ def test_other_threads_read_while_it_polls() -> None:
 
 
 def test_a_step_of_the_odometrys_clock_is_not_time_that_passed() -> None:
-    """NTP sets the robot's clock forward while it drives slowly: its stamps jump, and the pose hardly changes."""
+    """NTP sets the clock forward while the robot drives slowly: odometry's stamps jump, and the pose hardly changes."""
     odometry = Odometry()
     motion = Motion(cast("Any", odometry))
     for _ in range(3):

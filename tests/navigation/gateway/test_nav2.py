@@ -70,7 +70,7 @@ class Controller(HubNode):
         return True
 
     def end(self) -> None:
-        """End its goal as canceled."""
+        """End the controller's goal as canceled."""
         self.on(self.goals[0].canceled)
 
     def close(self) -> None:
@@ -126,7 +126,7 @@ def test_a_stop_cancels_another_clients_goal_that_moves_the_base(
     assert controller.canceled.wait(20)
     rig.state(State.MOVING, "stopping: it was stopped")
     polls = count_polls(rig)
-    until(lambda: polls() > 5, "the gateway has polled its state")
+    until(lambda: polls() > 5, "the gateway has polled the planner several times")
     assert rig.gateway.held, "the controller's velocities are held, although Nav2 itself has no goal"
     assert not answered(stop)
     controller.end()
@@ -156,7 +156,7 @@ def test_an_abort_is_reported_when_the_controller_has_ended_and_the_base_stands(
     assert client_goal.end() == ("ABORTED", "the controller failed (Nav2 100)")
     rig.state(State.ABORTED, "the controller failed (Nav2 100)")
     states = [status["state"] for status in rig.statuses[begin:]]
-    assert set(states[:-1]) == {State.MOVING}, "no other state before the base stands"
+    assert set(states[:-1]) == {State.MOVING}, "no other state is reported before the base stands"
 
 
 def test_a_stop_that_is_late_names_the_action_that_has_not_ended(robot: Scene, controller: Controller) -> None:
@@ -282,13 +282,13 @@ def test_a_planner_whose_parts_disappear_one_by_one_is_lost_and_has_not_aborted(
     planner.serve()
     planner.tell()
     robot.goal(1)  # the gateway tracks it again
-    until(lambda: rig.gateway.drive.state is DriveState.DRIVING, "contact is back")
-    until(lambda: rig.statuses[-1]["reason"] == "", "the status is that of a normal drive")
+    until(lambda: rig.gateway.drive.state is DriveState.DRIVING, "contact is restored")
+    until(lambda: rig.statuses[-1]["reason"] == "", "the status shows a normal drive")
     assert robot.states(begin - 1) == {State.MOVING}
     assert not client_goal.ended
     planner.end(GoalState.SUCCEEDED)
     assert client_goal.end() == ("SUCCEEDED", "")
-    assert len(planner.goals) == 1, "the goal is not sent twice"
+    assert len(planner.goals) == 1, "the goal is sent only once"
 
 
 def test_a_goal_that_a_bridge_reports_as_lost_has_not_aborted(robot: Scene) -> None:
@@ -393,7 +393,10 @@ def test_a_transform_that_stays_missing_aborts_the_goal_after_the_patience(robot
             count += 1
             planner.end(GoalState.ABORTED, 102)
             until(lambda: client_goal.ended or len(planner.goals) > count, "the goal ends, or is sent again")  # noqa: B023
-            until(lambda: client_goal.ended or planner.waits(planner.goals[-1]), "its result is awaited")
+            until(
+                lambda: client_goal.ended or planner.waits(planner.goals[-1]),
+                "the gateway waits for the result of the goal",
+            )
         assert count > 1
         assert client_goal.end() == ("ABORTED", "a transform is missing or too old (Nav2 102)")
         assert client_goal.result is not None
@@ -418,7 +421,7 @@ def test_other_codes_of_nav2_abort_the_goal_with_a_reason(robot: Scene, code: in
 
 @pytest.mark.parametrize("first", ["list", "result"])
 def test_a_goal_that_nav2s_own_client_preempts_is_canceled(robot: Scene, first: str) -> None:
-    """Nav2 aborts it without a code; its goal list shows the reason, shortly before or after the result."""
+    """Nav2 aborts the goal without a code; Nav2's goal list shows the reason, shortly before or after the result."""
     rig, planner = robot.rig, robot.planner
     client_goal = robot.drive()
     planner.set(b"a foreign goal..")
@@ -432,7 +435,7 @@ def test_a_goal_that_nav2s_own_client_preempts_is_canceled(robot: Scene, first: 
     assert status == "CANCELED"
     assert reason == f"{PLANNER} canceled the goal for a goal that {PLANNER} received from its own client"
     rig.state(State.MOVING, "its own client")
-    assert planner.executes(b"a foreign goal.."), "the other client's goal goes on"
+    assert planner.executes(b"a foreign goal.."), "the other client's goal continues"
 
 
 def test_a_goal_that_nav2_aborts_without_a_code_and_without_another_goal_is_aborted(robot: Scene) -> None:

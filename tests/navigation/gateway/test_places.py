@@ -21,7 +21,7 @@ def places(current: str, *, waits: bool) -> StoredPlaces:
     [
         ("house", True, "map"),
         ("shed", True, "house"),
-        ("", True, "house"),  # another map may come into use first: there it is somewhere else
+        ("", True, "house"),  # another map may come into use first, on which these coordinates are a different place
         ("", False, "map"),
     ],
 )

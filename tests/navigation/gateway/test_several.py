@@ -1,4 +1,4 @@
-"""Goals of several poses: in one goal for a planner with NavigateThroughPoses, else one after the other."""
+"""Goals of several poses: sent as one goal to a planner with NavigateThroughPoses, otherwise one after the other."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def rig(running: Rig) -> Rig:
 @pytest.fixture
 def passing(rig: Rig) -> Iterator[PassingPlanner]:
     until(lambda: rig.ask("choose_planner", name="passing")["success"], "the planner is chosen", SECONDS)
-    until(lambda: rig.gateway.planner == "passing" and rig.gateway.link.passes, "it is reachable", SECONDS)
+    until(lambda: rig.gateway.planner == "passing" and rig.gateway.link.passes, "the planner is reachable", SECONDS)
     yield rig.planners["passing"]
     rig.fresh()
     until(lambda: rig.ask("choose_planner", name="robot_goto")["success"], "the planner is chosen", SECONDS)
@@ -104,7 +104,7 @@ def test_a_planner_with_the_action_gets_all_poses_in_one_goal(rig: Rig, passing:
     rig.state(State.PAUSED)
     assert rig.ask("resume")["success"]
     goal = passing.until(2)
-    assert xs(goal) == [2.0, 3.0], "what was passed is not sent again"
+    assert xs(goal) == [2.0, 3.0], "the pose that was passed is not sent again"
     passing.reach(goal)
     assert client_goal.end() == ("SUCCEEDED", "")
 

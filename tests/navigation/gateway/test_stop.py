@@ -61,7 +61,7 @@ def rig(running: Rig, odometry: Odometry) -> Iterator[Rig]:
 
 
 def record(rig: Rig, topic: str, kind: str) -> list[dict[str, Any]]:
-    """Return a list that receives all messages of a topic from now on, and the last one of a latched topic."""
+    """Return a list that collects the messages of a topic from now on, beginning with a latched one."""
     messages: list[dict[str, Any]] = []
     rig.client.on(lambda: rig.client.node.subscription(topic, kind, messages.append, LATCHED))
     return messages
@@ -73,7 +73,7 @@ def ignore_cancel(_goal: object) -> bool:
 
 
 class FarPlanner:
-    """A planner with a link that can be cut; a cut looks to the gateway like a killed worker of the side."""
+    """A planner behind a link that can be cut; for the gateway, a cut looks like a killed worker of the side."""
 
     def __init__(self, rig: Rig, link: FaultProxy) -> None:
         rig.planners.pop(PLANNER).close()
@@ -82,7 +82,7 @@ class FarPlanner:
 
 
 def behind(rig: Rig, link: FaultProxy) -> Any:
-    """Return the settings of a planner's session over that link."""
+    """Return the settings of a planner's session over a link that can be cut."""
     far = {"router": f"tcp/127.0.0.1:{link.port}", "zenoh": {"mode": "client"}, "shared_memory": False}
     return rig.hubs.settings(PLANNER, **far)  # type: ignore[arg-type]
 
@@ -129,9 +129,9 @@ def test_a_stop_without_the_planner_is_unconfirmed_until_it_is_back(rig: Rig, od
         until(lambda: not goal.active, "the planner has ended the goal", 30)
         assert client_goal.end()[0] == "CANCELED"
         rig.state(State.IDLE, "it was stopped")
-        assert len(planner.goals) == 1, "and the goal was not sent again before"
+        assert len(planner.goals) == 1, "the goal was not sent again"
         until(lambda: holds[-1] == {"data": False}, "velocities are no longer held", 20)
-        assert odometry.speed, "the planner confirmed it"
+        assert odometry.speed, "the planner confirmed the stop although the base moves"
 
 
 def test_a_yarp_client_gets_no_success_for_an_unconfirmed_stop(rig: Rig, odometry: Odometry) -> None:
@@ -150,8 +150,8 @@ def test_a_yarp_client_gets_no_success_for_an_unconfirmed_stop(rig: Rig, odometr
         assert "the base stands" not in last["reason"], "odometry from before the goal's end does not count"
         assert client.stop_navigation_RPC()
         assert client.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_idle
-        rig.state(State.IDLE)  # the status topic has it, too
-        odometry.speed = 0.3  # it moves on, as move_base does on SIGCONT during a recovery rotation
+        rig.state(State.IDLE)  # the status topic shows it, too
+        odometry.speed = 0.3  # the robot drives on, as with move_base on SIGCONT during a recovery rotation
         assert rig.state(State.MOVING, "may still be moving")["error_code"] == Fault.MAY_MOVE
         assert client.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_moving
         rig.planner.on(goal.canceled)
@@ -244,7 +244,7 @@ def test_a_goal_of_another_client_continues_while_the_planner_is_unreachable(rig
         assert status["error_code"] == Fault.MAY_MOVE
         link.thaw()
         link.cut()
-        until(lambda: rig.statuses[-1]["error_code"] == 0, "it is back, and continues", 30)
+        until(lambda: rig.statuses[-1]["error_code"] == 0, "the planner is back, and its goal continues", 30)
         assert rig.statuses[-1]["state"] == State.MOVING
         link.freeze()
         rig.state(State.MOVING, "may still be moving")
@@ -252,9 +252,9 @@ def test_a_goal_of_another_client_continues_while_the_planner_is_unreachable(rig
         rig.state(State.ABORTED, f"the planner {PLANNER} has disappeared")
         link.thaw()
         link.cut()
-        until(lambda: rig.gateway.link.reachable, "it is back", 30)
+        until(lambda: rig.gateway.link.reachable, "the planner is back", 30)
         planner.on(goal.canceled)
-        until(lambda: not goal.active, "it has ended", 20)
+        until(lambda: not goal.active, "the goal has ended", 20)
 
 
 def test_a_robot_that_drove_may_still_be_moving_also_after_the_goal_was_sent_again(rig: Rig) -> None:
@@ -265,13 +265,13 @@ def test_a_robot_that_drove_may_still_be_moving_also_after_the_goal_was_sent_aga
     with FaultProxy(rig.hubs.port) as link:
         slow = SlowPlanner(behind(rig, link), PLANNER)
         rig.planners[PLANNER] = rig.planner = slow
-        assert slow.requested.wait(20), "the goal is not sent again"
+        assert slow.requested.wait(20), "the gateway did not send the goal again"
         link.freeze()
         rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; the robot may still be moving")
         slow.accepts.set()
         link.thaw()
         link.cut()
-        until(lambda: rig.gateway.link.reachable, "it is back", 30)
+        until(lambda: rig.gateway.link.reachable, "the planner is back", 30)
 
 
 def test_a_planner_that_disappears_before_its_answer_may_have_accepted_the_goal(rig: Rig) -> None:
@@ -279,15 +279,15 @@ def test_a_planner_that_disappears_before_its_answer_may_have_accepted_the_goal(
     with FaultProxy(rig.hubs.port) as link:
         slow = SlowPlanner(behind(rig, link), PLANNER)
         rig.planners[PLANNER] = rig.planner = slow
-        until(lambda: rig.gateway.link.reachable, "it is reachable", 30)
+        until(lambda: rig.gateway.link.reachable, "the planner is reachable", 30)
         ClientGoal(rig.client, pose(5.0))
-        assert slow.requested.wait(20), "the goal is not sent"
+        assert slow.requested.wait(20), "the gateway did not send the goal"
         link.freeze()
         rig.state(State.MOVING, f"{PLANNER} is not available; waiting for it; the robot may still be moving")
         slow.accepts.set()
         link.thaw()
         link.cut()
-        until(lambda: rig.gateway.link.reachable, "it is back", 30)
+        until(lambda: rig.gateway.link.reachable, "the planner is back", 30)
 
 
 def test_a_stop_right_after_a_start_waits_for_the_planners_goal_list(
@@ -301,7 +301,7 @@ def test_a_stop_right_after_a_start_waits_for_the_planners_goal_list(
     answers: list[str] = []
 
     def starting(module: GatewayModule, host: Host, section: Section) -> None:
-        """Stop before any message arrives: in one step of the module's thread."""
+        """Start the gateway and stop the robot in one step of the module's thread, before any message arrives."""
         start(module, host, section)
         module.gateway.stop()
         module.gateway.when_confirmed(answers.append)
@@ -316,7 +316,7 @@ def test_a_stop_right_after_a_start_waits_for_the_planners_goal_list(
     odometry.speed = 0.0
     restart(rig)
     until(lambda: answers, "the stop is answered", 20)
-    assert answers == [""], "nothing drives"
+    assert answers == [""], "nothing drives, so the stop is confirmed"
 
 
 def restart(rig: Rig) -> None:
@@ -329,14 +329,16 @@ def test_a_planner_without_messages_is_reported_as_not_answering(rig: Rig) -> No
     ClientGoal(rig.client, pose(5.0))
     goal = rig.planner.until(1)
     rig.state(State.MOVING)
-    assert rig.gateway.link.telemetry.silent == 0.0, "a planner without any telemetry so far may not publish it at all"
+    assert rig.gateway.link.telemetry.silent == 0.0, (
+        "a planner that has never published telemetry is not regarded as silent"
+    )
     rig.planner.on(lambda: goal.feedback({"current_pose": pose(0.5)}))
     status = rig.state(State.MOVING, "move_base does not answer: no status or feedback for 0.5 s")
     assert status["error_code"] == Fault.SILENT
     health = rig.module.health()
     assert (health.state, "does not answer" in health.text) == ("waiting", True)
     rig.planner.on(lambda: goal.feedback({"current_pose": pose(0.6)}))
-    until(lambda: rig.statuses[-1]["error_code"] == 0, "it answers again", 20)
+    until(lambda: rig.statuses[-1]["error_code"] == 0, "the planner sends messages again", 20)
 
 
 def test_the_distance_is_computed_if_the_planner_does_not_report_it(rig: Rig, odometry: Odometry) -> None:
@@ -350,12 +352,24 @@ def test_the_distance_is_computed_if_the_planner_does_not_report_it(rig: Rig, od
         until(lambda: len(client_goal.feedback) > count, "feedback arrives", 20)
         return client_goal.feedback[-1]
 
-    until(lambda: 30.0 < next_feedback()["distance_remaining"] < 39.9, "straight to the goal, and decreasing", 20)
-    until(lambda: next_feedback()["estimated_time_remaining"]["sec"] > 60, "the time at 0.3 m/s", 20)
+    until(
+        lambda: 30.0 < next_feedback()["distance_remaining"] < 39.9,
+        "the distance is that of a straight line to the goal, and decreases",
+        20,
+    )
+    until(
+        lambda: next_feedback()["estimated_time_remaining"]["sec"] > 60,
+        "the remaining time is that of a drive at 0.3 m/s",
+        20,
+    )
     out = rig.far.advertise("/move_base/NavfnROS/plan", "nav_msgs/Path")
     corner = [pose(odometry.x), pose(odometry.x, 30.0), pose(odometry.x + 40.0, 0.2)]
     rig.far.publish(out, {"header": {"frame_id": "map"}, "poses": corner})
-    until(lambda: next_feedback()["distance_remaining"] == pytest.approx(80.0, abs=5.0), "the path's length", 20)
+    until(
+        lambda: next_feedback()["distance_remaining"] == pytest.approx(80.0, abs=5.0),
+        "the distance is the length of the path",
+        20,
+    )
 
 
 def test_the_distance_is_unset_if_it_is_unknown(rig: Rig) -> None:
@@ -370,7 +384,7 @@ def test_the_distance_is_unset_if_it_is_unknown(rig: Rig) -> None:
 def test_velocities_of_a_planner_that_does_not_return_are_not_held_for_ever(
     rig: Rig, odometry: Odometry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A manual drive from its side must reach the base again."""
+    """Manual velocity commands from the planner's side must reach the base again."""
     holds = record(rig, "/navigation/hold", "std_msgs/msg/Bool")
     client_goal = ClientGoal(rig.client, pose(5.0))
     rig.planner.until(1)
@@ -378,7 +392,7 @@ def test_velocities_of_a_planner_that_does_not_return_are_not_held_for_ever(
     try:
         rig.state(State.MOVING, f"{PLANNER} is not available")
         client_goal.cancel()
-        until(lambda: holds[-1:] == [{"data": True}], "its velocities are held", 20)
+        until(lambda: holds[-1:] == [{"data": True}], "the planner's velocities are held", 20)
         odometry.speed = 0.0
         assert client_goal.end()[0] == "CANCELED"
         assert rig.gateway.held

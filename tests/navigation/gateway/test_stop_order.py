@@ -39,12 +39,12 @@ def command(kind: str, velocity: float, frame: str = "base_link") -> bytes:
 
 
 class Base:
-    """A base, its odometry, and the commanders of its velocity, and a stop order; ``run`` lets time pass.
+    """A base with odometry and publishers of velocity commands, and a stop order; ``run`` advances the time.
 
     Attributes:
         speed: m/s of the base.
         odometry: whether it publishes odometry.
-        commands: velocities that its commanders publish in each step, m/s.
+        commands: velocities that are published in each step, m/s.
         kind: type of these commands.
         form: the type that the base subscribes to, "" if it is unknown.
         carried: the type that a route carries to a side, "" without a route.
@@ -114,7 +114,7 @@ class Base:
         return self.order.state
 
     def until(self, state: StopState, within: float = LONG) -> float:
-        """Return the seconds until the order is in this state, which has to be within a time."""
+        """Return the seconds until the order reaches a state; fail after ``within`` seconds."""
         begin = self.clock.now
         while self.step() is not state:
             assert self.clock.now < begin + within, f"{self.order.state} after {within} s, not {state}"
@@ -152,7 +152,7 @@ def test_a_base_that_stands_first_does_not_confirm_that_the_planner_has_released
     base.order.ask("it was stopped")
     base.speed = 0.0
     assert base.run(OVERRIDE_SECONDS) is StopState.ASKED
-    assert not base.order.confirmed, "the planner has its time"
+    assert not base.order.confirmed, "the planner still has time to release its goals"
     base.until(StopState.RESTING, 2.0)
     base.released = True
     assert base.step() is StopState.CONFIRMED
@@ -232,7 +232,9 @@ def blind(base: Base) -> Base:
 def test_without_odometry_zero_velocities_confirm_the_stop_once_the_planner_has_released_its_goals(blind: Base) -> None:
     blind.order.ask("it was stopped")
     blind.commands = (0.0,)
-    assert blind.run(5.0) is StopState.ASKED, "held velocities do not reach the hub: zeros mean nothing before"
+    assert blind.run(5.0) is StopState.ASKED, (
+        "velocities that are held do not reach the hub, so zeros mean nothing before the release"
+    )
     blind.released = True
     assert ZERO_SECONDS <= blind.until(StopState.CONFIRMED, 1.0) < SILENCE_SECONDS
     assert not blind.subscribed, "the velocities are no longer read"
@@ -315,7 +317,7 @@ def test_a_base_that_still_moves_long_after_the_release_is_moved_by_something_el
     base.released = True
     base.until(StopState.SETTLING, 1.0)
     assert base.until(StopState.EXPIRED, 10.0) == pytest.approx(SETTLING_SECONDS, abs=3 * TICK)
-    assert not base.order.confirmed, "an order that has expired is not a robot that stands"
+    assert not base.order.confirmed, "an expired order does not mean that the robot stands"
     assert not base.order.state.held
     base.speed = 0.0
     assert base.run(5.0) is StopState.EXPIRED
@@ -346,7 +348,7 @@ def test_velocities_are_held_until_the_planner_has_released_its_goals(base: Base
     base.order.ask("it was stopped")
     assert base.order.state.held
     base.released = True
-    assert not base.step().held, "its zero velocities have to reach the base"
+    assert not base.step().held, "the planner's zero velocities have to reach the base"
     base.speed = 0.0
     assert not base.run(2.0).held
 
@@ -361,7 +363,7 @@ def test_a_second_stop_keeps_the_time_of_one_that_is_open_and_begins_a_new_one_a
     base.until(StopState.CONFIRMED, 2.0)
     base.order.ask("it was stopped")
     assert (base.order.state, base.order.age) == (StopState.ASKED, 0.0)
-    assert not base.order.confirmed, "it needs its own confirmation"
+    assert not base.order.confirmed, "a second order needs its own confirmation"
     base.until(StopState.CONFIRMED, 1.0)
 
 

@@ -70,7 +70,7 @@ def test_the_operators_goal_and_its_feedback_and_its_end_cross(robot: Robot) -> 
         goal = robot.planner.until(3)
     finally:
         operator.close()
-    until(lambda: not goal.active, "the goal ends, as its client has disconnected", 20)
+    until(lambda: not goal.active, "the goal ends because its client has disconnected", 20)
 
 
 def test_a_goal_of_an_untrusted_machine_is_rejected(robot: Robot) -> None:

@@ -1,4 +1,4 @@
-"""The worker of the planner's side is killed while the robot drives: no answer claims that it stands before it does."""
+"""The planner's side loses its worker while the robot drives: no answer claims that the robot stands before it does."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_pause_is_confirmed_by_the_base_and_kept_while_the_planner_is_unreacha
     assert rig.state(State.MOVING, f"it was paused; {MAY_MOVE}")["error_code"] == Fault.MAY_MOVE
     assert State.PAUSED not in robot.states(begin)
     assert all("it was paused" in status["reason"] for status in rig.statuses[begin:])
-    assert rig.gateway.held, "its velocities are held meanwhile"
+    assert rig.gateway.held, "the planner's velocities are held meanwhile"
     robot.base.speed = 0.0
     rig.state(State.PAUSED)
     assert rig.ask("pause")["success"]
@@ -90,7 +90,7 @@ def test_yarps_pause_is_not_ok_before_the_base_stands(unreachable: Scene) -> Non
 
 @pytest.mark.parametrize("first", ["status", "send_goal"])
 def test_a_goal_of_the_planners_own_client_is_never_idle_while_the_base_moves(robot: Scene, first: str) -> None:
-    """Whichever part of the action leaves the hub first: the list's publisher, or a service."""
+    """This holds whichever part of the action leaves the hub first, the list's publisher or a service."""
     rig, planner = robot.rig, robot.planner
     planner.set(b"a foreign goal..")
     planner.tell()
@@ -101,7 +101,7 @@ def test_a_goal_of_the_planners_own_client_is_never_idle_while_the_base_moves(ro
     planner.withdraw()
     rig.state(State.MOVING, f"the planner {PLANNER} is not available; {MAY_MOVE}")
     planner.serve()
-    until(lambda: rig.statuses[-1]["error_code"] == 0, "it is back, and continues")
+    until(lambda: rig.statuses[-1]["error_code"] == 0, "the planner is back, and its goal continues")
     assert robot.states(begin - 1) == {State.MOVING}
 
 
@@ -150,7 +150,7 @@ def test_a_new_goal_without_odometry_counts_the_old_one_as_driving(unreachable: 
 
 
 def orphan(robot: Scene) -> bytes:
-    """A goal that an earlier run of the gateway gave the planner, which executes it."""
+    """Let the planner execute a goal from an earlier run of the gateway, and return the goal's ID."""
     goal = GoalMark("here").new_id()
     robot.planner.set(goal)
     return goal
@@ -168,11 +168,11 @@ def test_a_gateway_that_starts_while_the_planner_is_unreachable_is_not_idle(
     robot.restart()
     status = rig.state(State.MOVING, f"it is not known whether {PLANNER} has a goal: it is not available; {MAY_MOVE}")
     assert status["error_code"] == Fault.MAY_MOVE
-    until(lambda: rig.gateway.link.state is PlannerState.UNKNOWN, "its side has not reported")
+    until(lambda: rig.gateway.link.state is PlannerState.UNKNOWN, "the planner's side has not reported")
     answer = rig.ask("stop")
     assert not answer["success"]
     assert f"{MAY_MOVE}: the planner {PLANNER} is not available" in answer["message"]
-    robot.planner.lists = robot.planner.cancels = False  # its parts are back before its list
+    robot.planner.lists = robot.planner.cancels = False  # the action's parts are back before its goal list
     robot.planner.serve()
     until(lambda: rig.gateway.link.state is PlannerState.UNREPORTED, "the planner is found")
     answer = rig.ask("stop")
@@ -202,7 +202,10 @@ def test_a_goal_from_before_a_restart_is_canceled_and_not_reported_as_foreign(ro
     robot.planner.tell()
     status = rig.state(State.MOVING, f"stopping: {PLANNER} still has a goal from before the gateway was restarted")
     assert status["error_code"] == Fault.MAY_MOVE
-    until(lambda: robot.planner.canceled.count(goal) > 1, "it is canceled until its list shows the end")
+    until(
+        lambda: robot.planner.canceled.count(goal) > 1,
+        "cancellation is requested again until the goal list shows the goal's end",
+    )
     assert rig.module.status()["goals_of_others"] == 0
     assert not any("its own client" in status["reason"] for status in rig.statuses if "before" in status["reason"])
     robot.planner.cancel(goal)
@@ -224,7 +227,7 @@ def test_a_goal_of_another_daemons_gateway_is_foreign(robot: Scene) -> None:
 
 @pytest.fixture
 def stopping(robot: Scene) -> Iterator[threading.Thread]:
-    """Stops the gateway once it is started, on a thread; it runs again afterwards."""
+    """A thread that stops the gateway when the test starts it; the gateway runs again afterwards."""
     running = robot.rig.worker.running("gateway")
     thread = threading.Thread(target=running.stop)
     yield thread
@@ -235,12 +238,12 @@ def stopping(robot: Scene) -> Iterator[threading.Thread]:
 def test_a_gateway_that_is_stopped_ends_its_goal_once_the_base_stands(
     robot: Scene, stopping: threading.Thread, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SIGTERM to the daemon: if the goal ended earlier, its client could assume that the robot stands."""
+    """SIGTERM to the daemon: if the goal ended earlier, the client could assume that the robot stands."""
     monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 60.0)
     client_goal = robot.drive()
     robot.planner.cancels = False
     stopping.start()
-    until(lambda: robot.planner.canceled, "the planner is asked to cancel it")
+    until(lambda: robot.planner.canceled, "the planner receives a cancel request")
     moving = robot.rig.state(State.MOVING, f"the gateway is shutting down; {MAY_MOVE}")
     assert moving["error_code"] == Fault.MAY_MOVE
     assert not client_goal.ended
@@ -295,7 +298,7 @@ def test_the_reason_of_a_lost_foreign_goal_is_not_stale_once_the_planner_is_back
     else:
         planner.set(b"a foreign goal..", GoalState.CANCELED)
     planner.serve()
-    until(lambda: rig.gateway.link.state is PlannerState.IDLE, "it is back")
+    until(lambda: rig.gateway.link.state is PlannerState.IDLE, "the planner is back")
     rig.worker.running("gateway").host.loop.call(rig.gateway.poll)
     assert "has disappeared" not in rig.gateway.state().reason
     assert rig.gateway.state().state is (State.ABORTED if restarted else State.IDLE)
@@ -312,7 +315,9 @@ def test_the_reason_of_a_goal_without_a_planner_is_in_the_past_tense_after_its_r
         assert reason.startswith(f"the planner {PLANNER} was not available for 0.3 s")
         rig.state(State.MOVING, MAY_MOVE)
         robot.planner.serve()
-        until(lambda: not robot.planner.executes(robot.planner.goals[0]), "the goal is canceled once it is back")
+        until(
+            lambda: not robot.planner.executes(robot.planner.goals[0]), "the goal is canceled once the planner is back"
+        )
         robot.base.speed = 0.0
         rig.state(State.ABORTED, f"the planner {PLANNER} was not available for 0.3 s")
         assert "is not available" not in rig.gateway.state().reason
@@ -349,7 +354,7 @@ def test_lost_localization_is_named_while_a_foreign_planner_drives(robot: Scene)
         status = rig.state(State.MOVING, "'localized_error': amcl is silent")
         assert status["error_code"] == Fault.NOT_LOCALIZED
         rig.far.publish(status_topic, {"data": "localized_ok"})
-        until(lambda: rig.statuses[-1]["reason"] == "", "it is localized again")
+        until(lambda: rig.statuses[-1]["reason"] == "", "the robot is localized again")
         assert rig.statuses[-1]["error_code"] == 0
     finally:
         rig.far.publish(status_topic, {"data": "localized_ok"})
@@ -359,7 +364,7 @@ def test_lost_localization_is_named_while_a_foreign_planner_drives(robot: Scene)
 
 def test_the_reason_of_a_goal_in_an_unknown_frame_reaches_the_client(robot: Scene) -> None:
     robot.planner.rejects = True
-    robot.rig.gateway.link.presence.unreachable_at = 0.0  # it has been there for long: its rejection is final
+    robot.rig.gateway.link.presence.unreachable_at = 0.0  # reachable for long, so a rejection is final
     client_goal = ClientGoal(robot.rig.client, pose(1.0, frame="dock"))
     status, reason = client_goal.end()
     assert status == "ABORTED"

@@ -96,7 +96,7 @@ def test_a_goto_its_status_and_its_target(rig: Rig, yarp: INavigation2DMsgs) -> 
 
 
 def test_nav2_of_lyrical_drives_for_a_yarp_client(rig: Rig, yarp: INavigation2DMsgs) -> None:
-    """Its version of NavigateToPose has more fields."""
+    """NavigateToPose of Lyrical has more fields."""
     node = ReleaseNode(rig.hubs.endpoint, rig.hubs.domain, "bt_navigator", LYRICAL)
     nav2 = ReleaseActionServer(node, "/planner/lyrical/navigate_to_pose", NAVIGATE, {"distance_remaining": 1.0}, {})
     assert rig.ask("choose_planner", name="lyrical")["success"]
@@ -110,7 +110,11 @@ def test_nav2_of_lyrical_drives_for_a_yarp_client(rig: Rig, yarp: INavigation2DM
         rig.ask("choose_planner", name="robot_goto")
         nav2.close()
         node.close()
-    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable, "it is reachable", 20)
+    until(
+        lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.reachable,
+        "the planner robot_goto is reachable",
+        20,
+    )
 
 
 def test_a_relative_target_is_in_the_robots_frame(rig: Rig, yarp: INavigation2DMsgs) -> None:

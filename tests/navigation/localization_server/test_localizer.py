@@ -47,7 +47,7 @@ def test_the_localizer_tracks_the_robot_while_odometry_drifts() -> None:
     assert errors[:, 0].max() < METERS
     assert errors[:, 1].max() < DEGREES
     drifted = start @ Pose(*run.there.estimate.pose)
-    assert abs(math.degrees(wrapped(drifted.theta - truth(run).theta))) > DEGREES  # else the test shows nothing
+    assert abs(math.degrees(wrapped(drifted.theta - truth(run).theta))) > DEGREES  # otherwise the test shows nothing
     estimate = localizer.estimate()
     assert (estimate.status, estimate.reason) == (LocalizationStatus.OK, "")
     assert estimate.quality > 0.7
@@ -66,7 +66,7 @@ def test_the_localizer_recovers_from_a_wrong_start(world: str) -> None:
     for _, meters, degrees in drive(run, localizer, 60.0, []):
         if meters < METERS and degrees < DEGREES and localizer.estimate().status is LocalizationStatus.OK:
             return
-    pytest.fail(f"still an error of {error_of(localizer, run)}")
+    pytest.fail(f"the error is still {error_of(localizer, run)}")
 
 
 def stand(localizer: Localizer, run: Tour, scans: int) -> None:
@@ -184,7 +184,7 @@ def test_a_pose_is_stored_across_restarts(tmp_path: Path, monkeypatch: pytest.Mo
     memory = Memory(tmp_path)
     assert memory.recall("lab", of_this_run=False) is None
     memory.save("lab", Pose(1.0, 2.0, 0.5, 7))
-    memory.save("lab", Pose(3.0, 2.0, 0.5))  # too soon after the last one
+    memory.save("lab", Pose(3.0, 2.0, 0.5))  # not stored: too soon after the previous pose
     assert memory.recall("lab", of_this_run=True) == Pose(1.0, 2.0, 0.5)
     memory.save("lab", Pose(3.0, 2.0, 0.5), now=True)
     again = Memory(tmp_path)
@@ -210,7 +210,7 @@ def test_the_robot_stays_localized_when_the_system_clock_is_set() -> None:
     assert np.array_equal(localizer.cloud(), cloud)
     assert localizer.check(0)[1] == "odometry is not arriving"
     assert before.pose is not None
-    odometry = Pose(*run.there.estimate.pose)._replace(stamp_ns=S)  # decades earlier
+    odometry = Pose(*run.there.estimate.pose)._replace(stamp_ns=S)  # a stamp of 1970, decades before the previous one
     localizer.odometry(odometry)
     assert error_of(localizer, run)[0] < METERS
     assert max(error[0] for _, *error in drive(run, localizer, 5.0, [])) < METERS

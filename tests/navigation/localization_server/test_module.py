@@ -31,7 +31,7 @@ from yarp_compat.sig.matrix import Matrix
 def test_a_start_pose_whose_quaternion_is_not_a_rotation_is_ignored(
     place: Place, robot: Robot, caplog: pytest.LogCaptureFixture, rotation: tuple[float, ...]
 ) -> None:
-    """As for goals; a zero quaternion would otherwise mean yaw 0."""
+    """The same rule applies to goals; without it, a zero quaternion would mean yaw 0."""
     started(place, robot)
     until(reports(place, "not_yet_localized", "no start pose"), "the module waits for a start pose", 20)
     pose = {**pose_message(robot.pose), "orientation": dict(zip("xyzw", rotation, strict=True))}
@@ -52,7 +52,7 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
     started(place, robot, particles_period=0.2)
     until(reports(place, "not_yet_localized", "no start pose"), "the module waits for a start pose", 20)
     true = robot.pose
-    start_publisher(place, true, frame="odom")()  # is ignored
+    start_publisher(place, true, frame="odom")()  # a start pose in another frame is ignored
     publish_start = start_publisher(place, true @ Pose(0.4, -0.3, 0.2))
     until(lambda: reports(place, OK)() or publish_start(), "the start is accepted", 20, every=0.5)
     until(near(place, true), "the pose is the true one", 20)
@@ -75,7 +75,7 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
                     return (Pose(at["x"], at["y"], yaw_of(rotation)) @ robot.odometry).distance(true) < 0.15
         return False
 
-    until(corrected, "its correction is on /tf", 20)
+    until(corrected, "the correction is on /tf", 20)
 
     def ahead() -> bool:
         """Whether transforms are half a second ahead of the poses, more than a period and any usual delay."""
@@ -83,7 +83,7 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
         transforms = [frame for message in place.far.wait(frames, 1) for frame in message["transforms"]]
         return any(stamp_ns(t["header"]) - 500_000_000 in times for t in transforms if t["child_frame_id"] == "odom")
 
-    until(ahead, "its transforms are ahead of the poses", 20)
+    until(ahead, "transforms are ahead of the poses", 20)
 
     def cloud_published() -> bool:
         cloud = place.far.wait(clouds, 1)[-1]["poses"]
@@ -101,7 +101,11 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
     until(lambda: {"data": "error"} in place.far.wait(statuses, 1)[before:], "a lost robot is reported", 20)
     until(near(place, robot.pose), "the robot is located again", 20)
     place.worker.stop()
-    until(lambda: place.far.wait(statuses, 1)[-1] == {"data": "not_yet_localized"}, "its end is reported", 20)
+    until(
+        lambda: place.far.wait(statuses, 1)[-1] == {"data": "not_yet_localized"},
+        "the end of localization is reported",
+        20,
+    )
 
 
 def test_a_carried_robot_is_reported_as_lost_at_any_pose_period(place: Place, robot: Robot) -> None:
@@ -111,7 +115,7 @@ def test_a_carried_robot_is_reported_as_lost_at_any_pose_period(place: Place, ro
     until(lambda: {"data": OK} in place.far.wait(statuses, 1), "the robot is localized")
     before = len(place.far.wait(statuses, 1))
     robot.carry(6.6, 0.8, 1.5)
-    until(lambda: {"data": "error"} in place.far.wait(statuses, 1)[before:], "it is lost")
+    until(lambda: {"data": "error"} in place.far.wait(statuses, 1)[before:], "the robot is lost")
     until(lambda: place.far.wait(statuses, 1)[-1] == {"data": OK}, "the robot is located again")
 
 
@@ -126,9 +130,9 @@ def test_localization_continues_at_the_last_pose(place: Place, robot: Robot) -> 
     out.publish(to_grid(robot.grid))
     section = {"enabled": True, "map": "/map", "period": 0.05, **wrong}
     place.worker.start(place.config(modules={"localization_server": section}, store={}))
-    until(near(place, true), "it starts at its last pose, not at initial_pose", 20)
+    until(near(place, true), "localization starts at the last pose, not at initial_pose", 20)
     robot.silent = set()
-    until(reports(place, OK), "it is localized on the topic's map", 20)
+    until(reports(place, OK), "the robot is localized on the topic's map", 20)
     until(lambda: status_of(place)["updates"], "scans are used", 20)
     robot.silent = {"scan"}  # so that a restart of the localizer shows in its updates
     until(reports(place, "error", "the laser is silent"), "no further scan arrives", 20)
@@ -143,8 +147,8 @@ def test_localization_continues_at_the_last_pose(place: Place, robot: Robot) -> 
     out.publish(to_grid(robot.grid))
     until(lambda: status_of(place)["updates"] == 0, "a map with other walls is used", 20)
     robot.silent = set()
-    until(lambda: status_of(place)["updates"], "it uses scans again", 20)
-    until(near(place, true), "it continues at its last pose", 20)
+    until(lambda: status_of(place)["updates"], "the localizer uses scans again", 20)
+    until(near(place, true), "localization continues at the last pose", 20)
 
 
 def test_status_requests_do_not_query_the_source(place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,7 +160,7 @@ def test_status_requests_do_not_query_the_source(place: Place, robot: Robot, mon
         server.source, "estimate", lambda: (threads.append(threading.current_thread().name), estimate())[1]
     )
     monkeypatch.setattr(server.source, "cloud", lambda: (threads.append(threading.current_thread().name), cloud())[1])
-    until(lambda: server.health().state == "running", "it has a map")
+    until(lambda: server.health().state == "running", "the module has a map")
     assert server.status()["localization"] == "not_yet_localized"
     until(lambda: threads, "the module polls its source")
     assert set(threads) == {"midspan-localization_server"}
@@ -188,7 +192,7 @@ def test_yarp_ports_serve_the_pose(place: Place, robot: Robot) -> None:
             connections.connect(place.names, "/localization2D_nws_yarp/odometry:o", "/test/odometry:i")
             first = where.read()
             assert first is not None
-            assert math.isnan(first.values[1])  # not known yet
+            assert math.isnan(first.values[1])  # the pose is not known yet
             location, covariance = Map2DLocation(), Matrix()
             assert not client.getCurrentPosition(location, covariance)
             assert client.setInitialPose(start)
@@ -227,7 +231,7 @@ def test_yarp_ports_serve_the_pose(place: Place, robot: Robot) -> None:
             until(localized, "the robot is localized again", 20)
             assert not client.setInitialPose(Map2DLocation("nowhere", 0.0, 0.0, 0.0))
             use(place, "lab2", robot)
-            until(lambda: status_of(place).get("map") == "lab2", "it uses the other map", 20)
-            until(localized, "it is localized there", 20)
+            until(lambda: status_of(place).get("map") == "lab2", "the module uses the other map", 20)
+            until(localized, "the robot is localized on the other map", 20)
             assert client.setInitialPose(Map2DLocation("lab", true.x, true.y, math.degrees(true.theta)))
-            until(lambda: status_of(place).get("map") == "lab", "it uses the map of the start", 20)
+            until(lambda: status_of(place).get("map") == "lab", "the module uses the map of the start pose", 20)

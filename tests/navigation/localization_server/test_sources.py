@@ -59,7 +59,7 @@ def test_the_pose_of_amcl_is_served(place: Place, robot: Robot) -> None:
     cloud = robot.node.publisher("/particlecloud", "geometry_msgs/msg/PoseArray", LATCHED, priority="state")
     cloud.publish({"poses": [pose_message(Pose(1.0, 2.0, 0.5))] * 7})
     started(place, robot, source="amcl")
-    until(reports(place, "not_yet_localized", "no transform from odom to map"), "it waits for the frames", 20)
+    until(reports(place, "not_yet_localized", "no transform from odom to map"), "the module waits for the frames", 20)
     robot.localized = Pose(1.0, 2.0, 0.5)
     until(reports(place, OK), "amcl's frames arrive", 20)
     assert near(place, robot.localized @ robot.odometry, 0.01)()
@@ -75,22 +75,22 @@ def test_the_pose_of_amcl_is_served(place: Place, robot: Robot) -> None:
             assert client.getCurrentPosition(location, received_covariance)
             assert received_covariance.numpy() == pytest.approx(covariance)
             start_location = Map2DLocation("lab", 3.0, 4.0, 90.0)
-            until(lambda: bool(client.setInitialPose(start_location)), "the start is sent", 20)
-            until(lambda: len(starts) > 0, "amcl receives it", 20)
+            until(lambda: bool(client.setInitialPose(start_location)), "the start pose is sent", 20)
+            until(lambda: len(starts) > 0, "amcl receives the start pose", 20)
             before = len(starts)
             assert client.setInitialPose(start_location, Matrix(3, 3))
-            until(lambda: len(starts) > before, "amcl receives the second one", 20)
+            until(lambda: len(starts) > before, "amcl receives the second start pose", 20)
     for start in (starts[0], starts[-1]):
         assert start["header"]["frame_id"] == "map"
         assert yaw_of(start["pose"]["pose"]["orientation"]) == pytest.approx(math.pi / 2)
         assert start["pose"]["covariance"][[0, 35]] == pytest.approx([0.25, math.radians(15.0) ** 2])
-    assert not maps  # amcl loads its first map itself
+    assert not maps  # no map is sent: amcl loads its first map itself
     use(place, "lab2", robot)
     until(lambda: len(maps) > 0, "amcl receives the other map", 20)
     assert from_grid(maps[-1]["map"], "lab2").flags.shape == robot.grid.flags.shape
     position = maps[-1]["initial_pose"]["pose"]["pose"]["position"]
     assert (robot.localized @ robot.odometry).distance(Pose(position["x"], position["y"], 0.0)) < 0.01
-    for wide, status in ((3.0, "not_yet_localized"), (0.55, OK)):  # the second is that of starts from rviz
+    for wide, status in ((3.0, "not_yet_localized"), (0.55, OK)):  # the second spread is that of start poses from rviz
         spread = np.diag([wide**2, wide**2, 0.1])
         amcl.publish({"header": {"frame_id": "map"}, "pose": {"covariance": spatial(spread)}})
         until(reports(place, status, "" if status == OK else "over 3.0 m"), f"a spread of {wide} m is {status}", 20)
@@ -115,7 +115,7 @@ def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypa
         return place.config(navigation={"localizer": source}, modules={"localization_server": section}, store={})
 
     place.worker.start(by("topic"))
-    until(reports(place, "not_yet_localized", "waiting for a pose on /uwb"), "it waits for poses", 20)
+    until(reports(place, "not_yet_localized", "waiting for a pose on /uwb"), "the module waits for poses", 20)
     out = place.far.advertise("/uwb", "geometry_msgs/PoseStamped")
     given = Pose(4.0, 5.0, 1.0)
     wrong = {"header": {"frame_id": "uwb"}, "pose": pose_message(given)}
@@ -130,7 +130,7 @@ def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypa
     corrected = lambda: "odom" in str(place.far.wait(frames, 1, 0.1))  # noqa: E731
     until(lambda: (place.far.publish(out, message), corrected())[1], "the correction is on /tf", 20)
     until(reports(place, "error", "/uwb has been silent for"), "silence is reported", 20)
-    assert place.worker.reload(by("port"))  # one changed setting restarts nothing else
+    assert place.worker.reload(by("port"))  # a change of one setting restarts nothing else
     with NameServer(port=place.port, gc_seconds=0), Writer("/test/pose:o", naming=place.names) as writer:
         until(lambda: place.names.query("/localizationServer/pose:i"), "the port is registered", 20)
         until(lambda: "waiting" not in str(status_of(place).get("ports")), "all ports are open", 20)
@@ -141,9 +141,17 @@ def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypa
             20,
         )
         location = Map2DLocation("lab", 2.0, 3.0, 90.0)
-        until(lambda: (writer.write(location), near(place, Pose(2.0, 3.0, math.pi / 2), 0.01)())[1], "a location", 20)
+        until(
+            lambda: (writer.write(location), near(place, Pose(2.0, 3.0, math.pi / 2), 0.01)())[1],
+            "a location becomes the pose",
+            20,
+        )
         numbers = [3.0, 2.0, -90.0]
-        until(lambda: (writer.write(numbers), near(place, Pose(3.0, 2.0, -math.pi / 2), 0.01)())[1], "numbers", 20)
+        until(
+            lambda: (writer.write(numbers), near(place, Pose(3.0, 2.0, -math.pi / 2), 0.01)())[1],
+            "numbers become the pose",
+            20,
+        )
         assert writer.write([5.0, 2.0, -90.0], strict=True) == 1
         until(near(place, Pose(5.0, 2.0, -math.pi / 2), 0.01), "all writes have arrived", 20)
         running, resume, accepted = place.worker.running("localization_server"), threading.Event(), list[Pose]()
@@ -153,7 +161,7 @@ def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypa
         (port,) = (port for port in running.host.yarp.status() if port["port"] == "/localizationServer/pose:i")
         for x in (1.0, 2.0):
             assert writer.write([x, 0.0, 0.0], strict=True) == 1
-        until(lambda: received(running, port["port"]) == port["messages"] + 2, "both have arrived", 20)
+        until(lambda: received(running, port["port"]) == port["messages"] + 2, "both poses have arrived", 20)
     clock = running.host.clock
     arrived = clock.now_ns()
     until(lambda: clock.now_ns() > arrived, "time passes")
@@ -188,26 +196,31 @@ def test_poses_with_a_covariance_and_from_odometry(place: Place) -> None:
 
 def test_the_pose_of_tf_is_served(place: Place, robot: Robot) -> None:
     started(place, robot, source="tf")
-    until(reports(place, "not_yet_localized", "no transform from odom to map"), "it waits for the frames", 20)
+    until(reports(place, "not_yet_localized", "no transform from odom to map"), "the module waits for the frames", 20)
     robot.localized = Pose(1.0, 2.0, 0.5)
     until(reports(place, OK), "the frames arrive", 20)
     assert near(place, robot.localized @ robot.odometry, 0.01)()
     robot.localized = None
-    until(reports(place, "error", "localization is stale"), "their end is reported", 20)
+    until(reports(place, "error", "localization is stale"), "the loss of the frames is reported", 20)
 
 
 def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, tmp_path: Path) -> None:
     started(place, robot, ports=["/other"])
     with NameServer(port=place.port, gc_seconds=0), Place(tmp_path / "second") as second:
-        until(lambda: place.names.query("/other/odometry:o"), "the other's ports are registered", 20)
+        until(lambda: place.names.query("/other/odometry:o"), "the other server's ports are registered", 20)
         second.port = place.port
         with Robot(second.far.hub, second.far.registry) as follower:
             started(second, follower, source="server", server="/other")
-            until(reports(second, "not_yet_localized"), "it reports the other's status", 20)
+            until(reports(second, "not_yet_localized"), "the module reports the other server's status", 20)
             publish_start = start_publisher(second, robot.pose)
-            until(lambda: reports(second, OK)() or publish_start(), "the start is sent to the other", 20, every=0.5)
-            until(near(second, robot.pose), "its pose is the other's", 20)
-            until(lambda: status_of(second)["particles"] == 500, "its particles are the other's", 20)
+            until(
+                lambda: reports(second, OK)() or publish_start(),
+                "the start pose is sent to the other server",
+                20,
+                every=0.5,
+            )
+            until(near(second, robot.pose), "the module serves the other server's pose", 20)
+            until(lambda: status_of(second)["particles"] == 500, "the module serves the other server's particles", 20)
             running = second.worker.running("localization_server")
             server: Any = running.module
             use(place, "lab2", robot)
@@ -221,18 +234,22 @@ def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, t
             use(place, "lab", robot)
             until(reports(second, OK), "poses on this map are accepted again", 20)
             running.host.loop.call(lambda: server.begin(robot.pose, None, "lab2"))
-            until(lambda: status_of(place)["map"] == "lab2", "the other uses the map of the start", 20)
-            until(lambda: reports(second, OK)() and status_of(second)["map"] == "lab2", "it is localized there", 20)
+            until(lambda: status_of(place)["map"] == "lab2", "the other server uses the map of the start pose", 20)
+            until(
+                lambda: reports(second, OK)() and status_of(second)["map"] == "lab2",
+                "the robot is localized on that map",
+                20,
+            )
 
             def error_reported() -> bool:
-                """Retried: after a start that was still in transit the other waits for scans instead."""
+                """Retried: a start pose still in transit makes the other server wait for scans instead."""
                 robot.silent = set()
-                until(reports(second, OK), "both are localized", 20)
+                until(reports(second, OK), "the robot is localized", 20)
                 robot.silent = {"scan"}
                 until(lambda: not reports(second, OK)(), "the status changes", 20)
                 return reports(second, "error", "/other/rpc reports error")()
 
-            until(error_reported, "the other's error is reported", 30)
+            until(error_reported, "the other server's error is reported", 30)
             place.worker.stop()
             until(reports(second, "error", "/other/rpc"), "the missing server is reported", 20)
             source = server.source
@@ -244,4 +261,4 @@ def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, t
                     return "is not available" in str(err)
                 return False
 
-            until(refused, "a start is refused", 20, every=0.1)
+            until(refused, "a start pose is refused", 20, every=0.1)

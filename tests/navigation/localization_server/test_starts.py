@@ -30,7 +30,7 @@ def grid(name: str) -> MapGrid2D:
 
 
 class Outside:
-    """A host for sources and the module, with the messages that they send through it."""
+    """A host for sources and the module, which records the messages that they send."""
 
     def __init__(self, folder: Path) -> None:
         self.maps = {name: grid(name) for name in ("house", "cellar")}

@@ -1,4 +1,4 @@
-"""File names of clients: accepted and rejected ones."""
+"""Which file names from clients are accepted, and which are rejected."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import pytest
 from navigation.map2d_server.files import MapsFolder
 
 HOSTILE = (
-    "", ".", "..", "../x.map", "/etc/passwd", "a/b.map", "..\\x.map", "C:\\x.map", "file:///etc/passwd", "package://x/y.yaml",
-    ".hidden.map", "x\0.map", "x\n.map", "x" * 300 + ".map", "x.sh", "x.map.exe", "~/x.map/", "\ud800.map",
+    "", ".", "..", "../x.map", "/etc/passwd", "a/b.map", "..\\x.map", "C:\\x.map", "file:///etc/passwd",
+    "package://x/y.yaml", ".hidden.map", "x\0.map", "x\n.map", "x" * 300 + ".map", "x.sh", "x.map.exe", "~/x.map/",
+    "\ud800.map",
 )  # fmt: skip
 
 

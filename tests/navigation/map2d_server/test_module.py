@@ -43,7 +43,7 @@ MINE = {"enabled": True, "take": [{"topic": "/map", "name": "taken", "period": 0
 
 
 class Served(Place):
-    """A running map server, and a YARP client of it."""
+    """A running map server, and a YARP client of the server."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -62,7 +62,7 @@ class Served(Place):
         """Empty the store."""
         for kind in KINDS.values():
             self.store.clear(kind)
-        until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "no current map", 20)
+        until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "there is no current map", 20)
 
     def client(self, port: str = "/map2D_nws_yarp/rpc") -> Map2DClient:
         return Map2DClient(port, naming=self.names, timeout=20)
@@ -148,7 +148,11 @@ def test_a_3d_map_is_published_with_its_type(served: Served) -> None:
     points = served.latest("/maps3d/n1st", "sensor_msgs/PointCloud2")
     until(points, "the cloud is published", 20)
     assert (points()["width"], points()["point_step"]) == (3, 16)
-    until(lambda: not served.far.hub.graph.servers("/maps3d/n1st/octomap_full"), "a cloud is not an octomap", 20)
+    until(
+        lambda: not served.far.hub.graph.servers("/maps3d/n1st/octomap_full"),
+        "the octomap service of the replaced map is gone",
+        20,
+    )
     served.store.delete(MAP3D, "1st")
     served.far.until_unpublished("/maps3d/n1st")
 
@@ -178,7 +182,7 @@ def test_the_map_services_answer(served: Served) -> None:
     assert far.call("/map_server/map", "nav_msgs/GetMap").result(20)["reply"]["map"]["data"] == []
     loaded = far.call("/map_server/load_map", load, map_url="two").result(20)["reply"]
     assert loaded["result"] == 0
-    until(lambda: served.store.current_map() == "two", "it is current", 20)
+    until(lambda: served.store.current_map() == "two", "the loaded map is current", 20)
     got = until(
         lambda: far.call("/static_map", "nav_msgs/GetMap").result(20)["reply"],
         "the map is served",
@@ -266,7 +270,7 @@ def test_the_publisher_of_a_bridged_map_is_named_by_its_side(served: Served) -> 
         )
         until(lambda: "/map is published by a node on ROS 2, not by this module" in text(), text, 20)
         assert "midspan" not in text()
-    until(lambda: "published by" not in text(), "the publisher is gone", 20)
+    until(lambda: "published by" not in text(), "the health text no longer names a publisher", 20)
 
 
 def test_another_programs_map_is_imported_and_not_republished(served: Served) -> None:
@@ -290,7 +294,7 @@ def test_another_programs_map_is_imported_and_not_republished(served: Served) ->
             "the status names the publisher",
             20,
         )
-        # painted cells stay when the mapper continues
+        # painted cells are kept when the mapper publishes again
         stored.flags[0, 0] = MapFlag.KEEP_OUT
         served.store.put(MAP, "taken", stored)
         theirs.occupancy[5, 5] = 100 - theirs.occupancy[5, 5] % 101
@@ -319,7 +323,7 @@ def test_a_map_of_another_map2d_server_is_not_imported(served: Served) -> None:
         twin.wait(current, 1, 20)
         out = twin.advertise("/map", GRID, latched=True, depth=1)
         theirs = six_flags("theirs", seed=3)
-        for name in ("one", "two"):  # the second one is handled after the first
+        for name in ("one", "two"):  # once the second message is handled, the first one is too
             twin.publish(out, {"header": {"frame_id": "map"}, "info": message_info(theirs), "data": data(theirs)})
             served.store.put(MAP, name, theirs)
             until(lambda n=name: n in (served.status("map2d_server") or {}).get("maps", {}), "the map is served", 20)

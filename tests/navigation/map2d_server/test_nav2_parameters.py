@@ -24,7 +24,7 @@ KNOWN = {
 
 
 def snippets() -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the costmaps' parameters in all pages and files, by file and costmap."""
+    """Yield the parameters of each costmap in all pages and files, with the names of file and costmap."""
     for folder in FOLDERS:
         for file in sorted([*(ROOT / folder).rglob("*.md"), *(ROOT / folder).rglob("*.yaml")]):
             text = file.read_text()

@@ -1,4 +1,4 @@
-"""The mapper: it builds a map from scans with poses, and overlays paint."""
+"""The mapper: it builds a map from scans with poses, and overlays painted cells."""
 
 from __future__ import annotations
 

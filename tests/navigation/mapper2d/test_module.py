@@ -209,9 +209,9 @@ def test_a_pose_whose_quaternion_is_not_a_rotation_is_ignored(tmp_path: Path, ca
 
 @pytest.mark.parametrize("by", ["tf", "topic"])
 def test_poses_from_frames_and_from_topics(tmp_path: Path, by: str) -> None:
-    """The robot drives along x towards a wall at x = 3 m, with one beam straight ahead, 0.5 m in front of its base.
+    """The robot drives along x towards a wall at x = 3 m. The laser, 0.5 m in front of the base, has one beam ahead.
 
-    With frames the laser is mounted upside down and turned by half a radian: ahead is half a radian to its left.
+    With frames, the laser is mounted upside down and turned by half a radian: ahead is half a radian to its left.
     """
     upside_down = by == "tf"
     section = {"enabled": True, "pose": by, "pose_topic": "/truth", "period": 0.1, "map_frame": "odom"}
@@ -250,7 +250,7 @@ def test_poses_from_frames_and_from_topics(tmp_path: Path, by: str) -> None:
                 }
                 place.far.publish(scan, {"header": {"stamp": stamp, "frame_id": "laser"}, **beams})
                 moved = (moved + 0.1) % 1.0
-                time.sleep(0.01)  # between two poses of different times
+                time.sleep(0.01)  # so that consecutive poses have different times
             return place.answer("mapper2d")["scans"] > 10
 
         until(mapped, "scans are mapped", 30)
@@ -297,7 +297,7 @@ def test_a_scan_from_before_a_clock_jump_is_not_used(untouched: Place, monkeypat
         writer.connect("/mapper2D/laser:i")
 
         def scan() -> None:
-            """Write a scan from a time at which no pose is known."""
+            """Write a scan stamped with a time at which no pose is known."""
             message = LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1)
             assert writer.write(message, envelope=f"1 {now[0] / S + 1.0:.9f}", strict=True) == 1
             until(receives_scans, "the scan arrives")

@@ -67,7 +67,7 @@ def test_the_drawn_map_is_right_after_the_loop(driven: list[Seen], tmp_path: Pat
     assert far_off(grid) < 0.01
     assert (grid.flags == MapFlag.KEEP_OUT).sum() == 9
 
-    # another day, from a place that is only roughly known
+    # a later run starts from a place that is only roughly known
     path = tmp_path / "map.graph.npz"
     drawn.save(path)
     again = mapping()
@@ -149,7 +149,7 @@ def test_the_module_publishes_the_odometry_on_the_map(
             return any((pose @ seen.odometry).distance(truth) < 0.02 for pose in on_map)
 
         for seen in driven[:60:2]:
-            # the map's frame is that of the odometry at the first scan
+            # the origin of the map's frame is the pose of the odometry frame at the first scan
             truth = first.odometry @ (first.truth.inverse @ seen.truth)
             until(lambda seen=seen, truth=truth: corrected(seen, truth), "the robot is at its place on the map", 40)
         assert seen.odometry.distance(truth) > 0.1
@@ -157,18 +157,18 @@ def test_the_module_publishes_the_odometry_on_the_map(
         reply = place.far.call("/dynamic_map", "nav_msgs/GetMap").result(20)["reply"]["map"]
         assert (reply["header"]["frame_id"], 100 in reply["data"]) == ("map", True)
 
-        # two beats at one simulated time publish one transform
+        # several updates at one simulated time publish one transform
         running, now = place.worker.running("mapper2d"), time.time_ns() + S
         with monkeypatch.context() as still:
             still.setattr(running.host.clock, "now_ns", lambda: now)
             for _ in range(3):
                 running.host.loop.call(running.module.source.work)
-        stamp = {"sec": (now + S // 2) // S, "nanosec": (now + S // 2) % S}  # tf_tolerance ahead
+        stamp = {"sec": (now + S // 2) // S, "nanosec": (now + S // 2) % S}  # tf_tolerance ahead of now
 
         def stamps() -> list[Any]:
             return [m["transforms"][0]["header"]["stamp"] for m in place.far.wait(corrections, 1)]
 
-        until(lambda: stamp in stamps() and stamps()[-1] != stamp, "it and the next one arrive", 20)
+        until(lambda: stamp in stamps() and stamps()[-1] != stamp, "the transform and the next one arrive", 20)
         assert stamps().count(stamp) == 1
 
         def contradicted() -> bool:

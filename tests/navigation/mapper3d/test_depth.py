@@ -1,4 +1,4 @@
-"""Depth images as points, and images with inconsistent fields."""
+"""Depth images are converted to points, and images with inconsistent fields are rejected."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ DEPTH = np.array([[1.0, 2.0, 0.0, np.nan], [3.0, np.inf, 4.0, 5.0], [-1.0, 6.0, 
 
 
 def image(depth=DEPTH, encoding="32FC1", kind="<f4", gap=0):
-    """Return an image of depths in meters, with a gap of some bytes after each row."""
+    """Return an image of depths in meters, with ``gap`` bytes of padding after each row."""
     values = np.nan_to_num(depth, nan=0, posinf=0, neginf=0) * 1000 if "16" in encoding else depth
     rows = np.maximum(values, 0).astype(kind) if "16" in encoding else values.astype(kind)
     data = b"".join(row.tobytes() + bytes(gap) for row in rows)

@@ -26,7 +26,7 @@ from yarp_compat.octree import OcTree
 from yarp_compat.pythonic import Client
 from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 
-OPTICAL = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}  # ahead is x, from 1 m above the floor
+OPTICAL = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}  # looking ahead along x
 WIDTH, HEIGHT, FOCUS = 64, 48, 40.0
 
 
@@ -122,7 +122,7 @@ def test_a_cloud_is_mapped_into_layer_files_and_store(place: Place) -> None:
         inside = 0 <= column < info["width"] and 0 <= row < info["height"]
         return int(message["data"][row * info["width"] + column]) if inside else -1
 
-    def cleared() -> bool:  # from earlier tests
+    def cleared() -> bool:  # remove what earlier tests mapped
         robot.stamp()
         ask(place, "clear")
         return value(2.0, 0.0) == -1
@@ -332,7 +332,7 @@ def test_octomap_servers_topics_and_services_are_served(place: Place) -> None:
         return make(data, message["resolution"])
 
     def shown(name: str) -> bool:
-        """Whether the table is in the newest message; the first ones may be of the map before the cloud."""
+        """Whether the table is in the newest message; the first ones may show the map from before the cloud."""
         newest = far.wait(topics[name], 1, 0.3)[-1:]
         if name != "point_cloud_centers":
             return any(tree(message).search(2.0, 0.0, 0.74) > 0 for message in newest)

@@ -59,10 +59,10 @@ def test_removed_obstacles_are_cleared_by_rays():
 
 
 def test_visible_voxels_that_are_no_longer_seen_are_forgotten():
-    """A person has left, and no surface is behind them."""
+    """For example, a person has left in front of open space."""
     kept, mapped = space(), space(forget_after=5.0)
     for target in (kept, mapped):
-        target.add(wall(1.0, middle=(-0.5, 0.0), size=0.2), CAMERA, WIDE, 1.0)  # at the left
+        target.add(wall(1.0, middle=(-0.5, 0.0), size=0.2), CAMERA, WIDE, 1.0)  # on the left
         target.add(wall(1.5, middle=(3.0, 0.0), size=0.2), CAMERA, WIDE, 1.0)  # beyond the right edge
         hidden = np.concatenate([wall(1.0, middle=(0.5, 0.0), size=0.2), wall(2.0, middle=(1.0, 0.0), size=0.1)])
         target.add(hidden, CAMERA, WIDE, 1.0)

@@ -1,4 +1,4 @@
-"""GridMaps, whose cells are in the opposite order of an OccupancyGrid's."""
+"""GridMaps, whose cells are in the opposite order to those of an OccupancyGrid."""
 
 from __future__ import annotations
 

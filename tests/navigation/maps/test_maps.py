@@ -52,7 +52,7 @@ def test_flags_survive_the_round_trip_through_grid_and_mask(grid: MapGrid2D) -> 
     assert (again.occupancy == grid.occupancy).all()
     assert (again.name, again.resolution) == (grid.name, grid.resolution)
     assert again.getOrigin() == pytest.approx(grid.getOrigin(), abs=1e-7)
-    with tempfile.TemporaryDirectory() as folder:  # also through ROS's files
+    with tempfile.TemporaryDirectory() as folder:  # the map also survives ROS map files
         grid.save(Path(folder, "m.yaml"))
         stored = MapGrid2D.load(Path(folder, "m.yaml"))
     assert (flags_from(from_grid(to_grid(stored), "m").occupancy, mask) == grid.flags).all()
@@ -198,7 +198,7 @@ def test_cells_of_matches_the_polygon(corners: list[tuple[float, float]], theta:
         x, y = middles[row, column]
         if area.contains(x + 1e-9, y + 1e-9) and area.contains(x - 1e-9, y - 1e-9):
             assert is_marked
-        elif is_marked:  # its border is near
+        elif is_marked:  # the area's border is within the cell
             assert nearest(x, y, corners) <= 0.5 * math.sqrt(0.5) + 1e-6
 
 
@@ -236,7 +236,7 @@ def test_huge_and_invalid_polygons() -> None:
 def test_an_area_with_one_or_two_corners_is_a_point_or_a_line(
     corners: list[tuple[float, float]], cells: list[list[int]]
 ) -> None:
-    """Somebody who draws a line across a door wants it closed."""
+    """A user who draws a line across a door wants the door to be closed."""
     mask = keepout_mask(empty(), [Map2DArea("m", [Vec2D(x, y) for x, y in corners])])
     assert np.argwhere(mask).tolist() == cells
 

@@ -254,12 +254,14 @@ def test_yarp_rpc_clicks_and_views(place: Planning) -> None:
         clicks.write([80, 80, 80, 60])  # a drag upwards, from row 80 of 100
 
         until(
-            lambda: robot.x == pytest.approx(4.025) and robot.yaw == pytest.approx(math.pi / 2), "the dragged pose", 30
+            lambda: robot.x == pytest.approx(4.025) and robot.yaw == pytest.approx(math.pi / 2),
+            "the robot reaches the dragged pose",
+            30,
         )
         assert robot.y == pytest.approx(0.975)
         until(
             lambda: (received := status.read_now()) is not None and "navigation_status" in str(received.values),
-            "the planner's status",
+            "the planner's status is published",
             20,
         )
         images: list[ImageRgb] = []
@@ -270,7 +272,7 @@ def test_yarp_rpc_clicks_and_views(place: Planning) -> None:
                 images.append(received.to(ImageRgb))
             return bool(images)
 
-        until(image_received, "an image of the map", 20)
+        until(image_received, "an image of the map arrives", 20)
         assert (images[0].width(), images[0].height()) == (100, 100)
     answer = place.far.hub.ask("picture", {}, worker="robot_path_planner", timeout=20.0)[0].value
     image = np.asarray(Image.open(io.BytesIO(base64.b64decode(answer["png"]))).convert("RGB"))
@@ -333,7 +335,7 @@ def test_yarp_follows_a_path_and_reads_its_waypoints(place: Planning) -> None:
     with ServiceClient(INavigation2DMsgs, port, naming=place.names) as client:
         assert client.remote.follow_path_RPC(Map2DPath(places))
         until(lambda: place.robot.x > 3.85, "the first location is passed", 30)
-        until(lambda: place.robot.y > 3.99 and not place.module.planner.active, "the second location", 30)
+        until(lambda: place.robot.y > 3.99 and not place.module.planner.active, "the second location is reached", 30)
         with_heading = [(x, y) for x, y, constraints in place.robot.asked if constraints.heading]
         assert list(dict.fromkeys(with_heading)) == [(4.0, 4.0)]
         place.robot.speed = 0.0

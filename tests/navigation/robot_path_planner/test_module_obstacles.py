@@ -43,7 +43,7 @@ def test_the_map_is_received_from_a_topic_and_completed_by_the_laser(tmp_path: P
             robot.speed, robot.y = 0.1, 2.3
             until(lambda: robot.client.ready, "the planner is available", 30)
             sent = robot.send(4.0, 2.3)
-            until(lambda: any(y > 3.5 for _, y, _ in robot.asked), "the robot detours through the other door", 30)
+            until(lambda: any(y > 3.5 for _, y, _ in robot.asked), "the robot takes the other door", 30)
             sent.cancel()
             sent.end()
         finally:

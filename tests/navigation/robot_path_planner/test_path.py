@@ -1,4 +1,4 @@
-"""Paths on one map, and over several."""
+"""Paths on one map, and across several maps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def area(left: float, bottom: float, right: float, top: float, name: str = "floo
 
 
 def test_upstreams_recorded_path_is_matched_to_within_a_cell() -> None:
-    """A real run's waypoints (facts/yarp.md, section g).
+    """The waypoints are those of a real run (facts/yarp.md, section g).
 
     Upstream uses a cell's corner, Midspan its center. Upstream also keeps the first computed cell (1.05, 2.5) and the
     goal's own (3.95, 2.5) as waypoints, and enlarges walls to squares, while Midspan keeps the robot's radius around
@@ -146,7 +146,7 @@ def test_waypoints_say_whether_keep_out_cells_are_near() -> None:
     near, far = plan_path(Ground(grid, 0.2), WEST, Pose(7.5, 1.0, 0.0), SETTINGS).waypoints
     assert (near.constraints.beside_keep_out, far.constraints.beside_keep_out) == ("", "floor")
     assert near.pose.x == pytest.approx(6.5, abs=0.1)
-    assert not far.waits_for_obstacles, "the planner itself may replan"
+    assert not far.waits_for_obstacles, "the planner itself may replan, so the navigator does not wait for obstacles"
 
 
 def test_goal_constraints_override_settings_and_areas_override_both() -> None:
@@ -217,7 +217,9 @@ def test_echoes_of_mapped_walls_are_not_obstacles() -> None:
         clutter.see(WEST, np.full(3, 0.5), -0.005, 0.005, 5.0)
     assert len(clutter.cells)
     stopped = np.array([(1.29, 1.0), (1.9, 1.0)])
-    assert blocked(ground, clutter.struck(), stopped), "also for a robot that has stopped just in front of it"
+    assert blocked(ground, clutter.struck(), stopped), (
+        "the path is also blocked for a robot that has stopped just in front of the obstacle"
+    )
 
 
 class Two:

@@ -75,7 +75,7 @@ def test_the_goals_of_a_path_are_passed_in_sequence_without_stops() -> None:
     assert drive.local.pose[:2] == WEST[:2]
     assert abs(wrapped(drive.local.pose.theta)) < 1e-6
     headed = list(dict.fromkeys(sent[0][:3] for sent in drive.local.sent if sent[1].heading))
-    assert headed == [WEST[:3]], "only the last one is reached with its heading"
+    assert headed == [WEST[:3]], "only the last waypoint is sent with its heading"
     passed = [sent for sent in drive.local.sent if sent[0][:2] in (EAST[:2], north.pose[:2])]
     assert [sent[0][:2] for sent in passed] == [EAST[:2], north.pose[:2]]
     assert all(sent[1].through for sent in passed)
@@ -104,7 +104,7 @@ def test_cancel_and_pause_stop_the_robot() -> None:
 
 @pytest.mark.parametrize("then", ["cancel", "pause"])
 def test_a_braked_goal_sends_no_waypoint_while_a_path_is_planned(then: str) -> None:
-    """Another thread brakes while the current step plans."""
+    """Another thread cancels or pauses the goal while the current step plans a path."""
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
     planner = drive.planner
@@ -132,7 +132,7 @@ def test_a_braked_goal_sends_no_waypoint_while_a_path_is_planned(then: str) -> N
 
 @pytest.mark.parametrize("patience", [5.0, math.inf])
 def test_a_door_that_closes_during_the_drive_is_bypassed(patience: float) -> None:
-    """Once the local navigator fails, or earlier if it waits for long."""
+    """The planner replans once the local navigator fails, or earlier if it waits for long."""
     drive = Drive(floor(*ROOMS), WEST)
     drive.laser = True
     drive.local.crates, drive.local.patience = [LOW_DOOR], patience
@@ -142,7 +142,7 @@ def test_a_door_that_closes_during_the_drive_is_bypassed(patience: float) -> Non
 
 
 def test_an_obstacle_beside_the_path_that_stops_the_robot_is_bypassed() -> None:
-    """It is between half the radius and the radius from the path."""
+    """The obstacle's distance from the path is between half the robot's radius and its radius."""
     drive = Drive(floor(), WEST)
     drive.laser, drive.local.crates = True, [(2.5, 1.2, 0.05)]
     drive.local.patience, drive.local.fault = math.inf, Fault.BLOCKED
@@ -281,7 +281,7 @@ def test_a_goal_on_another_map_is_reached_over_a_link() -> None:
     drive.planner.use_map(None)  # no map between the two maps
     drive.tick()
     drive.planner.use_map(atlas.maps["up"])
-    drive.local.pose = Pose(0.5, 0.5, 0.0)  # not localized on the new map yet
+    drive.local.pose = Pose(0.5, 0.5, 0.0)  # the robot is not localized on the new map yet
     assert "localized near lift 1" in drive.tick().reason
     drive.local.pose = Pose(4.1, 4.0, 3.0)
     assert drive.run(60.0).state is State.REACHED

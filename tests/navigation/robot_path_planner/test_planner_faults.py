@@ -34,7 +34,7 @@ def test_without_a_laser_five_attempts_end_with_the_navigators_reason() -> None:
 
 @pytest.mark.parametrize("fault", [Fault.NO_LASER, Fault.NOT_LOCALIZED, Fault.BASE_STANDS])
 def test_faults_of_the_robot_are_waited_for_and_then_abort_the_goal(fault: Fault) -> None:
-    """The local navigator decides how long, and gives the reason; the planner tries no other path."""
+    """The local navigator decides how long to wait, and gives the reason; the planner tries no other path."""
     drive = Drive(floor(*ROOMS), WEST)
     drive.goto(EAST, 2.0)
     drive.local.patience = math.inf

@@ -25,7 +25,7 @@ TABLE = (1.5, 0.5, 2.2, 1.6)
 
 
 def apart(drive: Drive, box: tuple[float, float, float, float]) -> float:
-    """Return the smallest distance of the robot's center to a rectangle on its track, meters."""
+    """Return the smallest distance between the robot's center and a rectangle during the drive, meters."""
     track = np.array([pose[:2] for pose in drive.track])
     offsets = np.maximum(np.maximum(np.subtract(box[:2], track), track - box[2:]), 0.0)
     return float(np.hypot(*offsets.T).min())
