@@ -1,4 +1,4 @@
-"""Octomaps in files, compared with OctoMap's own programs, and at YARP ports."""
+"""Octomaps in files, compared with OctoMap's own programs, and octomaps at YARP ports."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_files_are_compatible_with_the_programs_of_octomap(tmp_path: Path, seed:
     assert converted(tmp_path / "ours.ot", tmp_path / "theirs.bt") == ours.bt()
     theirs = Octomap.from_file(converted(tmp_path / "ours.bt", tmp_path / "theirs.ot"))
     assert (theirs.id, theirs.binary, theirs.resolution) == ("OcTree", False, 0.1)
-    assert theirs.tree().full() == theirs.data  # inner nodes too
+    assert theirs.tree().full() == theirs.data  # inner nodes are equal too
     assert theirs.bt() == ours.bt()
     assert Octomap.load(tmp_path / "theirs.bt").ot() == theirs.ot()
 
@@ -48,7 +48,7 @@ def test_an_octomap_survives_a_yarp_port(profile: Profile, binary: bool) -> None
     assert decoded == octomap
     x, y, z = octomap.voxels().centers[3]
     assert decoded.search(x, y, z) == octomap.voxels().log_odds[3]
-    bottle = Bottle.from_bytes(data)  # a program without the class
+    bottle = Bottle.from_bytes(data)  # as read by a program without the class
     assert (bottle.get(0).asString(), bottle.get(2).asFloat64(), bottle.get(3).asString()) == ("OcTree", 0.1, "map")
     assert bottle.get(4).asBlob() == octomap.data
 

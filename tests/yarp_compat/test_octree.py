@@ -14,7 +14,7 @@ MIDDLE = 32_768
 
 
 def a_tree(seed: int, count: int = 400, spread: int = 12) -> OcTree:
-    """Make leaves at the finest level around the origin."""
+    """Return a tree of leaves at the finest level around the origin."""
     random = np.random.default_rng(seed)
     keys = np.unique(random.integers(MIDDLE - spread, MIDDLE + spread, (count, 3)), axis=0)
     return OcTree.of(keys, random.choice([-2.0, 0.4, 3.5], len(keys)), resolution=0.1)
@@ -36,7 +36,7 @@ def test_codes_have_three_bits_per_level_with_x_lowest() -> None:
 def test_a_small_tree_has_the_expected_bytes() -> None:
     """The cube of positive coordinates is one occupied leaf, and its neighbor along -x is free."""
     tree = OcTree.of([[MIDDLE, MIDDLE, MIDDLE], [0, MIDDLE, MIDDLE]], [3.5, -2.0], depths=1, resolution=0.5)
-    # the children's numbers: x 1, y 2, z 4
+    # numbers of children are sums of x 1, y 2 and z 4
     assert tree.binary() == struct.pack("<H", 2 << 14 | 1 << 12)
     assert tree.full() == struct.pack("<fBfBfB", 3.5, 0b1100_0000, -2.0, 0, 3.5, 0)
     centers, sizes, log_odds, occupied, colors = tree.voxels()
@@ -63,7 +63,7 @@ def test_eight_leaves_of_equal_value_are_merged() -> None:
     keys = MIDDLE + np.stack(np.meshgrid(*[range(4)] * 3), axis=-1).reshape(-1, 3)
     tree = OcTree.of(keys, 1.5, resolution=0.1).pruned()
     assert (len(tree), tree.depths.tolist(), tree.keys().tolist()) == (1, [14], [[MIDDLE] * 3])
-    keys[0] = 0  # far away: its seven siblings stay
+    keys[0] = 0  # one of eight siblings moves far away, so the other seven are not merged
     assert sorted(OcTree.of(keys, 1.5, resolution=0.1).pruned().depths.tolist()) == [*[15] * 7, *[16] * 8]
 
 

@@ -72,7 +72,7 @@ def test_a_reader_may_reply(naming: LocalNaming) -> None:
         first = reader.read()
         assert first.wants_reply
         second = None
-        while second is None:  # reading the next message without a reply sends an empty one
+        while second is None:  # if the owner reads the next message without replying, an empty reply is sent
             second = reader.read_now()
         second.reply(["two"])
         thread.join(20)

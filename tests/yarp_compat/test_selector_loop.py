@@ -98,7 +98,7 @@ def test_watch_replaces_both_callbacks(loop: SelectorLoop, pair: Pair) -> None:
 
 
 def test_a_file_that_an_earlier_callback_stopped_watching_is_not_called(loop: SelectorLoop) -> None:
-    """Even if the same callback closed it, and its descriptor now belongs to another file."""
+    """This holds even if the same callback closed the file, and its descriptor now belongs to another file."""
     pairs = [socket.socketpair() for _ in range(2)]
     calls, reopened = list[str](), list[socket.socket]()
 
@@ -171,7 +171,7 @@ def test_a_timer_canceled_by_an_earlier_one_of_the_same_step_does_not_run(loop: 
     runs = list[str]()
     loop.call_later(0.0, lambda: loop.cancel(second))
     second = loop.call_later(0.0, lambda: runs.append("second"))
-    step_until(loop, lambda: not loop._timers, "both are due")
+    step_until(loop, lambda: not loop._timers, "both timers are due")
     assert runs == []
 
 
@@ -234,7 +234,7 @@ def test_work_of_one_step_is_bounded(loop: SelectorLoop, pair: Pair) -> None:
     far.send(b"x")
     loop.step(0.0)
     assert runs["flood"] < CALLS_PER_STEP
-    loop.step(60.0)  # does not wait: calls are left
+    loop.step(60.0)  # does not wait, because calls are left
     assert runs["socket"] == 1
     step_until(loop, lambda: runs["flood"] == 2 * CALLS_PER_STEP, "the rest of the flood has run")
 
@@ -245,7 +245,7 @@ def test_more_wakes_than_its_socket_holds_do_not_block(loop: SelectorLoop) -> No
     loop.step(60.0)
     begun = time.monotonic()
     loop.step(0.02)
-    assert time.monotonic() - begun > 0.01, "all wakes are used up"
+    assert time.monotonic() - begun > 0.01, "the first step has consumed all wakes"
 
 
 @pytest.mark.parametrize("kind", ["file", "timer", "call"])
@@ -271,7 +271,7 @@ def test_an_exception_leaves_the_step_and_loses_no_other_callback(loop: Selector
         loop.call_later(0.0, lambda: runs.add("timer"))
         loop.call_soon(lambda: runs.add("call"))
         with pytest.raises(ZeroDivisionError):
-            step_until(loop, lambda: False, "it raises")
+            step_until(loop, lambda: False, "the step raises")
         step_until(loop, lambda: runs == {"file", "timer", "call"}, "the others run")
 
 
@@ -284,7 +284,7 @@ def test_a_closed_loop_ignores_wakes_from_other_threads(loop: SelectorLoop) -> N
 
 
 def test_select_may_begin_while_another_thread_removes_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`select` then fails for the file, which is closed by now."""
+    """In that case, `select` fails because the file is already closed."""
     monkeypatch.setattr(selectors, "DefaultSelector", selectors.SelectSelector)
     loop = ThreadedLoop("test-select")
     began, closed = threading.Event(), threading.Event()

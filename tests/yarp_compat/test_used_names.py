@@ -24,7 +24,7 @@ def test_nearly_all_names_used_by_scripts_exist() -> None:
     missing = {name: count for name, count in USED.items() if check.lacking(name)[0]}
     share = 1 - sum(missing.values()) / sum(USED.values())
     assert share >= 0.99, missing
-    # each missing use may be in a different script
+    # in the worst case, each missing use is in a different script
     assert SCRIPTS - sum(missing.values()) >= 155, missing
 
 

@@ -1,7 +1,7 @@
 """Reads the transcripts of real YARP programs in ``tests/yarp_compat/data``: the bytes in each direction by connection.
 
 A transcript's line ``[time] connN C>S from->to (size B)`` is followed by its bytes in hexadecimal; C opened the
-connection. They were recorded on loopback from YARP 3.12.3 and 4.0; each file states its release.
+connection. The transcripts were recorded on loopback from YARP 3.12.3 and 4.0; each file states its release.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BYTES = re.compile(r" +[0-9a-f]{4}  ((?:[0-9a-f]{2} ?)+)")
 
 @dataclass(frozen=True)
 class Step:
-    """Bytes in one direction: from ``C``, which opened the connection, from ``S``, or in a datagram, ``U``."""
+    """Bytes from ``C`` (the side that opened the connection), from ``S`` (the other side), or in a datagram (``U``)."""
 
     by: str
     data: bytes
@@ -30,7 +30,7 @@ class Talk:
     """One connection.
 
     Attributes:
-        number: as in the file.
+        number: the connection's number in the file.
         port: the TCP port of the server.
         steps: the sent bytes in order; consecutive pieces in one direction are joined.
     """

@@ -65,7 +65,7 @@ def test_an_abort_comes_with_its_reason(rig: Rig) -> None:
 
 
 def test_a_reason_without_a_code_is_believed_of_a_reachable_planner(rig: Rig) -> None:
-    """The reasons of move_base have no code, and a bridge that lost its planner, which may return, gives none either."""
+    """The reasons of move_base have no code, and a bridge that lost its planner, which may return, gives none."""
     client_goal = ClientGoal(rig.client, pose(3.0))
     rig.planner.give_up(rig.planner.until(1), "Failed to find a valid plan.", 0)
     assert client_goal.end() == ("ABORTED", "Failed to find a valid plan.")

@@ -19,7 +19,7 @@ class Transforms(Service):
 
 
 class All(INavigation2DMsgs, IMap2DMsgs, ILocalization2DMsgs, Transforms):
-    """All methods, so that requests of a transcript need not be sorted."""
+    """All methods, so that a transcript's requests need not be sorted by service."""
 
 
 @dataclass

@@ -33,7 +33,7 @@ KITCHEN = Map2DLocation("m1", 1.0, 2.0, 90.0, "")
 
 
 class Planner(All):
-    """A planner that has only the kitchen, and refuses goals elsewhere."""
+    """A planner whose only location is the kitchen, and which refuses goals elsewhere."""
 
     def get_location_RPC(self, location_name: str) -> Any:
         if location_name != "kitchen":
@@ -73,7 +73,7 @@ BAD: list[tuple[str, list[Any]]] = [
 
 
 class Client:
-    """A program of a release, connected to a server's port: a socket that reads like its generated code."""
+    """A program of a release, connected to a server's port: a socket that reads like the release's generated code."""
 
     def __init__(self, name: str, release: Release, at: PortContact, carrier: Carrier = carriers.TCP) -> None:
         self._release, self._acked = release, carrier.ack
@@ -88,7 +88,7 @@ class Client:
         self._sock.close()
 
     def call(self, name: str, arguments: list[Any]) -> bool:
-        """Make a call; return whether the client reads a success."""
+        """Make a call; return whether the client reads its reply as a success."""
         call = All.calls()[name]
         self.send(call.request(arguments, self._release.profile))
         return self.read(call)
@@ -113,7 +113,7 @@ class Client:
                 ok, end = self._release.read(call, self._buffer, acked=self._acked)
             except Incomplete:
                 part = self._sock.recv(4096)
-                assert part, "the server closed"
+                assert part, "the server closed the connection"
                 self._buffer += part
             else:
                 self._buffer = self._buffer[end:]
@@ -121,7 +121,7 @@ class Client:
 
     @property
     def in_step(self) -> bool:
-        """Whether the last reply is consumed completely."""
+        """Whether the client has consumed the last reply completely."""
         return not self._buffer
 
 
@@ -144,7 +144,7 @@ def connect(make_port: MakePort) -> Iterator[Callable[..., Client]]:
 
 @pytest.fixture
 def loads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Client]], None]:
-    """Let the processes of clients load the library of a release."""
+    """Make the clients' processes appear to have loaded the library of a release."""
     numbers = itertools.count()
 
     def load(clients: dict[str, Client]) -> None:
@@ -167,6 +167,6 @@ def reads_all_replies(client: Client) -> bool:
 
 
 def settled(client: Client) -> Client:
-    """Return a client after the server has registered its connection, which a call ensures."""
+    """Make a call, so that the server has registered the client's connection; return the client."""
     client.call("stop_navigation_RPC", [])
     return client

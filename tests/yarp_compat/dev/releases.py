@@ -20,22 +20,22 @@ from yarp_compat.wire.tags import INT32, LIST, VOCAB32
 
 FAIL, OK = b"fail", b"ok\0\0"
 Outcome = tuple[bool, int]
-"""Whether it is a success, and the offset of the next byte."""
+"""Whether the call succeeded, and the offset of the next byte."""
 
 
 class HangsError(Exception):
-    """``WireReader::fail`` of a client reads on until the server closes."""
+    """A client hangs: ``WireReader::fail`` reads until the server closes the connection."""
 
 
 def word(data: bytes, at: int) -> int:
-    """Return the 32 bits at an offset."""
+    """Return the 32-bit integer at an offset."""
     if len(data) < at + 4:
         raise Incomplete("more bytes are expected")
     return int(struct.unpack_from("<i", data, at)[0])
 
 
 def truth(data: bytes, at: int) -> bool:
-    """Read as ``readBool``."""
+    """Read a boolean at an offset as ``readBool`` does."""
     return word(data, at) != 0 and data[at : at + 4] != FAIL
 
 
@@ -71,7 +71,7 @@ def nested_4_0(data: bytes, at: int) -> Outcome:
 
 @dataclass(frozen=True)
 class Release:
-    """One release's clients.
+    """How the clients of one release read.
 
     Attributes:
         single: reads an outcome that is the whole reply.

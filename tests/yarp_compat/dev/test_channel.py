@@ -1,4 +1,4 @@
-"""Interfaces through real ports."""
+"""Interfaces served and called over real ports."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def test_a_client_calls_a_server_of_each_generation(make_port: MakePort, generat
 
 
 def test_a_client_reads_failures_after_a_restart_of_its_server(make_port: MakePort, naming: Naming) -> None:
-    """The server has the release of an introduced client only for that connection."""
+    """The server stores the release of an introduced client only until that connection ends."""
     service = Navigation2DServer(SimpleNamespace(stopNavigation=lambda: ReturnValue(ReturnCode.METHOD_FAILED)))
     server = make_port("/server/rpc", Server(service), rpc=True)
     with ServiceClient(INavigation2DMsgs, "/server/rpc", naming=naming, timeout=10) as client:
         assert client.remote.stop_navigation_RPC().code is ReturnCode.METHOD_FAILED
         server.close()
-        until(lambda: not client.core.connections.outputs, "the client notices", 10)
+        until(lambda: not client.core.connections.outputs, "the client detects the end of the connection", 10)
         make_port("/server/rpc", Server(service), rpc=True)
         for _ in range(2):
             assert client.remote.stop_navigation_RPC().code is ReturnCode.METHOD_FAILED
@@ -69,7 +69,7 @@ def test_a_reply_of_a_megabyte_arrives(make_port: MakePort) -> None:
 
 
 def test_the_server_distinguishes_clients_of_three_releases(make_port: MakePort) -> None:
-    """A client of 4.0 introduces itself, a rule matches one of 3.9, and the third has the default."""
+    """A client of 4.0 introduces itself, a rule matches one of 3.9, and the default applies to the third."""
     generations = Generations(Generation.YARP_3_12, [("/old/*", Generation.YARP_3_6)])
     make_port("/server/rpc", Server(Kept(), generations), rpc=True)
     dialects = {"/new/rpc": Profile.YARP4, "/old/rpc": Profile.YARP3, "/other/rpc": Profile.YARP3}

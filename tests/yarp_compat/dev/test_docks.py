@@ -1,4 +1,4 @@
-"""Docks among the locations, also through YARP's files."""
+"""Docks are stored among the locations, in YARP's files too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""IFrameTransform: every method in the encoding of every generation; the tree and its numbers."""
+"""IFrameTransform: every method in the encoding of every generation; the tree of frames and its matrices."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Wire:
 
 
 class Local(IFrameTransform):
-    """The interface with direct channels; ``away`` breaks them."""
+    """The interface over direct channels, which fail while ``away`` is set."""
 
     def __init__(self, generation: Generation) -> None:
         self.kept: list[FrameTransform] = []
@@ -193,8 +193,10 @@ def test_points_poses_and_rotations_are_transformed(frames: Local) -> None:
 
 def test_conflicting_transforms_are_rejected(frames: Local) -> None:
     with_transforms(frames)
-    assert frames.setTransform("base", "map", Matrix(LASER)), "the same again is an update"
-    assert not frames.setTransform("laser", "map", Matrix(LASER)), "other transforms define it"
+    assert frames.setTransform("base", "map", Matrix(LASER)), "the same parent and child again are an update"
+    assert not frames.setTransform("laser", "map", Matrix(LASER)), (
+        "other transforms already define the laser's pose on the map"
+    )
     assert not frames.setTransform("map", "map", Matrix(LASER))
     assert not frames.setTransformStatic("laser", "base", Matrix(LASER))
     assert not frames.setTransformStatic("map", "laser", Matrix(LASER))
@@ -224,7 +226,7 @@ def test_an_unreachable_server_gives_a_communication_error(frames: Local) -> Non
 
 
 def test_requests_equal_those_of_the_real_client(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Recorded: frameTransformClient of 4.0 with ``setTransform`` and ``setTransformStatic``."""
+    """The recorded client is frameTransformClient of YARP 4.0 with ``setTransform`` and ``setTransformStatic``."""
     seen = 0
     for request, reply in exchanges("frame-transform.txt"):
         name, call, arguments = parse_request(request, Profile.YARP4)

@@ -209,15 +209,15 @@ def test_a_client_reconnects_to_a_restarted_server(make_port: MakePort, naming: 
 
 
 def test_the_client_has_a_method_for_each_of_the_service() -> None:
-    """They have YARP's names."""
+    """The client's methods have YARP's names."""
     methods = [name for name, _ in inspect.getmembers(IMap2D, inspect.isfunction) if not name.startswith("_")]
     assert len(methods) == 44
     assert {"getAllLocations", "store_map", "reloadLocationsAndExtras", "enableMapsCompression"} <= set(methods)
 
 
 def test_a_method_name_in_one_word_is_accepted() -> None:
-    """``yarp rpc`` sends it so."""
+    """``yarp rpc`` sends names in this form."""
     kept = KeptMaps()
     kept.kept["map"]["m1"] = small_map()
     reply = Server(kept).answer(listed(text("get_map_names_RPC")), "/peer", Profile.YARP3)
-    assert reply == Bytes(Generation.YARP_3_6).reply(OK, ["m1"]), "a Bottle, which yarp rpc can print"
+    assert reply == Bytes(Generation.YARP_3_6).reply(OK, ["m1"]), "the reply is a Bottle, which yarp rpc can print"

@@ -109,7 +109,7 @@ def test_a_failed_call_returns_defaults_after_its_outcome(
 
 @pytest.mark.parametrize("generation", Generation)
 def test_an_unset_status_of_a_real_server_is_read(generation: Generation) -> None:
-    """After an outcome that is not ok, it writes the number 0 as a vocab."""
+    """After an outcome other than ok, the server writes the number 0 as a vocab."""
     rules = Bytes(generation)
     reply = listed(rules.outcome(ReturnCode.METHOD_FAILED), vocab(""))
     parsed = INavigation2DMsgs.calls()["get_navigation_status_RPC"].read_reply(reply, generation)
@@ -135,7 +135,7 @@ def test_a_covariance_of_another_size_is_rejected_in_both_directions() -> None:
 
 
 def test_the_empty_covariance_of_a_real_server_is_read() -> None:
-    """The server confuses two cases: everything after "ok" is unset (measured with 3.12.3 and 4.0)."""
+    """The real server confuses two cases: it sends "ok" with all results unset (measured with 3.12.3 and 4.0)."""
     rules = Bytes(Generation.YARP_4)
     empty = listed(*[bytes.fromhex("0100000000000000")] * 2, bytes.fromhex("1401000000000000"))
     reply = listed(rules.of(OK), rules.of(Map2DLocation()), empty)
@@ -245,7 +245,7 @@ def test_missing_methods_of_a_device_are_not_implemented(remote: INavigation2DMs
     outcomes = [remote.resume_navigation_RPC(), remote.get_current_nav_waypoint_RPC()[0],
                 remote.recompute_current_navigation_path_RPC(), remote.get_last_velocity_command_RPC()[0]]  # fmt: skip
     assert not any(outcomes)
-    if release is not Generation.YARP_3_6:  # 3.6 has only ok and fail
+    if release is not Generation.YARP_3_6:  # replies in YARP 3.6 contain only ok or fail
         assert outcomes == [lacking] * 4
 
 
@@ -320,6 +320,6 @@ def test_calls_reach_the_localizer() -> None:
 
 
 def test_a_request_with_its_name_in_one_string_is_accepted() -> None:
-    """As from ``yarp rpc``, with a reply for 3.9."""
+    """``yarp rpc`` sends such requests; the reply is one for YARP 3.9."""
     server = Server(Navigation2DServer(Planner()), Generations(Generation.YARP_3_6))
     assert server.answer(listed(text("get_navigation_status_RPC")), "/peer") == listed(vocab("ok"), vocab("wait"))

@@ -26,7 +26,7 @@ from yarp_compat.dev.places import load_maps, map_files, save_maps
 
 try:
     import resource
-except ImportError:  # Windows
+except ImportError:  # missing on Windows
     resource = None  # type: ignore[assignment]
 
 HEAD = "image: m.pgm\nresolution: 0.05\norigin: [-1.5, 2.0, 0.0]\n"
@@ -103,7 +103,7 @@ def test_a_map_of_ros_is_trinary_by_default(tmp_path: Path, image: str, negate: 
     ],
 )
 def test_grays_are_read_as_by_map_servers(tmp_path: Path, text: str, wanted: list[list[int]]) -> None:
-    """The rules are those of nav2_map_server's map_io.cpp."""
+    """The rules are those of map_io.cpp in nav2_map_server."""
     assert cells(ros(tmp_path, text)) == wanted
 
 
@@ -209,7 +209,7 @@ def test_map_files_of_users_are_read(tmp_path: Path) -> None:
     both = yarp(tmp_path, '# comment\nMapName   my map // of the house\nYarpMapData f.ppm\nRosMapData = "m.yaml"\n\n')
     assert (both.name, both.resolution, both.getOrigin()) == ("my map", 0.05, (-1.5, 2.0, 0.0))
     assert both.flags.tolist() == [[0, 1, 2], [4, 0, 5]]
-    assert both.occupancy.tolist() == [[100, 65, 50], [UNKNOWN, 0, UNKNOWN]]  # YARP's grays, not a map server's
+    assert both.occupancy.tolist() == [[100, 65, 50], [UNKNOWN, 0, UNKNOWN]]  # as in YARP, not as by a map server
     plain = yarp(tmp_path, "MapName m\nYarpMapData f.ppm\nresolution 0.1\norigin (1 2.5, -30)\n")
     assert plain.occupancy.tolist() == [[0, 0, 0], [100, 0, UNKNOWN]]
     assert (plain.resolution, plain.getOrigin()) == (0.1, (1.0, 2.5, -30.0))
@@ -366,7 +366,7 @@ def test_files_outside_of_the_folder_are_rejected(tmp_path: Path) -> None:
         load_maps(jail / "c.ini", jail=jail)
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 def test_a_pipe_is_rejected(tmp_path: Path) -> None:
     path = ros(tmp_path, USUAL.replace("m.pgm", "p.pgm"))
     os.mkfifo(tmp_path / "p.pgm")

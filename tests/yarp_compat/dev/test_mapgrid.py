@@ -1,4 +1,4 @@
-"""MapGrid2D: cells, positions, obstacles, the encoding."""
+"""MapGrid2D: cells, positions, obstacles and the encoding."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def test_targets_are_found_by_name(client: Navigation2DClient, robot: Robot) -> 
     assert client.gotoTargetByLocationName("tour")
     assert robot.commands == [PATH]
     assert client.gotoTargetByLocationName("nowhere") == FAILED
-    assert robot.target is None  # the robot is stopped, as by YARP's client
+    assert robot.target is None  # the client stops the robot, as YARP's client does
 
 
 def test_places_are_compared_with_the_position_of_the_robot(

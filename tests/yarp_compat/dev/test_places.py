@@ -1,4 +1,4 @@
-"""Files of places: all versions of the format of YARP, the extras of Midspan, and exports."""
+"""Files of places: all versions of YARP's format, Midspan's extras, and exports."""
 
 from __future__ import annotations
 

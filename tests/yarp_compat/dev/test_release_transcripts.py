@@ -43,7 +43,7 @@ def recorded() -> dict[str, Talk]:
 
 
 class Replaying(All):
-    """A server whose methods return the recorded results of the client's release, taken from the thread's name."""
+    """A server whose methods return the recorded results of the client's release, which the thread's name gives."""
 
     def __init__(self, talks: dict[str, Talk]) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Which requests of a client of an unknown release show its release."""
+"""Which requests reveal the release of a client whose release is unknown."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = ["connect", "loads", "make_port", "naming"]
 
 
 def test_a_map_client_with_tcp_is_taken_for_one_before_3_10(connect: Callable[..., Client]) -> None:
-    """``map2D_nwc_yarp`` connects by fast_tcp since 3.10; as this is only a hint, replies stay unambiguous."""
+    """``map2D_nwc_yarp`` connects by fast_tcp since 3.10; this is only a hint, so replies stay unambiguous."""
     server = Server(Planner())
     old = connect(server, "/module/mapClient_rpc", "3.9", carriers.TCP)
     new = connect(server, "/other/mapClient_rpc", "3.12", carriers.FAST_TCP)
@@ -52,7 +52,7 @@ def test_a_map_client_with_tcp_is_taken_for_one_before_3_10(connect: Callable[..
 def test_a_request_for_the_area_shows_that_the_location_was_not_read(
     connect: Callable[..., Client], name: str, rounds: int
 ) -> None:
-    """As in ``navigation2D_nwc_yarp``'s ``gotoTargetByLocationName``; the finding applies to all the device's ports."""
+    """``gotoTargetByLocationName`` of ``navigation2D_nwc_yarp`` does this. It applies to all ports of the device."""
     server = Server(Planner())
     maps, goals = connect(server, "/nav/locations/rpc", name), connect(server, "/nav/navigation/rpc", name)
     needed = 0
@@ -80,7 +80,7 @@ def test_a_request_for_another_area_shows_nothing(connect: Callable[..., Client]
 
 
 class Places(Planner):
-    """A planner with a location; ``names`` are those of its list."""
+    """A planner with a location; ``names`` are the names in the planner's list."""
 
     def __init__(self, *names: str) -> None:
         super().__init__()
@@ -91,7 +91,7 @@ class Places(Planner):
 
 
 class Commands:
-    """The ``<local>/user_commands/rpc`` of a ``navigation2D_nwc_yarp``, which requests the list from its map server."""
+    """The ``<local>/user_commands/rpc`` of a ``navigation2D_nwc_yarp``, which requests the list from the map server."""
 
     def __init__(self, maps: Client, names: list[str]) -> None:
         self.maps, self.names = maps, names
@@ -123,8 +123,8 @@ def test_a_list_of_locations_shows_the_release_of_a_navigation_client(
     trials.connected("/nav/navigation/rpc", goals.address)
     commands = Commands(maps, names)
     make_port("/nav/user_commands/rpc", commands, rpc=True)
-    until(lambda: commands.requests == [["listLocations"]], "the request")
-    until(lambda: not trials.running, "the end of the trial")
+    until(lambda: commands.requests == [["listLocations"]], "the trial's request has arrived")
+    until(lambda: not trials.running, "the trial has ended")
     decision = server.generations.of("/nav/navigation/rpc", link=goals.address)
     assert (decision.generation, decision.sure) == (generation, sure)
     if names:
@@ -144,7 +144,7 @@ def test_a_client_of_another_map_server_stays_unknown(
     make_port("/nav/user_commands/rpc", commands, rpc=True)
     trials = ReleaseTrials(ours.generations, naming)
     trials.connected("/nav/navigation/rpc", goals.address)
-    until(lambda: commands.requests and not trials.running, "the end of the trial")
+    until(lambda: commands.requests and not trials.running, "the trial has ended")
     assert ours.generations.findings.get("/nav/navigation/rpc") is None
     maps.close()
     trials.close()
@@ -160,6 +160,6 @@ def test_no_trial_starts_for_a_known_client(
     trials = ReleaseTrials(server.generations, naming)
     for peer in ("/nav/locations/rpc", "/nav/other", "nav/locations/rpc"):
         trials.connected(peer, maps.address)
-    until(lambda: not trials.running, "the end of the trials")
+    until(lambda: not trials.running, "all trials have ended")
     assert commands.requests == []
     trials.close()

@@ -38,7 +38,7 @@ __all__ = ["connect", "loads", "make_port", "naming"]
 def test_no_client_of_an_unknown_release_reads_a_failure_as_success(
     connect: Callable[..., Client], release: str
 ) -> None:
-    """With tcp, all also stay in step: no reply is read as the reply to a later call."""
+    """Over tcp, clients also stay in step: no reply is read as the reply to a later call."""
     client = connect(Server(Planner()), "/nav/rpc", release)
     calls = [(call, True) for call in GOOD] + [(call, False) for call in BAD]
     chance = random.Random(7)
@@ -58,7 +58,7 @@ def test_a_map_client_of_3_12_works_without_acknowledgements(connect: Callable[.
 
 
 def test_a_method_of_3_12_shows_the_release(connect: Callable[..., Client]) -> None:
-    """The next failure has its number, which is not sent to a client that may be older."""
+    """The next failure contains its number, which is not sent to a client that may be older."""
     server = Server(Planner())
     client = connect(server, "/nav/rpc", "3.12")
     assert client.call("get_object_RPC", ["cup"])
@@ -80,7 +80,7 @@ def test_a_typed_request_gets_a_bottle(connect: Callable[..., Client]) -> None:
 
 
 def test_two_clients_of_one_name_are_distinguished(connect: Callable[..., Client]) -> None:
-    """Names without a slash belong to programs without a port, and several programs may share one."""
+    """Names without a slash belong to programs without a port, and several programs may share such a name."""
     server = Server(Planner())
     new, old = connect(server, "nav", "4.0"), connect(server, "nav", "3.12")
     new.introduce()
@@ -156,7 +156,7 @@ def test_all_devices_of_a_process_have_one_release(connect: Callable[..., Client
         naming.set_property(port, "process", process)
         clients[device] = settled(connect(server, port, "3.12", carriers.FAST_TCP))
         trials.connected(port, clients[device].address)
-    until(lambda: not trials.running, "the end of the look-ups")
+    until(lambda: not trials.running, "all look-ups have ended")
     assert clients["/map"].call("get_object_RPC", ["cup"])
     decisions = {
         device: server.generations.of(f"{device}/mapClient_rpc", link=client.address)

@@ -1,4 +1,4 @@
-"""Outcomes of calls, as the bindings of YARP have them."""
+"""Outcomes of calls, as in YARP's bindings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""robotGoto's commands, as text and as a service, together with INavigation2D at one port."""
+"""robotGoto's commands, as text and as a service, together with INavigation2D on one port."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from yarp_compat.wire.values import Vocab
 
 
 class Goto(RobotGotoMsgs, Navigation2DServer):
-    """Both interfaces; it records its calls."""
+    """A device with both interfaces, which records its calls."""
 
     def __init__(self) -> None:
         super().__init__(self)

@@ -1,4 +1,4 @@
-"""Interfaces through a channel: every generation, with any expectation of the client; typed and invalid requests."""
+"""Interfaces through a channel: every generation, whichever the client expects; typed and invalid requests."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Kept(Places):
 
 @dataclass
 class Wire:
-    """A channel to a server in this process, with other bytes after each reply."""
+    """A channel to a server in this process, which appends other bytes to each reply."""
 
     server: Server
     generation: Generation
@@ -139,7 +139,7 @@ def test_clients_with_any_expectation_read_replies_of_any_generation(
     wire = Wire(server, expected)
     places = Places(wire)
     if Generation.YARP_3_11 in (generation, expected):
-        wire.generation = generation  # its bare numbers look like 3.12's tags
+        wire.generation = generation  # bare numbers of 3.6 look like tags of 3.12
     assert places.get_location_RPC("kitchen")[0].code is ReturnCode.METHOD_FAILED
     if generation is not Generation.YARP_4 or expected is Generation.YARP_4:
         assert wire.generation in (generation, expected)
@@ -328,7 +328,7 @@ def test_the_dialect_of_a_request_shows_the_generation() -> None:
 @pytest.mark.parametrize("generation", Generation)
 @pytest.mark.parametrize("profile", Profile)
 def test_no_number_is_misread_with_any_expectation(generation: Generation, profile: Profile) -> None:
-    """The tag of YARP 3's doubles is that of YARP 4's floats, which are half as long."""
+    """YARP 3's tag for doubles is YARP 4's tag for floats, which are half as long."""
     server = Server(Kept(), Generations(generation))
     for number in (0.0, 2.0, 1e9):
         reply = server.answer(Places.calls()["count"].request([1, number], profile))
@@ -471,7 +471,7 @@ def test_an_error_on_reading_names_the_field() -> None:
 
 
 def test_concurrent_first_calls_read_the_whole_interface() -> None:
-    """Several threads may use a client; none sees an incomplete interface."""
+    """Several threads may use a client; no thread sees an incomplete interface."""
     errors: list[BaseException] = []
     switch = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)

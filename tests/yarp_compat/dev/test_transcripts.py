@@ -110,7 +110,7 @@ def test_a_server_of_3_12_returns_stored_locations() -> None:
 
 
 class Replayed(All):
-    """A server whose methods return the results of the real one."""
+    """A server whose methods return the results of the real server."""
 
     def __init__(self, results: dict[str, list[Any]]) -> None:
         super().__init__()

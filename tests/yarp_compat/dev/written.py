@@ -99,7 +99,7 @@ class Bytes:
 
 
 class Returning:
-    """A service of any interface that returns the same from each call, and stores its arguments."""
+    """A service of any interface that returns the same results from each call, and stores the arguments."""
 
     @staticmethod
     def of(interface: type[Any], returned: Any) -> Any:

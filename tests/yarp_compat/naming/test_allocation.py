@@ -8,7 +8,7 @@ from yarp_compat.naming.allocation import Allocator
 
 
 def test_a_name_keeps_its_number() -> None:
-    """Numbers ascend from two above the name server's; a freed number is reserved for its name."""
+    """Numbers ascend from two above the name server's; a freed number is reserved for the name that had it."""
     allocator = Allocator(10000)
     assert [allocator.number(name) for name in ("/a", "/b")] == [10002, 10003]
     allocator.free("/a", "127.0.0.1", 10002)
@@ -23,7 +23,7 @@ def test_numbers_chosen_by_ports_are_skipped() -> None:
 
 
 def test_a_port_cannot_free_the_number_of_another() -> None:
-    """A port that chose another port's number ends."""
+    """This is the case of a port that chose another port's number and unregisters."""
     allocator = Allocator(10000)
     allocator.number("/a")
     allocator.free("/b", "127.0.0.1", 10002)
@@ -31,7 +31,7 @@ def test_a_port_cannot_free_the_number_of_another() -> None:
 
 
 def test_freed_numbers_are_reused_only_after_the_last_one() -> None:
-    """There are 9,998 numbers, then the freed ones, then none."""
+    """9,998 numbers are allocated in order, then the freed ones, then none."""
     allocator = Allocator(10000)
     numbers = [allocator.number(f"/p{i}") for i in range(9998)]
     assert numbers[0], numbers[-1] == (10002, 19999)
@@ -68,7 +68,7 @@ def test_anonymous_names_and_groups_are_reused() -> None:
 
 
 def test_the_state_survives_a_file() -> None:
-    """A restored allocator continues as the original."""
+    """A restored allocator continues like the original."""
     allocator = Allocator(10000)
     for name in ("/a", "/b"):
         allocator.number(name)

@@ -1,4 +1,4 @@
-"""The name server client: its commands equal those of YARP's programs byte for byte; its errors."""
+"""The name server client: its commands, which equal those of YARP's programs byte for byte, and its errors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def client(port: int, timeout: float = 5.0) -> NameClient:
 
 
 def test_a_port_is_opened_with_the_commands_of_a_real_program() -> None:
-    """Register, four properties, announce, unregister: the commands are equal, except for the values of properties."""
+    """The commands are register, four properties, announce and unregister; only the values of the properties differ."""
     with Scripted(*(script(TALKS[n]) for n in (1, 2, 3, 4, 5, 6, 7, 25))) as server:
         names = client(server.port)
         assert names.query("/reader") is None
@@ -124,7 +124,7 @@ def test_a_truncated_reply_is_an_error(answer: bytes) -> None:
 
 
 def test_a_connection_that_fails_at_once_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    broken: list[LineSocket] = []  # a reference, as garbage collection would close it
+    broken: list[LineSocket] = []  # keep a reference, because garbage collection would close the socket
 
     def send(peer: LineSocket, _data: bytes) -> None:
         broken.append(peer)
@@ -158,7 +158,7 @@ def test_an_endless_reply_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_address_is_read_from_yarp_conf(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Without yarp.conf, the error names the file; a changed address is used without a new client."""
+    """Without yarp.conf, the error names the file; an existing client uses a changed address."""
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
     names = NameClient()
@@ -176,7 +176,7 @@ def test_the_address_is_read_from_yarp_conf(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_invalid_names_are_rejected_locally() -> None:
-    """Addresses need no query either."""
+    """Addresses are not queried either."""
     names = client(free_port())
     for name in ("two words", "/a\nb", '/a"b', "/" + "x" * 2000):
         with pytest.raises(NameRefusedError, match="without spaces"):
@@ -191,7 +191,7 @@ def test_invalid_names_are_rejected_locally() -> None:
 
 @pytest.mark.parametrize("greeting", [b"HTTP/1.1 400 Bad Request\r\n", b""])
 def test_another_kind_of_server_is_recognized(greeting: bytes) -> None:
-    """The address of a port belongs to another kind of server."""
+    """Another kind of server listens at a port's address."""
     problem = "not a YARP port: it answers 'HTTP" if greeting else "closed before"
     with Scripted([(2, greeting)]) as other, pytest.raises(PortError, match=problem):
         connections.ping(client(1), f"tcp://127.0.0.1:{other.port}/p")
@@ -207,7 +207,7 @@ def test_a_reply_that_is_not_a_bottle_is_an_error() -> None:
 
 @pytest.mark.parametrize("host", ["a" * 70, "a..b", "\udc80"])
 def test_a_host_that_is_not_a_name_is_an_error_of_its_port(host: str) -> None:
-    """Ports register any text as their host."""
+    """Ports can register any text as their host."""
     contact = PortContact("/odd", host, 10000)
     assert not connections.responds(contact)
     with pytest.raises(PortError, match=r"cannot query /odd at tcp://.*: .* is not a host name"):

@@ -1,4 +1,4 @@
-"""The files with the address of the name server are found, read and written."""
+"""How the files with the address of the name server are found, read and written."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_written_file_is_read(tmp_path: Path) -> None:
 
 
 def test_the_namespace_comes_from_environment_file_or_default(tmp_path: Path) -> None:
-    """The environment overrides the file, and the file ``/root``."""
+    """The environment overrides the file, and the file overrides ``/root``."""
     env = {"YARP_CONFIG_HOME": str(tmp_path)}
     assert config.namespace(env) == "/root"
     (tmp_path / config.NAMESPACE_FILE).write_text("/lab\n")
@@ -92,7 +92,7 @@ def test_an_invalid_file_is_reported_with_its_path(tmp_path: Path, text: str, pr
 
 
 def test_unreadable_and_unwritable_files_are_reported(tmp_path: Path) -> None:
-    """A folder instead of the file, a file instead of the folder, a file that is too large."""
+    """The cases: a folder in place of the file, a file in place of the folder, and a file that is too large."""
     (tmp_path / "yarp.conf").mkdir()
     with pytest.raises(NamingConfigError, match="cannot read"):
         config.read(environment={"YARP_CONFIG_HOME": str(tmp_path)})

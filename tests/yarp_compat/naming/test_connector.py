@@ -23,7 +23,7 @@ class Ports:
         self.go_on = threading.Event()
 
     def is_connected(self, _naming: object, source: str, _target: str, *, timeout: float) -> bool:
-        """Return whether the source has the name of a connected port."""
+        """Return whether the source is the port that the test treats as connected."""
         assert timeout
         return source == "/connected"
 
@@ -50,7 +50,7 @@ def fixture_ports(monkeypatch: pytest.MonkeyPatch) -> Ports:
 
 
 def test_a_slow_port_does_not_delay_others(ports: Ports) -> None:
-    """Not even if all are requested at once from an idle connector."""
+    """This also holds if all connections are requested at once from an idle connector."""
     connector = Connector(LocalNaming())
     connector.request(WantedConnection("/first", "/r"))
     until(lambda: ports.made == ["/first"], "the first connection is made")
@@ -106,5 +106,5 @@ def test_a_forced_connection_replaces_one_to_a_former_port(ports: Ports) -> None
     """A writer that reports itself as connected must connect to the new port."""
     connector = Connector(LocalNaming())
     connector.request(WantedConnection("/connected", "/r", force=True))
-    until(lambda: ports.made == ["/connected"], "connected again")
+    until(lambda: ports.made == ["/connected"], "the connection is made again")
     connector.close()

@@ -47,8 +47,8 @@ def test_open_ports_do_not_block_the_numbers_of_new_programs(
             port.open()
         server.clear()
         for i in range(5):
-            native_open(native, f"/at_once/{i}")  # before ours are registered again
-        until(are_registered(names, *ours), "ours are registered again")
+            native_open(native, f"/at_once/{i}")  # before our ports are registered again
+        until(are_registered(names, *ours), "our ports are registered again")
         for i in range(5):
             native_open(native, f"/later/{i}")
     finally:
@@ -58,7 +58,7 @@ def test_open_ports_do_not_block_the_numbers_of_new_programs(
 
 
 def test_a_reopened_port_keeps_its_number(server: RealNameServer) -> None:
-    """Also after a restart of the name server; if another program listens on the number, the port gets the next one."""
+    """This also holds after the name server restarts; if another program listens on the number, the next is used."""
     names = NameClient(server.address)
     port = PortCore("/ours", naming=names)
     first = port.open().port
@@ -78,7 +78,7 @@ def test_a_reopened_port_keeps_its_number(server: RealNameServer) -> None:
 
 @pytest.mark.parametrize("base", [1024, 10000, 45536, 45537, 60000, 65000])
 def test_numbers_of_our_ports_are_outside_the_range_of_the_name_server(base: int) -> None:
-    """The range is as long as the name server's, and disjoint from it."""
+    """The range is as long as the name server's, and the two are disjoint."""
     numbers = numbers_outside(base)
     assert len(numbers) == LAST_OFFSET + 1
     assert numbers[0] > 1024
@@ -87,7 +87,7 @@ def test_numbers_of_our_ports_are_outside_the_range_of_the_name_server(base: int
 
 
 def test_numbers_are_in_the_requested_range(server: RealNameServer) -> None:
-    """A site's firewall may need a range; with an empty one, the name server chooses."""
+    """A site's firewall may need a fixed range; with an empty range, the name server chooses."""
     base = server.address.port
     for numbers in (range(base + 30, base + 60), range(0)):
         port = PortCore("/ours", naming=NameClient(server.address, numbers=numbers))

@@ -64,7 +64,7 @@ def test_a_registration_is_completed(ask: TextRegistry) -> None:
 
 
 def test_ports_are_listed_by_name_and_prefix(ask: TextRegistry) -> None:
-    """The list is sorted by the bytes of the names, also as a Bottle."""
+    """The list is sorted by the bytes of the names, in the form of a Bottle too."""
     for name in ("/b", "/a", "/a/x", "/ab"):
         ask(f"register {name} tcp h 1")
     assert [line.split()[2] for line in ask("list")[:-1]] == ["/a", "/a/x", "/ab", "/b", "/root"]
@@ -124,7 +124,7 @@ def test_other_commands_reply_like_yarpserver(ask: TextRegistry) -> None:
 
 
 def test_owned_entries_are_removed_with_their_port(ask: TextRegistry) -> None:
-    """A port that writes by mcast owns its group's entry; entries that own each other are removed too."""
+    """A port that writes over mcast owns the entry of its group; entries that own each other are removed too."""
     ask("register /w")
     ask("register /group mcast ... 0")
     ask("set /w owns /group")
@@ -135,7 +135,7 @@ def test_owned_entries_are_removed_with_their_port(ask: TextRegistry) -> None:
 
 
 def test_a_long_chain_of_owners_does_no_harm(ask: TextRegistry) -> None:
-    """Removal stops at a depth."""
+    """Removal stops at a limited depth."""
     for number in range(3000):
         ask(f"register /p{number} tcp h 1")
         ask(f"set /p{number} owns /p{number + 1}")
@@ -168,7 +168,7 @@ def test_a_repeated_registration_changes_nothing(ask: TextRegistry) -> None:
     ],
 )
 def test_invalid_registrations_are_rejected(ask: TextRegistry, command: str) -> None:
-    """Names and addresses must be valid, and must not break lines."""
+    """Names and addresses must be valid, and must not contain line breaks."""
     assert ask(command) == [END]
     assert [e.contact.name for e in ask.registry.entries()] == ["/root"]
 
@@ -207,7 +207,7 @@ def recorded() -> list[tuple[str, list[str]]]:
 
 
 def test_every_recorded_command_gets_the_same_reply() -> None:
-    """Sixty commands to yarpserver 3.12.3 in their order."""
+    """Sixty commands to yarpserver 3.12.3, in the recorded order."""
     ask = TextRegistry(port=10410)
     commands = recorded()
     assert len(commands) > 50
@@ -226,7 +226,7 @@ WORDS = st.sampled_from(
 
 @given(st.lists(st.lists(WORDS, min_size=1, max_size=6), max_size=30))
 def test_a_restored_registry_replies_like_the_original(commands: list[list[str]]) -> None:
-    """For any commands."""
+    """This holds for any sequence of commands."""
     original, restored = TextRegistry(), TextRegistry()
     for command in commands:
         original(" ".join(command))
@@ -241,6 +241,6 @@ def test_a_restored_registry_replies_like_the_original(commands: list[list[str]]
 
 @pytest.mark.parametrize("data", [b"", b"[]", b"{}", b'{"version": 2}', b'{"version": 1, "ports": [1]}', b"\xff"])
 def test_an_invalid_state_is_rejected(data: bytes) -> None:
-    """The error has a reason."""
+    """The error gives a reason."""
     with pytest.raises(ValueError, match=r"."):
         loads(PortRegistry(PortContact("/root", "127.0.0.1", 10000)), data)

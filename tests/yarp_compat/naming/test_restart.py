@@ -85,7 +85,7 @@ class Pair:
 
 
 def announced(server: NameServer) -> set[str]:
-    """Return the ports that have announced themselves; a first announcement connects them again."""
+    """Return the ports that have announced themselves; their first announcement restores persistent connections."""
     return {entry.contact.name for entry in server.registry.entries() if entry.announced}
 
 
@@ -102,7 +102,7 @@ def are_registered(names: NameClient, *ports: PortCore) -> Callable[[], bool]:
 
 
 def test_ports_register_again_at_a_name_server_without_state() -> None:
-    """They keep their numbers and properties and announce themselves; data connections are not affected."""
+    """Ports keep their numbers and properties and announce themselves; data connections are not affected."""
     port = free_port(room=20)
     first = NameServer(port=port, gc_seconds=0).open()
     with Pair(first.address) as pair:
@@ -111,7 +111,7 @@ def test_ports_register_again_at_a_name_server_without_state() -> None:
         pair.check()
         with NameServer(port=port, gc_seconds=0) as second:
             names = NameClient(second.address)
-            until(are_registered(names, pair.reader, pair.writer), "both are registered again")
+            until(are_registered(names, pair.reader, pair.writer), "both ports are registered again")
             until(
                 lambda: set(names.get_property("/reader", "type")) == {"std_msgs/String", "two words"},
                 "the property is set again",
@@ -119,7 +119,7 @@ def test_ports_register_again_at_a_name_server_without_state() -> None:
             until(
                 lambda: "fast_tcp" in names.get_property("/writer", "offers"), "the port's own properties are set again"
             )
-            until(lambda: {"/reader", "/writer"} <= announced(second), "both are announced")
+            until(lambda: {"/reader", "/writer"} <= announced(second), "both ports are announced")
             names.command(["subscribe", "/writer", "/reader"])
             pair.check()
             assert names.register("/other").port not in (pair.reader.contact.port, pair.writer.contact.port)
@@ -152,7 +152,7 @@ def test_a_killed_name_server_loses_nothing(tmp_path: Path, has_state: bool) -> 
         server.popen.wait()
         pair.check()
         start()
-        until(are_registered(names, pair.reader, pair.writer), "both are registered again")
+        until(are_registered(names, pair.reader, pair.writer), "both ports are registered again")
         subscriptions = names.command(["subscribe"])[1:]
         assert subscriptions == ([["subscription", ["src", "/writer"], ["dest", "/reader"]]] if has_state else [])
         pair.check()
@@ -177,7 +177,7 @@ def fixture_server() -> Iterator[NameServer]:
 
 
 def test_a_closed_port_is_not_registered_again(server: NameServer) -> None:
-    """The keeper's thread ends with the last port."""
+    """The keeper's thread ends when the last port closes."""
     names = NameClient(server.address)
     port = PortCore("/p", naming=names)
     port.open()
@@ -218,7 +218,7 @@ def test_a_missing_port_causes_a_check_of_all() -> None:
 
 
 def test_each_check_queries_a_few_ports_of_all_clients() -> None:
-    """Whatever the number of clients, a check queries AT_ONCE ports, and several checks query all."""
+    """Whatever the number of clients, a check queries AT_ONCE ports, and a sequence of checks queries all ports."""
     known = {contact.name: contact for contact in CONTACTS}
     clients = [RecordingClient(known) for _ in CONTACTS]
     keeper, kept = client_module.Keeper(), list(zip(clients, CONTACTS, strict=True))
@@ -230,7 +230,7 @@ def test_each_check_queries_a_few_ports_of_all_clients() -> None:
 
 
 def test_lost_ports_register_again_and_closed_ones_do_not(server: NameServer) -> None:
-    """With several ports of one program."""
+    """The program has several ports."""
     names = NameClient(server.address)
     ports = [PortCore(f"/p{i}", naming=names) for i in range(12)]
     for port in ports:
@@ -238,7 +238,7 @@ def test_lost_ports_register_again_and_closed_ones_do_not(server: NameServer) ->
     others = NameClient(server.address)
     for port in ports[::2]:
         others.unregister(port.name)
-    until(are_registered(others, *ports), "all are registered")
+    until(are_registered(others, *ports), "all ports are registered")
     for port in ports[::2]:
         others.unregister(port.name)
     for port in ports:
@@ -265,7 +265,7 @@ def test_a_name_taken_over_by_another_port_stays_registered(server: NameServer) 
     port = PortCore("/p", naming=names)
     port.open()
     assert not names.is_taken("/p")
-    assert not others.is_taken("/p"), "it never registered the name"
+    assert not others.is_taken("/p"), "the port never registered the name"
     taken = others.register("/p", "127.0.0.1", 12345)
     assert names.is_taken("/p")
     names.leave("/p")

@@ -66,7 +66,7 @@ def test_every_recorded_exchange_is_reproduced(server: NameServer) -> None:
 
 
 def test_one_connection_may_send_many_commands(server: NameServer) -> None:
-    """As from old name clients or telnet, with both kinds of line ends."""
+    """Old name clients and telnet do this; both kinds of line ends are accepted."""
     with LineSocket("127.0.0.1", server.address.port, 10.0).open() as peer:
         peer.send(b"NAME_SERVER query /none\nNAME_SERVER register /p\r\n\r\nNAME_SERVER query /p\n")
         lines = [peer.line() for _ in range(5)]
@@ -146,7 +146,7 @@ def test_invalid_input_only_ends_its_connection(server: NameServer, names: NameC
     """Endless lines and garbage do not affect the server."""
     for data in (b"NAME_SERVER query " + b"x" * 200_000, b"NAME_SERVER " + b"(" * 60_000 + b"\n", b"GARBAGE!" * 9):
         peer = socket.create_connection(("127.0.0.1", server.address.port), 10.0)
-        with peer, contextlib.suppress(OSError):  # it may close at any time
+        with peer, contextlib.suppress(OSError):  # the server may close the connection at any time
             peer.sendall(data)
             peer.shutdown(socket.SHUT_WR)
             while peer.recv(65536):
@@ -195,7 +195,7 @@ def test_registrations_are_published(names: NameClient, open_port: OpenPorts) ->
 
 
 def test_a_slow_subscriber_receives_every_event(names: NameClient) -> None:
-    """No event replaces another."""
+    """Events for a slow subscriber are queued; none replaces another."""
     received, go_on = list[list[object]](), threading.Event()
 
     def on_message(message: PortMessage) -> None:
@@ -222,7 +222,7 @@ def test_events_arrive_in_the_order_of_registrations(
     def slowly(event: bytes, **options: Any) -> int:
         if decode(event) == ["add", "/first"]:
             second.start()
-            second.join(0.3)  # it waits
+            second.join(0.3)  # the second registration waits meanwhile
         return write(event, **options)
 
     monkeypatch.setattr(server.port, "write", slowly)
@@ -234,18 +234,18 @@ def test_events_arrive_in_the_order_of_registrations(
 
 
 def test_persistent_connections_are_made_and_restored(names: NameClient, open_port: OpenPorts) -> None:
-    """They are made when the second port opens, and again when a port reopens, with the requested carrier."""
+    """Connections are made when the second port opens, and again when a port reopens, with the requested carrier."""
     assert names.command(["subscribe", "/w", "fast_tcp://r"]) == ["ok"]
     ports = {"/w": open_port("/w"), "/r": open_port("/r")}
     for returning in ("/r", "/w", "/r"):
-        until(lambda: ports["/r"].inputs(), "connected at the reader")
+        until(lambda: ports["/r"].inputs(), "the reader is connected")
         until(lambda: [r.carrier for r in ports["/w"].outputs()] == ["fast_tcp"], "connected")
         seen = len(open_port.received)
         ports["/w"].write(encode(["hello"], Profile.YARP3))
         until(lambda seen=seen: len(open_port.received) > seen, "the message has arrived")
         ports[returning].close()
         ports[returning] = open_port(returning)
-    until(lambda: ports["/r"].inputs(), "connected again")
+    until(lambda: ports["/r"].inputs(), "the reader is connected again")
     assert names.command(["unsubscribe", "/w", "/r"]) == ["ok"]
     assert names.command(["subscribe"]) == ["subscriptions"]
 
@@ -256,7 +256,7 @@ def test_invalid_hosts_do_not_stop_persistent_connections(names: NameClient, ope
     for number in range(connections.WORKERS):
         names.register(f"/x{number}", host, 10999)
         names.command(["subscribe", f"/x{number}", "/y"])
-        names.lines(["announce", f"/x{number}"])  # not kept registered
+        names.lines(["announce", f"/x{number}"])  # announced only, so that no keeper registers the port again
     names.register("/y", host, 10998)
     names.lines(["announce", "/y"])
     names.command(["subscribe", "/w", "/r"])
@@ -266,7 +266,7 @@ def test_invalid_hosts_do_not_stop_persistent_connections(names: NameClient, ope
 
 
 def test_ports_are_connected_through_a_topic(names: NameClient, open_port: OpenPorts) -> None:
-    """The topic is one of YARP's."""
+    """The topic is a topic of YARP's name server."""
     writer, _ = open_port("/w"), open_port("/r")
     names.command(["subscribe", "/w", "topic://t"])
     names.command(["subscribe", "topic://t", "/r"])
@@ -290,7 +290,7 @@ def test_dead_ports_are_removed(server: NameServer, names: NameClient, monkeypat
 
 
 def test_ports_with_invalid_addresses_are_probed_like_others() -> None:
-    with socket.socket() as bound:  # refuses connections, as it does not listen
+    with socket.socket() as bound:  # refuses connections because it does not listen
         bound.bind(("127.0.0.1", 0))
         dead = PortContact("/dead", "127.0.0.1", bound.getsockname()[1])
         odd = PortContact("/odd", "127.0.0.1%\udc80", 10000)
@@ -314,7 +314,7 @@ def test_dead_ports_are_probed_periodically(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_the_state_survives_a_restart(tmp_path: Path) -> None:
-    """It contains ports, properties, numbers and persistent connections."""
+    """The state contains ports, properties, numbers and persistent connections."""
     port, state = free_port(room=20), tmp_path / "deep" / "names.json"
     with NameServer(port=port, state=state) as server:
         names = NameClient(server.address)
@@ -335,7 +335,7 @@ def test_the_state_survives_a_restart(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", [b"", b"{", b'{"version": 1}', b"\xff\xfe"])
 def test_an_invalid_state_file_is_renamed(tmp_path: Path, content: bytes, caplog: pytest.LogCaptureFixture) -> None:
-    """The server starts empty."""
+    """The server starts with an empty state."""
     state = tmp_path / "names.json"
     state.write_bytes(content)
     with NameServer(port=free_port(room=20), state=state) as server:

@@ -25,7 +25,7 @@ def open_ports(ask: TextRegistry, *names: str) -> list[WantedConnection]:
 
 
 def test_a_connection_is_made_when_both_ports_are_open(ask: TextRegistry) -> None:
-    """With the second port, in either order, and again when a port reopens."""
+    """The connection is made when the second port opens, in either order, and again when a port reopens."""
     assert ask("subscribe /a udp://b") == ["[ok]"]
     assert open_ports(ask, "/b") == []
     assert open_ports(ask, "/a") == [WantedConnection("/a", "udp://b", force=True)]
@@ -40,7 +40,7 @@ def test_a_connection_is_made_when_both_ports_are_open(ask: TextRegistry) -> Non
 
 
 def test_a_connection_between_open_ports_is_made_at_once(ask: TextRegistry) -> None:
-    """No port has to be reopened."""
+    """No port has to reopen for it."""
     open_ports(ask, "/a", "/b")
     ask("subscribe /a /b")
     assert ask.connections == [WantedConnection("/a", "/b")]
@@ -61,7 +61,7 @@ def test_no_connection_is_made_before_both_ports_listen(ask: TextRegistry) -> No
 
 
 def test_persistent_connections_are_listed(ask: TextRegistry) -> None:
-    """The format is yarpserver's: all, or those of a port, with mode and topic."""
+    """The format is yarpserver's: all subscriptions, or those of one port, with mode and topic."""
     assert ask("subscribe") == ["subscriptions"]
     ask("subscribe /c /d from")
     ask("subscribe /a /b")

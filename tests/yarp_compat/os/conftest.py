@@ -26,7 +26,7 @@ def local() -> Iterator[None]:
 
 @pytest.fixture
 def name_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NameServer]:
-    """A name server of Midspan, at the address in yarp.conf."""
+    """Midspan's name server, at the address in yarp.conf."""
     with NameServer(port=free_port()) as server:
         monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
         monkeypatch.delenv("YARP_NAMESPACE", raising=False)

@@ -43,7 +43,7 @@ def test_connect_and_disconnect(ports: tuple[yarp.Port, yarp.Port]) -> None:
     assert not yarp.Network.isConnected("/w", "/r", "udp")
     assert yarp.Network.connect("/w", "/r", "fast_tcp")  # another carrier replaces the connection
     assert yarp.Network.isConnected("/w", "/r", "fast_tcp")
-    until(lambda: reader.getInputCount() == 1, "one connection")
+    until(lambda: reader.getInputCount() == 1, "only one connection is left")
     assert yarp.Network.disconnect("/w", "/r")
     assert not yarp.Network.isConnected("/w", "/r")
     assert writer.getOutputCount() == 0
@@ -130,7 +130,7 @@ def test_network_object_initializes_and_finalizes() -> None:
         assert RUNTIME.is_up
     network = yarp.Network()
     del network
-    assert yarp.Network.initialized()  # the fixture's
+    assert yarp.Network.initialized()  # because the fixture initialized it
 
 
 def test_another_name_server_can_be_selected() -> None:
@@ -158,7 +158,7 @@ def test_type_of_service_of_a_connection(ports: tuple[yarp.Port, yarp.Port]) -> 
     style, at_source, at_target = yarp.QosStyle(), yarp.QosStyle(), yarp.QosStyle()
     style.setPacketPriorityByLevel(yarp.QosStyle.PacketPriorityHigh)
     assert yarp.Network.connect("/w", "/r")
-    until(lambda: ports[0].getInputCount() == 1, "the connection")
+    until(lambda: ports[0].getInputCount() == 1, "the port is connected")
     assert yarp.Network.setConnectionQos("/w", "/r", style)
     assert yarp.Network.getConnectionQos("/w", "/r", at_source, at_target)
     assert at_source.getPacketPriorityAsTOS() == at_target.getPacketPriorityAsTOS() == 144
@@ -166,7 +166,7 @@ def test_type_of_service_of_a_connection(ports: tuple[yarp.Port, yarp.Port]) -> 
     assert not yarp.Network.setConnectionQos("/w", "/nowhere", style)
     assert not yarp.Network.getConnectionQos("/nowhere", "/r", at_source, at_target)
     assert yarp.Network.disconnectInput("/w", "/r")
-    until(lambda: ports[0].getInputCount() == 0, "the end of the connection")
+    until(lambda: ports[0].getInputCount() == 0, "the connection has ended")
     assert not yarp.Network.disconnectInput("/w", "/r")
 
 

@@ -89,7 +89,7 @@ def test_context_and_file_from_the_command_line(places: dict[str, Path]) -> None
     assert rf.find("a").asInt32() == 1
     assert rf.getContext() == "other"
     assert rf.getContexts().toString() == "other"
-    assert rf.findFile("table") == wanted  # the file that the key names
+    assert rf.findFile("table") == wanted  # the file that the option names
     assert rf.getContextPath() == str(places["installed"] / "contexts/other")
 
 
@@ -104,7 +104,7 @@ def test_files_next_to_the_main_file_in_the_current_folder(places: dict[str, Pat
     write_file(places["installed"], "contexts/nav/map.txt")
     rf = finder()
     assert rf.find("a").asInt32() == 2
-    assert rf.findFileByName("map.txt") == ""  # as in YARP, contexts are not searched then
+    assert rf.findFileByName("map.txt") == ""  # as in YARP, contexts are not searched in this case
     assert rf.getHomeContextPath() == str(places["here"])
 
 

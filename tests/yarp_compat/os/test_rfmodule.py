@@ -62,7 +62,7 @@ def test_module_runs_until_update_returns_false() -> None:
     module = Module(rounds=3)
     assert module.runModule(finder()) == 0
     assert module.said == ["configure", "update", "update", "update", "close"]
-    assert module.runModule() == 1  # it has run before
+    assert module.runModule() == 1  # a module runs only once
 
 
 def test_unconfigured_module_does_not_run() -> None:
@@ -77,7 +77,7 @@ def test_signals_stop_the_module_at_once(number: int) -> None:
     module = Module(period=60.0)
 
     def stop() -> None:
-        until(lambda: "update" in module.said, "the first cycle")
+        until(lambda: "update" in module.said, "the first cycle has run")
         os.kill(os.getpid(), number)
 
     thread = threading.Thread(target=stop)
@@ -110,7 +110,7 @@ def test_commands_are_answered() -> None:
 
 
 def test_answer_with_many_lines() -> None:
-    """Separate lines on text carriers, as seen in telnet; one Bottle in binary."""
+    """Text carriers send the answer as separate lines (as seen in telnet), binary ones as one Bottle."""
     module, port, client = Module(), yarp.Port(), yarp.RpcClient()
     module.attach(port)
     assert port.open("/module/rpc")
@@ -126,7 +126,7 @@ def test_answer_with_many_lines() -> None:
 def test_module_is_stopped_from_another_thread() -> None:
     module = Module(period=60.0)
     assert module.runModuleThreaded(finder()) == 0
-    until(lambda: "update" in module.said, "a cycle")
+    until(lambda: "update" in module.said, "a cycle has run")
     assert module.joinModule(0.01) is False
     module.stopModule(True)
     assert module.said[-1] == "close"

@@ -25,7 +25,7 @@ def test_received_message_is_decoded_on_demand() -> None:
     assert not things.hasBeenRead()
     assert things.asBottle() == [1, 2]
     assert things.hasBeenRead()
-    assert things.asVector() is None  # it has been decoded as another type
+    assert things.asVector() is None  # already decoded as another type
     things.reset()
     assert things.asBottle() is None
 

@@ -53,7 +53,7 @@ def test_periodic_thread_runs_once_per_period() -> None:
 
     ticker = Ticker(0.01)
     assert ticker.start()
-    until(lambda: len(rounds) >= 3, "three cycles")
+    until(lambda: len(rounds) >= 3, "three cycles have run")
     ticker.suspend()
     ticker.askToStop()
     assert ticker.stop()

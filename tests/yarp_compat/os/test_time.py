@@ -49,7 +49,7 @@ def clock(name_server: object) -> Iterator[Clock]:
 
 
 def follow(clock: Clock, seconds: int = 100) -> None:
-    """Use the clock, and wait for its time."""
+    """Use the clock, and wait until its time is received."""
     yarp.Time.useNetworkClock("/clock")
     until(lambda: (clock.publish(seconds), yarp.Time.isValid())[1], "a time is received")
 
@@ -83,7 +83,7 @@ def test_delay_uses_the_clocks_time_and_does_not_grow_when_it_is_set_back(clock:
     until(lambda: waits(thread), "the delay has begun")
     clock.publish(104, 999_999_999)
     assert not done.wait(0.2)
-    clock.publish(10)  # set back, one nanosecond before the end of the delay of five seconds
+    clock.publish(10)  # the clock is set back one nanosecond before the end of the five-second delay
     until(lambda: (clock.publish(10, 100), done.is_set())[1], "the delay is over", every=0.05)
     thread.join()
 
@@ -97,15 +97,18 @@ def test_periodic_thread_uses_the_clocks_time(clock: Clock) -> None:
     counter = Counter(1.0)
     assert counter.start()
     try:
-        until(lambda: counter.getIterations() == 1, "the first cycle")
+        until(lambda: counter.getIterations() == 1, "the first cycle has run")
         for second in range(101, 106):
-            until(lambda s=second: (clock.publish(s), counter.getIterations() == s - 99)[1], "one cycle per second")
+            until(
+                lambda s=second: (clock.publish(s), counter.getIterations() == s - 99)[1],
+                "one cycle has run per second",
+            )
     finally:
         counter.stop()
 
 
 def test_wait_starts_at_the_time_that_the_caller_read(clock: Clock) -> None:
-    """The clock may advance after the thread has read it and before it waits; a periodic thread then lost a cycle."""
+    """If the clock advances after the thread has read it and before it waits, a periodic thread could lose a cycle."""
     follow(clock, 100)
     never = threading.Event()
     assert not yarp.os.time.wait(never, 1.0, since=99.0)
@@ -142,5 +145,5 @@ def test_clock_that_starts_later_and_restarts_is_followed(name_server: object) -
 def test_invalid_time_is_ignored(clock: Clock, caplog: pytest.LogCaptureFixture) -> None:
     follow(clock)
     clock.port.write(yarp.Bottle("noon"))
-    until(lambda: "invalid time from" in caplog.text, "it is logged")
+    until(lambda: "invalid time from" in caplog.text, "the invalid time is logged")
     assert yarp.now() == 100

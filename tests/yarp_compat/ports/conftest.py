@@ -22,7 +22,7 @@ def naming() -> LocalNaming:
 
 @pytest.fixture
 def fill_select(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """Ports share a loop on ``select``, as on Windows; after a call it accepts no further socket."""
+    """Let ports share a loop on ``select``, as on Windows; return a function after which the loop accepts no socket."""
     monkeypatch.setattr(selectors, "DefaultSelector", selectors.SelectSelector)
     return lambda: monkeypatch.setattr(threaded_loop, "_SELECT_LIMIT", 0)
 

@@ -16,12 +16,12 @@ from yarp_compat.wire.text import from_text, to_text
 
 
 def ask(port: PortCore, text: str) -> str:
-    """Return the answer to a command, both as text."""
+    """Return the answer to a command; both are in text form."""
     return to_text(admin.answer(port, from_text(text)))
 
 
 def type_lines(port: PortCore, *lines: str) -> str:
-    """Return a port's answer to typed lines."""
+    """Return a port's answer to lines typed in telnet."""
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.settimeout(10)
         sock.sendall("".join(f"{line}\r\n" for line in ("CONNECT me", *lines, "q")).encode())
@@ -41,12 +41,12 @@ def test_commands_connect_and_disconnect(make_port: MakePort) -> None:
     assert ask(writer, "[list] [in]") == ""
     assert ask(writer, "[list] [out] /r") == '(from "/w") (to "/r") (carrier fast_tcp)'
     assert ask(writer, "[list] [out] /other") == ""
-    until(lambda: [r.carrier for r in reader.inputs()] == ["fast_tcp"], "the connection")
+    until(lambda: [r.carrier for r in reader.inputs()] == ["fast_tcp"], "the reader has a fast_tcp connection")
     assert ask(reader, "[list] [in] /w") == '(from "/w") (to "/r") (carrier fast_tcp)'
     assert ask(writer, "[del] /r") == '0 "Removed connection from /w to /r\\r\\n"'
     assert ask(writer, "[add] udp://r") == '0 "Added connection from /w to udp://r\\r\\n"'
     assert ask(writer, "[list] [out] /r") == '(from "/w") (to "/r") (carrier udp) (connectionless 1)'
-    until(lambda: [r.carrier for r in reader.inputs()] == ["udp"], "the connection")
+    until(lambda: [r.carrier for r in reader.inputs()] == ["udp"], "the reader has a udp connection")
     assert ask(reader, "[del] /w") == '0 "Removing connection from /w to /r\\r\\n"'
     assert ask(reader, "[del] /w") == (
         '-1 "Could not find an outgoing connection to /w\\r\\nCould not find an incoming connection from /w\\r\\n"'
@@ -102,7 +102,7 @@ def test_properties_are_set_and_listed(make_port: MakePort) -> None:
 def test_type_of_service_of_a_connection(make_port: MakePort, carrier: str, requested: str, tos: int) -> None:
     reader, writer = make_port("/r"), make_port("/w")
     writer.add_output(f"{carrier}://r")
-    until(lambda: reader.inputs(), "the connection")
+    until(lambda: reader.inputs(), "the reader is connected")
     for port, other in ((writer, "/r"), (reader, "/w")):
         assert ask(port, f"[prop] [set] {other} (sched ((priority -1) (policy -1))) (qos ({requested}))") == "[ok]"
         assert ask(port, f"[prop] [get] {other}").endswith(f"(qos ((tos {tos})))")
@@ -148,7 +148,7 @@ def test_one_letter_commands(make_port: MakePort) -> None:
     assert type_lines(writer, "!/r") == "Removed connection from /w to /r\r\n"
     assert type_lines(writer, "!/r") == "Could not find an outgoing connection to /r\r\n"
     writer.add_output("/r")
-    until(reader.inputs, "the connection")
+    until(reader.inputs, "the reader is connected")
     assert type_lines(reader, "~/w") == "Removing connection from /w to /r\r\n"
     assert type_lines(reader, "?").startswith(
         "This is a YARP port.  Here are the commands it responds to:\r\n*       Gives"
@@ -170,17 +170,17 @@ def test_reader_reverses_its_connection(make_port: MakePort) -> None:
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.settimeout(10)
         sock.sendall(b"CONNECT me\r\nr\r\n")
-        until(port.outputs, "an output")
+        until(port.outputs, "the port has an output")
         port.write(content)
         received = b""
         while len(received) < 20:
             received += sock.recv(100)
         assert received == b"Welcome me\r\nD\r\na 1\r\n"
-    until(lambda: not port.outputs(), "its end is detected")
+    until(lambda: not port.outputs(), "the end of the connection is detected")
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.settimeout(10)
         sock.sendall(b"YA\xe4\x1e\0\0RP\x03\0\0\0me\0" + framing.words("r"))
-        until(port.outputs, "an output")
+        until(port.outputs, "the port has an output")
         port.write(content)
         expected = framing.prefix(len(content)) + content
         received = b""

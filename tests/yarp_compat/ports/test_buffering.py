@@ -1,4 +1,4 @@
-"""Messages for a slow peer: only the newest or all are queued, and other peers are not delayed."""
+"""Messages for a slow peer: only the newest one or all are queued, and other peers are not delayed."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_rest_of_a_message_is_sent_although_select_is_full(
 def test_peer_that_has_acknowledged_is_not_busy(
     make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The acknowledgement is read on demand, not only by the periodic check: commands skip busy peers."""
+    """The acknowledgement is read on demand, not only by the periodic check, because commands skip busy peers."""
     monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
     writer = make_port("/w")
     writer.add_output("tcp://slow")
@@ -158,12 +158,12 @@ def test_peer_is_not_busy_during_the_periodic_check(make_port: MakePort, monkeyp
     monkeypatch.setattr(output.socket_side, "is_connected", checking)
     output.check()
     command.join(20)
-    until(lambda: got == [b"go"], "the command")
+    until(lambda: got == [b"go"], "the command has arrived")
 
 
 @pytest.mark.parametrize("strict", [False, True])
 def test_writer_of_a_dropped_message_returns(make_port: MakePort, slow: Slow, strict: bool) -> None:
-    """The message is replaced by a newer one, or dropped by others that fill the queue."""
+    """The message is replaced by a newer one, or dropped because others fill the queue."""
     writer = make_port("/w", limit=3 * BIG)
     writer.add_output("tcp://slow")
     for _ in range(2):
@@ -227,9 +227,11 @@ def test_large_messages_do_not_make_the_queue_large(
     for _ in range(10):
         assert writer.write(bytes(BIG), strict=True) == 1
     dropped = writer.connections.outputs[0].counters.dropped
-    assert dropped["full"] == 10 - 1 - 2, "one is being sent, and the overhead leaves room for two"
+    assert dropped["full"] == 10 - 1 - 2, (
+        "one message is being sent, and because of the overhead two more fit in the queue"
+    )
     assert writer.write(bytes(4 * BIG), strict=True) == 1
-    assert dropped["full"] == 10 - 1, "one always fits, however large"
+    assert dropped["full"] == 10 - 1, "one message always fits, however large"
 
 
 def test_overhead_of_small_messages_counts(make_port: MakePort, slow: Slow) -> None:
@@ -264,7 +266,7 @@ def test_queued_message_may_be_changed_by_its_owner(make_port: MakePort, slow: S
 
 
 def test_slow_peer_does_not_delay_others(make_port: MakePort, slow: Slow) -> None:
-    """It reads nothing at all; another one receives every message at once."""
+    """The slow peer reads nothing at all; another peer receives every message at once."""
     got: list[int] = []
     make_port("/quick", lambda m: got.append(decode(m.payload[: len(m.payload) - BIG])[0]))
     writer = make_port("/w")
@@ -273,7 +275,7 @@ def test_slow_peer_does_not_delay_others(make_port: MakePort, slow: Slow) -> Non
     start = time.monotonic()
     for i in range(50):
         writer.write([encode([i], Profile.YARP3), bytes(BIG)], strict=False)
-        until(lambda n=i: len(got) == n + 1, "the quick peer receives it")
+        until(lambda n=i: len(got) == n + 1, "the quick peer receives the message")
     assert got == list(range(50))
     assert time.monotonic() - start < 30, "the writer did not block"
 
@@ -286,7 +288,7 @@ def test_waiting_for_a_slow_peer_ends_in_time(make_port: MakePort, slow: Slow) -
     assert 0.3 <= time.monotonic() - start < 10
     assert slow.read() == b"a"
     slow.acknowledge()
-    until(lambda: not writer.is_writing, "its acknowledgement is still read")
+    until(lambda: not writer.is_writing, "the acknowledgement is still read")
     threading.Timer(0.2, lambda: (slow.read(), slow.acknowledge())).start()
     assert writer.write(b"b", wait=True, timeout=10) == 1
 
@@ -305,13 +307,13 @@ def test_writer_of_a_queued_message_returns_after_the_peer_is_unlisted(
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     (output,), listed = writer.connections.outputs, list[int]()
-    close = output.socket_side.close  # after the writer has returned
+    close = output.socket_side.close  # runs after the writer has returned
     monkeypatch.setattr(output.socket_side, "close", lambda: (listed.append(len(writer.outputs())), close()))
     assert writer.write(b"a") == 1
     assert writer.write(b"waits") == 1, "the shared thread waits for the previous acknowledgement"
     threading.Timer(0.2, lambda: slow.sock and slow.sock.close()).start()
     assert writer.write(b"b", wait=True, timeout=20) == 0
-    assert until(lambda: listed, "its socket is closed")[0] == 0
+    assert until(lambda: listed, "the peer's socket is closed")[0] == 0
 
 
 @pytest.mark.parametrize("carrier", ["tcp", "udp"])
@@ -373,7 +375,7 @@ def test_request_that_is_only_acknowledged_is_an_error(make_port: MakePort, slow
 
 @pytest.mark.parametrize("profile", list(Profile))
 def test_long_reply_in_pieces(make_port: MakePort, slow: Slow, profile: Profile) -> None:
-    """Its end and its dialect are detected while it arrives."""
+    """The end and the dialect of the reply are detected while it arrives."""
     client = make_port("/c")
     client.add_output("tcp://slow")
     reply = encode([["text", 1.5, i, "x" * 100] for i in range(20_000)], profile)
@@ -416,7 +418,7 @@ def test_reply_above_the_limit_is_an_error(make_port: MakePort, slow: Slow) -> N
 
 
 def test_many_threads_write_to_one_port(make_port: MakePort) -> None:
-    """Blocking or not: every strict message arrives once and complete."""
+    """Whether writers block or not, every strict message arrives once and complete."""
     got: list[int] = []
     make_port("/r", lambda m: got.append(decode(m.payload)[0]))
     writer = make_port("/w")
@@ -440,7 +442,7 @@ def test_many_threads_write_to_one_port(make_port: MakePort) -> None:
 
 
 def test_messages_lost_by_a_closed_output_stay_counted(make_port: MakePort, slow: Slow) -> None:
-    """The output is removed with its counters, but the port still reports the lost messages and the reason."""
+    """The output is removed with its counters, but the port still reports how many messages were lost, and why."""
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     (output,) = writer.connections.outputs
@@ -448,7 +450,7 @@ def test_messages_lost_by_a_closed_output_stay_counted(make_port: MakePort, slow
         writer.write(bytes([i]) * 5_000_000, strict=True)
     assert slow.sock is not None
     slow.sock.close()
-    until(lambda: writer.lost["lost"] == 3, "all three are counted as lost")
+    until(lambda: writer.lost["lost"] == 3, "all three messages are counted as lost")
     assert output.counters.dropped["lost"] == 3
     assert writer.connections.outputs == []
 
@@ -463,7 +465,7 @@ def test_message_above_the_limit_is_counted_as_large(make_port: MakePort) -> Non
 
 
 def test_memory_of_a_large_message_is_freed(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is reserved for the next one only for some seconds."""
+    """The memory is kept for the next large message for a few seconds only."""
     monkeypatch.setattr(port, "_KEPT_FOR", 0.0)
     got: list[int] = []
     reader = make_port("/r", lambda m: got.append(len(m.payload)))
@@ -473,4 +475,4 @@ def test_memory_of_a_large_message_is_freed(make_port: MakePort, monkeypatch: py
         writer.write(encode([b"x" * 20_000_000], Profile.YARP3), wait=True, timeout=20)
         until(lambda count=count: len(got) == count, "the message arrives")
         (connection,) = reader.connections.inputs
-        until(lambda connection=connection: not connection.stream.kept, "its memory is freed")
+        until(lambda connection=connection: not connection.stream.kept, "the memory of the message is freed")

@@ -59,7 +59,7 @@ def test_pending_request_of_a_replaced_connection_is_abandoned_when_the_port_clo
 
     asker = threading.Thread(target=ask)
     asker.start()
-    until(lambda: waiting, "the request")
+    until(lambda: waiting, "the request has arrived")
     (former,) = server.connections.inputs
     client.add_output("/server")
     until(lambda: server.connections.inputs not in ([], [former]), "a new connection of the same port")
@@ -80,14 +80,14 @@ def test_port_opened_while_another_thread_closes_it_is_open_afterwards(
     def slowly() -> None:
         closing.set()
         opener.start()
-        opener.join(0.3)  # it is waiting
+        opener.join(0.3)  # the opening thread is waiting
         close()
 
     monkeypatch.setattr(port.connections, "close", slowly)
     closer = threading.Thread(target=port.close)
     closer.start()
     assert closing.wait(20)
-    port.close()  # the other thread is closing it
+    port.close()  # the other thread is already closing the port
     for thread in (closer, opener):
         thread.join(20)
     monkeypatch.undo()
@@ -131,11 +131,11 @@ def test_connection_closed_while_its_queue_becomes_empty_sends_a_farewell(
     monkeypatch.setattr(output.socket_side, "send_farewell", sending)
     shared = loop.acquire()
     try:
-        for _ in range(2):  # the second is queued until the first is acknowledged
+        for _ in range(2):  # the second message is queued until the first is acknowledged
             assert writer.write(HELLO, strict=True) == 1
-        until(lambda: taken, "the first message")
+        until(lambda: taken, "the first message has arrived")
         go_on.set()
-        until(lambda: sent, "the farewell")
+        until(lambda: sent, "the farewell is sent")
         closer.join(20)
     finally:
         loop.release(shared)

@@ -126,7 +126,7 @@ def test_output_writes_in_its_readers_dialect(
 
 
 def call(port: PortContact, name: bytes) -> socket.socket:
-    """Return a client's connection by fast_tcp, which is not answered yet."""
+    """Return a client's fast_tcp connection, which the server has not answered yet."""
     sock = socket.create_connection((port.host, port.port), 10)
     sock.sendall(b"YAd\x1e\0\0RP" + (len(name) + 1).to_bytes(4, "little") + name + b"\0")
     return sock
@@ -145,7 +145,7 @@ def ask(sock: socket.socket, request: bytes, size: int) -> bytes:
 def test_release_is_decided_before_the_client_asks_for_the_version(
     make_port: MakePort, naming: LocalNaming, other: Other
 ) -> None:
-    """A client's port answers no queries while it waits for a reply, so it is queried before its first request."""
+    """A client's port answers no queries while it waits for a reply, so it is queried before the first request."""
     naming.register("/client", *other.address)
     server = Server(Kept())
     port = make_port("/server", server, rpc=True, on_event=server.on_event)
@@ -160,7 +160,7 @@ def test_release_is_decided_before_the_client_asks_for_the_version(
         else:
             assert version.hex() == "0001000001000000030003000c000000"
             assert cleared == bytes.fromhex("01000000 00000000")
-        (decision,) = server.generations.explain()  # before the connection ends, which discards the decision
+        (decision,) = server.generations.explain()  # read before the connection ends, which discards the decision
     assert len(other.asked) == 1
     assert decision.generation is (
         Generation.YARP_4 if DIALECTS[other.answer] is Profile.YARP4 else Generation.YARP_3_12
@@ -168,7 +168,7 @@ def test_release_is_decided_before_the_client_asks_for_the_version(
 
 
 def test_replies_are_in_the_clients_dialect(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
-    """Even if the request has no numbers that would show the dialect."""
+    """This holds even if the request has no numbers, which would show the dialect."""
     naming.register("/client", *other.address)
 
     def on_message(message: PortMessage) -> None:
@@ -209,7 +209,7 @@ def test_closing_does_not_wait_long_for_a_query(make_port: MakePort, naming: Loc
         naming.register("/client", *mute.getsockname())
         port = make_port("/server", lambda _: None, rpc=True)
         with call(port.contact, b"/client"):
-            until(port.inputs, "the connection")
+            until(port.inputs, "the port is connected")
             port.close()
 
 

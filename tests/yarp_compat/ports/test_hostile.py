@@ -125,18 +125,21 @@ def test_invalid_messages_close_the_connection(works: Works, carrier: bytes, dat
 
 
 def test_announced_size_reserves_no_memory(make_port: MakePort) -> None:
-    """Fifty peers announce 64 MB each and send none of it."""
+    """Fifty peers announce 64 MB each, and send none of these bytes."""
     port = make_port("/r")
     before = psutil.Process().memory_info().rss
     index = b"YA\x0a\0\0\0RP\2\1" + b"\xff" * 8 + struct.pack("<iii", 8, 64 << 20, 0) + b"\0\0\0\0~D\0\1"
     socks = [call(port, FAST_TCP + b"\x06\0\0\0anon%d\0" % (n % 10), index) for n in range(50)]
-    until(lambda: len(port.inputs()) == 50, "all are connected")
-    until(lambda: sum(t.name.startswith("yarp anon") for t in threading.enumerate()) == 50, "all have a reading thread")
+    until(lambda: len(port.inputs()) == 50, "all peers are connected")
+    until(
+        lambda: sum(t.name.startswith("yarp anon") for t in threading.enumerate()) == 50,
+        "all connections have a reading thread",
+    )
     time.sleep(0.2)
     assert psutil.Process().memory_info().rss - before < 120 << 20
     for sock in socks:
         sock.close()
-    until(lambda: not port.inputs(), "all are closed")
+    until(lambda: not port.inputs(), "all connections are closed")
 
 
 def test_text_without_a_line_end(works: Works) -> None:
@@ -158,7 +161,7 @@ def test_long_line_of_data(works: Works) -> None:
 
 @pytest.mark.parametrize("depth", [300, 1_000_000 // 8])
 def test_deeply_nested_lists(works: Works, depth: int) -> None:
-    """As text, as a message, and as an administrative command."""
+    """The lists arrive as text, as a message, and as an administrative command."""
     text = b"(" * depth
     receive_all(call(works.port, b"CONNACK x\r\nd\r\n" + text + b"\r\nq\r\n"))
     works.check()
@@ -170,7 +173,7 @@ def test_deeply_nested_lists(works: Works, depth: int) -> None:
 
 
 def test_a_thousand_silent_connections(make_port: MakePort) -> None:
-    """They do not block a valid peer; the oldest are closed, and none has a thread."""
+    """Silent connections do not block a valid peer; the oldest are closed, and none has a thread."""
     works = Works(make_port)
     silent = []
     threads = threading.active_count()
@@ -199,8 +202,8 @@ def test_peers_that_are_silent_after_their_introduction(make_port: MakePort, mon
     works = Works(make_port)
     threads = threading.active_count()
     silent = [call(works.port, FAST_TCP + b"\x04\0\0\0%03d\0" % n) for n in range(200)]
-    until(lambda: len(works.port.inputs()) == 50, "at most fifty stay open")
-    assert threading.active_count() <= threads + 2, "none has a thread"
+    until(lambda: len(works.port.inputs()) == 50, "at most fifty connections stay open")
+    assert threading.active_count() <= threads + 2, "no silent connection has a thread"
     works.check()
     assert make_port("/other").add_output("/r")[0]
     for sock in silent:
@@ -242,7 +245,7 @@ def test_connections_changed_at_random_leave_the_port_working(works: Works) -> N
         sock.shutdown(socket.SHUT_WR)
         sock.close()
     works.check()
-    until(lambda: len(works.port.inputs()) == 1, "all are closed")
+    until(lambda: len(works.port.inputs()) == 1, "all changed connections are closed")
 
 
 def test_datagrams_from_other_senders_and_garbage(make_port: MakePort) -> None:
@@ -250,13 +253,13 @@ def test_datagrams_from_other_senders_and_garbage(make_port: MakePort) -> None:
     port = make_port("/r", lambda m: got.append(bytes(m.payload)))
     writer = make_port("/w")
     writer.add_output("udp://r")
-    until(port.inputs, "the connection")
+    until(port.inputs, "the port is connected")
     address = port.connections.inputs[0].sock.getsockname()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         for garbage in (b"", b"a", bytes(8), bytes(100), b"\xff" * 1000):
             sock.sendto(garbage, address)
         writer.write(HELLO)
-        until(lambda: got == [HELLO], "the message")
+        until(lambda: got == [HELLO], "the message has arrived")
     assert port.connections.inputs[0].counters.dropped["checksum"] >= 3
 
 
@@ -293,8 +296,11 @@ def test_a_thousand_connections_leak_nothing(make_port: MakePort) -> None:
 
     for carrier in ("tcp", "fast_tcp", "udp", "text", "text_ack", "local"):
         cycle(carrier)
-    until(lambda: not reader.inputs(), "the first are closed")
-    files, threads = process.num_fds(), threading.active_count()  # those of the first connections may be ending
+    until(lambda: not reader.inputs(), "the first connections are closed")
+    files, threads = (
+        process.num_fds(),
+        threading.active_count(),
+    )  # may include those of the first connections, which are still ending
     got.clear()
     for i in range(1000):
         cycle(("tcp", "fast_tcp", "text_ack", "local")[i % 4])
@@ -317,7 +323,7 @@ def test_the_datagram_socket_of_a_peer_that_left_is_closed(
     monkeypatch.setattr(connecting, "datagram_socket", datagram_socket)
     works = Works(make_port)
     assert not make_port("/w").add_output("udp://r")[0]
-    until(lambda: [sock.fileno() for sock in made] == [-1], "it is closed", 10)
+    until(lambda: [sock.fileno() for sock in made] == [-1], "the datagram socket is closed", 10)
     works.check()
 
 
@@ -325,7 +331,7 @@ def test_a_peer_is_disconnected_if_no_thread_can_read_it(make_port: MakePort) ->
     works = Works(make_port)
     with no_threads("yarp /x > /r"):
         assert not receive_all(call(works.port, TCP, WRITER, HELLO)).endswith(HELLO)
-    until(lambda: not any(i.route.source == "/x" for i in works.port.connections.inputs), "it is removed")
+    until(lambda: not any(i.route.source == "/x" for i in works.port.connections.inputs), "the connection is removed")
     works.check()
 
 

@@ -1,4 +1,4 @@
-"""Tests of HTTP requests to a port."""
+"""HTTP requests to a port."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_administrative_command_from_a_browser(make_port: MakePort) -> None:
 
 
 def test_cross_site_requests_are_refused(make_port: MakePort) -> None:
-    """A foreign page could otherwise send commands with its viewer's access."""
+    """Otherwise, a foreign page could send commands with the access rights of the user who views it."""
     port = make_port("/r", echo)
     for headers in ({"Origin": "http://elsewhere"}, {"Origin": "null"}, {"Sec-Fetch-Site": "cross-site"}):
         with pytest.raises(urllib.error.HTTPError, match="403"):

@@ -31,7 +31,7 @@ def test_socket_that_is_ready_when_the_loop_stops_is_handled() -> None:
         loop.call_soon(lambda: loop.on_readable(near, receive))
         stopping = threading.Thread(target=loop.stop)
         stopping.start()
-        until(lambda: len(loop._calls) == 2, "the stop follows directly after the watch")
+        until(lambda: len(loop._calls) == 2, "the stop is queued directly after the watch")
         far.shutdown(socket.SHUT_RDWR)
         hold.set()
         stopping.join()
@@ -95,7 +95,7 @@ def test_connection_that_select_cannot_watch_delivers_its_messages(
     writer = make_port("/out")
     writer.add_output("/in")
     writer.write(b"payload", strict=True)
-    until(lambda: received == [b"payload"], "the message")
+    until(lambda: received == [b"payload"], "the message has arrived")
 
 
 def test_port_that_select_cannot_watch_is_not_open(

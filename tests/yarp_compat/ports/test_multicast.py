@@ -30,7 +30,7 @@ MESSAGE = (
     "59 41 0a 00 00 00 52 50 02 01 ff ff ff ff ff ff ff ff 08 00 00 00 1b 00 00 00 00 00 00 00 00 00 00 00 7e 44 00 01"
     "00 01 00 00 02 00 00 00 04 00 00 00 03 00 00 00 6d 73 67 01 00 00 00"
 )
-RECORDED = (  # of `yarp write` 4.0 by mcast: the introduction of /w, then two datagrams ("msg" 4), ("msg" 5)
+RECORDED = (  # from `yarp write` 4.0 over mcast: the introduction of /w, then two datagrams ("msg" 4), ("msg" 5)
     "59 41 62 1e 00 00 52 50 03 00 00 00 2f 77 00 e0 01 01 03",
     f"80 7f 13 23 00 00 00 00 {MESSAGE} 04 00 00 00",
     f"e5 18 af 9b 00 00 00 00 {MESSAGE} 05 00 00 00",
@@ -74,7 +74,7 @@ def fixture_server() -> Iterator[RealNameServer]:
 
 
 class Reader(list[object]):
-    """A list of the received values."""
+    """The list of the received values."""
 
     def __call__(self, message: PortMessage) -> None:
         self.append(decode(message.payload))
@@ -96,7 +96,7 @@ def fixture_make(server: RealNameServer) -> Iterator[Callable[..., PortCore]]:
 
 
 def announce_group(port: PortCore, group_port: int) -> None:
-    """Send a real writer's introduction, and check that the reader closes the connection when it has joined."""
+    """Send a real writer's introduction, and check that the reader joins the group and then closes the connection."""
     with socket.create_connection((port.contact.host, port.contact.port)) as caller:
         caller.sendall(bytes.fromhex(RECORDED[0]) + struct.pack(">H", group_port))
         caller.settimeout(10)
@@ -115,15 +115,17 @@ def test_recorded_datagrams_are_received(make: Callable[..., PortCore]) -> None:
         writer.send(bytes.fromhex("76 68 8a e3 ff ff ff ff") + bytes(10))
         for recorded in RECORDED[1:]:
             writer.send(bytes.fromhex(recorded))
-        until(lambda: len(got) == 2, "two messages")
+        until(lambda: len(got) == 2, "two messages have arrived")
     assert got == [["msg", 4], ["msg", 5]]
-    with socket.create_connection((port.contact.host, port.contact.port)) as sock:  # a companion disconnects like this
+    with socket.create_connection(
+        (port.contact.host, port.contact.port)
+    ) as sock:  # this is how a companion disconnects
         sock.sendall(b"CONNECT admin\r\n~/w\r\nq\r\n")
         until(lambda: not port.inputs(), "the connection is removed")
 
 
 def test_messages_of_two_programs_on_one_machine_are_not_mixed(make: Callable[..., PortCore]) -> None:
-    """A long message of one is complete, whatever the other sends in between."""
+    """A long message of one program is complete, whatever the other program sends in between."""
     got, number = Reader(), free_port()
     announce_group(make("/r", got), number)
     payload = encode([b"x" * 150_000], Profile.YARP3)
@@ -131,12 +133,12 @@ def test_messages_of_two_programs_on_one_machine_are_not_mixed(make: Callable[..
         for part in split([prefix(len(payload)), payload]):
             sender.send(part)
             other.send(bytes.fromhex(RECORDED[1]))
-        until(lambda: [b"x" * 150_000] in got, "the long message")
+        until(lambda: [b"x" * 150_000] in got, "the long message has arrived")
     assert got.count(["msg", 4]) >= 2
 
 
 def test_losses_of_many_sockets_of_one_program_stay_counted(make: Callable[..., PortCore]) -> None:
-    """A reader has assemblers for four senders at a time; the losses of removed ones stay counted."""
+    """A reader keeps assemblers for at most four senders; losses counted by removed assemblers stay counted."""
     number = free_port()
     port = make("/r", Reader())
     announce_group(port, number)
@@ -158,7 +160,7 @@ def test_group_that_cannot_be_announced_leaks_no_socket(
 ) -> None:
     writer, created = make("/w"), list[SendingGroup]()
     make("/r")
-    before = groups()  # from earlier tests
+    before = groups()  # left over from earlier tests
 
     def refused(_name: str) -> None:
         created.extend(group for group in groups() if group not in before)
@@ -173,7 +175,7 @@ def test_group_that_cannot_be_announced_leaks_no_socket(
 
 
 def test_output_sends_the_same_bytes_as_a_real_one(make: Callable[..., PortCore], server: RealNameServer) -> None:
-    """The introduction, one datagram for all readers, and the group, which is registered while it has readers."""
+    """Check the introduction, one datagram for all readers, and the group's registration while it has readers."""
     writer, number = make("/w"), 0
     with socket.create_server(("127.0.0.1", 0)) as acceptor:
         server.answer(["register", "/r", "tcp", *acceptor.getsockname()])
@@ -207,7 +209,7 @@ def test_output_sends_the_same_bytes_as_a_real_one(make: Callable[..., PortCore]
 
 
 def test_yarp_connect_by_mcast_delivers_messages(make: Callable[..., PortCore], server: RealNameServer) -> None:
-    """Two readers, and a third by tcp: each receives each message once, also a long one, until it is disconnected."""
+    """Two readers, and a third one over tcp: until disconnected, each receives every message once, even a long one."""
     first, second, third = Reader(), Reader(), Reader()
     writer = make("/w")
     for name, got in (("/one", first), ("/two", second), ("/three", third)):
@@ -219,7 +221,7 @@ def test_yarp_connect_by_mcast_delivers_messages(make: Callable[..., PortCore], 
     for value in values:
         assert writer.write(encode(value, Profile.YARP3), wait=True, timeout=10) == 3  # type: ignore[arg-type]
     for got in (first, second, third):
-        until(lambda got=got: len(got) == len(values), "all messages")
+        until(lambda got=got: len(got) == len(values), "all messages have arrived")
         assert got == values
     connections.disconnect(writer.naming, "/w", "/one")
     writer.write(encode([3], Profile.YARP3))

@@ -1,4 +1,4 @@
-"""Ports with each other: every carrier, envelopes, replies, connections."""
+"""Ports connected to each other: every carrier, envelopes, replies and connections."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_message_with_an_envelope(make_port: MakePort, carrier: str) -> None:
     writer = make_port("/w")
     assert writer.add_output(f"{carrier}://r") == (True, f"Added connection from /w to {carrier}://r")
     assert writer.write(HELLO, "7 1795143618.02289", wait=True, timeout=10) == 1
-    until(lambda: reader.got, "the message")
+    until(lambda: reader.got, "the message has arrived")
     assert reader.got == [(["hello", 42, 3.5], "7 1795143618.02289")]
     assert writer.outputs() == [ConnectionRoute("/w", "/r", carrier)]
 
@@ -60,7 +60,7 @@ def test_message_without_an_envelope(make_port: MakePort, carrier: str) -> None:
     writer = make_port("/w")
     writer.add_output(f"{carrier}://r")
     writer.write(HELLO, strict=True)
-    until(lambda: reader.got, "the message")
+    until(lambda: reader.got, "the message has arrived")
     assert reader.got == [(["hello", 42, 3.5], "")]
 
 
@@ -73,7 +73,7 @@ def test_messages_of_all_sizes(make_port: MakePort, carrier: str, size: int) -> 
     writer.add_output(f"{carrier}://r")
     sent = bytes(range(256)) * (size // 256) + bytes(size % 256)
     writer.write([sent[:10], memoryview(sent)[10:]], wait=True, timeout=10)
-    until(lambda: got, "the message")
+    until(lambda: got, "the message has arrived")
     assert got == [sent]
 
 
@@ -110,7 +110,7 @@ def test_message_in_many_blocks(make_port: MakePort) -> None:
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.sendall(b"YAd\x1e\0\0RP\x03\0\0\0/w\0")
         sock.sendall(head + struct.pack("<5i", *map(len, blocks)) + bytes(4) + b"".join(blocks))
-        until(lambda: got, "the message")
+        until(lambda: got, "the message has arrived")
     assert got == [b"ab" + b"c" * 70_000 + b"de"]
 
 
@@ -122,7 +122,7 @@ def test_all_connected_readers_receive_a_message(make_port: MakePort) -> None:
         assert writer.add_output(f"{carrier}://r{i}")[0]
     assert writer.write(HELLO, "1 2", wait=True, timeout=10) == len(ALL)
     for reader in readers:
-        until(lambda got=reader.got: got == [(["hello", 42, 3.5], "1 2")], "the message")
+        until(lambda got=reader.got: got == [(["hello", 42, 3.5], "1 2")], "the message has arrived")
 
 
 def test_each_reader_receives_its_dialect(make_port: MakePort) -> None:
@@ -142,18 +142,24 @@ def test_connecting_again_replaces_the_output(make_port: MakePort) -> None:
     for carrier in ("tcp", "fast_tcp", "tcp", "udp", "text"):
         assert writer.add_output(f"{carrier}://r")[0]
         assert writer.outputs() == [ConnectionRoute("/w", "/r", carrier)]
-        until(lambda c=carrier: reader.inputs() == [ConnectionRoute("/w", "/r", c)], f"only {carrier}")
+        until(
+            lambda c=carrier: reader.inputs() == [ConnectionRoute("/w", "/r", c)],
+            f"only the {carrier} connection is left",
+        )
 
 
 def test_second_connection_of_a_port_replaces_the_first(make_port: MakePort) -> None:
-    """The port may have returned before its end was detected; connections of tools, which share names, all stay."""
+    """A port may return before its old connection's end is detected. Tools share names, so their connections stay."""
     port = make_port("/r", Reader())
     socks = []
     for name in (b"/w\0", b"/v\0", b"/w\0", b"ad\0", b"ad\0"):
         socks.append(socket.create_connection((port.contact.host, port.contact.port)))
         socks[-1].sendall(b"YAd\x1e\0\0RP\x03\0\0\0" + name)
         assert len(socks[-1].recv(8)) == 8
-    until(lambda: sorted(r.source for r in port.inputs()) == ["/v", "/w", "ad", "ad"], "one of each port")
+    until(
+        lambda: sorted(r.source for r in port.inputs()) == ["/v", "/w", "ad", "ad"],
+        "one connection of each port is left",
+    )
     socks[0].settimeout(10)
     assert socks[0].recv(1) == b""
     for sock in socks:
@@ -165,12 +171,12 @@ def test_either_end_can_disconnect(make_port: MakePort) -> None:
     writer = make_port("/w")
     for carrier in ALL:
         writer.add_output(f"{carrier}://r")
-        until(reader.inputs, "the connection")
+        until(reader.inputs, "the reader is connected")
         assert writer.remove_output("/r") == (True, "Removed connection from /w to /r")
         until(lambda: not reader.inputs(), f"the reader detects the end of {carrier}")
     for carrier in ("tcp", "fast_tcp", "text", "text_ack", "local"):
         writer.add_output(f"{carrier}://r")
-        until(reader.inputs, "the connection")
+        until(reader.inputs, "the reader is connected")
         assert reader.remove_input("/w") == (True, "Removing connection from /w to /r")
         until(lambda: not writer.outputs(), f"the writer detects the end of {carrier}")
     assert writer.remove_output("/r") == (False, "Could not find an outgoing connection to /r")
@@ -186,14 +192,14 @@ def test_writer_detects_a_closed_reader(make_port: MakePort) -> None:
         until(lambda: not writer.outputs(), f"the writer detects the end of the {carrier} reader")
     reader = make_port("/r", Reader())
     writer.add_output("udp://r")
-    until(reader.inputs, "the connection")
+    until(reader.inputs, "the reader is connected")
     reader.close()
 
     def disconnected() -> bool:
         writer.write(HELLO)
         return not writer.outputs()
 
-    until(disconnected, "udp: the machine rejects datagrams")
+    until(disconnected, "the writer is disconnected because the machine rejects its udp datagrams")
 
 
 def test_both_ends_report_a_connection_and_its_end(make_port: MakePort) -> None:
@@ -201,9 +207,9 @@ def test_both_ends_report_a_connection_and_its_end(make_port: MakePort) -> None:
     reader = make_port("/r", on_event=events.append)
     writer = make_port("/w", on_event=events.append)
     writer.add_output("/r")
-    until(reader.inputs, "the connection")
+    until(reader.inputs, "the reader is connected")
     writer.remove_output("/r")
-    until(lambda: len(events) == 4, "four events")
+    until(lambda: len(events) == 4, "four events have arrived")
     route = ConnectionRoute("/w", "/r", "tcp")
     assert sorted(events, key=lambda e: (not e.up, e.incoming)) == [
         ConnectionEvent(route, incoming=False, up=True), ConnectionEvent(route, incoming=True, up=True),
@@ -217,7 +223,7 @@ def test_rpc_client_has_one_server(make_port: MakePort) -> None:
     client = make_port("/c", rpc=True)
     assert client.add_output("/a")[0]
     assert client.add_output("/b") == (False, "RPC output already connected")
-    assert client.add_output("/a")[0], "the same server replaces it"
+    assert client.add_output("/a")[0], "a new connection to the same server replaces the old one"
 
 
 @pytest.mark.parametrize(
@@ -246,7 +252,7 @@ def test_impossible_connections_are_refused(
     ["tcp+recv.portmonitor+type.dll://r", "tcp+send.portmonitor+type.dll://r", "udp+log.in://r", "tcp+nonsense://r"],
 )
 def test_carrier_modifiers_are_refused(make_port: MakePort, target: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Ports cannot modify messages, and the peer would take unmodified ones for modified ones."""
+    """Ports cannot modify messages, and the peer would mistake unmodified messages for modified ones."""
     reader = make_port("/r")
     writer = make_port("/w")
     done, message = writer.add_output(target)
@@ -264,8 +270,8 @@ def test_carrier_modifiers_are_refused(make_port: MakePort, target: str, caplog:
 def test_modifier_of_the_writer_is_accepted(make_port: MakePort, first: bytes) -> None:
     """A C++ port that connects with ``send.portmonitor`` modifies its messages itself; with ``recv`` it is refused.
 
-    It accepts any eight bytes as an answer (``TcpCarrier::expectReplyToHeader``): after a refusal in words, ``yarp
-    connect`` of 3.9.1 reported "Success", so no answer is sent.
+    The C++ port accepts any eight bytes as an answer (``TcpCarrier::expectReplyToHeader``): after a refusal in words,
+    ``yarp connect`` of 3.9.1 reported "Success", so no answer is sent.
     """
     reader = make_port("/r")
     for qualifiers, taken in ((b"(send portmonitor) (type dll)", True), (b"(send x) (recv y)", False)):
@@ -430,14 +436,14 @@ def test_text_in_either_dialect(make_port: MakePort, carrier: str, profile: Prof
     writer = make_port("/w", profile=profile)
     writer.add_output(f"{carrier}://r")
     writer.write(encode([Float32(1.5), Float32(2.5)], profile), strict=True)
-    until(lambda: got, "the message")
+    until(lambda: got, "the message has arrived")
     assert got == [encode([1.5, 2.5], profile)]
 
 
 def test_port_whose_number_another_socket_takes_leaks_nothing(
     naming: LocalNaming, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two sockets can bind a number until one listens. If the number is not fixed, the port chooses another."""
+    """Two sockets can bind the same number until one listens. If the number is not fixed, the port chooses another."""
     before = set(threading.enumerate())
     listen, taken = socket.socket.listen, list[int]()
 

@@ -1,4 +1,4 @@
-"""Recorded bytes of real YARP programs, replayed to and by Midspan's ports: both roles, both dialects."""
+"""Recorded bytes of real YARP programs, replayed to and compared with Midspan's ports: both roles, both dialects."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def talks(name: str, *numbers: int, without: range = range(0)) -> list[Talk]:
 
 
 MCAST = range(15, 24)
-"""The connections of carriers-admin.txt with mcast, which this test does not cover."""
+"""The mcast connections of carriers-admin.txt, which these tests do not cover."""
 
 
 # -- Midspan's port accepts --------------------------------------------------------------------------------------------
@@ -89,7 +89,7 @@ def assert_answers(talk: Talk, address: tuple[str, int], profile: Profile) -> No
             elif step.by == "S":
                 received = receive(sock, len(step.data))
                 if step.data.startswith(b"YA") and talk.steps[0].data.startswith(b"YAa"):
-                    assert framed(received), "udp: another port number"
+                    assert framed(received), "a reply for udp contains a different port number"
                 elif step.data != b"\0\0\0\0":
                     assert received == step.data
 
@@ -104,7 +104,7 @@ def test_reader_of_connect(profile: Profile) -> None:
     with opened("/reader", 10002, on_message=on_message) as (_, address):
         for talk in talks("connect.txt", 10002):
             assert_answers(talk, address, profile)
-        until(lambda: len(got) == 3, "three messages")
+        until(lambda: len(got) == 3, "three messages have arrived")
     assert got == [["hello", 42, 3.5], [1, 2, 3], [["a", "b"], "ok", b"\1\2\xff", "x y", -7, 3000000000]]
 
 
@@ -127,7 +127,7 @@ def _comparable(talk: Talk) -> Talk:
     kept = []
     for request, answer in zip(talk.steps[::2], talk.steps[1::2], strict=True):
         if b"prop\x09\0\0\0get\0\x04" in request.data:
-            continue  # describes the process: see test_admin
+            continue  # describes the process; tested in test_admin
         kept += [request, answer]
     return Talk(talk.number, talk.port, kept)
 
@@ -140,10 +140,10 @@ def test_reader_of_carriers(number: int) -> None:
         if b"~/w" in talk.sent_by("C"):
             sock = socket.create_connection(address)
             sock.sendall(b"YAd\x1e\0\0RP\x03\0\0\0/w\0")
-            until(port.inputs, "the connection to remove")
+            until(port.inputs, "the connection to be removed exists")
             assert_answers(talk, address, Profile.YARP4)
             assert sock.recv(100)[:2] == b"YA"
-            assert sock.recv(100) == b"", "removed"
+            assert sock.recv(100) == b"", "the port has closed the connection"
             sock.close()
             return
         if number == 39:
@@ -153,12 +153,12 @@ def test_reader_of_carriers(number: int) -> None:
             until(lambda: not port.inputs(), "the end of that connection is detected")
         assert_answers(_comparable(talk), address, Profile.YARP4)
         count = sum(len(split(s.data)) for s in talk.steps if s.by == "C" and s.data[:1] in b"DY" and b"msg" in s.data)
-        until(lambda: len(got) == count, f"{count} messages")
+        until(lambda: len(got) == count, f"{count} messages have arrived")
         assert all("msg" in g for g in got)
 
 
 def _check_help(request: bytes, answer: bytes, address: tuple[str, int]) -> None:
-    """Compare the recorded part of the answer, which is longer."""
+    """Compare the answer with its recorded beginning."""
     with socket.create_connection(address) as sock:
         sock.sendall(b"YA\xe4\x1e\0\0RP\x09\0\0\0anon_rpc\0" + request)
         assert receive(sock, 8 + 1494)[8:][: len(answer)] == answer
@@ -166,7 +166,7 @@ def _check_help(request: bytes, answer: bytes, address: tuple[str, int]) -> None
 
 
 def test_writer_answers_companions() -> None:
-    """A port that only gets queries of its connections."""
+    """This port receives only queries about its connections."""
     with opened("/w", 10006) as (_, address):
         for number in (1, 7, 24):
             (talk,) = [t for t in talks("carriers-admin.txt", 10006) if t.number == number]
@@ -248,7 +248,7 @@ class Stage:
 def test_a_writer_sends_the_recorded_bytes(
     name: str, number: int, other: tuple[str, int], file: str, profile: Profile
 ) -> None:
-    """A companion connects the port to another, it writes, it is disconnected: fast_tcp, udp, text and text_ack."""
+    """A companion connects the writer to another port, the writer writes, and the companion disconnects it."""
     left_out = MCAST if number == 10006 else range(0)
     recorded = [t for t in talks(file, number, other[1], without=left_out) if t.steps]
     with opened(name, number, profile=profile) as (port, address):

@@ -56,7 +56,7 @@ def test_reply_from_another_thread(make_port: MakePort) -> None:
     got: list[bytes] = []
     thread = threading.Thread(target=lambda: got.append(client.request(HELLO, timeout=10)))
     thread.start()
-    until(lambda: waiting, "the request")
+    until(lambda: waiting, "the request has arrived")
     waiting[0].reply([HELLO[:5], HELLO[5:]])
     thread.join(10)
     assert got == [HELLO]
@@ -83,7 +83,7 @@ def test_request_without_a_reply_ends_with_the_port(make_port: MakePort, owner: 
 
     thread = threading.Thread(target=ask)
     thread.start()
-    until(lambda: server.counters.received, "the request")
+    until(lambda: server.counters.received, "the request has arrived")
     server.close()
     thread.join(10)
     assert failed
@@ -93,10 +93,10 @@ def test_request_without_a_reply_ends_with_the_port(make_port: MakePort, owner: 
 def test_request_during_closing_gets_no_reply(
     make_port: MakePort, monkeypatch: pytest.MonkeyPatch, owner: Callable[[PortMessage], None] | None
 ) -> None:
-    """Not even an empty one: the client sees the connection close."""
+    """There is not even an empty reply: the client sees the connection close."""
     server, client = make_port("/server", owner), make_port("/client")
     client.add_output("/server")
-    until(server.inputs, "the connection")
+    until(server.inputs, "the server is connected")
     close, failed = server.connections.close, list[Exception]()
 
     def close_after_request() -> None:
@@ -132,7 +132,7 @@ def test_udp_carries_no_replies(make_port: MakePort) -> None:
 
 
 def test_closing_port_sends_the_reply_that_its_owner_is_making(make_port: MakePort) -> None:
-    """For example a module that closes its ports while it replies to ``quit``."""
+    """For example, a module closes its ports while it replies to ``quit``."""
     ends: list[threading.Thread] = []
 
     def on_message(message: PortMessage) -> None:
@@ -149,7 +149,7 @@ def test_closing_port_sends_the_reply_that_its_owner_is_making(make_port: MakePo
 
 
 def test_closing_port_sends_the_reply_of_another_thread(make_port: MakePort) -> None:
-    """For example a program that replies to the last request and closes."""
+    """For example, a program replies to the last request and closes."""
     for _ in range(50):
         waiting: list[PortMessage] = []
 
@@ -162,7 +162,7 @@ def test_closing_port_sends_the_reply_of_another_thread(make_port: MakePort) -> 
         got: list[bytes] = []
         thread = threading.Thread(target=lambda c=client, g=got: g.append(c.request(HELLO, timeout=10)))
         thread.start()
-        until(lambda w=waiting: w, "the request")
+        until(lambda w=waiting: w, "the request has arrived")
         waiting[0].reply(HELLO)
         server.close()
         thread.join(10)

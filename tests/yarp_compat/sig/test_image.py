@@ -68,7 +68,7 @@ def test_image_is_a_bottle(code: PixelCode) -> None:
 
 
 def test_image_of_3_12() -> None:
-    """Its header has a 1 after the quantum, which 3.9 reads as upside down and 4.0 as a part of the quantum."""
+    """The image's header has a 1 after the quantum, which 3.9 reads as upside down and 4.0 as a part of the quantum."""
     data = TYPED["ImageRgb"]
     for image in (ImageRgb.from_bytes(data), FlexImage.from_bytes(data)):
         assert image.numpy()[1].tolist() == [[0, 1, 9], [1, 1, 9], [2, 1, 9]]
@@ -104,7 +104,7 @@ def test_official_idiom_reads_into_an_array() -> None:
 
 
 def test_official_idiom_copies_into_an_array() -> None:
-    """As in `bindings/python/examples/yarpImage.py`, including its check of the pointer."""
+    """The code is that of `bindings/python/examples/yarpImage.py`, including its check of the pointer."""
     array = np.ones((480, 640, 3), dtype=np.uint8)
     image = ImageRgb()
     image.resize(640, 480)
@@ -133,7 +133,7 @@ def test_array_is_sent_without_a_copy() -> None:
 
 @pytest.mark.parametrize("width", [4, 5, 6, 7, 8])
 def test_arrays_of_any_width(width: int) -> None:
-    """C++ YARP treats rows of an array as padded after the image has had a size."""
+    """C++ YARP treats an array's rows as padded if the image was resized before."""
     array = np.arange(width * 3 * 3, dtype=np.uint8).reshape(3, width, 3)
     for resized in (False, True):
         image = ImageRgb()
@@ -288,7 +288,7 @@ def test_copy_converts_and_scales() -> None:
 
 
 def test_vectors_memory_is_used_too() -> None:
-    """As in YARP's test of its Python bindings."""
+    """YARP's test of its Python bindings does this."""
     vector, image = Vector(320 * 240), ImageMono()
     image.setExternal(vector, 320, 240)
     image.setPixel(1, 0, 255)

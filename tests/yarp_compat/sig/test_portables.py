@@ -81,7 +81,7 @@ KINDS: list[type[Portable]] = [Vector, VectorInt, Matrix, ImageRgb, Sound, Laser
 
 
 def of_yarp3(data: bytes) -> bytes:
-    """Convert the bytes to YARP 3, by the fact sheet's rule; outcomes of calls are excluded."""
+    """Convert the bytes to YARP 3, by the rule in the fact sheet; outcomes of calls are excluded."""
     if data[:2] == b"\x0a\x01":
         return b"\x80" + data[1:]
     return re.sub(rb"\x14([\x00\x01]\x00\x00)", b"\x0a\\1", data)
@@ -111,7 +111,7 @@ def kind_of(name: str) -> type[Portable]:
 
 @pytest.mark.parametrize("name", TYPED)
 def test_bytes_of_yarp_3_12_3(name: str) -> None:
-    """Encoded again they are the same, apart from the 1 that 3.10 to 3.12 write after an image's quantum."""
+    """Re-encoded, the bytes are the same, apart from the 1 that 3.10 to 3.12 write after an image's quantum."""
     data, kind = TYPED[name], kind_of(name)
     value = kind.from_bytes(data, Profile.YARP3)
     if isinstance(value, Image):
@@ -165,7 +165,7 @@ def test_truncated_or_too_long_bytes_are_refused_and_change_nothing(name: str, p
 
 @pytest.mark.parametrize("name", VALUES)
 def test_read_and_write_on_a_connection(name: str) -> None:
-    """As in YARP's classes, with the value between others."""
+    """This works as in YARP's classes; the value is between other values."""
     from yarp_compat.wire.elements import ElementReader, ElementWriter
 
     value = VALUES[name]
@@ -229,13 +229,13 @@ def test_inconsistent_images_are_refused_before_memory_is_allocated() -> None:
 
 
 def test_generated_structures_print_as_in_cpp() -> None:
-    """The output of 3.12.3 and 4.0."""
+    """The expected text is the output of YARP 3.12.3 and 4.0."""
     scan = LaserScan2D(-90, 90, 0.1, 10, Vector([0.5, 1.5, 2.5, 3.5]), 1)
     assert scan.toString() == "-90.0 90.0 0.100000000000000005551 10.0 (0.5 1.5 2.5 3.5) 1"
 
 
 def test_empty_values_are_written_as_in_yarp_and_read() -> None:
-    """C++ YARP refuses to read them."""
+    """C++ YARP refuses to read such values."""
     for value in (Vector(), VectorInt(), Matrix(), ImageRgb(), FlexImage(), Map2DArea(), Map2DPath(), LaserScan2D()):
         for profile in Profile:
             assert type(value).from_bytes(value.to_bytes(profile), profile) == value
@@ -278,7 +278,7 @@ def test_images_are_swapped_and_moved() -> None:
 
 
 def test_data_fills_the_elements() -> None:
-    """As in the bindings' example_enc.py: ``ienc.getEncoders(encs.data())``."""
+    """The bindings' example_enc.py does this: ``ienc.getEncoders(encs.data())``."""
     vector, matrix = yarp.Vector.from_bytes(yarp.Vector([1, 2]).to_bytes()), Matrix([[1, 2], [3, 4]]).transposed()
     vector.data()[0] = 7
     matrix.data()[1] = 9

@@ -12,7 +12,7 @@ from yarp_compat.wire.values import Float32, Int8, Int16, Int64, Vocab, Vocab64
 
 letters = st.text([chr(code) for code in range(33, 127) if chr(code) not in r'"\()[]{},'], min_size=1, max_size=8)
 nonempty = letters.filter(lambda word: word != "1")
-"""The word `1` would be true."""
+"""Excludes the word `1`, which would be true."""
 strings = st.text(st.characters(exclude_categories=["Cs"]), max_size=20) | st.binary(max_size=8).map(
     lambda data: data.decode(errors="surrogateescape")
 )
@@ -43,7 +43,7 @@ bottles = st.lists(st.recursive(leaves, _inner, max_leaves=20), max_size=8) | st
 
 
 def typed(value: Any) -> Any:
-    """Add the wire types to a value for comparison: of ints by size, of nan as equal to itself."""
+    """Add the wire types to a value for comparison: ints are compared with their size, and nan equals itself."""
     if isinstance(value, (list, tuple)):
         return [typed(item) for item in value]
     if isinstance(value, dict):

@@ -35,7 +35,7 @@ def test_the_opening_bytes_of_each_carrier(name: str) -> None:
 
 
 def test_qualifiers_follow_the_senders_name() -> None:
-    """They follow the sender's name."""
+    """Qualifiers are a part of the opening, after the sender's name."""
     carrier, qualifiers = carriers.parse("tcp+recv.portmonitor+type.dll")
     data = carriers.opening(carrier, "/w", qualifiers)
     assert data == b"YA\xe4\x1e\0\0RP" + b"\x21\0\0\0/w (recv portmonitor) (type dll)\0"
@@ -148,7 +148,7 @@ def test_announced_sizes_above_the_limit_are_refused(total: int) -> None:
 
 
 def test_a_recorded_datagram_is_assembled_and_written_again() -> None:
-    """Captured from mcast of 4.0, identical to udp's; and one that only ends a stream."""
+    """One was captured from mcast of YARP 4.0 (udp's is identical); another one only ends a stream."""
     recorded = bytes.fromhex(
         "e5 18 af 9b 00 00 00 00 59 41 0a 00 00 00 52 50 02 01 ff ff ff ff ff ff ff ff 08 00 00 00 1b 00 00 00"
         "00 00 00 00 00 00 00 00 7e 44 00 01 00 01 00 00 02 00 00 00 04 00 00 00 03 00 00 00 6d 73 67 01 00 00 00"

@@ -62,7 +62,7 @@ def test_text_parsed_by_real_yarp(given_text: str, recorded: str) -> None:
     ],
 )  # fmt: skip
 def test_unusual_numbers_are_parsed_as_in_yarp(word: str, value: Any) -> None:
-    """As in `yarp/os/impl/BottleImpl.cpp` and C's number functions; the measured ones are above."""
+    """The rules are those of `yarp/os/impl/BottleImpl.cpp` and C's number functions; measured ones are tested above."""
     assert typed(from_text(word)) == typed([value])
     assert typed(from_text(f" x,{word}\t y")) == typed(["x", value, "y"])
 
@@ -123,7 +123,7 @@ def test_values_survive_the_text_form(values: list[Any]) -> None:
 @example(line='"\\')
 @example(line="a\\ b")
 def test_any_text_is_split_like_character_by_character(line: str) -> None:
-    """Compare with the same rules applied to one character after another."""
+    """Compare the words with those of the same rules applied to one character after another."""
     assert text.split_words(line)[0] == _slowly_split(line)
     values = from_text(line)
     assert typed(values) == typed(text.TextReader(line).values(line, 0))

@@ -56,7 +56,7 @@ def streamed(profile: Profile) -> Iterator[bytes]:
 
 
 def board_of(method: str, arguments: list[Any], results: tuple[Any, ...]) -> JointBoard:
-    """Make a board of three joints that expects the recorded call and returns the recorded results."""
+    """Return a board of three joints that expects the recorded call and returns the recorded results."""
 
     def call(_self: object, *given: Any) -> Any:
         assert [str(value) for value in given] == [str(value) for value in arguments]
@@ -79,7 +79,7 @@ def test_every_recorded_exchange_of_3_12_is_reproduced() -> None:
         given = [
             vocab_rpc.read_value(field, value) for (_, field), value in zip(call.arguments, arguments, strict=False)
         ]
-        if "setRemoteVariable" not in call.name:  # whose value extends to the end
+        if "setRemoteVariable" not in call.name:  # its value extends to the end of the request
             assert encode(vocab_rpc.request(call.name, given), Profile.YARP3) == request
         outcome, *results = vocab_rpc.results(call.name, answer)
         stamp = (0, 0.0)

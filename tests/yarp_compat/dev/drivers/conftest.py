@@ -19,7 +19,7 @@ Serve = Callable[..., ServiceServer]
 
 @pytest.fixture
 def serve(name_server: object) -> Iterator[Serve]:
-    """Serve interfaces at ports, as a release of YARP does."""
+    """Serve interfaces on ports as a given YARP release does."""
     with ExitStack() as servers:
 
         def start(name: str, service: Service, generation: Generation = Generation.YARP_4) -> ServiceServer:

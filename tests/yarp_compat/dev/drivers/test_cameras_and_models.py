@@ -24,7 +24,7 @@ NAME = "a camera of the tests"
 
 
 class Camera(FrameGrabberMsgs):
-    """A camera of 4.0 whose zoom can be set."""
+    """A YARP 4.0 camera whose zoom can be set."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -73,7 +73,7 @@ class Camera(FrameGrabberMsgs):
 
 
 def vocab_reply(camera: Camera, words: list[Any]) -> list[Any]:
-    """Return the reply of a camera before 4.0 (``FrameGrabberControls_Responder``)."""
+    """Return the reply of a camera from before YARP 4.0 (``FrameGrabberControls_Responder``)."""
     match words:
         case ["fgc", "get", "camd"]:
             return [Vocab("fgc"), Vocab("camd"), Vocab("is"), int(BusType.BUS_USB), NAME]
@@ -175,7 +175,7 @@ def test_a_camera_receives_images_until_it_is_closed(serve: Serve) -> None:
 
 
 class Model(ILLMMsgs):
-    """A model that repeats each question in capitals."""
+    """A model that repeats each question in capital letters."""
 
     def __init__(self) -> None:
         super().__init__()

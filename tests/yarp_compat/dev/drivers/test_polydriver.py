@@ -28,7 +28,7 @@ def test_a_device_stays_open_until_closed(maps: KeptMaps) -> None:
     assert driver.viewIMap2D() is None
     assert driver.open(yarp.Property(MAPS))
     assert driver.isValid()
-    assert not driver.open(yarp.Property(MAPS)), "it is already open"
+    assert not driver.open(yarp.Property(MAPS)), "the device is already open"
     assert driver.isValid()
     assert driver.viewIMap2D().storeLocation("here", yarp.Map2DLocation("m1", 1.0, 2.0, 3.0))
     assert maps.kept["location"]["here"].x == 1.0
@@ -50,7 +50,7 @@ def test_a_device_closes_with_its_driver_and_with_the_network(caplog: pytest.Log
         del driver
     assert "the device <map2D_nwc_yarp> is closed: its PolyDriver was garbage collected" in caplog.text
     assert not yarp.Network.exists("/mine/mapClient_rpc")
-    assert not view.clearAllMaps(), "the view ends with the driver"
+    assert not view.clearAllMaps(), "the view no longer works once the driver is closed"
     again = yarp.PolyDriver(yarp.Property(MAPS))
     yarp.Network.fini()
     yarp.Network.init()
@@ -79,7 +79,7 @@ def test_a_failed_open_logs_the_reason(caplog: pytest.LogCaptureFixture, options
     assert not driver.isValid()
     assert reason in caplog.text
     assert not yarp.Network.exists("/mine/mapClient_rpc"), "the ports opened before the failure are closed"
-    assert driver.close(), "as in YARP, after any call of open"
+    assert driver.close(), "close succeeds after any call of open, as in YARP"
     assert not yarp.PolyDriver().open_str("map2D_nwc_yarp")
 
 

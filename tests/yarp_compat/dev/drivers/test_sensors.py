@@ -27,7 +27,7 @@ DRIVE = (0.5, 0.25, 10.0)
 
 
 class Laser(Rangefinder2D):
-    """A laser of 3.10 and later."""
+    """A laser of YARP 3.10 and later."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -58,7 +58,7 @@ class Laser(Rangefinder2D):
 
 
 class OldLaser:
-    """The replies of a laser before 3.10 in vocabs (`IRangefinder2D.h`); it rejects the introduction, like all else."""
+    """Replies of a laser from before YARP 3.10, in vocabs (`IRangefinder2D.h`); introductions are rejected too."""
 
     def __init__(self) -> None:
         self.values: dict[str, tuple[float | str, ...]] = {
@@ -77,7 +77,7 @@ class OldLaser:
 
 @pytest.fixture(params=["3.6", "3.12", "4.0"])
 def laser(request: pytest.FixtureRequest, serve: Serve) -> Iterator[yarp.PolyDriver]:
-    """Open a laser's device that is connected to a server of a release."""
+    """Open a laser device connected to a server of a given YARP release."""
     generation = Generation.of(request.param)
     device = "rangefinder2D_nwc_yarp"
     with ExitStack() as old, Writer("/laser:o", profile=generation.profile) as stream:
@@ -131,7 +131,7 @@ def test_a_laser_without_scan_limits_is_rejected(serve: Serve, caplog: pytest.Lo
 
 
 class Odometry(IOdometry2DMsgs):
-    """An odometry that counts its resets."""
+    """An odometry source that counts its resets."""
 
     resets = 0
 
@@ -158,14 +158,14 @@ def test_odometry_is_received_and_reset(serve: Serve) -> None:
 
 
 class Battery(IBatteryMsgs):
-    """The RPC port of a battery from 3.12 on."""
+    """The RPC port of a battery since YARP 3.12."""
 
     def getBatteryInfoRPC(self) -> tuple[ReturnValue, str]:
         return OK, "lead"
 
 
 def old_battery(words: list[Any]) -> list[Any]:
-    """Return the reply of a battery's RPC port before 3.12 (`IBattery.h`)."""
+    """Return the reply of a battery's RPC port before YARP 3.12 (`IBattery.h`)."""
     return [Vocab("is"), Vocab("btnf"), "lead"] if words == ["ibat", "btnf"] else [Vocab("fail")]
 
 

@@ -1,4 +1,4 @@
-"""The devices for transforms: local ones of a program, and failures to open."""
+"""The transform devices: transforms local to a program, and failures to open."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["local"]
 @pytest.fixture
 def frames(local: None) -> Iterator[LocalTransforms]:
     driver = yarp.PolyDriver()
-    assert driver.open_str("frameTransformClient"), "by default it needs no server, as in YARP"
+    assert driver.open_str("frameTransformClient"), "by default, the device needs no server, as in YARP"
     yield driver.viewIFrameTransform()
     driver.close()
 
@@ -38,14 +38,14 @@ def test_local_transforms_are_stored_and_expire(frames: LocalTransforms) -> None
     assert frames.getTransform("laser", "map", matrix)
     assert matrix[0, 3] == 1.5
     assert frames.setTransform("arm", "base", at(0.25))
-    assert frames.setTransform("arm", "base", at(0.75)), "the newest counts"
+    assert frames.setTransform("arm", "base", at(0.75)), "a newer transform replaces an older one"
     assert frames.getTransform("arm", "base", matrix)
     assert matrix[0, 3] == 0.75
-    until(lambda: not frames.frameExists("arm"), "it expires")
+    until(lambda: not frames.frameExists("arm"), "the transform expires")
     assert frames.frameExists("laser"), "static transforms do not expire"
     assert not frames.waitForTransform("arm", "map", 0.02)
     assert frames.waitForTransform("laser", "map", 0.02)
-    assert frames.deleteTransform("base", "laser"), "whichever is the parent"
+    assert frames.deleteTransform("base", "laser"), "the order of the two frames does not matter"
     assert frames.deleteTransform("laser", "base").code is ReturnCode.METHOD_FAILED
     assert frames.deleteTransform("*", "map")
     assert not frames.tree().transforms

@@ -168,7 +168,7 @@ def test_a_bottle_is_a_list_in_python() -> None:
     assert bottle == Bottle("[set]")
     assert Bottle("1").isEqual(Bottle([Int64(1)]))
     assert Bottle("1").notEqual(Bottle("2"))
-    assert Bottle(), "an empty Bottle is true, as scripts that test a received one expect"
+    assert Bottle(), "an empty Bottle is true, because scripts test received Bottles that way"
 
 
 def test_bytes_and_connections() -> None:

@@ -81,7 +81,7 @@ def test_a_property_is_a_mapping_in_python() -> None:
 
 
 def test_messages_have_the_values_of_the_text() -> None:
-    """As YARP's Property is converted to text, small ints and floats of four bytes become ordinary ones."""
+    """YARP's Property is converted to text, so small ints and four-byte floats become ordinary ints and floats."""
     wire = Bottle("((a 1) (b 2)) x (n 5 6) (e)").to_bytes()
     received = Property.from_bytes(wire)
     assert received.toString() == "((a 1) (b 2)) (e) (n 5 6)"
@@ -106,7 +106,7 @@ def test_messages_have_the_values_of_the_text() -> None:
         (["---x", "3", "---y", "4"], '("-y" 4) (0 3)'),  # YARP parses -x as a number, like 0x
         (["--[a]", "1", "--b::c", "2"], "([a] 1) (b (c 2))"),
         (["--[a]", "1", "--a::c", "2"], "([a] 1 (c 2))"),
-        (["--a::a", "1", "--a::a", "2"], "(a (a 1) (a 2))"),  # the group's name itself is found first
+        (["--a::a", "1", "--a::a", "2"], "(a (a 1) (a 2))"),  # the key a finds the group's own name first
         (["--5", "x", "--[set]", "y"], "(5 x) ([set] y)"),
         (["--::b", "1", "--a::", "2", "--5", "lost"], '("" (b 1)) (a 2)'),
     ],
@@ -201,12 +201,12 @@ def test_windows_line_ends_and_values_from_the_caller() -> None:
         ("k (1 \\\n2)", "(k (1 2))"),
         ('k "a \\\nb"', '(k "a b")'),
         ("[G] \\\n\nx 1", "(G (x 1))"),
-        ("k 1 # no \\\nb 2", "(k 1)"),  # the comment continues, too
+        ("k 1 # no \\\nb 2", "(k 1)"),  # the comment continues on the next line, too
         ("k 1 \\", "(k 1)"),
     ],
 )
 def test_backslash_at_the_end_joins_lines(text: str, printed: str) -> None:
-    """As in `InputStream::readLine` of 3.9.1 to 4.0."""
+    """`InputStream::readLine` of YARP 3.9.1 to 4.0 does this."""
     property_ = Property()
     property_.fromConfig(text)
     assert property_.toString() == printed
@@ -233,7 +233,7 @@ def test_file_is_read_identically_on_every_system(tmp_path: Path) -> None:
     ],
 )
 def test_keys_that_are_not_strings(text: str, printed: str) -> None:
-    """Of two keys with the same text the last counts, and keeps its type."""
+    """Of two keys with the same text, the last one counts, and its type is kept."""
     property_ = Property(text)
     assert property_.toString() == printed
     property_.fromString("(a 3)", False)
@@ -243,7 +243,7 @@ def test_keys_that_are_not_strings(text: str, printed: str) -> None:
 
 
 def test_unclosed_line_at_the_end_of_a_file_is_used_unchanged() -> None:
-    """As in YARP 3.12.3: comments are not removed, and no group begins."""
+    """As in YARP 3.12.3, comments on that line are not removed, and no group begins."""
     property_ = Property()
     property_.fromConfig(" 3)\nname /x // c\n#\n[G]\n(x 1) 2")
     assert property_.toString() == '("3)name /x // c#[G](x")'

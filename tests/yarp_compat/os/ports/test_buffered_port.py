@@ -44,7 +44,7 @@ def test_newest_message_is_read() -> None:
     reader, writer = connected()
     for number in range(20):
         send(writer, number, strict=True)
-        until(lambda: reader.getPendingReads() == 1, "the message")
+        until(lambda: reader.getPendingReads() == 1, "the message has arrived")
     writer.waitForWrite()
     assert reader.read().get(0).asInt32() == 19
     assert reader.getPendingReads() == 0
@@ -88,7 +88,7 @@ def test_prepared_object_is_reused_and_can_be_discarded() -> None:
     writer.write(True)
     assert writer.prepare() is first
     writer.write(True)
-    writer.write(True)  # sends nothing, as no object is prepared
+    writer.write(True)  # sends nothing, because no object is prepared
     send(writer, 2, strict=True)
     assert [reader.read().get(0).asInt32() for _ in range(3)] == [1, 1, 2]
 
@@ -106,7 +106,7 @@ def test_callback_receives_messages() -> None:
     reader.useCallback(on_read)
     for number in range(3):
         send(writer, number, strict=True)
-    until(lambda: len(got) == 3, "the callback")
+    until(lambda: len(got) == 3, "the callback has all messages")
     assert got == [(0, "/r"), (1, "/r"), (2, "/r")]
     reader.disableCallback()
     send(writer, 3)
@@ -121,13 +121,13 @@ def test_port_can_be_its_own_callback() -> None:
             got.append(bottle.get(0).asInt32())
 
     mine = Mine()
-    mine.useCallback()  # before the port is open
+    mine.useCallback()  # set before the port is open
     assert mine.open("/mine")
     writer = yarp.BufferedPortBottle()
     assert writer.open("/w")
     assert writer.addOutput("/mine")
     send(writer, 4)
-    until(lambda: got == [4], "the callback")
+    until(lambda: got == [4], "the callback has the message")
 
 
 def test_callback_works_after_failed_opens() -> None:
@@ -144,7 +144,7 @@ def test_callback_works_after_failed_opens() -> None:
     assert writer.open("/w")
     assert writer.addOutput("/r")
     send(writer, 5)
-    until(lambda: got == [5], "the callback")
+    until(lambda: got == [5], "the callback has the message")
 
 
 def test_callback_may_fail_and_close_the_port(caplog: pytest.LogCaptureFixture) -> None:
@@ -177,8 +177,8 @@ def test_callbacks_hold_a_lock() -> None:
     time.sleep(0.05)
     assert got == []
     reader.unlockCallback()
-    until(lambda: got == [1], "the callback")
-    until(reader.tryLockCallback, "its end")
+    until(lambda: got == [1], "the callback has the message")
+    until(reader.tryLockCallback, "the callback has returned")
     reader.unlockCallback()
 
 

@@ -1,4 +1,4 @@
-"""Names of topics and services."""
+"""ROS names of topics and services."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def test_topics_belong_to_the_newest_node(name_server: NameServer) -> None:
         with yarp.Node("/second"):
             other = yarp.Publisher(String, "/else")
             assert other.getName() == "/else+@/second"
-        assert not other.isOpen()  # it was closed with its node
+        assert not other.isOpen()  # closed with its node
         assert {"/talker", "/chatter+@/talker", "/chatter-@/talker"} <= set(names(name_server))
         assert node.getName() == "/talker"
     assert names(name_server) == ["/root"]
@@ -39,7 +39,7 @@ def test_topics_belong_to_the_newest_node(name_server: NameServer) -> None:
 def test_yarp_programs_exchange_messages(name_server: NameServer) -> None:
     publisher = yarp.Publisher("std_msgs/String", "/chatter@/talker")
     subscriber = yarp.Subscriber("std_msgs/String", "/chatter@/listener")
-    until(subscriber.getInputCount, "the connection")
+    until(subscriber.getInputCount, "the subscriber is connected")
     assert publisher.write(String(data="hello"))
     assert subscriber.read().data == "hello"
     publisher.prepare().data = "prepared"
@@ -48,7 +48,7 @@ def test_yarp_programs_exchange_messages(name_server: NameServer) -> None:
     assert subscriber.read(got)
     assert got.data == "prepared"
     later = yarp.Publisher(String, "/chatter@/third")
-    until(lambda: subscriber.getInputCount() == 2, "the third one's connection")
+    until(lambda: subscriber.getInputCount() == 2, "the publisher of /third is connected")
     assert later.getOutputCount() == 1
 
 
@@ -61,7 +61,7 @@ def test_callback_receives_messages(name_server: NameServer) -> None:
     publisher = yarp.Publisher(String, "/chatter@/talker")
     for text in ("a", "b"):
         assert publisher.write(String(data=text))
-    until(lambda: got == ["a", "b"], "the messages")
+    until(lambda: got == ["a", "b"], "the messages have arrived")
 
 
 def test_type_is_announced(name_server: NameServer) -> None:
@@ -81,7 +81,7 @@ def test_ordinary_ports_are_topics_too(name_server: NameServer) -> None:
     assert writer.getName() == "/count+@/program"
     assert NameClient(name_server.address).get_property("/count+@/program", "type") == ["std_msgs/Int32"]
     assert reader.open("/count-@/other")
-    until(reader.getInputCount, "the connection")
+    until(reader.getInputCount, "the reader is connected")
     assert writer.write(yarp.Bottle("5"))
     assert reader.read().get(0).asInt32() == 5
 

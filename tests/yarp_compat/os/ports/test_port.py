@@ -1,4 +1,4 @@
-"""`Port`, `RpcServer`, `RpcClient`: reading, writing, replying."""
+"""`Port`, `RpcServer` and `RpcClient`: reading, writing and replying."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def opened(kind: type = yarp.Port, name: str = "...") -> yarp.Port:
 def connected() -> tuple[yarp.Port, yarp.Port]:
     reader, writer = opened(name="/r"), opened(name="/w")
     assert writer.addOutput("/r")
-    until(reader.getInputCount, "the connection")
+    until(reader.getInputCount, "the reader is connected")
     return reader, writer
 
 
@@ -90,7 +90,7 @@ def test_every_type_of_data_is_transferred(pool: ThreadPoolExecutor) -> None:
 
 @pytest.mark.parametrize("is_read", [False, True])
 def test_closing_server_sends_no_empty_reply(pool: ThreadPoolExecutor, is_read: bool) -> None:
-    """Neither to an unread request, nor to an unanswered one."""
+    """This holds for an unread request and for one that was read but not answered."""
     server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
     assert client.addOutput("/s")
     got = yarp.Bottle("as it was")
@@ -99,7 +99,7 @@ def test_closing_server_sends_no_empty_reply(pool: ThreadPoolExecutor, is_read: 
         assert server.read(yarp.Bottle())
     else:
         core = server._core
-        until(lambda: core.counters.received, "the request")
+        until(lambda: core.counters.received, "the request has arrived")
     server.close()
     assert future.result(20) is False
     assert got.toString() == "as it was"
@@ -118,7 +118,7 @@ def test_envelopes_are_sent_and_read(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     stamp, got = yarp.Stamp(12, 1795143618.25), yarp.Stamp()
     assert writer.setEnvelope(stamp)
-    for _ in range(2):  # it is kept until another is set
+    for _ in range(2):  # the envelope is kept until another is set
         done = pool.submit(writer.write, yarp.Bottle("x"))
         assert reader.read(yarp.Bottle())
         assert reader.getEnvelope(got)
@@ -137,7 +137,7 @@ def test_requests_get_replies(pool: ThreadPoolExecutor) -> None:
     assert server.reply(yarp.Bottle([command.get(1).asInt32() + command.get(2).asInt32()]))
     assert future.result(20)
     assert answer.get(0).asInt32() == 5
-    assert not server.reply(answer)  # no further request
+    assert not server.reply(answer)  # there is no further request to reply to
 
 
 def test_announced_reply_that_is_not_sent_is_empty(pool: ThreadPoolExecutor) -> None:
@@ -159,10 +159,10 @@ def test_servers_do_not_write_and_clients_do_not_read() -> None:
     assert not server.read(yarp.Bottle(), False)
     assert not client.read(yarp.Bottle())
     assert not client.reply(yarp.Bottle())
-    assert not client.write(yarp.Bottle("x"), yarp.Bottle())  # without connections
+    assert not client.write(yarp.Bottle("x"), yarp.Bottle())  # the client has no connection
     assert client.addOutput("/s")
     other = opened(yarp.RpcServer, "/s2")
-    assert not client.addOutput("/s2")  # it has an output already
+    assert not client.addOutput("/s2")  # the client already has an output
     assert other.getInputCount() == 0
 
 
@@ -175,7 +175,7 @@ def test_reply_can_end_the_connection(pool: ThreadPoolExecutor) -> None:
     assert server.replyAndDrop(yarp.Bottle("ok"))
     assert future.result(20)
     assert answer.toString() == "ok"
-    until(lambda: server.getInputCount() == 0, "the connection to end")
+    until(lambda: server.getInputCount() == 0, "the connection has ended")
 
 
 class Echo(yarp.PortReader):
@@ -259,7 +259,7 @@ def test_closing_releases_readers_and_writers(pool: ThreadPoolExecutor) -> None:
     assert not reader.read(yarp.Bottle())
     assert not reader.isOpen()
     assert reader.getName() == ""
-    until(lambda: writer.getOutputCount() == 0, "the writer detects it")
+    until(lambda: writer.getOutputCount() == 0, "the writer detects the end of the connection")
 
 
 def test_unreferenced_port_is_closed() -> None:
@@ -291,7 +291,7 @@ def test_environment_can_add_a_prefix(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_environment_can_rename_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in ``Port::open``: the variable has ``_`` for all except letters and digits; the prefix is added later."""
+    """As in ``Port::open``, all characters except letters and digits become ``_``; the prefix is added later."""
     monkeypatch.setenv("YARP_RENAME_camera_rgb_1_o", "/robot/eye:o")
     assert opened(name="/camera/rgb-1:o").getName() == "/robot/eye:o"
     assert opened(name="/camera/rgb:o").getName() == "/camera/rgb:o"
@@ -393,6 +393,6 @@ def test_verbosity_controls_the_log_of_connections(caplog: pytest.LogCaptureFixt
         assert reader.open("/quiet/r")
         assert writer.open("/quiet/w")
         assert writer.addOutput("/quiet/r")
-        until(lambda: reader.getInputCount() == 1, "the connection")
+        until(lambda: reader.getInputCount() == 1, "the reader is connected")
         until(lambda: not verbosity or "eceiving input" in caplog.text, "the reader logs the connection")
     assert ("eceiving input" in caplog.text) == bool(verbosity)
