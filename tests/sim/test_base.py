@@ -71,7 +71,7 @@ def test_wheels_do_not_collide_with_a_wall_alongside() -> None:
 
 
 def square(sim: Simulation, side: float) -> None:
-    """Drive a square by odometry."""
+    """Drive a square, controlled by odometry."""
     for _ in range(4):
         begun = sim.estimate.traveled
         while (left := side - (sim.estimate.traveled - begun)) > 0.002:

@@ -55,7 +55,7 @@ def test_velocity_commands_expire(simulation: Simulation, board: WheelBoard) -> 
     assert simulation.wheels.board.turning() == pytest.approx([60.0, 60.0], abs=5.0)
     simulation.run(0.3)
     assert simulation.wheels.board.turning() == pytest.approx([0.0, 0.0], abs=1.0)
-    simulation.command(Twist(0.2, 0.0, 0.0))  # without board commands, other sources drive
+    simulation.command(Twist(0.2, 0.0, 0.0))  # without board commands, other sources can drive
     simulation.run(0.4)
     assert simulation.base.twist().x > 0.05
 
@@ -118,7 +118,7 @@ def test_a_script_moves_the_wheels_until_a_halt(tmp_path: Path) -> None:
             until(position.checkMotionDone, "the wheels reach the target")
             until(lambda: abs(encoders.getEncoder(1) - 90.0) < 1.0, "the encoders report the target")
             assert position.positionMove(yarp.DVector([1e6, 1e6]))
-            (answer,) = until(lambda: place.far.hub.ask("halt", {}, worker="sim"), "the simulator answers")
+            (answer,) = until(lambda: place.far.hub.ask("halt", {}, worker="sim"), "the simulator replies")
             assert answer.value == {"halted": True}
             assert position.isMotionDone()
             driver.close()

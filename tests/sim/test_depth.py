@@ -23,7 +23,7 @@ from tests.peers.sim.floors import drive, simulation
 
 NONE = np.zeros((0, 8))
 WALL = np.array([(4.1, 0.0, 1.0, 0.0, 2.0, 40.0, -20.0, 20.0)])
-"""A wall 2.1 m ahead of the origin, much larger than a picture."""
+"""A wall 2.1 m ahead of the origin, much larger than the camera's view."""
 
 
 def camera(**changed: object) -> DepthCamera:
@@ -86,7 +86,7 @@ def test_pitch_and_yaw_of_the_mount() -> None:
 
 
 def test_the_cloud_fits_the_published_frames() -> None:
-    """All points are on the floor or the box; the base's frame is at the height of the axle."""
+    """All points are on the floor or the box; the base frame is at the height of the axle."""
     section = CameraSection(rate=5.0, at=(0.2, -0.1, 1.1), pitch=40.0, yaw=-15.0, noise=0.0, width=32, height=24)
     depth_camera = DepthCamera(section, 0)
     schema = Registry().schema("tf2_msgs/msg/TFMessage")

@@ -57,8 +57,11 @@ class TestAnalytic:
 
     def test_a_board_is_seen_from_above_and_the_floor_beneath_it(self, module: ModuleType) -> None:
         seen = render(module, [solid(2.0, 0.0, 0.5, 0.5, 0.7, 0.75)])
-        # the near edge, 1.5 m away and 0.25 to 0.3 m below the eye, is 5 to 6 rows from the middle, the far edge 3 rows
-        assert seen[27, 20] == pytest.approx(1.0 / (7 / FOCAL), rel=1e-6)  # under it, the floor farther away
+        # the near edge, 1.5 m away and 0.25 to 0.3 m below the eye, is 5 to 6 rows from the middle, and the far edge 3
+        # rows
+        assert seen[27, 20] == pytest.approx(
+            1.0 / (7 / FOCAL), rel=1e-6
+        )  # below the near edge, the floor beneath the board
         assert seen[25, 20] == pytest.approx(1.5, rel=1e-6)
         assert seen[24, 20] == pytest.approx(0.25 / (4 / FOCAL), rel=1e-6)
         assert seen[22, 20] == pytest.approx(1.0 / (2 / FOCAL), rel=1e-6)
@@ -69,7 +72,7 @@ class TestAnalytic:
         slope = 3 / FOCAL
         along = (2.0 - math.sqrt(4.0 - (1 + slope**2) * (4.0 - 0.16))) / (1 + slope**2)
         assert seen[20, 17] == seen[20, 23] == pytest.approx(along, rel=1e-6)
-        assert math.isinf(seen[20, 27])  # next to it: its half width appears as 0.4 / sqrt(3.84)
+        assert math.isinf(seen[20, 27])  # next to the cylinder, whose half width appears as 0.4 / sqrt(3.84)
 
     def test_a_camera_looking_down_sees_tops_and_floor(self, module: ModuleType) -> None:
         down = looking(0.3, math.pi / 2)
@@ -83,7 +86,7 @@ class TestAnalytic:
         plain = render(module, turned=looking(0.0, math.pi / 4))
         assert not np.array_equal(seen, plain)
         rows = (np.arange(COUNT) - COUNT // 2) / FOCAL
-        ahead, down = math.sqrt(0.5) * (1 - rows), math.sqrt(0.5) * (1 + rows)  # of a ray of depth 1
+        ahead, down = math.sqrt(0.5) * (1 - rows), math.sqrt(0.5) * (1 + rows)  # components of a ray of depth 1
         at_floor, at_ground = ahead / down, ahead * 1.2 / down
         over = (at_floor >= 1.45) & (at_floor <= 2.55)
         wanted = np.where(over, np.minimum(1.2 / down, 2.55 / ahead), 1.0 / down)
@@ -115,7 +118,7 @@ class TestAnalytic:
 
 
 def brute(solids: np.ndarray, eye: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """Compute all pixels' depths with all boxes, from the intersections with each box's six faces."""
+    """Compute the depths of all pixels by brute force, from the intersections with the six faces of each box."""
     rows, columns = np.indices((COUNT, COUNT))
     rays = np.stack(((columns - COUNT // 2) / FOCAL, (rows - COUNT // 2) / FOCAL, np.ones(rows.shape)), -1) @ turned.T
     with np.errstate(all="ignore"):
@@ -149,5 +152,5 @@ def test_boxes_equal_brute_force_compiled_and_uncompiled(seed: int) -> None:
     wanted = brute(np.array(solids), eye, turned)
     wanted[wanted > 50.0] = math.inf
     same = np.isclose(compiled, wanted, rtol=1e-5)
-    assert same.mean() > 0.999  # rays that graze an edge to the last bit may pass it
+    assert same.mean() > 0.999  # rays that graze an edge may differ in the last bit and pass the edge
     assert np.isfinite(compiled).any()

@@ -1,4 +1,4 @@
-"""Maps, locations and pictures of floor plans, also by ``midspan sim``."""
+"""Maps, locations and pictures of floor plans, including those that ``midspan sim`` exports."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_plans_map_agrees_with_the_laser() -> None:
     assert flag(0.0, 3.0) == MapFlag.WALL
     assert flag(2.5, 4.0) == MapFlag.FREE  # a door
     assert flag(10.5, 4.0) == MapFlag.FREE  # a closed door
-    assert flag(4.9, 6.6) == MapFlag.FREE  # movable
+    assert flag(4.9, 6.6) == MapFlag.FREE  # a movable box
     assert flag(3.4, 2.2) == MapFlag.WALL  # the table
     assert flag(-0.4, -0.4) == MapFlag.UNKNOWN  # outside
     for place, (x, y, _) in floor.places.items():
@@ -42,7 +42,7 @@ def test_a_plans_map_agrees_with_the_laser() -> None:
     angles = yaw + scan.first + np.arange(len(scan.ranges)) * scan.step
     hits = [(x + (r + 0.01) * np.cos(a), y + (r + 0.01) * np.sin(a)) for r, a in zip(scan.ranges, angles, strict=True)]
     known = [flag(*hit) == MapFlag.WALL for hit in hits]
-    assert sum(known) > 0.9 * len(known)  # except the parcel and a person
+    assert sum(known) > 0.9 * len(known)  # hits on the parcel and a person are not walls on the map
 
 
 def test_two_floors_are_exported_as_two_maps_and_a_link(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The simulator on the hub: its topics, commands and services, and its time."""
+"""The simulator on the hub: its topics, commands, services and time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WHEELS = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
 
 
 class Place(HubRig):
-    """A hub, the simulator's worker, and a client on another hub session."""
+    """A hub, the simulator's worker, and a client with its own hub session."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -112,7 +112,7 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place, monke
     )
     assert waiting.result()["reply"]["success"]
     assert far.wait(subscriptions["/clock"], 1)[-1]["clock"]["sec"] >= 1
-    assert not place.answer("sim")["warnings"], "the source of the time misses none"
+    assert not place.answer("sim")["warnings"], "the simulator, which publishes the time, does not report it as missing"
     assert place.named("fail", "encoders_silent")["success"]
     end = place.step(0.2)["stamp"]
     until(lambda: far.wait(subscriptions["/clock"], 1)[-1]["clock"] == end, "/clock has the step's end time")
@@ -125,8 +125,8 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place, monke
         assert (last_stamp["sec"], last_stamp["nanosec"]) < (before["sec"], before["nanosec"]), topic
     assert place.call("/sim/reset", "std_srvs/Trigger")["success"]
     assert place.answer("sim")["truth"][:2] == [3.0, 8.2]
-    stamped = far.advertise("/cmd_vel", "geometry_msgs/TwistStamped")  # as Nav2 of Kilted publishes it
-    until(lambda: go(stamped, {"twist": {"linear": {"x": 0.2}}}) > 0.05, "the robot drives by stamped velocities", 30)
+    stamped = far.advertise("/cmd_vel", "geometry_msgs/TwistStamped")  # the type that Nav2 of Kilted publishes
+    until(lambda: go(stamped, {"twist": {"linear": {"x": 0.2}}}) > 0.05, "the robot follows stamped velocities", 30)
 
 
 def test_services_change_a_simulation_in_real_time(place: Place) -> None:
@@ -139,7 +139,7 @@ def test_services_change_a_simulation_in_real_time(place: Place) -> None:
     assert first["header"]["stamp"]["sec"] > 1_700_000_000
     picture = far.wait(view, 1, 20)[0]
     assert (picture["width"], picture["encoding"]) == (800, "rgb8")
-    assert not far.publishers("/odometry")  # BaseControl's
+    assert not far.publishers("/odometry")  # BaseControl publishes it
     assert not far.publishers("/clock")
     wheels = far.advertise("/wheel_command", "sensor_msgs/JointState")
 
@@ -195,14 +195,14 @@ def test_an_invalid_plan_is_reported_and_corrected_by_a_reload(place: Place) -> 
     assert "castle" in health.text
     assert place.worker.reload(place.config(plan="hall", speed="max"))
     assert place.worker.health().state == "running"
-    until(lambda: place.answer("sim")["time"] > 1, "it runs faster than real time")
+    until(lambda: place.answer("sim")["time"] > 1, "the simulation runs faster than real time")
 
 
 def test_a_reload_of_the_yarp_release_does_not_restart_the_simulation(place: Place) -> None:
     """A restart would move the robot back to its start, and close all connections."""
     config = place.config(speed="max")
     place.worker.start(config)
-    until(lambda: place.answer("sim")["time"] > 1, "it runs")
+    until(lambda: place.answer("sim")["time"] > 1, "the simulation runs")
     for changed in ({"release": "3.9"}, {"topics": [TopicPort.model_validate({"topic": "/scan", "as": "natural"})]}):
         before = place.answer("sim")
         config = config.model_copy(update={"yarp": config.yarp.model_copy(update=changed)})
@@ -227,7 +227,7 @@ def test_depth_pictures_are_computed_only_for_subscribers(place: Place, monkeypa
         "base_footprint": "base_link",
     }  # fmt: skip
     place.step(0.5)
-    assert not taken  # no subscribers
+    assert not taken  # no image is rendered without subscribers
     subscriptions = {
         "/camera/depth/image_rect_raw": far.subscribe("/camera/depth/image_rect_raw", "sensor_msgs/Image"),
         "/camera/depth/camera_info": far.subscribe("/camera/depth/camera_info", "sensor_msgs/CameraInfo"),
@@ -242,7 +242,7 @@ def test_depth_pictures_are_computed_only_for_subscribers(place: Place, monkeypa
     )
     depth, info, cloud = (far.wait(end, 1)[-1] for end in subscriptions.values())
     assert depth["header"] == info["header"] == cloud["header"]
-    assert len(taken) == len(set(taken))  # one picture for image and points
+    assert len(taken) == len(set(taken))  # the image and the points share one rendering
     assert (depth["width"], depth["height"], info["k"][2]) == (32, 16, 15.5)
     assert cloud["row_step"] == 32 * 12
 

@@ -130,7 +130,7 @@ def test_people_crates_and_closed_doors_are_seen_but_low_things_are_not() -> Non
     )
 
     def ahead() -> list[float]:
-        return [round(float(sim.scan.ranges[i]), 2) for i in (180, 270, 0, 90)]  # front, left, back, right
+        return [round(float(sim.scan.ranges[i]), 2) for i in (180, 270, 0, 90)]  # in front, left, behind, right
 
     assert ahead() == [0.97, 1.3, math.inf, 1.3]
     sim.world.open("door", is_open=True)

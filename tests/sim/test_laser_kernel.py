@@ -85,7 +85,7 @@ class TestInvalidNumbers:
                 cast(module, step=step)
             with pytest.raises(ValueError, match="0 radians apart"):
                 module.blend(np.ones(3), 0.0, 0.1, 0.0, 0.0, 0.0, np.empty(3), step)
-        for step in (1e-300, 1e-12, 1e300, math.inf):  # it returns
+        for step in (1e-300, 1e-12, 1e300, math.inf):  # the kernel returns in any case
             assert len(cast(module, circles=np.array([(-1.0, 0.0, 0.3)]), step=step)) == 8
 
     def test_arrays_of_wrong_shapes_are_rejected(self, module: ModuleType) -> None:

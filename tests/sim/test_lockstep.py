@@ -49,7 +49,7 @@ def test_runs_with_a_module_on_the_hub_are_identical(tmp_path: Path) -> None:
             return place.far.wait(truth, 1)
 
         def run() -> list[tuple[float, float]]:
-            """Return the base's positions at 25 steps after a reset, from the topic."""
+            """Return the base's positions at 25 steps after a reset, as published on the topic."""
             assert place.call("/sim/reset", "std_srvs/Trigger")["success"]
             stamps = []
             for _ in range(25):
@@ -64,7 +64,7 @@ def test_runs_with_a_module_on_the_hub_are_identical(tmp_path: Path) -> None:
             until(lambda: len(poses()) == 25, "all poses arrive")
             return poses()
 
-        run()  # the first run begins with an earlier encoder reading
+        run()  # not compared, because the first run begins with an encoder reading from before the reset
         first = run()
         assert first[-1][0] > 0.05
         assert run() == first

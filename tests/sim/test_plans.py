@@ -1,4 +1,4 @@
-"""Floor plans: those that come with Midspan, files, doors, people, added things, floors and links."""
+"""Floor plans: included ones, files, doors, people, added things, floors and links."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def check_streams(place: Place, names: NameClient) -> None:
     def receive(port: str) -> Received:
         with Reader(f"/test{port}", naming=names) as reader:
             connections.connect(names, port, f"/test{port}")
-            received = until(reader.read_now, f"a message of {port}")
+            received = until(reader.read_now, f"a message from {port} has arrived")
         assert received is not None
         return received
 
@@ -79,9 +79,9 @@ def check_batteries(names: NameClient) -> None:
         assert description.ask([Vocab("ibat"), Vocab("btnf")], timeout=20)[2] == "Midspan's simulated battery"
         for reader in ("/older/data:i", "/newer/data:i"):
             connections.connect(names, "/cer/battery/data:o", reader)
-        voltage, _, charge, *_ = until(older.read_now, "the battery of an older client").values
+        voltage, _, charge, *_ = until(older.read_now, "an older client has the battery's state").values
         assert (50 < voltage < 55, 99 < charge <= 100) == (True, True)
-        charge, voltage, *_ = until(newer.read_now, "the battery of a newer client").values
+        charge, voltage, *_ = until(newer.read_now, "a newer client has the battery's state").values
         assert (50 < voltage < 55, 99 < charge <= 100) == (True, True)
 
 

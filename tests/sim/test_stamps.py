@@ -26,7 +26,7 @@ from yarp_compat.pythonic import Reader
 
 
 class Clocks(Clock):
-    """Both of a machine's clocks, which the test sets."""
+    """A machine's system clock and monotonic clock, set by the test."""
 
     wall = 1_760_000_000.0
 
@@ -131,7 +131,7 @@ def stamp_ns(message: dict[str, Any]) -> int:
 
 
 def evenly(stamps_ns: list[int], every: int) -> bool:
-    """Return whether stamps (ns) are multiples of a period apart, since messages may be lost and time skipped."""
+    """Return whether stamps (ns) are multiples of a period apart, because messages may be lost and time skipped."""
     steps = [(after - before) / TICK_NS for before, after in itertools.pairwise(stamps_ns)]
     whole = all(abs(step - round(step)) < 1e-3 for step in steps)
     return (
