@@ -23,7 +23,7 @@ _DOMAINS = itertools.count(1)
 
 @dataclass
 class Outcome:
-    """What a command did."""
+    """The exit code and output of a command."""
 
     code: int
     out: str
@@ -52,7 +52,7 @@ class Midspan:
 
 @contextlib.contextmanager
 def alongside(script: Callable[[], object]) -> Iterator[None]:
-    """Run a script, such as a planner's part, while a command runs in the test's thread; its errors fail the test."""
+    """Run a function while a command runs in the test's thread; errors of the function fail the test."""
     failed: list[BaseException] = []
 
     def run() -> None:
@@ -78,7 +78,7 @@ def router() -> Iterator[HubNetwork]:
 
 @pytest.fixture
 def network(router: HubNetwork) -> HubNetwork:
-    """A domain of the test's own on one router."""
+    """A router with the test's own domain."""
     router.domain = next(_DOMAINS) % 230 + 1
     return router
 
@@ -95,7 +95,7 @@ def registry() -> Registry:
 
 @pytest.fixture
 def closing() -> Iterator[list[FakeWorker | EngineWorker]]:
-    """Workers to be closed after the test."""
+    """A list of workers, which are closed after the test."""
     workers: list[FakeWorker | EngineWorker] = []
     yield workers
     for worker in reversed(workers):

@@ -1,4 +1,4 @@
-"""The command line runs on any OS: here in a separate process with everything hidden that Windows lacks."""
+"""The command line runs on any OS: tested in a separate process in which everything that Windows lacks is hidden."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ for words in json.loads(sys.stdin.read()):
 
 @pytest.fixture
 def hub() -> Iterator[QuickHub]:
-    """A hub of the test's own."""
+    """A hub for one test."""
     quick_hub = QuickHub()
     yield quick_hub
     quick_hub.stop_router()
 
 
 def run(config: Path, *commands: str) -> dict[str, tuple[int, str]]:
-    """Exit code and output of each command, one after the other."""
+    """Run commands one after the other; return the exit code and output of each."""
     argv_json = str([command.split() for command in commands]).replace("'", '"')
     done = subprocess.run(
         [sys.executable, "-c", COMMANDS, config],

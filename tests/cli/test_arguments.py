@@ -18,7 +18,7 @@ NEGATIVE = ("-1.6", "-1.6,0.9", "-.5", "-2e-3", "-1.6,0.9,-0.5", "-inf")
 
 
 def values(*words: str) -> Any:
-    """Parse these words as the verb's parser does."""
+    """Parse words with a verb's parser."""
     return build_parser([words[0]]).parse_args(list(words))
 
 
@@ -56,7 +56,7 @@ def test_after_two_dashes_nothing_is_an_option() -> None:
 
 
 def of_verb(verb: str) -> list[argparse.ArgumentParser]:
-    """The parsers of a verb and its verbs."""
+    """Return the parsers of a verb and its subverbs."""
     return leaves(verbs_of(build_parser([verb]))[0].choices[verb])
 
 
@@ -81,7 +81,7 @@ def test_each_option_with_a_value_accepts_what_starts_like_a_negative_number(
 
 
 def error_of(*words: str) -> str:
-    """The last line of the error of a command line with wrong usage."""
+    """Return the last line of the error for a command line with wrong usage."""
     printed = io.StringIO()
     with contextlib.redirect_stderr(printed), pytest.raises(SystemExit) as ended:
         main(list(words))

@@ -1,4 +1,4 @@
-"""The examples of the documentation, and its table of the doctor's findings."""
+"""The examples in the documentation, and the documentation's table of the doctor's findings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SCAN, MAP, LOG = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid", "rcl
 
 
 def examples(page: str) -> list[list[str]]:
-    """The arguments of every example on a page."""
+    """Return the arguments of every example on a page."""
     text = (DOCS / page).read_text()
     return [shlex.split(line, comments=True) for line in re.findall(r"^\$ midspan (.*)$", text, re.MULTILINE)]
 
@@ -67,7 +67,7 @@ def robot(network: HubNetwork, registry: Registry, closing: list[Any]) -> Any:
     mount = [Stamped("base_link", "laser", 0, (0.2, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0))]
     worker.side.write(worker.advertise("/tf_static", TF, latched=True), write(mount))
     moving = worker.advertise("/tf", TF)
-    until(lambda: len(worker.engine.routes()) == 4, "the routes are there")
+    until(lambda: len(worker.engine.routes()) == 4, "all routes exist")
     stop = threading.Event()
 
     def talk() -> None:

@@ -90,14 +90,14 @@ def midspan(place: Place, tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def port(midspan: Midspan, name: str, peers: int) -> Any:
-    """Return what explain shows of a port, once this number of peers is connected."""
+    """Return what explain shows about a port once a number of peers is connected."""
 
     def connected() -> Any:
         output = midspan("explain", name, "--json")
         ports = [p for p in output.json()["ports"] if p["port"] == name] if output.code == 0 else []
         return next((p for p in ports if len(p["peers"]) == peers), None)
 
-    return until(connected, f"{peers} at {name}")
+    return until(connected, f"{peers} peers are connected to {name}")
 
 
 def test_layout_and_profile_are_reported_with_their_reasons(place: Place, midspan: Midspan) -> None:

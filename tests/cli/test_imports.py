@@ -11,7 +11,7 @@ _TELL = "; import sys; print(' '.join(sys.modules))"
 
 
 def loaded(code: str) -> set[str]:
-    """The modules that an interpreter has after running some code."""
+    """Return the modules that an interpreter has imported after running some code."""
     completed = subprocess.run([sys.executable, "-P", "-c", code + _TELL], capture_output=True, text=True, check=True)
     return set(completed.stdout.splitlines()[-1].split())
 
@@ -57,7 +57,7 @@ def test_worker_loads_no_libraries_of_the_command_line_or_other_sides(worker: st
     if worker in ("modules", "sim"):
         others |= {"bridge.routing.engine", "bridge.adapters.worker"}
     if worker == "sim":
-        others -= {"dartpy", "yaml"}  # what it simulates with, and its plans' files
+        others -= {"dartpy", "yaml"}  # the physics engine, and the reader of floor-plan files
     if worker == "router":
         others |= {"numpy", "bridge.messages.registry"}
     modules = loaded(f"import bridge.cli.daemon.run, bridge.daemon.worker_main, {_WORKERS[worker]}") & others
@@ -65,6 +65,6 @@ def test_worker_loads_no_libraries_of_the_command_line_or_other_sides(worker: st
 
 
 def test_the_built_in_rules_need_no_yaml() -> None:
-    """Every worker reads them."""
+    """Every worker reads the built-in rules, so importing yaml would slow down each start."""
     code = "from bridge.messages.mapping.version_rules import built_in; assert len(built_in()) > 5"
     assert "yaml" not in loaded(code)

@@ -1,4 +1,4 @@
-"""The command's frame: verbs, help, errors and exit codes."""
+"""The framework of the command line: verbs, help, errors and exit codes."""
 
 from __future__ import annotations
 

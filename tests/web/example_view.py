@@ -1,4 +1,4 @@
-"""The example of docs/develop/add_a_view.md, made by the edits of that page in a copy of the console's files."""
+"""The example of docs/develop/add_a_view.md, made by applying that page's edits to a copy of the console's files."""
 
 from __future__ import annotations
 
@@ -31,5 +31,5 @@ def add(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page_files, "STATIC", static)
     monkeypatch.setattr(views, "__path__", [*views.__path__, str(modules)])
     monkeypatch.setattr(views, "VIEWS", (*views.VIEWS, line))
-    monkeypatch.setitem(sys.modules, line.partition(":")[0], None)  # forgotten after the test
+    monkeypatch.setitem(sys.modules, line.partition(":")[0], None)  # the imported module is forgotten after the test
     del sys.modules[line.partition(":")[0]]

@@ -52,7 +52,7 @@ class GuardedDesk(Desk):
         return super().open(hub=hub, web={"tokens": TOKENS, "trusted": ["operator1"], **sections.get("web", {})})
 
     def tls(self, name: str = "") -> ssl.SSLContext:
-        """Return the TLS context of a peer with this name, "" for one without a certificate."""
+        """Return the TLS context of a peer with this name; "" means a peer without a certificate."""
         context = ssl.create_default_context(cafile=self.keys / "ca.pem")
         if name:
             context.load_cert_chain(self.keys / f"{name}.pem", self.keys / f"{name}.key")
@@ -71,7 +71,7 @@ class GuardedDesk(Desk):
             connection.close()
 
     def login(self, token: str, **headers: str) -> tuple[int, dict[str, str], str]:
-        """Log in as the page does."""
+        """Log in like the page."""
         all_headers = {"Origin": f"https://127.0.0.1:{self.port}", **headers}
         return self.ask("POST", "/login", json.dumps({"token": token}), **all_headers)
 
@@ -154,7 +154,7 @@ def test_a_login_sets_a_cookie(guarded: GuardedDesk) -> None:
         page.until(lambda: page.others, "the hello arrives")
         assert (page.others[0]["role"], page.others[0]["who"]) == ("drive", "anna")
     guarded.open_with()
-    assert json.loads(guarded.ask("GET", "/whoami", Cookie=cookie)[2])["name"] == "anna", "it survives a restart"
+    assert json.loads(guarded.ask("GET", "/whoami", Cookie=cookie)[2])["name"] == "anna", "the login survives a restart"
     for invalid in (f"{COOKIE}=hall{cookie[len(COOKIE) + 5 :]}", cookie[:-1] + ("0" if cookie[-1] != "0" else "1")):
         assert guarded.ask("GET", "/whoami", Cookie=invalid)[0] == 401
     assert (
@@ -171,7 +171,9 @@ def test_a_login_sets_a_cookie(guarded: GuardedDesk) -> None:
 def test_invalid_logins_are_refused(guarded: GuardedDesk, body: str, status: int) -> None:
     origin = f"https://127.0.0.1:{guarded.port}"
     assert guarded.ask("POST", "/login", body, Origin=origin)[0] == status
-    assert guarded.ask("POST", "/login", json.dumps({"token": DRIVE[0]}))[0] == 403, "only from a page"
+    assert guarded.ask("POST", "/login", json.dumps({"token": DRIVE[0]}))[0] == 403, (
+        "logins are accepted only from a page"
+    )
 
 
 def test_a_watching_client_may_not_command(guarded: GuardedDesk) -> None:
@@ -249,12 +251,12 @@ def test_a_wrong_token_does_not_block_others_client(
             assert page.call("ping")["ok"]
     lines = [record.getMessage() for record in caplog.records if "web.tokens" in record.getMessage()]
     assert lines[0] == "127.0.0.1 (program 'dashboard/1') sent a token that is not in web.tokens"
-    assert len(lines) == 2, "a line for each wrong token"
+    assert len(lines) == 2, "the log has one line for each wrong token"
     assert "of-yesterday" not in caplog.text
 
 
 class Guesser:
-    """Wrong tokens, with a simulated clock and a list as log."""
+    """Enters wrong tokens, with a simulated clock and a list in place of the log."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
@@ -284,7 +286,7 @@ def test_a_wrong_token_waits_longer_each_time_and_does_not_delay_others(guesser:
     guesser.now += access.FORGET_SECONDS + 1.0
     assert guesser.wait("a", "old") == 0
     guesser.now += 0.5
-    assert guesser.wait("a", "old") == 1, "a token that was not used for a long time starts again"
+    assert guesser.wait("a", "old") == 1, "a token that was not used for a long time starts without a delay again"
 
 
 def test_many_wrong_tokens_of_an_address_share_a_delay(guesser: Guesser) -> None:
@@ -298,7 +300,7 @@ def test_many_wrong_tokens_of_an_address_share_a_delay(guesser: Guesser) -> None
 def test_wrong_tokens_use_little_memory(guesser: Guesser) -> None:
     for number in range(10_000):
         guesser.wait("a", f"n{number}")
-    assert len(guesser.invalid._attempts) == access.MOST_WRONG + 1, "of one address"
+    assert len(guesser.invalid._attempts) == access.MOST_WRONG + 1, "the number of tokens per address is limited"
     for number in range(3 * access.MOST_ENTRIES):
         guesser.wait(f"m{number}", "old")
     assert len(guesser.invalid._attempts) == access.MOST_ENTRIES
@@ -324,7 +326,7 @@ def test_a_login_expires(monkeypatch: pytest.MonkeyPatch) -> None:
     headers = {"cookie": f"{COOKIE}={mine.login(DRIVE[0], 'a')[1]}"}
     grant = mine.grant(headers, "", "a")
     assert grant == Grant("anna", "drive", grant.until if grant else 0.0)
-    assert Access(section, b"t" * 32).grant(headers, "", "a") is None, "of another console"
+    assert Access(section, b"t" * 32).grant(headers, "", "a") is None, "a cookie of another console is not accepted"
     other = WebSection(tokens={"anna": TokenSection(sha256=WATCH[1])})
     assert Access(other, b"s" * 32).grant(headers, "", "a") is None, "the token has been replaced"
     late = time.time() + access.LOGIN_SECONDS + 10.0
@@ -342,7 +344,7 @@ def test_the_secret_is_readable_only_by_its_owner(tmp_path: Path) -> None:
 
 
 def test_the_certificates_names_are_valid_hosts(guarded: GuardedDesk) -> None:
-    """DNS rebinding: a name that an attacker points to this address is not one of them."""
+    """This prevents DNS rebinding: a name that an attacker points to this address is not among them."""
     port = guarded.port
     token = {"Authorization": f"Bearer {DRIVE[0]}"}
     for host in ("robot.test", "127.0.0.1", "here", "HERE.local"):
@@ -407,4 +409,4 @@ def test_a_renewed_certificate_is_loaded(guarded: GuardedDesk) -> None:
         guarded.console.refresh_tls()
         return number() != before
 
-    until(is_renewed, "it presents the new certificate")
+    until(is_renewed, "the console presents the new certificate")

@@ -116,7 +116,7 @@ def test_replies_that_are_not_read_close_the_connection(desk: Desk) -> None:
                 return True
             return False
 
-        until(is_disconnected, "it is disconnected", every=0.0)
+        until(is_disconnected, "the page is disconnected", every=0.0)
     with TestPage(desk.port) as page:
         assert page.call("ping")["ok"]
 
@@ -134,7 +134,7 @@ def test_a_call_that_waited_too_long_is_not_executed(desk: Desk, monkeypatch: py
     monkeypatch.setattr(verbs, "BEGIN_SECONDS", -1.0)
     with TestPage(desk.port) as page:
         assert "not executed: " in page.call("ping")["error"]
-        assert "not executed" not in page.call("stop").get("error", ""), "a stop is never too late"
+        assert "not executed" not in page.call("stop").get("error", ""), "a stop is never rejected as too late"
 
 
 def test_waiting_calls_of_a_closed_page_are_canceled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,7 +173,7 @@ GOOD = {"names": ["house"], "current": "house"}
 
 
 class FailingFeed(Feed):
-    """A feed that cannot be opened the first times."""
+    """A feed whose first attempts to open fail."""
 
     TIMES = 100
 

@@ -140,7 +140,7 @@ def test_the_laser_is_shown_on_the_map(desk: Desk) -> None:
             return bool(page.values.get("laser", {}).get("value"))
 
         until(publish, "the laser is shown", every=0.05)
-        # the robot heads along y: one meter ahead, two to its left
+        # the robot heads along y: the point is one meter ahead of it and two to its left
         assert page.values["laser"]["value"]["points"] == pytest.approx([1.5, 3.0, -0.5, 2.0], abs=0.02)
 
 
@@ -157,14 +157,14 @@ def test_the_planners_obstacles_are_shown(desk: Desk) -> None:
         page.value("robot")
         desk.far.publish(out, {"header": {"frame_id": "odom"}, "info": info, "data": [0, 99, 100, -1, 0, 0]})
         obstacles = page.value("obstacles", lambda value: value and value["points"])
-        # the odometry's frame is at 1, 2; the cell's center at 1.25, 0.25 from the grid's corner
+        # the odometry frame is at (1, 2), the cell's center at (1.25, 0.25) from the grid's corner
         assert obstacles == {"points": [3.25, 2.25], "size": 0.5}
         desk.far.publish(status, {"state": "goal_reached"})
         page.value("obstacles", lambda value: not value["points"])
         desk.far.publish(status, {"state": "moving"})
         large = {**info, "width": 1100, "height": 1000}
         desk.far.publish(out, {"header": {"frame_id": "odom"}, "info": large, "data": [0] * 1_100_000})
-        page.until(lambda: "up to 1048576 are shown" in page.values["obstacles"].get("why", ""), "it is refused")
+        page.until(lambda: "up to 1048576 are shown" in page.values["obstacles"].get("why", ""), "the grid is refused")
 
 
 def test_feeds_are_subscribed_only_while_watched(desk: Desk) -> None:
@@ -173,11 +173,11 @@ def test_feeds_are_subscribed_only_while_watched(desk: Desk) -> None:
     with TestPage(desk.port) as first, TestPage(desk.port) as other:
         for page in (first, other):
             page.watch("robot", "topic:/heard")
-        until(lambda: len(graph.subscriptions("/tf")) == 1, "one subscription serves both")
+        until(lambda: len(graph.subscriptions("/tf")) == 1, "one subscription serves both pages")
         first.send(op="unwatch", feed="robot")
         other.until(lambda: "robot" in other.values, "the other page is still served")
         assert graph.subscriptions("/tf")
-    until(lambda: not graph.subscriptions("/tf"), "the frames have no subscriber any longer")
+    until(lambda: not graph.subscriptions("/tf"), "the frames no longer have a subscriber")
 
 
 def test_a_topic_is_shown_as_a_tree(desk: Desk) -> None:
@@ -214,13 +214,13 @@ def test_a_slow_page_gets_only_the_newest_value(desk: Desk) -> None:
     with TestPage(desk.port, takes=False) as slow, TestPage(desk.port) as quick:
         for page in (slow, quick):
             page.watch("frames")
-        first = slow.until(lambda: slow.values.get("frames"), "a first value")
-        quick.until(lambda: quick.counts.get("frames", 0) >= 3, "values for a page that reads them")
+        first = slow.until(lambda: slow.values.get("frames"), "a first value arrives")
+        quick.until(lambda: quick.counts.get("frames", 0) >= 3, "a page that reads its socket gets further values")
         while slow.read():
             pass
         assert slow.counts["frames"] == 1
         slow.send(op="took", feed="frames", n=first["n"])
-        slow.until(lambda: slow.counts["frames"] == 2, "the next value after the acknowledgment")
+        slow.until(lambda: slow.counts["frames"] == 2, "the next value arrives after the acknowledgment")
         assert slow.values["frames"]["n"] > first["n"] + 1
 
 
@@ -260,7 +260,7 @@ def test_a_page_that_sends_only_invalid_messages_is_closed(desk: Desk) -> None:
     def send_until_closed(page: TestPage) -> None:
         for _ in range(30):
             page.socket.send("{")
-        page.until(lambda: False, "it is closed")
+        page.until(lambda: False, "the socket is closed")
 
     with TestPage(desk.port) as page, pytest.raises(Exception, match="1008"):
         send_until_closed(page)
@@ -377,4 +377,4 @@ def test_the_size_of_messages_is_limited(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.socket.send(json.dumps({"op": "watch", "feed": "x" * 100_000}))
         with pytest.raises(Exception, match="1009"):
-            page.until(lambda: False, "it is closed")
+            page.until(lambda: False, "the socket is closed")

@@ -47,7 +47,7 @@ class Planner(HubNode):
         self.on(lambda: self._feedback.publish({"feedback": {"distance_remaining": left}}))
 
     def drive(self, page: TestPage) -> None:
-        """Drive on a straight path, until the page shows it."""
+        """Drive on a straight path; return when the page shows the path."""
         self.state(State.MOVING)
         page.value("driving", lambda value: value and value["state"] == "moving")
         self.path(STRAIGHT)
@@ -76,7 +76,7 @@ def page(desk: Desk) -> Iterator[TestPage]:
 
 
 def shown(page: TestPage, state: str) -> tuple[float | None, list[float]]:
-    """Return the distance and the path, once the state is shown and a later value of another feed has arrived."""
+    """Return the distance and the path when the page shows the state and has received a later value of another feed."""
     page.value("driving", lambda value: value["state"] == state)
     assert page.call("ping")["ok"]
     return page.values["driving"]["value"]["distance"], page.values["path"]["value"]["points"]
@@ -136,7 +136,9 @@ def test_what_follows_a_pause_clears_the_distance(planner: Planner, page: TestPa
     page.value("driving", lambda value: value["distance"] is None)
     distance, points = shown(page, state.value)
     assert distance is None
-    assert points == ([] if state.ended else STRAIGHT), "a new goal has the old path until the planner replaces it"
+    assert points == ([] if state.ended else STRAIGHT), (
+        "after a new goal, the old path is shown until the planner replaces it"
+    )
 
 
 def test_manual_driving_during_a_pause_makes_the_distance_unknown(planner: Planner, page: TestPage) -> None:

@@ -1,4 +1,4 @@
-"""Driving by hand: a page holds a direction, and the base moves meanwhile."""
+"""Manual driving: the base moves while a page holds a direction."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Base:
 
 
 def hold(page: TestPage, base: Base, seconds: float = 0.0, x: float = 0.1) -> None:
-    """Hold until the base drives, and for ``seconds`` afterwards."""
+    """Hold a direction until the base drives, and for ``seconds`` afterwards."""
     end = time.monotonic() + 30
     while not base.drives():
         assert time.monotonic() < end, f"the base does not drive: {page.others}"
@@ -55,14 +55,14 @@ def test_a_hold_drives_while_it_is_repeated(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base, 0.6, x=5.0)
-        assert base.received[-1][1] == 0.3, "limited by the configuration"
+        assert base.received[-1][1] == 0.3, "the configuration limits the velocity"
         page.send(op="release")
         until(base.stands, "the base stands after the release")
         count = len(base.received)
         page.watch("topics")
         page.value("topics")
-        page.until(lambda: page.counts["topics"] >= 1, "a while")
-        assert len(base.received) == count, "one zero, then silence"
+        page.until(lambda: page.counts["topics"] >= 1, "some time has passed")
+        assert len(base.received) == count, "nothing follows the single zero velocity"
 
 
 def test_a_hold_drives_in_the_form_of_the_base(desk: Desk) -> None:
@@ -101,7 +101,7 @@ def test_no_hold_without_a_velocity_topic(desk: Desk) -> None:
     desk.open_with(navigation={"planner": "nav2", "velocity": ""})
     with TestPage(desk.port) as page:
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        page.until(page.errors, "it is refused")
+        page.until(page.errors, "the hold is refused")
         assert page.errors() == ["no velocity topic is configured (navigation.velocity)"]
         assert page.call("ping")["ok"]
 
@@ -129,7 +129,7 @@ def test_no_hold_against_a_planner(desk: Desk) -> None:
         page.watch("driving")
         page.value("driving", lambda value: value and value["state"] == "moving")
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        page.until(page.errors, "it is refused")
+        page.until(page.errors, "the hold is refused")
         assert page.errors() == ["nav2 drives; pause or stop it first"]
         desk.far.publish(status, {"state": "idle"})
         page.value("driving", lambda value: value and value["state"] == "idle")
@@ -137,14 +137,14 @@ def test_no_hold_against_a_planner(desk: Desk) -> None:
         desk.far.publish(status, {"state": "moving"})
         page.value("driving", lambda value: value and value["state"] == "moving")
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
-        until(base.stands, "a planner that starts ends the hold")
+        until(base.stands, "the hold ends when a planner starts")
 
 
 @pytest.mark.parametrize(("x", "shown"), [("1e300", "1e+300"), ("1e999", "inf"), ('"1"', "'1'")])
 def test_a_hold_out_of_range_is_refused_with_its_limits(desk: Desk, x: str, shown: str) -> None:
     with TestPage(desk.port) as page:
         page.socket.send(f'{{"op": "hold", "x": {x}, "y": 0, "turn": 0}}')
-        page.until(page.errors, "it is refused")
+        page.until(page.errors, "the hold is refused")
         limits = "must be a number between -1,000,000,000 and 1,000,000,000"
         assert page.errors() == [f"hold: x {limits}, not {shown}"]
 

@@ -92,7 +92,7 @@ def test_a_long_log_is_read_completely_and_returned_in_part(desk: Desk, daemon: 
         page.watch("log")
         page.value("log", lambda value: value and value["last"] == 1500)
         lines = page.call("log")["value"]["lines"]
-        assert [line["n"] for line in lines] == list(range(1001, 1501)), "the newest lines"
+        assert [line["n"] for line in lines] == list(range(1001, 1501)), "only the newest lines are sent"
 
 
 def test_the_log_of_a_restarted_daemon_starts_again(desk: Desk, daemon: Daemon, tmp_path: Path, file: Path) -> None:

@@ -98,4 +98,4 @@ def test_a_page_gets_a_bounded_number_of_cells() -> None:
     layer = tint({**GRID, "info": info, "data": np.full(side * side, 100, np.int8)}, above, HERE)
     assert layer["size"] == 2.0
     assert sum(len(run) - 2 for run in layer["runs"]) == 76 * 76 <= MOST_TINTED
-    assert layer["runs"][0][:5] == [0, 0, 0.9, 0.3, 0.9]  # the lowest of sixteen
+    assert layer["runs"][0][:5] == [0, 0, 0.9, 0.3, 0.9]  # the lowest of sixteen heights

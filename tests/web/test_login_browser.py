@@ -59,12 +59,12 @@ def test_a_client_logs_in_and_watches(guarded: GuardedDesk, chrome: Chrome, monk
     until(lambda: text(chrome, "why") == "Not logged in: no such token.", "the reason is shown")
     log_in(chrome, WATCH[0])
     until(lambda: chrome.current_url == address, "the console opens")
-    until(lambda: text(chrome, "line-text") == "Watching", "it is connected")
+    until(lambda: text(chrome, "line-text") == "Watching", "the page is connected")
     assert text(chrome, "watching") == "Watching as hall: commands are disabled, including STOP."
     assert not chrome.find_element(By.ID, "stop").is_enabled()
     teleop = chrome.find_element(By.CSS_SELECTOR, ".teleop")
     assert teleop.get_attribute("inert") is not None
-    assert chrome.execute_script("return document.cookie") == "", "no script reads it"
+    assert chrome.execute_script("return document.cookie") == "", "no script can read the cookie"
     port = guarded.port
     guarded.console.close()
     guarded.console = guarded.open(web={"listen": f"127.0.0.1:{port}", "tokens": {"anna": {"sha256": DRIVE[1]}}})
@@ -79,7 +79,7 @@ def test_a_client_logs_in_and_watches(guarded: GuardedDesk, chrome: Chrome, monk
     chrome.get(f"{address}login")
     until(lambda: text(chrome, "name") == "You are logged in as anna.", "the login page shows the client's name")
     chrome.find_element(By.ID, "out").click()
-    until(lambda: not chrome.find_element(By.ID, "known").is_displayed(), "it has logged out")
+    until(lambda: not chrome.find_element(By.ID, "known").is_displayed(), "the client is logged out")
     chrome.get(address)
     assert chrome.current_url == f"{address}login"
 
@@ -92,18 +92,18 @@ def test_a_client_logs_in_through_a_proxy_with_a_path(guarded: GuardedDesk, chro
         until(lambda: chrome.current_url == f"{address}login", "the login page is open")
         log_in(chrome, DRIVE[0])
         until(lambda: chrome.current_url == address, "the console's page is open")
-        until(lambda: text(chrome, "line-text") == "Connected", "it is connected")
+        until(lambda: text(chrome, "line-text") == "Connected", "the page is connected")
         assert [cookie["name"] for cookie in chrome.get_cookies()] == ["__Host-midspan~robot1"]
 
 
 def test_a_foreign_page_cannot_drive(
     guarded: GuardedDesk, chrome: Chrome, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A page of another origin, in the browser of a logged-in client, gets neither socket nor response."""
+    """A page of another origin, in the browser of a logged-in client, gets neither a socket nor a response."""
     address = f"https://127.0.0.1:{guarded.port}/"
     chrome.get(f"{address}login")
     log_in(chrome, DRIVE[0])
-    until(lambda: chrome.current_url == address, "it is logged in")
+    until(lambda: chrome.current_url == address, "the client is logged in")
     strange = tmp_path / "strange.html"
     strange.write_text(f"""<title>begun</title><script>
         const socket = new WebSocket("wss://127.0.0.1:{guarded.port}/socket", "midspan.console.1");
@@ -112,7 +112,7 @@ def test_a_foreign_page_cannot_drive(
             .then(() => document.title = "read", () => document.title = "refused");
     </script>""")
     chrome.get(strange.as_uri())
-    until(lambda: chrome.title == "refused", "the page gets nothing")
+    until(lambda: chrome.title == "refused", "the foreign page is refused")
     assert caplog.text.count("a page of 'null' may not access") == 2, "neither socket nor request was accepted"
     with TestPage(guarded.port, ssl=guarded.tls(), additional_headers={"Authorization": f"Bearer {DRIVE[0]}"}) as page:
         assert page.call("ping")["ok"]

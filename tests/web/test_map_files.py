@@ -1,4 +1,4 @@
-"""Maps that are imported from a page and exported to it, on a real hub."""
+"""Maps that a page imports and exports, on a real hub."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def page(desk: Desk, store: Store) -> Iterator[TestPage]:
 
 
 def send(page: TestPage, files: dict[str, bytes], part: int = 700) -> str:
-    """Upload files, and return their key."""
+    """Upload files, and return the key of the upload."""
     key: str = page.call("upload")["value"]
     for file, data in files.items():
         for at in range(0, max(len(data), 1), part):

@@ -26,7 +26,7 @@ MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
 
 
 class Steps:
-    """The commands and the configuration in the page's section, run in a folder."""
+    """The commands and the configuration in the page's section, used in a folder."""
 
     def __init__(self, folder: Path) -> None:
         section = PAGE.read_text().partition("### Open it on the network")[2]
@@ -90,7 +90,7 @@ def address(steps: Steps, command: list[str]) -> list[str]:
 
 
 def logged_in(folder: Path, port: int, token: str) -> str:
-    """Return the role of a token, by a login and by a socket."""
+    """Return the role of a token, as reported for a login and for a socket."""
     context = ssl.create_default_context(cafile=folder / "midspan" / "keys" / "ca.pem")
     origin = f"https://127.0.0.1:{port}"
     request = urllib.request.Request(f"{origin}/login", json.dumps({"token": token}).encode(), {"Origin": origin})

@@ -24,7 +24,7 @@ class Socket:
 
 
 def sent(prepare: Callable[[PageOutbox], None], *then: Callable[[PageOutbox], None]) -> list[str]:
-    """Return the messages that a page receives; each step of ``then`` follows when all previous ones are sent."""
+    """Return the messages that a page receives; each step of ``then`` follows when all previous messages are sent."""
 
     async def send() -> list[str]:
         box, socket = PageOutbox("somebody"), Socket()

@@ -1,4 +1,4 @@
-"""A page whose socket is not read."""
+"""A page that does not read its socket."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_page_that_reads_no_replies_is_closed() -> None:
 
 
 class RecordingHold:
-    """Records the actions."""
+    """A hold that records the page's actions."""
 
     def __init__(self) -> None:
         self.said: list[Any] = []
@@ -84,7 +84,7 @@ class RecordingHold:
 
 
 class Script(StuckSocket):
-    """Sends some messages, then ends."""
+    """A socket from which some messages arrive before it ends."""
 
     def __init__(self, *messages: dict[str, Any]) -> None:
         super().__init__()

@@ -90,14 +90,14 @@ def test_image_addresses_depend_on_the_content() -> None:
     assert flags_picture(grid) is None
     walls = pictures.put("occupancy", occupancy_picture(grid))
     grid.flags[1, 1] = KEEP_OUT
-    assert pictures.put("occupancy", occupancy_picture(grid)) == walls, "keep-out cells are in the other image"
+    assert pictures.put("occupancy", occupancy_picture(grid)) == walls, "keep-out cells are in the other image only"
     tints = flags_picture(grid)
     assert tints is not None
     assert np.argwhere(tints).tolist() == [[1, 1]]
     grid.flags[1, 2], grid.flags[1, 5] = WALL, MapFlag.UNKNOWN
     grid.occupancy[2, 2], grid.flags[2, 2] = UNKNOWN, FREE
     cells = occupancy_picture(grid)
-    assert (cells[1, 2], cells[1, 5]) == (100, 101), "a wall, and an unknown cell"
+    assert (cells[1, 2], cells[1, 5]) == (100, 101), "the cells are a wall and an unknown cell"
     assert cells[2, 2] == 101, "planners do not know this cell either"
 
 
@@ -109,9 +109,13 @@ def test_the_colors_of_images(*, dark: bool) -> None:
     png = pictures.get("occupancy", address.partition("=")[2], dark=dark)
     assert png is not None
     picture = np.asarray(Image.open(io.BytesIO(png)).convert("RGBA"))
-    assert picture[1, 2].tolist() == ([160, 176, 190, 255] if dark else [0, 0, 0, 255]), "a wall"
-    assert picture[1, 0].tolist() == ([20, 25, 30, 255] if dark else [255, 255, 255, 255]), "free"
-    assert picture[1, 5, 3] == 0, "unknown"
+    assert picture[1, 2].tolist() == ([160, 176, 190, 255] if dark else [0, 0, 0, 255]), (
+        "a wall is gray in the dark theme and black in the light one"
+    )
+    assert picture[1, 0].tolist() == ([20, 25, 30, 255] if dark else [255, 255, 255, 255]), (
+        "a free cell is dark in the dark theme and white in the light one"
+    )
+    assert picture[1, 5, 3] == 0, "an unknown cell is transparent"
 
 
 def test_a_change_replaces_one_tile() -> None:
@@ -133,7 +137,7 @@ def test_a_change_replaces_one_tile() -> None:
     assert png is not None
     assert Image.open(io.BytesIO(png)).size == (2100 - 2048, 1500 - 1024)
     old = before["tiles"][1][2].partition("=")[2]
-    assert pictures.get("occupancy", old) is not None, "a page may still be fetching it"
+    assert pictures.get("occupancy", old) is not None, "a page may still be fetching the old picture"
     pictures.put("occupancy", cells)
     assert pictures.get("occupancy", old) is None
 

@@ -30,7 +30,7 @@ class FakeGateway(HubNode):
         super().__init__(settings)
         self.goals: list[Goal] = []
         self.now: Goal | None = None
-        self.at_once = 0  # largest number of simultaneously active goals
+        self.at_once = 0  # largest number of goals that were active at once
         self.on(self._open)
 
     def _open(self) -> None:
@@ -86,18 +86,18 @@ class FakeGateway(HubNode):
         answer({"success": True, "message": "stands"})
 
     def goal_x(self, count: int) -> float:
-        """Wait for the goal of a number, and return its x."""
+        """Wait for the goal with this number, and return its x."""
         (x,) = self.goal_xs(count)
         return x
 
     def goal_xs(self, count: int) -> list[float]:
-        """Wait for the goal of a number, and return the x of its places."""
+        """Wait for the goal with this number, and return the x of its places."""
         until(lambda: len(self.goals) >= count, f"goal {count} is sent", 30)
         goal = self.goals[count - 1].goal
         return [float(place["pose"]["position"]["x"]) for place in goal.get("poses") or [goal["pose"]]]
 
     def pass_places(self, left: int) -> None:
-        """Report that a number of the goal's places are left."""
+        """Report how many of the goal's places are left."""
 
         def report() -> None:
             assert self.now is not None
@@ -133,7 +133,7 @@ def gateway(desk: Desk) -> Iterator[FakeGateway]:
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a busy machine the gateway may not answer within 5 s, which ends a patrol."""
+    """Extend a time limit: on a busy machine the gateway may take more than 5 s to reply, which would end a patrol."""
     monkeypatch.setattr(patrol, "ANSWER_SECONDS", 40.0)
 
 
@@ -144,8 +144,10 @@ def page(desk: Desk, gateway: FakeGateway) -> Iterator[TestPage]:
         page_.value("driving", lambda value: value and value["state"] == "idle")
         graph = desk.console.host.node.hub.graph
         page_.until(lambda: graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is discovered")
-        page_.until(lambda: graph.servers(f"{THROUGH_POSES}/_action/get_result"), "its other action is discovered")
-        page_.until(lambda: graph.servers("/navigation/stop"), "all its services are discovered")
+        page_.until(
+            lambda: graph.servers(f"{THROUGH_POSES}/_action/get_result"), "the gateway's other action is discovered"
+        )
+        page_.until(lambda: graph.servers("/navigation/stop"), "all services of the gateway are discovered")
         yield page_
     assert gateway.at_once <= 1
 
@@ -177,7 +179,7 @@ def test_a_patrol_without_stops_sends_all_places_in_one_goal(page: TestPage, gat
     for left, at in ((18, (1, 0)), (17, (1, 1)), (14, (2, 1)), (2, (6, 1))):
         gateway.pass_places(left)
         page.value("patrol", lambda value, at=at: (value["round"], value["at"]) == at)
-    gateway.pass_places(0)  # as a planner before its first plan
+    gateway.pass_places(0)  # as a planner does before its first plan
     gateway.reach()
     patrol = state(page, "waits")
     assert (patrol["round"], patrol["at"]) == (6, 2)
@@ -251,7 +253,7 @@ def test_another_clients_goal_ends_the_patrol(desk: Desk, page: TestPage, gatewa
     try:
         client = other.on(lambda: other.node.action_client(ACTION, NAVIGATE))
         until(lambda: client.ready, "the gateway is discovered", 20)
-        gateway.at_once = 0 if where == "at a place" else -1  # the gateway itself ends the previous goal
+        gateway.at_once = 0 if where == "at a place" else -1  # in this case, the gateway itself ends the previous goal
         other.on(lambda: client.send({"pose": pose(9.0)}, lambda *_: None))
         assert gateway.goal_x(2) == 9.0
         assert "sent a goal" in state(page, "ended")["why"]

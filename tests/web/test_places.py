@@ -1,4 +1,4 @@
-"""The verbs for places of the store, on a real hub."""
+"""The verbs for the store's places, on a real hub."""
 
 from __future__ import annotations
 

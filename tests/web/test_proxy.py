@@ -1,4 +1,4 @@
-"""Page, socket and map of a console behind a reverse proxy."""
+"""The page, socket and map of a console that is used through a reverse proxy."""
 
 from __future__ import annotations
 

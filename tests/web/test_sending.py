@@ -1,4 +1,4 @@
-"""The console's forms: definitions, one message, one call."""
+"""The console's forms: definitions, publishing one message, and calling one service."""
 
 from __future__ import annotations
 
@@ -104,13 +104,13 @@ def test_a_message_is_published_once_and_not_latched(desk: Desk) -> None:
         reply = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "hello"})
         assert reply["value"] == "published on /said"
         assert desk.far.wait(subscription, 1)[0] == {"data": "hello"}
-        (end,) = until(lambda: desk.far.hub.graph.publishers("/said"), "its publisher is in the graph")
+        (end,) = until(lambda: desk.far.hub.graph.publishers("/said"), "the console's publisher is in the graph")
         assert end.qos.durability is Durability.VOLATILE
         second = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "again"})
         while not second["ok"]:
             second = page.call("publish", topic="/said", type="std_msgs/String", message={"data": "again"})
         assert [message["data"] for message in desk.far.wait(subscription, 2)] == ["hello", "again"]
-        assert len(desk.far.hub.graph.publishers("/said")) == 1, "the same publisher"
+        assert len(desk.far.hub.graph.publishers("/said")) == 1, "the same publisher is reused"
 
 
 def test_a_missing_subscriber_is_reported(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,4 +151,4 @@ def test_a_service_call_returns_its_reply(desk: Desk) -> None:
         other = page.call("call_service", name="/light", type="std_srvs/Trigger", request={})
         assert "/light is std_srvs/srv/SetBool on the hub, not std_srvs/srv/Trigger" in other["error"]
         graph = desk.far.hub.graph
-        until(lambda: not graph.clients("/light"), "its clients are closed")
+        until(lambda: not graph.clients("/light"), "the service's clients are closed")

@@ -46,7 +46,7 @@ class Surroundings:
         return self.endpoints
 
     def subscription(self, *arguments: Any, exact: bool) -> Surroundings:
-        assert exact, "it receives the message as it was published"
+        assert exact, "the feed receives the message as published"
         if self.refusal:
             raise HubError(self.refusal)
         self.callbacks.append(arguments[-1])
@@ -68,7 +68,7 @@ class Surroundings:
         self.texts.append(text)
 
     def second(self, messages: int = 0) -> str:
-        """Publish messages within one second; return the page's newest text."""
+        """Publish messages within one second; return the newest text on the page."""
         for _ in range(messages):
             for callback in self.callbacks:
                 callback(HubSample(zenoh.ZBytes(b"data"), next(self.numbers), 1, b"1" * 16, "1"))
@@ -103,7 +103,7 @@ def test_a_message_is_withdrawn_with_its_last_publisher(place: Surroundings) -> 
     assert '"bytes":4' in place.second(10)
     place.endpoints = []
     assert "no publisher of /odom on the hub" in place.second()
-    assert not place.callbacks, "unsubscribed"
+    assert not place.callbacks, "the feed has unsubscribed"
     place.endpoints = [endpoint("/odom", b"2" * 16)]
     place.second()
     assert '"bytes":4' in place.second(1)

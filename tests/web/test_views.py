@@ -1,4 +1,4 @@
-"""The views of the page: their files, and a view that is added."""
+"""The page's views: their files, and a view that is added."""
 
 from __future__ import annotations
 

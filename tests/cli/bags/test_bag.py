@@ -1,4 +1,4 @@
-"""``midspan bag`` as it is typed."""
+"""``midspan bag`` as typed on the command line."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_convert_names_topics_without_a_definition(target: str, capsys: pytest.C
 
 
 def test_types_from_the_configuration_are_used(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    nobody_knows(Path("humble.mcap"))  # as a .db3 of Humble, which has no definitions
+    nobody_knows(Path("humble.mcap"))  # like a .db3 file of Humble, which has no definitions
     assert main(["bag", "convert", "humble.mcap", "a.db3"]) == 0
     assert main(["bag", "convert", "a.db3", "a.bag"]) == 1
     assert "/odd has type none_msgs/msg/None" in capsys.readouterr().err
@@ -204,13 +204,13 @@ def test_errors_are_reported(words: str, says: str, capsys: pytest.CaptureFixtur
 
 
 def copying(verb: str, *before: str) -> subprocess.Popen[bytes]:
-    """A copy that takes ten seconds and has just begun to write."""
+    """A copy that would take ten seconds and has just begun to write."""
     long_mcap(Path("a.mcap"), 1000, 50_000)
     assert main(["bag", "convert", "a.mcap", "a.bag"]) == 0
     command = [sys.executable, "-m", "bridge.cli.main", "bag", verb, "a.bag", "b.bag", "--compression", "bz2"]
     environ = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
     process = subprocess.Popen([*before, *command], env=environ, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    until(lambda: any(path.name.startswith(".b.") for path in Path().iterdir()), what="it writes")
+    until(lambda: any(path.name.startswith(".b.") for path in Path().iterdir()), what="the copy writes")
     return process
 
 
@@ -249,7 +249,7 @@ def test_ignored_signal_does_not_end_the_conversion(here: Path) -> None:
 
     process.send_signal(signal.SIGINT)
     before = written()
-    until(lambda: written() > before, "it goes on")
+    until(lambda: written() > before, "the copy continues")
     process.terminate()
     process.communicate(timeout=20)
     assert process.returncode == 143

@@ -1,4 +1,4 @@
-"""``midspan tf`` on a real hub: frames of a side, of a node of the hub, and what is wrong with them."""
+"""``midspan tf`` on a real hub: frames from a side and from a hub node, and problems with frames."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 
 @contextmanager
 def published_frames(worker: EngineWorker, topic: str, *frames: tuple[str, str], late: float = 0.0) -> Iterator[None]:
-    """A program of the side that publishes frames, 1 m apart, fifty times a second."""
+    """A program on the side that publishes frames, 1 m apart, fifty times a second."""
     stop = threading.Event()
     writer = worker.advertise(topic, TF)
 
@@ -58,7 +58,7 @@ def bridged(worker: EngineWorker, topic: str) -> None:
 
 @pytest.fixture
 def robot(network: HubNetwork, registry: Registry, closing: list[Any]) -> Iterator[EngineWorker]:
-    """A side with a moving base, and a node of the hub with a laser on it."""
+    """A side with a moving base, and a hub node that publishes a laser's frame on the base."""
     worker = EngineWorker(network, registry)
     closing.append(worker)
     fixed = FakeWorker(network, "mounts")
@@ -74,8 +74,12 @@ ALL = ["base_link", "laser", "map", "odom"]
 
 
 def seen(midspan: Midspan, *words: str, fits: Callable[[Outcome], object]) -> Outcome:
-    """What a verb printed once it fits: on a busy machine not all comes while it listens."""
-    return until(lambda: (done := midspan("tf", *words)).code == 0 and fits(done) and done, f"{words} fits", 30)  # type: ignore[return-value]
+    """Repeat a command until its output meets a condition: on a busy machine, some frames arrive too late."""
+    return until(
+        lambda: (done := midspan("tf", *words)).code == 0 and fits(done) and done,
+        f"the output of {words} meets the condition",
+        30,
+    )  # type: ignore[return-value]
 
 
 @pytest.mark.usefixtures("robot")
@@ -112,7 +116,7 @@ def test_tree_waits_for_every_publisher(
 
 @pytest.mark.usefixtures("robot")
 def test_tree_waits_longer_for_transforms_from_a_side(midspan: Midspan) -> None:
-    """Behind its one publisher there may be many programs."""
+    """A side has one publisher on the hub for all of its programs."""
     assert "listened for" not in seen(midspan, "list", fits=lambda done: done.out.split() == ALL).err
 
 
@@ -187,7 +191,7 @@ def test_transforms_that_are_not_bridged_are_listed(
     worker = EngineWorker(network, registry, rules=[{"topic": "/tf", "deny": True}])
     closing.append(worker)
     with published_frames(worker, "/tf", ("map", "odom")):
-        until(lambda: worker.engine.explain("/tf"), "it is known")
+        until(lambda: worker.engine.explain("/tf"), "the engine knows /tf")
         done = midspan("tf", "echo", "map", "odom", "--count", "1", "--timeout", "20")
     assert done.code == 0, done.err
 

@@ -1,4 +1,4 @@
-"""``midspan service`` and ``midspan action`` on a real hub, with servers that are nodes of it."""
+"""``midspan service`` and ``midspan action`` on a real hub, with servers that are hub nodes."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
 
 @pytest.fixture
 def decided(network: HubNetwork, closing: list[Any]) -> None:
-    """A worker that decided of a service and of the parts of an action."""
+    """A worker that has decided on a service and on the parts of an action."""
     base = {"daemon": "robot1", "worker": "ros1", "direction": "in", "cure": "", "kind": "service"}
     private = {"topic": "/node/get_loggers", "hub_topic": "", "type": "roscpp/GetLoggers", "decision": "private"}
     action = {"topic": "/far/_action/send_goal", "hub_topic": "/far/_action/send_goal", "decision": "refused"}
@@ -119,7 +119,7 @@ def test_call_errors_are_reported(
     outcome = midspan("service", "call", *words)
     assert outcome.code == 1
     assert told in outcome.err
-    assert "--debug" not in outcome.err, "the error is for users"
+    assert "--debug" not in outcome.err, "the error is written for users, not developers"
 
 
 def test_goal_prints_feedback_and_result(midspan: Midspan, robot: Robot) -> None:
@@ -141,7 +141,7 @@ def test_timeout_and_ctrl_c_cancel_the_goal(midspan: Midspan, robot: Robot) -> N
     assert "0.3 s have passed" in outcome.err
 
     def interrupt() -> None:
-        until(lambda: len(robot.goals) == 2, "the goal is there")
+        until(lambda: len(robot.goals) == 2, "the server has both goals")
         os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=interrupt)
@@ -169,9 +169,9 @@ def test_a_goal_that_does_not_end_after_a_signal(
 
 
 def test_a_second_signal_does_not_break_off_the_cancellation(midspan: Midspan, robot: Robot) -> None:
-    """As systemd and shells send SIGTERM and SIGHUP together."""
+    """Both systemd and shells send SIGTERM and SIGHUP together."""
     outcome = signaled(midspan, robot, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM)
-    assert outcome.code in (143, 129)  # Python handles signals that wait together by their numbers
+    assert outcome.code in (143, 129)  # Python handles pending signals in the order of their numbers
     assert outcome.err.endswith(": the goal was canceled\n")
     assert len(outcome.err.splitlines()) == 1
 
@@ -189,7 +189,7 @@ def signaled(midspan: Midspan, robot: Robot, *numbers: signal.Signals) -> Outcom
     """Send a goal, and these signals to this process once the server has it."""
 
     def send() -> None:
-        until(lambda: robot.goals, "the goal is there")
+        until(lambda: robot.goals, "the server has the goal")
         for number in numbers:
             os.kill(os.getpid(), number)
 
@@ -202,7 +202,7 @@ def signaled(midspan: Midspan, robot: Robot, *numbers: signal.Signals) -> Outcom
 
 def test_goal_ends_when_its_server_disappears(midspan: Midspan, robot: Robot) -> None:
     def close_server() -> None:
-        until(lambda: robot.goals, "the goal is there")
+        until(lambda: robot.goals, "the server has the goal")
         robot.node.close()
 
     thread = threading.Thread(target=close_server)
@@ -210,7 +210,7 @@ def test_goal_ends_when_its_server_disappears(midspan: Midspan, robot: Robot) ->
     outcome = midspan("action", "send", "/lookup", "{target_frame: slow}")
     thread.join()
     assert outcome.code == 1
-    assert "left" in outcome.err or "no server" in outcome.err  # it may leave before its result is asked for
+    assert "left" in outcome.err or "no server" in outcome.err  # the server may leave before the result request
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A goal that ``midspan action send`` gives up while its server cannot be called."""
+"""A goal that ``midspan action send`` gives up while the goal's server cannot be called."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``midspan topic`` on a real hub with a real engine: what crosses, and what stays on its side."""
+"""``midspan topic`` on a real hub with a real engine: topics that are bridged, and topics that stay on their side."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def worker(network: HubNetwork, registry: Registry, closing: list[Any]) -> Engin
 
 @contextmanager
 def talking(worker: EngineWorker, writer: Writer, cdr: bytes) -> Iterator[None]:
-    """A native program of the side that publishes over and over."""
+    """A native program on the side that publishes repeatedly."""
     stop = threading.Event()
 
     def talk() -> None:
@@ -50,7 +50,7 @@ def talking(worker: EngineWorker, writer: Writer, cdr: bytes) -> Iterator[None]:
 
 
 def bridged(worker: EngineWorker, count: int) -> None:
-    until(lambda: len(worker.engine.routes()) == count, "the routes are there")
+    until(lambda: len(worker.engine.routes()) == count, "all routes exist")
 
 
 def test_list_shows_bridged_and_unbridged_topics(midspan: Midspan, worker: EngineWorker) -> None:
@@ -58,7 +58,7 @@ def test_list_shows_bridged_and_unbridged_topics(midspan: Midspan, worker: Engin
         worker.advertise(topic, STRING)
     bridged(worker, 1)
     names = ["/chatter", "/rosout", "/secret"]
-    until(lambda: midspan("topic", "list").out.split() == names, "it has decided of all")
+    until(lambda: midspan("topic", "list").out.split() == names, "the engine has decided on all topics")
     entries = {entry["topic"]: entry for entry in midspan("topic", "list", "--json").json()}
     assert {name: entry["state"] for name, entry in entries.items()} == {
         "/chatter": "hub",
@@ -113,7 +113,7 @@ def test_echo_prints_latched_messages_at_once(midspan: Midspan, worker: EngineWo
 @pytest.mark.parametrize("topic", ["/rosout", "/secret"])
 def test_echo_of_an_unbridged_topic(midspan: Midspan, worker: EngineWorker, registry: Registry, topic: str) -> None:
     writer = worker.advertise(topic, STRING)
-    until(lambda: len(worker.engine.decisions()) == 1, "the topic is decided")
+    until(lambda: len(worker.engine.decisions()) == 1, "the engine has decided on the topic")
     with talking(worker, writer, from_json(registry, STRING, {"data": "hidden"})):
         done = midspan("topic", "echo", topic, "--count", "2", "--timeout", "10")
     assert (done.code, done.out.count("data: hidden")) == (0, 2), done
@@ -210,7 +210,7 @@ def test_pub_counts_and_latches(midspan: Midspan, network: HubNetwork, closing: 
     latched = listener.subscribe("/latched", STRING, LATCHED)
     midspan("topic", "pub", "/latched", STRING, "--latch", "--count", "1", "--settle", "0")
     assert len(latched) == 1
-    until(lambda: not listener.hub.graph.publishers("/latched"), "its publisher is gone")
+    until(lambda: not listener.hub.graph.publishers("/latched"), "the latched topic's publisher is gone")
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def test_pub_warns_of_sides_that_it_does_not_reach(midspan: Midspan, worker: Eng
 
 
 def test_pub_does_not_warn_of_a_type_that_the_topic_has_among_others(midspan: Midspan, network: HubNetwork) -> None:
-    """As BaseControl subscribes to /cmd_vel with and without a stamp."""
+    """For example, BaseControl subscribes to /cmd_vel with and without a stamp."""
     with Hub.open(network.settings("native")) as hub:
         ends = [
             hub.subscription("/both", type_name, "RIHS01_" + digit * 64, Qos(), lambda _: None)

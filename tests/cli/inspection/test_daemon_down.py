@@ -1,4 +1,4 @@
-"""A daemon that does not run, and workers that do not: each verb names the true cause."""
+"""A daemon or workers that do not run: each verb reports the true cause."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ NEED_NOTHING = (["topic", "list"], ["service", "list"], ["tf", "list"], ["explai
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Starts a daemon; called once."""
+    """A function that starts a daemon; to be called once."""
     daemons: list[RobotDaemon] = []
 
     def begin(order: str = "", **sections: Any) -> RobotDaemon:
@@ -92,7 +92,7 @@ def test_verbs_that_need_a_worker_fail_with_the_cause(dead: tuple[RobotDaemon, s
     assert "name a planner" not in done.stderr
     assert "set store.enabled" not in done.stderr
     assert "record.enabled" not in done.stderr
-    assert done.stderr.splitlines()[-1].endswith(down), "the error itself names the cause"
+    assert done.stderr.splitlines()[-1].endswith(down), "the last line of the error names the cause"
 
 
 @pytest.mark.parametrize("words", [*NEED_NOTHING, ["halt", "--seconds", "0.1"], ["nav", "stop"]], ids=" ".join)
@@ -102,7 +102,7 @@ def test_other_verbs_mention_the_dead_daemon(dead: tuple[RobotDaemon, str], word
 
 
 def test_a_router_that_answers_late(dead: tuple[RobotDaemon, str]) -> None:
-    """A busy machine, here by signals: its port accepts connections all the time."""
+    """Signals simulate a busy machine; the router's port accepts connections all the time."""
     robot, down = dead
     router = psutil.Process(int(re.findall(r"\d+", down)[-1]))
     router.suspend()
@@ -117,7 +117,7 @@ def test_a_router_that_answers_late(dead: tuple[RobotDaemon, str]) -> None:
 
 @pytest.mark.thorough
 def test_the_daemon_of_another_user(dead: tuple[RobotDaemon, str], tmp_path: Path) -> None:
-    """Its state folder cannot be read: that the router lost its daemon shows in the process table."""
+    """The state folder cannot be read, but the process table shows that the router has lost its daemon."""
     robot, down = dead
     file = tmp_path / "other.yaml"
     file.write_text(json.dumps({**yaml.safe_load(robot.file.read_text()), "state": str(tmp_path / "none")}))
@@ -204,7 +204,7 @@ def test_no_planner_is_configured(start: Start) -> None:
 
 
 def test_a_router_that_cannot_work(start: Start) -> None:
-    """Its port is held by another program: the daemon runs, and knows the reason."""
+    """Another program uses the router's port; the daemon runs, and knows the reason."""
     with socket.create_server(("127.0.0.1", 0)) as other:
         robot = start("run", hub={"listen": f"tcp/127.0.0.1:{other.getsockname()[1]}"})
         robot.until_phase("router", "cannot work")
@@ -231,7 +231,7 @@ def test_without_router_and_daemon(dead: tuple[RobotDaemon, str], tmp_path: Path
     assert done.returncode == 1
     assert "the daemon robot is not running" in done.stderr
     assert "start the daemon: 'midspan run'" in done.stderr
-    assert "although it listens" not in done.stderr, "a router that is down is not waited for"
+    assert "although it listens" not in done.stderr, "the command does not wait for a router that is down"
 
 
 @pytest.mark.thorough
@@ -245,7 +245,7 @@ def test_a_configuration_that_the_daemon_has_not_loaded(start: Start) -> None:
 
 
 def other_state(robot: RobotDaemon, folder: Path) -> None:
-    """Let the commands read a configuration with another state folder, as those of another user do."""
+    """Let the commands read a configuration with another state folder, as the commands of another user would."""
     file = folder / "other.yaml"
     file.write_text(json.dumps({**yaml.safe_load(robot.file.read_text()), "state": str(folder / "none")}))
     robot.file = file
@@ -273,7 +273,7 @@ def test_status_while_another_program_holds_the_port(tmp_path: Path, words: list
 
 
 def test_status_beside_a_router_of_another_project(tmp_path: Path) -> None:
-    """The daemon uses it, and may have no worker that answers on the hub."""
+    """The daemon uses that router, and may have no worker that replies on the hub."""
     config = zenoh.Config()
     place = f"tcp/127.0.0.1:{free_port()}"
     for key, value in (("mode", "router"), ("listen/endpoints", [place]), ("scouting/multicast/enabled", False)):
@@ -312,13 +312,13 @@ def test_status_of_a_daemon_without_a_router(tmp_path: Path) -> None:
 
 
 def exhaust(pid: int) -> None:
-    """Leave a process no file descriptor for another connection."""
+    """Use up a process's file descriptors, so that it cannot accept another connection."""
     _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
     resource.prlimit(pid, resource.RLIMIT_NOFILE, (len(list(Path(f"/proc/{pid}/fd").iterdir())), hard))
 
 
 def test_a_router_that_accepts_no_connection(tmp_path: Path) -> None:
-    """The kernel completes connections to its port, but they get no answer: no other program is to blame."""
+    """The kernel completes connections to the router's port, which get no reply; no other program is the cause."""
     with contextlib.closing(RobotDaemon(tmp_path, navigation={}, modules={})) as robot:
         robot.run()
         router = robot.until_phase("router", "running")["pid"]
@@ -339,7 +339,7 @@ def test_a_router_that_accepts_no_connection(tmp_path: Path) -> None:
 
 
 def test_a_daemon_that_is_suspended_with_its_router(tmp_path: Path) -> None:
-    """As Ctrl-Z in its terminal does."""
+    """Ctrl-Z in the daemon's terminal does this."""
     with contextlib.closing(RobotDaemon(tmp_path, navigation={}, modules={})) as robot:
         robot.run()
         router = robot.until_phase("router", "running")["pid"]

@@ -29,7 +29,10 @@ def engine(network: HubNetwork, registry: Registry, closing: list[Any]) -> Engin
     for topic in ("/secret", "/old", "/rosout", "/fine"):
         worker.advertise(topic, STRING)
     worker.advertise("/odd", "odd_msgs/msg/Odd")
-    until(lambda: len(worker.engine.decisions()) == 5 and len(worker.engine.routes()) == 2, "all are decided")
+    until(
+        lambda: len(worker.engine.decisions()) == 5 and len(worker.engine.routes()) == 2,
+        "the engine has decided on all topics",
+    )
     return worker
 
 
@@ -57,11 +60,11 @@ def test_each_decision_is_explained_with_its_cure(
 def test_the_cure_of_a_denied_topic_is_not_another_rule(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
-    """A rule that denies wins over each rule that allows, wherever it stands."""
+    """A rule that denies a topic overrides all rules that allow it, whatever their order."""
     worker = EngineWorker(network, registry, rules=[{"topic": "/secret"}, {"topic": "/s*", "deny": True}])
     closing.append(worker)
     worker.advertise("/secret", STRING)
-    until(lambda: len(worker.engine.decisions()) == 1, "it is decided")
+    until(lambda: len(worker.engine.decisions()) == 1, "the engine has decided on the topic")
     done = midspan("explain", "/secret")
     assert "does not cross: rule 2 denies it." in done.out
     assert "    cure: remove or narrow rule 2; a rule that denies overrides all rules that allow" in done.out
@@ -137,7 +140,7 @@ def test_an_unused_name_is_explained_by_the_rules(
     network: HubNetwork, closing: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rules = [
-        {"topic": "**", "rate": 5},  # names nothing
+        {"topic": "**", "rate": 5},  # matches every topic, so it does not name this one
         {"topic": "/camera/**", "to": "yarp", "deny": True},
         {"kind": "topic", "topic": "/old", "from": "ros1", "rename": "/new"},
         {"regex": "/lidar/[0-9]", "type": "sensor_msgs/msg/*"},
@@ -217,7 +220,7 @@ def test_a_mismatch_on_the_hub_is_shown(midspan: Midspan, network: HubNetwork, c
 
 
 def test_all_workers_are_queried_in_parallel(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
-    """Each query waits for the slowest worker, so sequential queries would keep a person waiting too long."""
+    """Each query waits for the slowest worker, so a user would wait too long for sequential queries."""
     name, queried = "/navigation2D_nws_yarp/rpc", threading.Event()
     decision = {"decision": "denied", "direction": "in", "topic": name, "hub_topic": name, "type": STRING, "why": "w"}
     module = status("gateway", side=None, module=True, ports=[{"port": name, "peers": []}])
@@ -278,6 +281,6 @@ def test_daemons_with_the_same_name_are_distinguished(
     assert f"ROS 1 -> hub (daemon robot1 (state folder /a on pc)): /scan ({STRING}) crosses: w." in lines
     assert f"ROS 1 -> hub (daemon robot1 (state folder /b on pc)): /scan ({STRING}) does not cross: w." in lines
     assert "7 messages" in done.out
-    assert "9 messages" not in done.out, "it is the other daemon's route"
+    assert "9 messages" not in done.out, "the route belongs to the other daemon"
     assert "Note: 2 daemons on this hub are named 'robot1': state folder /a on pc; state folder /b on pc." in lines
     assert "    cure: set another 'name' in the configuration of one of them" in lines

@@ -95,7 +95,7 @@ def test_commands_through_another_router(midspan: Midspan, network: HubNetwork, 
     if place == "beyond two routers":
         station = router("station", door="d3", machines=[{"name": "m", "zid": "m1"}, {"name": "m", "zid": "m2"}])
         closing.append(FakeWorker(network, "router", daemon="station", status=station))
-    elif place == "program":  # it is connected to the router itself: no document has its session
+    elif place == "program":  # the program is connected to the router itself, so no status document has its session
         fleet.operator |= {"door": "", "members": [], "machines": []}
         fleet.robot["members"] = ["d2"]
     elif place == "other link":
@@ -146,7 +146,7 @@ def test_router_that_omits_its_command_topics_has_the_default_ones(
 
 @pytest.fixture(scope="module")
 def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
-    """A robot whose external router trusts ``friend`` only."""
+    """A robot whose external router trusts only ``friend``."""
     machines = Machines(make_keys(tmp_path_factory.mktemp("keys")))
     with machines.network:
         machines.network.start_router()
@@ -155,7 +155,7 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
 
 
 def commander(host: Machines, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
-    """The command line of a machine with a certificate of this name."""
+    """The command line of a machine whose certificate has this name."""
     file = tmp_path / "midspan.yaml"
     file.write_text(json.dumps({"name": name, "hub": {"zenoh": host.zenoh_config(name)}}))
     midspan = Midspan(file, capsys)
@@ -221,7 +221,7 @@ def test_play_reports_a_machine_that_refuses_its_commands(
 def test_commands_through_the_router_of_an_untrusted_machine(
     host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The verb joins its machine's hub, whose external listener is connected to the robot's."""
+    """The command joins its own machine's hub, which is connected to the robot's external listener."""
     hub = {"connect": [host.place], "keys": str(host.folder), "certificate": str(host.folder / "guest.pem")}
     with HubNetwork(run=False, external={**hub, "key": str(host.folder / "guest.key")}) as operator_network:
         operator_network.start_router()
@@ -235,7 +235,7 @@ def test_commands_through_the_router_of_an_untrusted_machine(
 
 
 def test_commands_through_a_foreign_router(host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A zenoh router with TLS in the middle, configured as zenohd: `explain` reports it to the commanding machine."""
+    """The machines are connected through a TLS router like zenohd; `explain` reports it to the commanding machine."""
     place = f"tls/127.0.0.1:{free_port()}"
     guest = {name: str(host.folder / f"guest.{end}") for name, end in (("certificate", "pem"), ("private_key", "key"))}
     tls = {f"{prefix}_{name}": file for prefix in ("listen", "connect") for name, file in guest.items()}
@@ -249,7 +249,11 @@ def test_commands_through_a_foreign_router(host: Machines, tmp_path: Path, capsy
         with Hub.open(operator_network.settings("operator")) as operator:
             operator.publisher("/cmd_vel", TWIST, HASH, Qos())
             midspan = Midspan(config_file(tmp_path, operator_network), capsys)
-            # both machines' daemons have the same name here
+            # the daemons of both machines have the same name here
             wanted = re.compile(r"test \(router \w+\) refuses the commands of guest on /cmd_vel \(/operator\)")
-            until(lambda: wanted.search(" ".join(midspan("explain", "/cmd_vel").out.split())), "explain reports it", 30)
+            until(
+                lambda: wanted.search(" ".join(midspan("explain", "/cmd_vel").out.split())),
+                "explain reports the router",
+                30,
+            )
     middle.close()

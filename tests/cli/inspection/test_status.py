@@ -78,7 +78,7 @@ def test_one_cause_is_one_line_with_what_it_affects(
     assert out.count("no server of /cancel_goal") == 1
     assert "(the same for /r1, /r2, /r3, /r4, /r5 and 3 more)" in " ".join(out.split())
     documents = midspan("status", "--json").json()
-    assert documents[0]["warnings"] == [*deaf, full], "programs get all of it"
+    assert documents[0]["warnings"] == [*deaf, full], "the JSON document has the full text"
     report = midspan("doctor", "--only", "daemon", "--only", "types").out
     assert [report.count(text) for text in ("gets no messages", full, "odd_msgs is not known")] == [1] * 3
 

@@ -39,7 +39,7 @@ def test_top_runs_until_ctrl_c(tmp_path: Path, network: HubNetwork, closing: lis
         shown = bytearray()
 
         def read() -> None:
-            with contextlib.suppress(OSError):  # nothing to read yet, or its end of the terminal is closed
+            with contextlib.suppress(OSError):  # nothing to read yet, or the program's end of the terminal is closed
                 shown.extend(os.read(ours, 65536))
 
         def showing() -> bool:
@@ -53,7 +53,7 @@ def test_top_runs_until_ctrl_c(tmp_path: Path, network: HubNetwork, closing: lis
         try:
             until(showing, "the table is redrawn")
             top.send_signal(signal.SIGINT)
-            until(ended, "it ends")
+            until(ended, "the command ends")
         finally:
             top.kill()
     os.close(ours)

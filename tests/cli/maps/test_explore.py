@@ -36,7 +36,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 @dataclass
 class Exploring:
-    """A growing map on its own topic, and the verb."""
+    """The command, and the topic of a growing map."""
 
     rig: Rig
     midspan: Midspan
@@ -48,7 +48,7 @@ class Exploring:
         self.rig.far.publish(self.out, message | {"data": message["data"].tolist()})
 
     def run(self, script: Callable[[], object], *words: str) -> Outcome:
-        """Explore while a script plays the planner and people."""
+        """Explore while a function acts as the planner and as other users."""
         command = ("map", "explore", "--topic", self.topic, "--radius", "0.25", "--seconds", "60")
         with alongside(script):
             return self.midspan(*command, *words)
@@ -73,7 +73,7 @@ def exploring(
 
 
 def rooms(known: float) -> MapGrid2D:
-    """Return a floor with a wall and three doors, which is known up to this x."""
+    """Return a floor with a wall and three doors, which is known up to the given x."""
     grid = floor((2.4, 0.0, 2.6, 0.4), (2.4, 1.2, 2.6, 2.0), (2.4, 2.8, 2.6, 3.8), (2.4, 4.6, 2.6, 5.0))
     if known < 5.0:
         paint(grid, (known, 0.0, 5.0, 5.0), MapFlag.UNKNOWN)
@@ -88,7 +88,7 @@ def test_it_drives_to_frontiers_until_none_is_left(exploring: Exploring) -> None
         first = planner.until(1)
         x, y = (first.goal["pose"]["pose"]["position"][axis] for axis in "xy")
         assert 1.7 < x < 2.4
-        assert abs(y - 2.4) < 0.3, "the nearest door"
+        assert abs(y - 2.4) < 0.3, "the first goal is at the nearest door"
         planner.reach(first)
         exploring.publish(rooms(5.0))
 
@@ -120,7 +120,7 @@ def test_a_stop_during_a_goal_ends_it(exploring: Exploring) -> None:
 
 
 def test_a_stop_between_two_goals_ends_it(exploring: Exploring, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(explore, "_NEWER_SECONDS", 40.0)  # the next goal waits for a map that does not come
+    monkeypatch.setattr(explore, "_NEWER_SECONDS", 40.0)  # the next goal waits for a map that does not arrive
     exploring.publish(rooms(2.5))
     planner, rig = exploring.rig.planner, exploring.rig
 
@@ -159,7 +159,7 @@ def test_another_clients_goal_ends_it(exploring: Exploring) -> None:
     assert outcome.code == 1
     assert outcome.out.splitlines()[-1].startswith("stopped: "), outcome
     planner.reach(planner.until(2))
-    assert others[0].end()[0] == "SUCCEEDED", "it is not disturbed"
+    assert others[0].end()[0] == "SUCCEEDED", "the other client's goal is not disturbed"
     assert len(planner.goals) == 2
 
 

@@ -1,4 +1,4 @@
-"""``midspan map`` and ``midspan location`` on a store of the hub."""
+"""``midspan map`` and ``midspan location`` with a store on the hub."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ AREA_EXAMPLE = Map2DArea("house", [Vec2D(1.0, 1.0), Vec2D(2.0, 1.0), Vec2D(2.0, 
 
 
 def house(origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> MapGrid2D:
-    """Walls around a room of 4 by 3 meters."""
+    """A map of walls around a room of 4 by 3 meters."""
     flags = np.full((30, 40), MapFlag.FREE, np.uint8)
     flags[[0, -1], :] = flags[:, [0, -1]] = MapFlag.WALL
     return MapGrid2D.of(flags, name="house", resolution=0.1, origin=origin)
@@ -52,7 +52,7 @@ def house(origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> MapGrid2D:
 
 @pytest.fixture
 def store(network: HubNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
-    """A daemon's store; the commands run in a folder with a map's files."""
+    """A daemon's store; the commands run in a folder that has the files of a map."""
     monkeypatch.chdir(tmp_path)
     house().save("house.yaml")
     with Shared(tmp_path, "robot1", network.endpoint, domain=network.domain) as shared:
@@ -112,7 +112,7 @@ def test_the_examples_work(midspan: Midspan, store: Store) -> None:
 
 @needs(OCTOMAP)
 def test_3d_maps_are_imported_and_exported(midspan: Midspan, store: Store) -> None:
-    """Midspan imports files that OctoMap's own program wrote, and that program reads exported ones."""
+    """Midspan imports files that OctoMap's own program wrote, and that program reads the files that Midspan exports."""
     Octomap.of(a_tree(2).pruned()).save("ours.ot")
     subprocess.run(["convert_octree", "ours.ot", "house.bt"], check=True, capture_output=True, timeout=60)
     assert midspan("map", "import", "house.bt").out == "map3d house\n"

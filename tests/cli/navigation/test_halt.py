@@ -1,4 +1,4 @@
-"""``midspan halt`` on a real hub: subscribers receive zero, goals are canceled, a base is queried."""
+"""``midspan halt`` on a real hub: subscribers receive zero velocities, goals are canceled, and a base is queried."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStampe
 
 
 class Robot:
-    """A node that drives by ``/cmd_vel`` and pursues goals, and a client with two of them."""
+    """A node that follows ``/cmd_vel`` and executes goals, and a client with two goals."""
 
     def __init__(self, network: HubNetwork, registry: Registry) -> None:
         self.loop = EventLoop("robot")
@@ -52,9 +52,9 @@ class Robot:
         self.node.subscription("/cmd_vel", TWIST, self.received.append)
         server = self.node.action_server("/lookup", LOOKUP, lambda _goal: True, self.cancel)
         client = far.action_client("/lookup", LOOKUP)
-        until(lambda: client.ready, "the action is there")
+        until(lambda: client.ready, "the action is available")
         self.sent = [client.send({}, lambda *_: None) for _ in range(2)]
-        until(lambda: len(server.active) == 2, "both goals are pursued")
+        until(lambda: len(server.active) == 2, "both goals are executing")
 
     def cancel(self, goal: Goal) -> bool:
         if self.obeys:
@@ -139,7 +139,7 @@ def test_halt_sends_zeros_if_velocities_are_published(
 def test_halt_reaches_a_base_on_a_side_that_no_program_of_the_hub_drives(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any], form: str
 ) -> None:
-    """Only the planner of the same side drives it; BaseControl on the hub accepts both forms."""
+    """Only the planner on the same side drives this base; BaseControl on the hub accepts both types."""
     both = Hub.open(network.settings("base_control"))
     for name in (TWIST, TWIST_STAMPED):
         both.subscription("/cmd_vel", name, registry.ros2(name).type_id, Qos(), lambda _: None)
@@ -180,7 +180,7 @@ def test_nonsense_on_the_hub_keeps_nothing_from_stopping(
     midspan: Midspan, network: HubNetwork, registry: Registry, robot: Robot, program: Any, closing: list[Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """A rule whose topic has wildcards, and tokens that any guest of the hub may declare."""
+    """The nonsense is a rule whose topic has wildcards, and tokens that any guest of the hub may declare."""
     monkeypatch.setattr("bridge.client.halt.WAIT_SECONDS", 1.0)
     halts: list[Any] = []
     closing.append(FakeWorker(network, "base_control", halt=lambda params: halts.append(params) or {"halted": True}))
@@ -227,14 +227,14 @@ def test_zero_does_not_wait_for_an_action_server_that_is_unreachable(
     done = midspan("halt", "--seconds", "0.05")
     assert done.code == 1
     assert "/a: not canceled" in done.out
-    assert len(robot.received) > 5, "zero is repeated meanwhile"
+    assert len(robot.received) > 5, "zero velocities are repeated meanwhile"
     token.undeclare()
 
 
 def test_zero_is_sent_in_each_form_that_has_a_subscriber(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
-    """A monitor subscribes to Twist; a base of a worker that announces no velocities, to TwistStamped."""
+    """A monitor subscribes to Twist, and the base of a worker that announces no velocities to TwistStamped."""
     worker = FakeWorker(network, "ros2")
     closing.append(worker)
     worker.hub.set_origin(Origin("ros2", "network", "robot1"))
@@ -244,9 +244,14 @@ def test_zero_is_sent_in_each_form_that_has_a_subscriber(
     monitor.subscription("/cmd_vel", TWIST, registry.ros2(TWIST).type_id, Qos(), lambda _: None)
     stamped = registry.ros2(TWIST_STAMPED).type_id
     worker.hub.subscription("/cmd_vel", TWIST_STAMPED, stamped, Qos(), received.append)
-    until(lambda: monitor.graph.origins() and len(monitor.graph.subscriptions("/cmd_vel")) == 2, "both are known")
+    until(
+        lambda: monitor.graph.origins() and len(monitor.graph.subscriptions("/cmd_vel")) == 2,
+        "both subscribers are known",
+    )
     assert midspan("halt", "--seconds", "0.5").code == 0
-    twists = until(lambda: [to_json(registry, TWIST_STAMPED, s.data()) for s in received], "the base gets zero")
+    twists = until(
+        lambda: [to_json(registry, TWIST_STAMPED, s.data()) for s in received], "the base gets a zero velocity"
+    )
     assert {twist["twist"]["linear"]["x"] for twist in twists} == {0.0}
 
 
@@ -265,7 +270,7 @@ def test_a_base_that_appears_during_the_halt_gets_zero(
     closing.append(FakeWorker(network, "base_control", halt=halts))
     done = midspan("halt", "--seconds", "3")
     assert "/late/cmd_vel: zero velocity, 1 subscriber" in done.out
-    until(lambda: received, "it gets zero")
+    until(lambda: received, "the base gets a zero velocity")
 
 
 def test_a_module_that_does_not_answer_is_reported(
@@ -330,7 +335,7 @@ def test_halt_over_a_slow_network(midspan: Midspan, network: HubNetwork, registr
     received: list[Any] = []
     with Hub.open(network.settings("robot")) as hub, FaultProxy(network.port) as slow:
         hub.subscription("/cmd_vel", TWIST, registry.ros2(TWIST).type_id, Qos(), received.append)
-        until(lambda: midspan("topic", "list").out.split() == ["/cmd_vel"], "the router knows it")
+        until(lambda: midspan("topic", "list").out.split() == ["/cmd_vel"], "the router knows the topic")
         slow.delay = 0.15
         done = midspan("halt", "--seconds", "0.5", "--router", f"tcp/127.0.0.1:{slow.port}")
         assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 1 subscriber on the hub\n"), done

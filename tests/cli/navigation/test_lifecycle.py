@@ -1,4 +1,4 @@
-"""``midspan nav startup`` and alike: refusals and errors. `tests/interop/test_nav2_servers.py` has real servers."""
+"""``midspan nav startup`` and the like: refusals and errors. `tests/interop/test_nav2_servers.py` has real servers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOCALIZATION, NAVIGATION = "/lifecycle_manager_localization", "/lifecycle_manage
 
 
 class Managers(HubNode):
-    """Lifecycle managers that note each command; ``fails``: those whose commands fail."""
+    """Lifecycle managers that record each command; commands of those in ``fails`` fail."""
 
     def __init__(self, network: HubNetwork, *names: str) -> None:
         super().__init__(network.settings("managers"))

@@ -1,4 +1,4 @@
-"""``midspan goto`` and ``midspan nav`` over a gateway whose planner the test plays."""
+"""``midspan goto`` and ``midspan nav`` with a gateway whose planner is the test."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def midspan(rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Mid
 
 
 def beside(midspan: Midspan, words: list[str], script: Callable[[], None]) -> Outcome:
-    """Run ``goto`` while the planner's part is played."""
+    """Run ``goto`` while a function acts as the planner."""
     with alongside(script):
         return midspan("goto", "--timeout", "40", *words)
 
@@ -222,7 +222,7 @@ def test_ctrl_c_and_timeout_cancel_the_goal(rig: Rig, midspan: Midspan) -> None:
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_cancels_the_goal(rig: Rig, midspan: Midspan, number: signal.Signals, code: int) -> None:
-    """The process reports in one line that the goal was canceled, and no client is reported as cut off."""
+    """The process reports in one line that the goal was canceled, and the status does not report a lost client."""
     rig.statuses.clear()
     goto = process(midspan, "kitchen")
     goal = rig.planner.until(1)
@@ -237,7 +237,7 @@ def test_a_signal_cancels_the_goal(rig: Rig, midspan: Midspan, number: signal.Si
 
 
 def test_a_closed_output_cancels_the_goal(rig: Rig, midspan: Midspan) -> None:
-    """As in ``midspan goto kitchen | head -1``."""
+    """This happens in ``midspan goto kitchen | head -1``."""
     goto = process(midspan, "kitchen")
     assert goto.stdout is not None
     goal = rig.planner.until(1)
@@ -405,13 +405,16 @@ def test_a_slow_gateway_is_not_reported_as_missing(network: HubNetwork, tmp_path
         assert no_answer(client).startswith("no gateway is configured")
         worker = FakeWorker(network, "gateway", status=lambda _params: {"late": not late.wait(2.5)})
         closing.append(worker)
-        assert gateway_status(client).document()["late"]  # 2 s are too short on a busy machine
+        assert gateway_status(client).document()["late"]  # it waits for 2.5 s: 2 s are too short on a busy machine
         worker.publish(STATUS_TOPIC, STATUS, f"RIHS01_{'1' * 64}", b"")
-        until(lambda: no_answer(client).startswith("the gateway's worker runs"), "it is seen on the hub")
+        until(
+            lambda: no_answer(client).startswith("the gateway's worker runs"),
+            "the gateway's worker is visible on the hub",
+        )
 
 
 def test_stop_reaches_the_planner_without_a_gateway(network: HubNetwork, tmp_path: Path, capsys: Any) -> None:
-    """As while its worker is killed and has not come back."""
+    """This is the case while the gateway's worker is killed and has not been restarted."""
     file = tmp_path / "midspan.yaml"
     file.write_text(json.dumps({"hub": network.config(), "navigation": {"planner": "move_base"}}))
     midspan = Midspan(file, capsys)
@@ -423,7 +426,7 @@ def test_stop_reaches_the_planner_without_a_gateway(network: HubNetwork, tmp_pat
         assert outcome.code == 1
         assert "Nor is the planner move_base on the hub: the robot may still be moving" in outcome.err
         assert "/far/cmd_vel: nodes of a side subscribe" in outcome.err
-        until(lambda: received, "the base gets zero nevertheless")
+        until(lambda: received, "the base gets a zero velocity nevertheless")
     planner, client = Planner(network.settings("planner"), "move_base"), HubNode(network.settings("client"))
     try:
         client_goal = ClientGoal(client, pose(5.0), "/planner/move_base/navigate_to_pose")

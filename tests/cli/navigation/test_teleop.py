@@ -1,4 +1,4 @@
-"""``midspan teleop``: what keys mean, and a base driven from a real terminal."""
+"""``midspan teleop``: the meaning of keys, and a base driven from a real terminal."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_faster_and_slower_within_bounds() -> None:
 
 
 class Base:
-    """A base on the hub that subscribes to one type; ``sent``: m/s forward, rad/s."""
+    """A base on the hub that subscribes to one type; ``sent``: received velocities, m/s forward and rad/s."""
 
     def __init__(self, network: HubNetwork, registry: Registry, type_name: str) -> None:
         self.sent: list[tuple[float, float]] = []
@@ -114,12 +114,12 @@ def test_a_terminal_drives(
     base = Base(network, registry, type_name)
     closing.append(base)
     with driver.drive():
-        until(lambda: (driver.press(b"i"), (0.2, 0.0) in base.sent)[1], "it drives")
-        until(lambda: base.sent[-1] == (0.0, 0.0), "it stops when no key is held")
-        until(lambda: (driver.press(b"\x1b[D"), (0.0, 0.5) in base.sent)[1], "it turns")
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in base.sent)[1], "the base drives")
+        until(lambda: base.sent[-1] == (0.0, 0.0), "the base stops when no key is held")
+        until(lambda: (driver.press(b"\x1b[D"), (0.0, 0.5) in base.sent)[1], "the base turns")
     (done,) = driver.done
     assert done.code == 0
-    until(lambda: base.sent[-1] == (0.0, 0.0), "it ends with zero")
+    until(lambda: base.sent[-1] == (0.0, 0.0), "a zero velocity is sent at the end")
     assert "+0.20" in done.out
     assert f"/cmd_vel ({type_name})" in done.out
     if type_name == TWIST_STAMPED:
@@ -133,12 +133,12 @@ def test_teleop_follows_a_base_that_changes_its_form(
     old = Base(network, registry, TWIST)
     closing.append(old)
     with driver.drive():
-        until(lambda: (driver.press(b"i"), (0.2, 0.0) in old.sent)[1], "it drives")
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in old.sent)[1], "the base drives")
         new = Base(network, registry, TWIST_STAMPED)
         closing.append(new)
         old.close()
-        until(lambda: (driver.press(b"i"), (0.2, 0.0) in new.sent)[1], "it drives on in the other form")
-        until(lambda: new.sent[-1] == (0.0, 0.0), "it stops when no key is held")
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in new.sent)[1], "velocities continue in the other type")
+        until(lambda: new.sent[-1] == (0.0, 0.0), "the base stops when no key is held")
 
 
 def test_teleop_publishes_the_chosen_form(
@@ -147,7 +147,7 @@ def test_teleop_publishes_the_chosen_form(
     bases = {name: Base(network, registry, name) for name in (TWIST, TWIST_STAMPED)}
     closing.extend(bases.values())
     with driver.drive("--stamped", "true"):
-        until(lambda: (driver.press(b"i"), (0.2, 0.0) in bases[TWIST_STAMPED].sent)[1], "it drives")
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in bases[TWIST_STAMPED].sent)[1], "the stamped base drives")
     assert bases[TWIST].sent == []
 
 

@@ -1,4 +1,4 @@
-"""``midspan import``: the rules for each key of the other bridges, notes on all other keys, and broken files."""
+"""``midspan import``: rules from each known key of other bridges, notes on all other keys, and broken files."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ topics:
 
 
 class Imported:
-    """What an import printed."""
+    """The output of an import."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str], file: Path, peer: str, *options: str) -> None:
         self.code = main(["import", peer, str(file), *options])
@@ -65,12 +65,12 @@ class Imported:
 
 
 def rules(config: Config) -> list[dict[str, object]]:
-    """The rules' keys that are not at their defaults."""
+    """The keys of the rules that do not have their default values."""
     return [r.model_dump(by_alias=True, exclude_defaults=True) for r in config.routing.rules]
 
 
 def write(folder: Path, text: str) -> Path:
-    """A file with this text."""
+    """Write a file with this text; return its path."""
     file = folder / "peer.yaml"
     file.write_text(text)
     return file
@@ -203,7 +203,7 @@ services:
 
 
 def test_services_and_actions_of_domains(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A file may have only these; the server is in the domain that they come from."""
+    """A file may contain only services and actions; the server is in the domain that they are bridged from."""
     text = """\
 from_domain: 2
 to_domain: 3

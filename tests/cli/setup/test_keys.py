@@ -1,4 +1,4 @@
-"""``midspan keys``: certificates that TLS takes, kept from other users, never overwritten unasked."""
+"""``midspan keys``: certificates that TLS accepts, protected from other users, never overwritten unless requested."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_make_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 
 def snippet(text: str) -> dict[str, Any]:
-    """The configuration in what 'make' prints, checked."""
+    """Return the configuration that 'make' prints, after checking it."""
     lines = text.partition("in its configuration:\n")[2].splitlines()
     document = yaml.safe_load("\n".join(line for line in lines if line.startswith("  ")))
     Config.model_validate(document)
@@ -73,7 +73,7 @@ def test_make_prints_what_a_listener_and_an_operator_need(tmp_path: Path, capsys
 
 
 def test_an_operator_before_its_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It is not known yet what it connects to."""
+    """The address that the operator connects to is not known yet."""
     assert run(tmp_path, "make", "operator1") == 0
     text = capsys.readouterr().out
     assert snippet(text) == {"connect": ["tls/OTHER:7448"], "trusted": []}
@@ -81,7 +81,7 @@ def test_an_operator_before_its_robot(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_openssl_accepts_the_certificates(tmp_path: Path) -> None:
-    """A second opinion on the chain, on both ends' purposes and on the names."""
+    """OpenSSL checks the chain, the purposes of both ends, and the names independently."""
     authority = Authority(tmp_path)
     authority.make()
     authority.issue("robot1", ["10.1.2.3"])

@@ -1,4 +1,4 @@
-"""``midspan yarp``: every verb against a name server and ports of this process."""
+"""``midspan yarp``: every verb, with a name server and ports in this process."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Yarp = Callable[..., Outcome]
 
 @pytest.fixture(name="server")
 def fixture_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NameServer]:
-    """A name server that yarp.conf names."""
+    """A name server whose address is in yarp.conf."""
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
     with NameServer(port=free_port(room=20), gc_seconds=0) as server:
@@ -40,7 +40,7 @@ def fixture_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
 
 @pytest.fixture(name="yarp")
 def fixture_yarp(capsys: pytest.CaptureFixture[str]) -> Yarp:
-    """The command."""
+    """The command ``midspan yarp``."""
 
     def run(*words: str) -> Outcome:
         capsys.readouterr()
@@ -52,7 +52,7 @@ def fixture_yarp(capsys: pytest.CaptureFixture[str]) -> Yarp:
 
 
 class Owner:
-    """A port that stores what it receives, and replies with it after ``got``."""
+    """A port that stores what it receives, and replies with ``got`` and the received content."""
 
     def __init__(self, name: str, server: NameServer) -> None:
         self.received: list[list[object]] = []
@@ -69,7 +69,7 @@ class Owner:
 
 @pytest.fixture(name="owners")
 def fixture_owners(server: NameServer) -> Iterator[Callable[[str], Owner]]:
-    """Opens ports, and closes them after the test."""
+    """A function that opens ports, which are closed after the test."""
     opened: list[Owner] = []
 
     def make(name: str) -> Owner:
@@ -82,7 +82,7 @@ def fixture_owners(server: NameServer) -> Iterator[Callable[[str], Owner]]:
 
 
 def test_where_shows_the_name_server(yarp: Yarp, server: NameServer, tmp_path: Path) -> None:
-    """Address, file, and whether it responds; exit code 1 and the cure if it does not."""
+    """The output shows the address, the file, and whether the server responds; if not, the exit code is 1."""
     done = yarp("where")
     assert (done.code, done.out.splitlines()[0]) == (0, f"/root at 127.0.0.1 port {server.address.port}, responds")
     assert str(tmp_path / "yarp.conf") in done.out
@@ -94,7 +94,7 @@ def test_where_shows_the_name_server(yarp: Yarp, server: NameServer, tmp_path: P
 
 
 def test_without_any_name_server(yarp: Yarp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One line that names the file which is missing."""
+    """The error is one line, and names the missing file."""
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path / "none"))
     done = yarp("list")
     assert done.code == 1
@@ -104,7 +104,7 @@ def test_without_any_name_server(yarp: Yarp, tmp_path: Path, monkeypatch: pytest
 
 
 def test_ports_are_listed_and_queried(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
-    """list, name, exists, ping."""
+    """Tests the verbs list, name, exists and ping."""
     owner, _ = owners("/a/b"), owners("/c")
     assert [line.split()[0] for line in yarp("list").out.splitlines()] == ["/a/b", "/c", "/root"]
     assert yarp("list", "/a", "--json").json() == [
@@ -123,7 +123,7 @@ def test_ports_are_listed_and_queried(yarp: Yarp, server: NameServer, owners: Ca
 
 
 def test_ports_are_connected_and_disconnected(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
-    """Connect, check, disconnect; with another carrier; missing ports."""
+    """Connects, checks and disconnects, also with another carrier and with missing ports."""
     writer, _ = owners("/w"), owners("/r")
     assert yarp("exists", "/w", "/r").code == 1
     assert yarp("connect", "/w", "/r").out == "Added connection from /w to tcp://r\n"
@@ -143,7 +143,7 @@ def test_ports_are_connected_and_disconnected(yarp: Yarp, owners: Callable[[str]
 
 
 def test_a_persistent_connection_waits_for_its_ports(yarp: Yarp, owners: Callable[[str], Owner]) -> None:
-    """Asked for before the ports are there."""
+    """The connection is requested before the ports exist."""
     owners("/w")
     assert yarp("connect", "--persist-from", "/w", "/r", "fast_tcp").code == 0
     assert yarp("connect").out == "/w -> fast_tcp://r [from]\n"
@@ -154,7 +154,7 @@ def test_a_persistent_connection_waits_for_its_ports(yarp: Yarp, owners: Callabl
 
 
 def test_clean_removes_only_dead_ports(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
-    """Those that are dead, and only those."""
+    """All dead ports are removed, and no others."""
     owners("/live")
     NameClient(server.address).register("/dead", "127.0.0.1", free_port())
     done = yarp("clean", "--timeout", "1")
@@ -166,12 +166,12 @@ def test_clean_removes_only_dead_ports(yarp: Yarp, server: NameServer, owners: C
 def test_write_sends_messages_to_each_port(
     yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From --message and from the standard input, to one and to several."""
+    """Messages come from --message and from standard input, and go to one port and to several."""
     first, second = owners("/one"), owners("/two")
     second.port.profile = Profile.YARP4
     assert yarp("write", "/w", "/one", "fast_tcp://two", "-m", "set speed 0.5", "-m", '(a b) "c d"').code == 0
     assert first.received == [["set", "speed", 0.5], [["a", "b"], "c d"]]
-    until(lambda: second.received == first.received, "both have them")
+    until(lambda: second.received == first.received, "both ports have the messages")
     assert first.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP3)
     assert second.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP4)
     monkeypatch.setattr(sys, "stdin", io.StringIO("1 2\n\n3\n"))
@@ -185,7 +185,7 @@ def test_write_sends_messages_to_each_port(
 
 
 def test_read_prints_received_messages(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
-    """What another port writes, with its envelope, as text and as JSON, in either dialect."""
+    """Messages of another port are printed with their envelopes, as text and as JSON, in either dialect."""
     source = owners("/source")
     stop = threading.Event()
 
@@ -213,7 +213,7 @@ def test_signal_ends_the_command(server: NameServer) -> None:
     names = NameClient(server.address)
     reader = Process([sys.executable, "-m", "bridge.cli.main", "yarp", "read", "/in"], os.environ)
     try:
-        until(lambda: "is open" in reader.output(), "it reads", seconds=30.0)
+        until(lambda: "is open" in reader.output(), "the reader is running", seconds=30.0)
         assert names.query("/in") is not None
         reader.signal(signal.SIGTERM)
         assert reader.popen.wait(10.0) == 0, reader.output()
@@ -225,7 +225,7 @@ def test_signal_ends_the_command(server: NameServer) -> None:
 def test_rpc_prints_replies_of_the_owner_and_of_the_port(
     yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A port's owner, and the port itself."""
+    """Replies come from a port's owner, or from the port itself."""
     owners("/p")
     assert yarp("rpc", "/p", "-m", "get 1.5 (a b)").out == "got get 1.5 (a b)\n"
     monkeypatch.setattr(sys, "stdin", io.StringIO("one\ntwo\n"))
@@ -245,20 +245,20 @@ def test_rpc_prints_replies_of_the_owner_and_of_the_port(
     ],
 )
 def test_wrong_usage_exits_with_2(words: tuple[str, ...]) -> None:
-    """Exit code 2."""
+    """The exit code is 2."""
     with pytest.raises(SystemExit) as ended:
         main(["yarp", *words])
     assert ended.value.code == 2
 
 
 def test_timeout_must_be_positive(yarp: Yarp) -> None:
-    """A time limit is more than nothing."""
+    """A time limit must be more than 0 s."""
     for seconds in ("0", "-1", "nan", "inf"):
         assert "--timeout must be more than" in yarp("list", "--timeout", seconds).err
 
 
 def test_server_keeps_its_names_over_a_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It writes yarp.conf, serves, ends at SIGTERM, and remembers."""
+    """The server writes yarp.conf, serves, exits on SIGTERM, and restores its names after a restart."""
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
     port = free_port(room=20)
@@ -267,7 +267,7 @@ def test_server_keeps_its_names_over_a_restart(tmp_path: Path, monkeypatch: pyte
     for turn in range(2):
         server = Process(args, os.environ)
         try:
-            until(lambda server=server: "web page: " in server.output(), "it serves", seconds=30.0)
+            until(lambda server=server: "web page: " in server.output(), "the server is running", seconds=30.0)
             assert (tmp_path / "yarp.conf").read_text() == f"127.0.0.1 {port} yarp\n"
             if turn == 0:
                 names.register("/p")
@@ -280,6 +280,6 @@ def test_server_keeps_its_names_over_a_restart(tmp_path: Path, monkeypatch: pyte
 
 
 def test_name_server_that_cannot_start(yarp: Yarp, server: NameServer) -> None:
-    """Its place is taken; its number is none."""
+    """Its address is in use, or its port number is invalid."""
     assert "Another one may be running there" in yarp("server").err
     assert "--port must be a number" in yarp("server", "--port", "70000").err

@@ -57,7 +57,7 @@ def operator(chrome: Chrome, robot: WebRobot) -> Iterator[Operator]:
 
 @pytest.fixture
 def watch(robot: WebRobot) -> Iterator[TestPage]:
-    """Return another page that watches the robot."""
+    """Return another page, which watches the robot."""
     with TestPage(robot.web) as page:
         page.watch("robot", "driving", "places", "topic:/cmd_vel", "topic:/odom")
         page.value("robot")

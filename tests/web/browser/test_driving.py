@@ -30,7 +30,7 @@ def test_a_press_on_the_map_sends_the_robot(operator: Operator, watch: TestPage)
     watch.value("driving", lambda value: value["goal"] and distance(value["goal"], spot) < 0.1)
     watch.until(lambda: watch.values["driving"]["value"]["state"] == "goal_reached", "the robot arrives", 120)
     assert offset(watch, *spot) < NEAR
-    until(lambda: "arriv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the page shows it")
+    until(lambda: "arriv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the page shows the arrival")
 
 
 def test_a_drag_sets_the_heading(operator: Operator, watch: TestPage) -> None:
@@ -106,7 +106,7 @@ def test_manual_driving_stops_when_the_page_fails(operator: Operator, watch: Tes
             operator.chrome.execute_script(HANG)
             began = time.monotonic()
             watch.until(lambda: stands(watch), "the robot stands although the page is silent", 30)
-            assert time.monotonic() - began < HANGING, "while the page still hangs"
+            assert time.monotonic() - began < HANGING, "the robot stops while the page still hangs"
         elif how == "the tab's socket is closed":
             operator.chrome.execute_cdp_cmd("Network.enable", {})
             operator.chrome.execute_cdp_cmd(
@@ -154,11 +154,14 @@ def test_a_patrol_runs_until_it_is_ended(operator: Operator, watch: TestPage) ->
         90,
     )
     turn = operator.chrome.find_element(By.CLASS_NAME, "turn")
-    until(lambda: f"{second} (2 of 2, round 1)" in turn.text, "the page shows it")
+    until(lambda: f"{second} (2 of 2, round 1)" in turn.text, "the page shows the patrol's second place")
     operator.button("End drive").click()
     patrol = watch.value("patrol", lambda value: value and value["state"] == "ended")
     assert "stopped" in patrol["why"]
-    until(lambda: "Patrol ended" in operator.chrome.find_element(By.CLASS_NAME, "turn").text, "the page shows it")
+    until(
+        lambda: "Patrol ended" in operator.chrome.find_element(By.CLASS_NAME, "turn").text,
+        "the page shows the end of the patrol",
+    )
     watch.until(lambda: stands(watch), "the robot stands", 30)
 
 
@@ -171,7 +174,10 @@ def test_two_tabs_show_the_same_state(operator: Operator, watch: TestPage) -> No
         operator.button("kitchen").click()
         watch.until(lambda: moves(watch), "the robot drives", 60)
         operator.chrome.switch_to.window(first)
-        until(lambda: "driv" in operator.chrome.find_element(By.ID, "driving").text.lower(), "the first tab shows it")
+        until(
+            lambda: "driv" in operator.chrome.find_element(By.ID, "driving").text.lower(),
+            "the first tab shows the drive",
+        )
         operator.button("End drive").click()
         watch.until(lambda: stands(watch), "the robot stands", 30)
     finally:

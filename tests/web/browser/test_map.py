@@ -26,7 +26,7 @@ def test_another_robot_has_its_own_color(operator: Operator, watch: TestPage) ->
     (porter,) = watch.value("robots", lambda robots: robots and robots[0]["pose"] and robots[0]["path"])
     assert porter["name"] == "porter"
     operator.map_at(porter["pose"]["x"], porter["pose"]["y"])
-    until(lambda: operator.pixels("--robot-0") > 50, "it is drawn in its color")
+    until(lambda: operator.pixels("--robot-0") > 50, "the robot is drawn in its color")
 
 
 def table_about(x: float, y: float) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -58,18 +58,18 @@ def test_the_layer_is_shown_as_a_tint_with_heights(operator: Operator, robot: We
         tip = operator.chrome.find_element(By.CSS_SELECTOR, ".map .height")
 
         def over(dx: int) -> str:
-            """Return the tip at a number of pixels to the right of the middle."""
+            """Return the tooltip at a number of pixels to the right of the middle."""
             ActionChains(operator.chrome).move_to_element_with_offset(canvas, dx, 0).perform()
             return tip.text
 
         until(lambda: over(0) == "hit at 0.74 m", "the height of the table is shown")
         tinted = operator.middle()
         assert over(28) == "a drop, or unknown height"
-        assert over(80) == "", "a free cell"
+        assert over(80) == "", "a free cell has no tooltip"
         assert not tip.is_displayed()
         ActionChains(operator.chrome).move_to_element(canvas).click().perform()
         menu = operator.chrome.find_element(By.CSS_SELECTOR, ".pointmenu p")
-        assert menu.text.endswith("hit at 0.74 m"), "touch users get it from the menu"
+        assert menu.text.endswith("hit at 0.74 m"), "touch users get the height from the menu"
         operator.button("Layers").click()
         operator.button("3D layer").click()
         try:
@@ -94,7 +94,7 @@ def test_a_saved_place_is_visible_to_all(operator: Operator, watch: TestPage, ro
     assert "here be tea" in robot.command("location", "list").stdout
     with robot.yarp_maps() as yarp:
         place = yarp.locations["here be tea"]
-        assert math.dist((place.x, place.y), FREE) < 0.1, "YARP clients see it"
+        assert math.dist((place.x, place.y), FREE) < 0.1, "YARP clients see the place"
     operator.open("places")
     operator.button("Delete here be tea").click()
     operator.button("Delete", "dialog").click()
@@ -184,7 +184,9 @@ def test_flags_are_painted_and_undone(operator: Operator, watch: TestPage, robot
     painted = keep_out_cells(robot)
     assert painted > 10
     with robot.yarp_maps() as yarp:
-        assert np.count_nonzero(yarp.maps["apartment"].flags == MapFlag.KEEP_OUT) == painted, "YARP clients see it"
+        assert np.count_nonzero(yarp.maps["apartment"].flags == MapFlag.KEEP_OUT) == painted, (
+            "YARP clients see the painted cells"
+        )
     operator.button("Undo").click()
     watch.value("map", lambda value: value["flags"] == clean)
     until(lambda: operator.button("Redo").is_enabled(), "redo is possible")

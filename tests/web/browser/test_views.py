@@ -16,7 +16,7 @@ from tests.web import example_view
 from tests.web.conftest import Desk
 
 WINDOWS = ((1440, 760), (1536, 730), (1600, 789), (1440, 900), (1879, 1019), (1880, 920), (1920, 937), (2560, 1300))
-"""Window sizes on common screens, and on both sides of the limits in the styles of the view Drive."""
+"""Window sizes on common screens, and on both sides of the breakpoints in the styles of the Drive view."""
 _LESS = ("places", "topics", "frames", "system")
 
 
@@ -29,7 +29,7 @@ def test_every_view_fits_the_window(operator: Operator, view: str, width: int) -
     with viewport(chrome, width, 780):
         operator.open(view)
         wide = chrome.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
-        assert wide[0] <= wide[1], "nothing extends beyond the side"
+        assert wide[0] <= wide[1], "nothing extends beyond the right side"
         stop = chrome.find_element(By.ID, "stop")
         assert stop.is_displayed(), "STOP is visible"
         assert stop.location["x"] + stop.size["width"] <= width
@@ -50,7 +50,7 @@ return {
 
 @pytest.fixture
 def places(watch: TestPage) -> Iterator[Callable[[int], None]]:
-    """Set the number of places on the map; those added are deleted after the test."""
+    """Set the number of places on the map; added places are deleted after the test."""
     added: list[str] = []
 
     def set_number(wanted: int) -> None:
@@ -61,7 +61,7 @@ def places(watch: TestPage) -> Iterator[Callable[[int], None]]:
     yield set_number
     for name in added:
         watch.call("delete_place", name=name, kind="location")
-    # the reply may arrive before the feed's next value, which the next test counts
+    # the reply may arrive before the feed's next value, which the next test would count
     watch.value("places", lambda value: not set(added) & set(value["locations"]), "the places are deleted")
 
 
@@ -85,7 +85,9 @@ def test_the_goal_places_are_visible(
         operator.choose("Manual")
         assert operator.button("Turn left").is_displayed()
         panel = chrome.execute_script(SENDING)
-        assert panel["content"] <= panel["panel"], "nor does it with the controls for manual driving"
+        assert panel["content"] <= panel["panel"], (
+            "the panel does not scroll with the controls for manual driving either"
+        )
 
 
 @pytest.mark.thorough
@@ -163,7 +165,7 @@ const done = arguments[0], users = ["served by /a on Fast DDS 2 (Jazzy)"];
 const decision = { daemon: "", side: "ros2", decision: "bridged", why: "", cure: "", users };
 import("./lib/cure.js").then(({ explained }) => done(explained("/x", [decision]).map((item) => item.textContent)));
 """
-"""The text of a decision with the nodes of the side."""
+"""The text of a decision that includes the nodes of the side."""
 
 
 def test_status_and_frames_show_the_deployment(operator: Operator) -> None:
@@ -196,12 +198,12 @@ import("./lib/socket.js").then(({ Socket }) => {
 
 
 def test_a_feed_that_ends_during_drawing_does_not_block_others(operator: Operator) -> None:
-    """Like received transforms that make the page watch another pose."""
+    """For example, received transforms make the page watch another pose."""
     address = operator.robot.address.replace("http", "ws", 1).rstrip("/") + "/socket"
     try:
         assert operator.chrome.execute_async_script(TWO_FEEDS, address) == [1, 3, 4]
     finally:
-        operator.chrome.refresh()  # that socket would reconnect
+        operator.chrome.refresh()  # the script's socket would reconnect
 
 
 @pytest.mark.thorough
@@ -242,7 +244,7 @@ def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -
         until(lambda error=error: any(error in text_ for text_ in operator.texts(".form-wrong")), "the error is shown")
     voltage.clear()
     voltage.send_keys("12.5", Keys.ENTER)
-    until(lambda: "published on /battery_state" in operator.texts(".told"), "it is published")
+    until(lambda: "published on /battery_state" in operator.texts(".told"), "the message is published")
     operator.open("topics/service:%2Fsim%2Femergency_stop@std_srvs%2Fsrv%2FSetBool")
     form = until(
         lambda: chrome.find_elements(By.CSS_SELECTOR, "[aria-label=Service] .sending select"), "the form is shown"
