@@ -1,4 +1,4 @@
-"""One registry for the tests that change nothing in it."""
+"""One registry for all tests that do not change it."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from tests.messages.samples import DATA
 
 @pytest.fixture(scope="session")
 def registry() -> Registry:
-    """A registry of what is installed, with the tests' folder of custom types."""
+    """A registry of the installed types and the tests' folder of custom types."""
     return Registry(folders=[DATA])

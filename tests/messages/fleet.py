@@ -1,4 +1,4 @@
-"""A package in two versions, with fields that were renamed and retyped, and the rules between them."""
+"""A package in two versions, with renamed and retyped fields, and the rules that convert between the versions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RULES: list[dict[str, Any]] = [
 
 
 def write_package(folder: Path, files: Mapping[str, str]) -> None:
-    """Write the files of a package, text by path, into its folder."""
+    """Write the files of a package (a mapping from path to text) into its folder."""
     for path, text in files.items():
         file = folder / path
         file.parent.mkdir(parents=True, exist_ok=True)

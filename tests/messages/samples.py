@@ -10,7 +10,7 @@ from typing import Any
 from bridge.messages.definitions.schema import FieldType, Schema, Shape
 
 RANGES = {
-    "byte": 127,  # rosbags takes octets beyond for negative numbers
+    "byte": 127,  # rosbags reads larger octets as negative numbers
     "char": 255,
     "int8": 127,
     "uint8": 255,
@@ -26,7 +26,7 @@ GENPY = Path("/usr/lib/python3/dist-packages")
 
 
 def sample(schema: Schema, length: int = 2) -> dict[str, Any]:
-    """A message as a dict of plain values; sequences have ``length`` elements, octets are lists of numbers."""
+    """Return a message as a dict of plain values; sequences have ``length`` elements, octets are lists of numbers."""
     return _Sampler(schema, length).structure(schema.name)
 
 
@@ -39,7 +39,7 @@ class _Sampler:
     def structure(self, name: str) -> dict[str, Any]:
         values = {field.name: self.value(field.type) for field in self.schema.types[name].fields}
         if "nanosec" in values:
-            # genpy reads whole seconds out of the nanoseconds.
+            # genpy moves whole seconds from the nanoseconds to the seconds.
             values["nanosec"] %= 10**9
         return values
 
@@ -65,17 +65,17 @@ class _Sampler:
             return number % 2 == 1
         if kind.base.startswith("float"):
             return number + 0.25
-        # Spread over the whole range, so that no byte of a number is the same as another's.
+        # Spread over the whole range, so that all bytes of a number differ from those of others.
         return number * 0x0102030405060708 % (RANGES[kind.base] + 1)
 
 
 def standard_pairs() -> list[str]:
-    """ROS 2 names of the types that are in Noetic's and in Jazzy's store of rosbags."""
+    """Return the ROS 2 names of the types that are both in Noetic's and in Jazzy's type store of rosbags."""
     from rosbags.typesys.stores import ros1_noetic, ros2_jazzy
 
     return sorted(name for name in ros2_jazzy.FIELDDEFS if name in ros1_noetic.FIELDDEFS)
 
 
 def genpy_types() -> list[str]:
-    """ROS 1 names of all messages that are installed on the system."""
+    """Return the ROS 1 names of all messages that are installed on the system."""
     return sorted(f"{path.parts[-3]}/{path.stem[1:]}" for path in GENPY.glob("*/msg/_*.py") if path.stem != "__init__")

@@ -1,4 +1,4 @@
-"""Folders whose files nest types that only one of the worlds can write."""
+"""Folders whose files nest types with names that are legal in only one ROS version."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_each_world_has_all_that_it_nests(tmp_path: Path, files: dict[str, str])
 @pytest.mark.parametrize("first", ["ros1", "ros2", "service", "action"])
 @pytest.mark.parametrize("files", NESTS)
 def test_services_and_actions_nest_them_too(tmp_path: Path, files: dict[str, str], first: str) -> None:
-    """The order of the questions does not matter."""
+    """The order in which types are requested does not matter."""
     package_registry = registry(
         tmp_path, {**files, "Ask": "Outer wanted\n---\nOuter[] had\n", "Go": "Outer a\n---\nOuter b\n---\nOuter c\n"}
     )
@@ -79,7 +79,7 @@ def test_services_and_actions_nest_them_too(tmp_path: Path, files: dict[str, str
 
 @pytest.mark.parametrize("files", NESTS)
 def test_the_package_can_be_built_for_ros2(tmp_path: Path, files: dict[str, str]) -> None:
-    """Every file of it is as rosidl takes it, whichever world's spelling its author used."""
+    """Rosidl accepts every file of the package, whichever ROS version's spelling its author used."""
     package_registry = registry(tmp_path, {**files, "Ask": f"{ROS1_FORM}---\nOuter[] had\n"})
     sources = package_registry.ros2_package_sources("my_robot")
     assert {file.path for file in read_package("my_robot", sources)} >= {"msg/Outer.msg", "srv/Ask.srv"}
@@ -97,7 +97,7 @@ def test_an_action_may_be_written_for_either_world(tmp_path: Path, goal: str) ->
 
 
 def test_a_file_that_mixes_both_spellings_is_named(tmp_path: Path) -> None:
-    """Neither genmsg nor rosidl reads it."""
+    """Neither genmsg nor rosidl can read such a file."""
     package_registry = registry(
         tmp_path, {"Mixed": "Header header\nstring<=8 name\n", "Ask": "time a\n---\nint32 b 5\n"}
     )
@@ -143,7 +143,7 @@ def test_a_type_of_an_installed_ros1_package_is_nested_in_ros2(tmp_path: Path) -
 
 @pytest.mark.parametrize("path", ["checkout-main", "checkout-main/msg", "", "own", "link", "link_msg", "own/msg/.."])
 def test_a_package_has_its_own_name_in_any_folder(tmp_path: Path, path: str) -> None:
-    """The name is that in ``package.xml``, else that of the folder itself, not of a link to it."""
+    """The name is the one in ``package.xml`` or else that of the folder itself, not of a link to the folder."""
     for name, title in (("checkout-main", "my_robot"), ("own", "")):
         folder = tmp_path / "src" / name
         (folder / "msg").mkdir(parents=True)

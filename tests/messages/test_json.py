@@ -1,4 +1,4 @@
-"""Messages as JSON and back."""
+"""Conversion of messages to JSON and back."""
 
 from __future__ import annotations
 

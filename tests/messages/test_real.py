@@ -26,7 +26,7 @@ def ros2_names() -> list[str]:
 
 @needs_genpy
 def test_ros1_bytes_are_those_of_genpy(registry: Registry):
-    """Values in CDR, converted to ROS 1, are byte for byte what genpy writes; its bytes come back as that CDR."""
+    """CDR converted to ROS 1 equals genpy's output byte for byte, and is converted back to the same CDR."""
     items, cdrs = [], []
     for name in sorted({*genpy_types(), *convertible_ros2_types(registry)} - RENAMED):
         to_ros1 = registry.hub_to_ros1(registry.ros1_to_hub(name).target.name)
@@ -103,7 +103,7 @@ def test_log_messages_cross_to_ros1_and_back(registry: Registry):
 
 
 def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
-    """Our CDR is readable by rclpy; its CDR, without trailing padding, is accepted here and has the same values."""
+    """Rclpy can read our CDR, and CDR from rclpy (without trailing padding) is accepted and has the same values."""
     items = []
     for name in ros2_names():
         for length in LENGTHS:

@@ -1,4 +1,4 @@
-"""The registry: where definitions come from, which one counts, and counterparts that are derived."""
+"""The registry: sources of definitions and their priority, and derived counterparts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ THREE_D = [
 
 @pytest.mark.parametrize("name", THREE_D)
 def test_maps_and_clouds_come_back_from_ros1_as_they_were(name: str):
-    """Without packages: but for what Jazzy added to Marker, which ROS 1 cannot carry and which has defaults here."""
+    """No packages are installed. Fields that Jazzy added to Marker, which ROS 1 lacks, have default values."""
     registry = Registry(ros1_packages=Path("/nonexistent"))
     message = sample(registry.schema(name), 3)
     for marker in message.get("markers", []):
@@ -143,7 +143,7 @@ def test_two_definitions_of_one_name_coexist():
     assert first.target.type_id != second.target.type_id
     assert first.convert(b"\1\0\0\0") == b"\0\1\0\0\1\0\0\0"
     assert second.convert(b"\1\0\0\0\1\0\0\0x") == b"\0\1\0\0\1\0\0\0\2\0\0\0x\0"
-    # Each hash leads back to its own definition, whichever was learned last.
+    # Each hash refers to its own definition, whichever was learned last.
     for conversion, md5 in zip((first, second), ids, strict=True):
         assert registry.hub_to_ros1("my_msgs/msg/Thing", conversion.target.type_id).target.type_id == md5
     with pytest.raises(MessageTypeError, match=r"0+ there but .* here"):
@@ -178,7 +178,7 @@ def test_a_definition_from_the_hub_serves_its_hash():
 
 
 def test_ros1_goes_to_the_definition_that_others_use():
-    """A bound does not show in ROS 1: the hub's own definition is used, so that its subscribers receive the topic."""
+    """ROS 1 has no bounds, so the hub's own definition is used; its subscribers then receive the topic."""
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Thing", "string<=5 text\n")
     registry.learn_ros1("my_msgs/Thing", "string text\n")
@@ -355,7 +355,7 @@ def test_fields_of_ros1_that_get_lost_are_named(tmp_path: Path):
 
 
 def test_a_folder_serves_both_worlds(tmp_path: Path):
-    """Whichever world's spelling a file has, the other world's type comes of it."""
+    """Whichever ROS version's spelling a file has, the type for the other version is derived from it."""
     folder = tmp_path / "defs" / "my_msgs"
     folder.mkdir(parents=True)
     (folder / "Old.msg").write_text("Header header\ntime Stamp\n")
@@ -463,7 +463,7 @@ def test_fingerprints_of_empty_services_are_their_definitions():
 
 
 def test_a_nested_empty_type_has_a_line_of_text():
-    """Genpy takes the name of a nested type up to the end of its line (genpy/dynamic.py)."""
+    """Genpy reads the name of a nested type up to the end of the line (genpy/dynamic.py)."""
     registry = Registry()
     text = f"Ping ping\nFlag flag\n{SEPARATOR}MSG: my_robot/Ping\n{SEPARATOR}MSG: my_robot/Flag\nbool on\n"
     registry.learn_ros1("my_robot/Both", text)

@@ -1,4 +1,4 @@
-"""Which releases a definition of a type belongs to."""
+"""The releases to which a definition of a type belongs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TYPES = (
 
 @pytest.mark.parametrize("release", [release for release in Release if release is not Release.HUMBLE])
 def test_definitions_of_each_release(release: Release) -> None:
-    """The definitions of rosbags' stores, which are independent of the table."""
+    """The expected definitions are those of rosbags' type stores, which are independent of the table."""
     store = get_typestore(Stores[f"ROS2_{release.name}"])
     hashes = {name: store.hash_rihs01(name) for name in TYPES if name in store.fielddefs}
     assert hashes

@@ -1,4 +1,4 @@
-"""Messages that are encoded once and filled in each time: the same bytes as written whole, and what is refused."""
+"""Messages that are encoded once and then filled in have the bytes of a full encoding; invalid values are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The definitions that Midspan has itself, for machines without ROS 2."""
+"""The definitions that come with Midspan, for machines without ROS 2."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ NAMED = re.compile(r'"([a-z][a-z0-9_]*/(?:msg|srv|action)/[A-Z][A-Za-z0-9]*)"')
 
 @pytest.fixture
 def without_ros2(monkeypatch: pytest.MonkeyPatch) -> Registry:
-    """A registry on a machine without ROS 2's packages."""
+    """A registry on a machine without ROS 2 packages."""
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     monkeypatch.setattr(sys, "prefix", "/nowhere")
     return Registry()
 
 
 def test_types_of_modules_are_known_without_ros2(without_ros2: Registry) -> None:
-    """Those that the code of the modules names."""
+    """All types that the code of the modules names are known."""
     text = "".join(file.read_text() for folder in ("navigation", "sim") for file in (ROOT / folder).rglob("*.py"))
     names = {actions.CANCEL, actions.STATUSES, *NAMED.findall(text)}
     assert len(names) > 20

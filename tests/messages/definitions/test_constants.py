@@ -1,4 +1,4 @@
-"""Constants and separators as genmsg, genaction and rosidl_adapter read them, and as one world's become the other's."""
+"""Constants and separators as genmsg, genaction and rosidl_adapter read them, and converted between ROS 1 and 2."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CONSTANTS = [
 
 
 def genmsg(items: list[dict[str, str]]) -> list[dict[str, Any]]:
-    """What ``genmsg_peer.py`` answers."""
+    """Return the answer of ``genmsg_peer.py``."""
     peer = Path(__file__).parents[2] / "peers" / "ros1" / "genmsg_peer.py"
     done = subprocess.run(
         [SYSTEM_PYTHON, peer], input=json.dumps(items), capture_output=True, text=True, timeout=60, check=False
@@ -47,7 +47,7 @@ def genmsg(items: list[dict[str, str]]) -> list[dict[str, Any]]:
 
 
 def rosidl_value(base: str, text: str) -> Any:
-    """What rosidl_adapter reads; None if it refuses the constant."""
+    """Return the value that rosidl_adapter reads; None if it refuses the constant."""
     parser = importlib.import_module("rosidl_adapter.parser")
     try:
         spec = parser.parse_message_string("my_msgs", "Sample", f"{base} VALUE={text}\n")
@@ -71,14 +71,14 @@ def test_ros1_constants_are_read_as_genmsg_reads_them() -> None:
 @needs(ROS2)
 def test_ros2_constants_are_read_as_rosidl_reads_them() -> None:
     for base, text in CONSTANTS:
-        if base != "time":  # rosidl_adapter fails by an assertion
+        if base != "time":  # rosidl_adapter fails with an assertion
             assert own_value(base, text, World.ROS2) == rosidl_value(base, text), (base, text)
 
 
 @needs_genpy
 @needs(ROS2)
 def test_constants_keep_their_value_in_the_other_world() -> None:
-    """What one world's tools read from its text, the other's read from the text that is made of it."""
+    """One ROS version's tools read the original text as the other version's tools read the converted text."""
     ros1 = [Constant("VALUE", base, text) for base, text in CONSTANTS]
     readable = [(constant, ros1_constants([constant])) for constant in ros1 if is_readable(constant, World.ROS2)]
     readable = [(constant, constants) for constant, constants in readable if constant.base != "wstring"]
@@ -97,7 +97,7 @@ def test_constants_keep_their_value_in_the_other_world() -> None:
 
 
 def test_a_bool_of_ros2_is_a_number_in_ros1(tmp_path: Path) -> None:
-    """Genmsg reads a Python literal: ``true`` is none, 1 is."""
+    """Genmsg evaluates the value as a Python literal, which 1 is, but ``true`` is not."""
     package = tmp_path / "my_msgs"
     package.mkdir()
     (package / "Flag.msg").write_text("bool ON=true\nbool OFF=FALSE\nuint8 MASK=0x1F\nbyte LOW=08\nbool lit\n")
@@ -106,7 +106,7 @@ def test_a_bool_of_ros2_is_a_number_in_ros1(tmp_path: Path) -> None:
     registry = Registry(folders=[tmp_path])
     assert registry.ros1("my_msgs/Flag").definition == "bool ON=1\nbool OFF=0\nuint8 MASK=31\nbyte LOW=08\nbool lit\n"
     assert registry.ros1("my_msgs/Only").definition == "bool ON=1\n"
-    assert registry.ros1("my_msgs/Both").definition == "bool ON=True\nbyte LOW=08\n"  # its md5 covers the text
+    assert registry.ros1("my_msgs/Both").definition == "bool ON=True\nbyte LOW=08\n"  # the md5 sum covers the text
     assert registry.ros2("my_msgs/msg/Both").definition == "bool ON=True\nbyte LOW=08\n"
 
 

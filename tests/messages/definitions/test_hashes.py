@@ -1,4 +1,4 @@
-"""md5 sums are genpy's and RIHS01 hashes are rosidl's, for every type that is installed."""
+"""For every installed type, md5 sums equal those of genpy, and RIHS01 hashes equal those of rosidl."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_hashes_are_those_of_the_installed_packages(registry: Registry):
 
 @pytest.mark.parametrize("world", list(World))
 def test_the_stores_agree_with_what_is_installed(registry: Registry, world: World):
-    """Rosbags' own definitions replace those of missing packages; both must be the same type."""
+    """Definitions of rosbags replace those of missing packages, so both must be the same type."""
     bare = Registry(ros1_packages=Path("/nonexistent"))
     for name in store_names("sensor_msgs", world):
         if world is World.ROS1:
@@ -52,7 +52,7 @@ def test_the_stores_agree_with_what_is_installed(registry: Registry, world: Worl
 
 @pytest.mark.skipif(not (GENPY / "genpy").is_dir(), reason="ROS 1 is not installed")
 def test_common_ros1_types_need_no_package():
-    """All but roscpp's services of every node, which are private to ROS 1."""
+    """The exception is roscpp's services that every node has, which are private to ROS 1."""
     bare, checked = Registry(ros1_packages=Path("/nonexistent")), 0
     for path in sorted(GENPY.glob("*/*/_*.py")):
         package, kind, stem = path.parts[-3], path.parts[-2], path.stem[1:]
@@ -79,12 +79,12 @@ def test_common_ros1_types_need_no_package():
     ],
 )
 def test_common_types_that_are_not_installed_here(name: str, md5: str):
-    """The sums are those that Noetic's packages announce."""
+    """The md5 sums are those that Noetic's packages announce."""
     assert Registry(ros1_packages=Path("/nonexistent")).ros1(name).type_id == md5
 
 
 def test_octomap_from_a_folder_has_its_known_md5(registry: Registry):
-    """As octomap_msgs of Noetic announces it (index.ros.org, octomap_msgs 0.3.5)."""
+    """The md5 sum is the one that octomap_msgs of Noetic announces (index.ros.org, octomap_msgs 0.3.5)."""
     conversion = registry.ros1_to_hub("octomap_msgs/Octomap")
     assert conversion.source.type_id == "9a45536b45c5e409cd49f04bb2d9999f"
     assert conversion.target.name == "octomap_msgs/msg/Octomap"
@@ -101,7 +101,7 @@ def test_octomap_from_a_folder_has_its_known_md5(registry: Registry):
     ],
 )
 def test_maps_in_three_dimensions_need_no_package(name: str, md5: str) -> None:
-    """The sums are those in the packages that Noetic's tools generated (rosjs, rosserial, rossharp)."""
+    """The md5 sums are those in packages that Noetic's tools generated (rosjs, rosserial, rossharp)."""
     conversion = Registry(ros1_packages=Path("/nonexistent")).ros1_to_hub(name)
     assert conversion.source.type_id == md5
     assert conversion.target.name == name.replace("/", "/msg/")

@@ -1,4 +1,4 @@
-"""Names of one world made legal in the other."""
+"""Names that are legal in only one ROS version are converted for the other."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ TEXTS = {
 
 
 class Counted:
-    """A source that counts what is read."""
+    """A source of definitions that counts reads."""
 
     def __init__(self) -> None:
         self.reads: Counter[str] = Counter()
@@ -31,7 +31,7 @@ class Counted:
 
 
 def test_shipped_types_are_read_once_for_all_libraries() -> None:
-    """Missing types are cached, too: each version of a type searches all releases."""
+    """Missing types are cached, too: otherwise, each version of a type would search all releases."""
     source = Counted()
     shipped = ShippedTypes(source)
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""The tables of rosbags' stores, read without their message classes."""
+"""The tables of rosbags' type stores, read without importing their message classes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_a_table_is_that_of_the_imported_store(store: str) -> None:
 
 
 def test_the_stores_and_their_classes_are_not_imported() -> None:
-    """Every worker reads them at its start."""
+    """Every worker reads the tables at its start."""
     program = (
         "import dataclasses, json, sys\n"
         "from bridge.messages.definitions import sources\n"

@@ -1,4 +1,4 @@
-"""Reading definitions of both worlds."""
+"""Parsing definitions of ROS 1 and ROS 2."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_full_definition_is_read_back_the_same():
 
 
 def test_generated_text_has_the_same_meaning():
-    """Where a definition has no author's text, the one made from its fields has the same hash."""
+    """If a definition has no original text, the text generated from its fields has the same hash."""
     text = (
         'string<=10 a "x"\nint32[<=3] b\nOther c\nfloat64[2] d [1.5, 2]\n'
         + "=" * 80
@@ -125,7 +125,7 @@ def parse(text: str, world: World) -> Definition:
 
 
 def chain(count: int, width: int, last: str = "") -> str:
-    """Types that nest each other ``count`` deep, each ``width`` times."""
+    """Return ``count`` types, each of which nests the next one ``width`` times."""
     parts = []
     for number in range(count):
         fields = "".join(f"my_msgs/T{number + 1} f{k}\n" for k in range(width))

@@ -1,4 +1,4 @@
-"""Actions: their parts' hashes and bytes, which stand for each other, and what is derived."""
+"""Actions: hashes and bytes of their parts, which actions are counterparts, and derived types."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ GOAL_MD5 = {  # seen on the wire of a running move_base
 
 
 def ros2_actions() -> list[str]:
-    """Every action that rclpy has a class of."""
+    """Return every action for which rclpy has a class."""
     installed = {f"{p.parts[-3]}/action/{p.stem}" for p in (Path(sys.prefix) / "share").glob("*/action/*.action")}
     bundled = {f"{pkg}/{path.removesuffix('.action')}" for pkg in bundled_packages() for path in bundled_files(pkg)}
     return sorted(installed | {name for name in bundled if "/action/" in name})
 
 
 def converters(registry: Registry, ros2: str) -> dict[str, tuple[Any, Any, str]]:
-    """For each of an action's messages: to ROS 1, to the hub, and its full text in ROS 1."""
+    """Return the converters to ROS 1 and to the hub and the full ROS 1 definition of each message of an action."""
     conversions: dict[str, tuple[Any, Any, str]] = {}
     for part in ("SendGoal", "GetResult"):
         calls = registry.service_hub_to_ros1(f"{ros2}_{part}")
@@ -99,13 +99,13 @@ def test_pairs_hold_both_ways(ros1: str, ros2: str, registry: Registry):
 def test_ros1_bytes_are_those_of_genpy(registry: Registry):
     """Genpy writes the parts with ROS 2's structure, for pairs of equal fields and for derived ones in both directions.
 
-    The status's text, which genpy's results lack, follows the state: empty here.
+    The text of the status, which genpy's results lack, is derived from the state, and is empty here.
     """
     text_field, no_text = f"string {STATUS_TEXT}\n", bytes(4)
     items, cdrs, backs = [], [], []
     for action in [*PAIRS.values(), *ros2_actions()]:
         if action == PAIRS["move_base_msgs/MoveBase"]:
-            continue  # fields have other names: below
+            continue  # the fields have other names, which are tested below
         base = registry.action_to_ros1(action)
         for part, (to_side, to_hub, definition) in converters(registry, action).items():
             for length in (0, 2):
@@ -141,7 +141,7 @@ def pose(seed: int) -> dict[str, Any]:
 
 
 def wire_pose(seed: int) -> bytes:
-    """The same as ROS 1 has it."""
+    """Return the same pose as ROS 1 writes it."""
     frame = f"map{seed}".encode()
     head = struct.pack("<III", 0, seed, seed + 1) + struct.pack("<I", len(frame)) + frame
     return head + struct.pack("<7d", *(seed + n + 0.5 for n in range(2, 9)))
@@ -265,7 +265,7 @@ ACTION = "int32 Order\ntime until\n---\nbool DONE=1\nint32[] sequence\n---\nstri
 
 @pytest.fixture
 def folders(tmp_path: Path) -> Path:
-    """A package's action as ROS 1 would write it."""
+    """Return a folder with a package's action, as written for ROS 1."""
     folder = tmp_path / "my_acts" / "action"
     folder.mkdir(parents=True)
     (folder / "count_up.action").write_text(ACTION)
@@ -284,7 +284,7 @@ def test_an_action_that_exists_only_in_ros1_is_derived(folders: Path):
 
 
 def test_an_action_known_only_from_headers_is_derived(folders: Path):
-    """A connection header has the type that wraps a goal, with the goal nested in it."""
+    """A connection header contains the type that wraps a goal, with the goal's type nested in it."""
     topics = Registry(folders=[folders]).ros1_action("my_acts/count_up")
     registry = Registry()
     for topic in (topics.goal, topics.result):

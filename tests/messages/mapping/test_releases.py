@@ -1,4 +1,4 @@
-"""The versions of types in the releases, and the conversions between them."""
+"""The versions of types in ROS 2 releases, and the conversions between them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HASHES = {
     (THROUGH, "jazzy"): "RIHS01_5a590fa8e9a32b7b9c838fdf5939a2fb8858d6cfd25bdf2f2e5f0f7bbb25f52b",
     (THROUGH, "kilted"): "RIHS01_0fb14135a40c3900a9a184f95b2ed6966a0ffd298739cc9de7903ebc6dc06a25",
 }
-"""As Jazzy's rosidl_generator_type_description computes them from the releases' files."""
+"""Hashes that Jazzy's rosidl_generator_type_description computes from the files of the releases."""
 
 TYPES = sorted(f"{p.parts[-3]}/{p.parts[-2]}/{p.stem}" for p in RELEASES_FOLDER.glob("*/*/*/*.*"))
 
@@ -150,7 +150,7 @@ def test_each_folder_may_have_a_version(tmp_path: Path) -> None:
 
 
 def test_every_rule_applies(registry: Registry) -> None:
-    """Each names messages and fields that some version has."""
+    """Each rule names messages and fields that exist in some version."""
     known: dict[str, set[str]] = {}
     for name in TYPES:
         for part in parts(name):

@@ -1,4 +1,4 @@
-"""ros1_bridge's mapping rules, as the files are, and fields that are matched by them."""
+"""Mapping rules in ros1_bridge's files as they exist, and the fields that they match."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_reordered_and_nested_fields_cross(tmp_path: Path, new_msgs: Path):
     ros1 = to_ros1.convert(from_json(registry, "new_msgs/msg/Place", values))
     assert ros1.startswith(b"\0\0\0\0\x0b\0\0\0\x0c\0\0\0")
     again = to_json(registry, "new_msgs/msg/Place", to_hub.convert(ros1))
-    # What ROS 1 cannot hold is at ROS 2's default.
+    # Fields that ROS 1 cannot hold have ROS 2's default values.
     assert again == {**values, "offset": {"up": 0.0, "north": 2.5}, "floor": 3}
 
 

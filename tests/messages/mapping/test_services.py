@@ -1,4 +1,4 @@
-"""Services: fingerprints as ROS has them, bytes as ROS writes them, pairs, derived types and their errors."""
+"""Services: ROS's fingerprints and bytes, pairs, derived types, and their errors."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ ROS1 = sorted(f"{path.parts[-3]}/{path.stem[1:]}" for path in GENPY.glob("*/srv/
 
 
 def ros2_services() -> list[str]:
-    """Every service that rclpy has a class of."""
+    """Return every service for which rclpy has a class."""
     installed = {f"{p.parts[-3]}/srv/{p.stem}" for p in (Path(sys.prefix) / "share").glob("*/srv/*.srv")}
     bundled = {f"{pkg}/{path.removesuffix('.srv')}" for pkg in bundled_packages() for path in bundled_files(pkg)}
     return sorted(installed | {name for name in bundled if "/srv/" in name})
 
 
 def parts(name: str, conversion: ServiceConversion) -> Iterator[tuple[str, Callable[..., bytes], Callable[..., bytes]]]:
-    """Both messages of a service, and how they get to ROS 1 and back."""
+    """Return both messages of a service, with the converters to ROS 1 and back."""
     for part in ("Request", "Response"):
         both = (getattr(conversion, f"{part.lower()}_to_{where}") for where in ("side", "hub"))
         yield f"{name}_{part}", *both
@@ -80,7 +80,7 @@ def test_hashes_are_those_of_rclpys_type_support(registry: Registry):
 
 @needs_genpy
 def test_ros1_bytes_are_those_of_rospy(registry: Registry):
-    """Values in CDR, converted to ROS 1, are byte for byte what genpy writes; its bytes come back as that CDR."""
+    """CDR converted to ROS 1 equals genpy's output byte for byte, and is converted back to the same CDR."""
     items, cdrs, backs = [], [], []
     for name in ROS1:
         conversion = registry.service_ros1_to_hub(name)
@@ -98,7 +98,7 @@ def test_ros1_bytes_are_those_of_rospy(registry: Registry):
 
 
 def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
-    """Rclpy reads what is written here, and what it writes is accepted, trimmed of its slack, and means the same."""
+    """Rclpy can read our CDR, and CDR from rclpy is accepted, trimmed of trailing padding, and has the same values."""
     items = []
     for name in ros2_services():
         for part in ("Request", "Response"):
@@ -159,7 +159,7 @@ ASK = "Header header\nstring Question\nMark mark\n---\nuint8 YES=1\ntime at\nmy_
 
 @pytest.fixture
 def folders(tmp_path: Path) -> Path:
-    """A package as ROS 1 would write it."""
+    """Return a folder with a package, as written for ROS 1."""
     for path, content in {"srv/ask_me.srv": ASK, "msg/Mark.msg": "uint8 kind\nint32 age\n"}.items():
         file = tmp_path / "my_srvs" / path
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -209,7 +209,7 @@ def test_service_announced_on_the_hub_is_known_by_its_hash(folders: Path):
     derived = registry.service_hub_to_ros1(announced.name, announced.type_id)
     assert derived.side.name == "my_srvs/AskMe"
     assert registry.ros2_package_sources("my_srvs")["srv/AskMe.srv"].startswith("std_msgs/Header header\n")
-    # If both are known, the definition that the network uses precedes a derived one.
+    # The definition that the network uses has priority over a derived one.
     both = Registry(folders=[folders])
     both.learn_ros2("my_srvs/srv/AskMe", announced.definition)
     assert both.service_ros1_to_hub("my_srvs/ask_me").hub.type_id == announced.type_id
@@ -255,14 +255,14 @@ def test_services_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_p
 
 
 def test_the_service_of_ros1_bridges_example_is_the_one_of_example_interfaces(tmp_path: Path):
-    """It follows the mapping rule of example_interfaces; without its definition on this machine it is derived."""
+    """It follows the mapping rule of example_interfaces; without a definition on this machine it is derived."""
     for name in ("roscpp_tutorials/srv/TwoInts.srv", "example_interfaces/srv/AddTwoInts.srv"):
         (tmp_path / name).parent.mkdir(parents=True)
         (tmp_path / name).write_text("int64 a\nint64 b\n---\nint64 sum\n")
     registry = Registry(folders=[tmp_path], ros1_packages=Path("/nonexistent"))
     assert registry.service_ros1_to_hub("roscpp_tutorials/TwoInts").hub.name == "example_interfaces/srv/AddTwoInts"
     back = registry.service_hub_to_ros1("example_interfaces/srv/AddTwoInts")
-    assert back.side.type_id == "6a2e34150c00229791cc89ff309fff21"  # as roscpp_tutorials has it
+    assert back.side.type_id == "6a2e34150c00229791cc89ff309fff21"  # the md5 sum in roscpp_tutorials
     (tmp_path / "example_interfaces/srv/AddTwoInts.srv").unlink()
     registry = Registry(folders=[tmp_path])
     assert registry.service_ros1_to_hub("roscpp_tutorials/TwoInts").hub.name == "roscpp_tutorials/srv/TwoInts"
@@ -270,7 +270,8 @@ def test_the_service_of_ros1_bridges_example_is_the_one_of_example_interfaces(tm
 
 def test_services_of_one_name_that_differ_are_no_pair(folders: Path):
     registry = Registry(folders=[folders])
-    registry.learn_ros2("std_srvs/srv/SetBool", "bool data\n---\nbool done\n")  # announced, and the installed one stays
+    # announced by the hub, but the installed definition is kept
+    registry.learn_ros2("std_srvs/srv/SetBool", "bool data\n---\nbool done\n")
     assert registry.service_ros1_to_hub("std_srvs/SetBool").hub == registry.service_ros2("std_srvs/srv/SetBool")
     other = folders / "std_srvs" / "srv"
     other.mkdir(parents=True)

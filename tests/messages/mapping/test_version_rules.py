@@ -1,4 +1,4 @@
-"""Rules about the versions of a package: renamed and retyped fields, what they lose, and rules that cannot apply."""
+"""Rules about the versions of a package: renamed and retyped fields, lost values, and rules that cannot apply."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Configured = Callable[[list[dict[str, Any]]], Path]
 
 @pytest.fixture
 def configured(tmp_path: Path) -> Configured:
-    """Return a function that writes a configuration with both versions of the package and rules, and its path."""
+    """Return a function that writes a configuration with both package versions and given rules, and returns its path."""
     write_versions(tmp_path)
 
     def write(rules: list[dict[str, Any]]) -> Path:
@@ -41,7 +41,7 @@ def registry(configured: Configured) -> Registry:
 
 
 def ends(registry: Registry, name: str, *, older: bool) -> tuple[str, str]:
-    """Return the hashes of source and target: from the newer version to the older one if ``older``."""
+    """Return the hashes of source and target; with ``older``, the conversion is from the newer to the older version."""
     new, old = registry.releases.hashes(name)
     return (new, old) if older else (old, new)
 

@@ -1,4 +1,4 @@
-"""Conversion programs to be run, and messages for them."""
+"""Conversion programs for tests, with messages for them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def programs(registry: Registry, name: str) -> list[tuple[ConversionProgram, byt
 
 
 def damaged(good: bytes, dice: random.Random) -> bytes:
-    """The message, cut short or with some words changed."""
+    """Return the message, cut short or with some words changed."""
     content = bytearray(good)
     for _ in range(dice.randint(0, 3)):
         if len(content) >= 4:

@@ -1,4 +1,4 @@
-"""Any invalid bytes end in a ConversionError."""
+"""All invalid bytes raise a ConversionError."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_slack_is_trimmed_and_more_is_refused():
 
 
 def test_slack_of_empty_sequences_is_trimmed():
-    """Rclpy leaves room for the padding before the elements that are not there."""
+    """Rclpy leaves space for the padding before the missing elements."""
     name = "sensor_msgs/msg/JointState"
     good = from_json(REGISTRY, name, {"name": ["a"], "position": [1.0]})
     assert REGISTRY.hub_check(name)(good + bytes(8)) == good
@@ -199,7 +199,7 @@ def test_bounds_are_checked_both_ways():
 
 
 def test_a_small_message_cannot_become_a_huge_one():
-    """The field that only ROS 2 has would be made for each of the elements."""
+    """A field that only ROS 2 has would be created for each of the elements."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a_msgs" / "msg"
         path.mkdir(parents=True)

@@ -105,7 +105,7 @@ def conversions(name: str, registry: Registry) -> tuple[Any, Any]:
 
 
 def common(value: Any, *others: Any) -> Any:
-    """Return the value without ``Header.seq`` and without fields that any other value lacks."""
+    """Return the value without ``Header.seq`` and without fields that any of the other values lacks."""
     if isinstance(value, dict):
         keys = [key for key in value if key != "seq" and all(key in other for other in others)]
         return {key: common(value[key], *(other[key] for other in others)) for key in keys}

@@ -1,4 +1,4 @@
-"""The virtual machine, compiled and as Python, in which an access out of bounds is an IndexError."""
+"""The virtual machine, compiled and as Python, where an access out of bounds raises IndexError."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROUNDS = 400
 
 
 def ready(form: Any, program: ConversionProgram) -> Any:
-    """A program in one form of the machine, which raises the faults' numbers."""
+    """Return a program in one form of the machine, which raises faults as numbers."""
     return form.VirtualMachine(*program.assemble(), ValueError)
 
 
@@ -91,7 +91,7 @@ def test_as_many_positions_are_kept_as_a_program_may(form: Any):
     assert outcome(form, program, message, "convert") == message[-2::-1] + message[-1:]
 
 
-@pytest.mark.skipif(vm.__file__.endswith(".py"), reason="Python keeps its lock")
+@pytest.mark.skipif(vm.__file__.endswith(".py"), reason="the uncompiled machine keeps the GIL")
 def test_large_messages_are_converted_while_other_threads_run():
     program = ConversionProgram("blob", source_cdr=False, target_cdr=True)
     program.emit(Instruction(Op.SEQUENCE, size=1))
@@ -115,7 +115,7 @@ def test_large_messages_are_converted_while_other_threads_run():
 
 
 def test_output_of_another_size_is_rejected():
-    """A fault of the machine would else give away memory's old content."""
+    """Otherwise, a fault in the machine would expose old memory content."""
     program = ConversionProgram("blob", source_cdr=False, target_cdr=False)
     program.emit(Instruction(Op.COPY, size=3))
     python = uncompiled("bridge.messages.transcode.vm")
@@ -127,7 +127,7 @@ def test_output_of_another_size_is_rejected():
 
 
 def words(*steps: tuple[int, ...], flags: int = 0) -> bytes:
-    """A program in memory; numbers that are not given are 0."""
+    """Return a program in memory; numbers that are not given are 0."""
     flat = [flags]
     for step in (*steps, (Op.END,)):
         flat += [*step, *[0] * (5 - len(step))]

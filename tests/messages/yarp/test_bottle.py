@@ -1,4 +1,4 @@
-"""The default content: byte for byte what yarpidl_rosmsg's code writes, and back from it and from looser Bottles."""
+"""The default content equals the output of yarpidl_rosmsg's code byte for byte; it and looser Bottles are read back."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def words(*numbers: int) -> bytes:
 
 
 def test_a_laser_scan_byte_for_byte() -> None:
-    """A list for each message, tags before each field, arrays of one type: as RosTypeCodeGenYarp.cpp writes them."""
+    """Messages are lists, with tags before fields and arrays of one type, as RosTypeCodeGenYarp.cpp writes them."""
     scan = {
         "header": {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": "ab"},
         "angle_min": 1.5,
@@ -82,7 +82,7 @@ def test_every_field_round_trip(name: str, profile: Profile, length: int) -> Non
     bottle = b"".join(known.to_yarp(cdr).payload)
     assert known.to_hub(bottle, profile, None) == cdr
     values = binary.decode(bottle, profile)
-    if not _has_empty_list(values):  # the profile does not matter then
+    if not _has_empty_list(values):  # without empty lists, the profile does not matter
         assert known.to_hub(binary.encode(values, profile), profile, None) == cdr
     assert codec(name, _other(profile)).to_hub(bottle, profile, None) == cdr
 
@@ -143,7 +143,7 @@ def test_a_bottle_with_a_byte_changed_harms_nothing(data: st.DataObject) -> None
 
 
 def test_handwritten_bottle_is_accepted() -> None:
-    """What ``yarp write`` makes of the line ``(1 0 0) (0 0 0.5)``: integers, and lists of one type."""
+    """``yarp write`` converts the line ``(1 0 0) (0 0 0.5)`` to integers, and to lists of one type."""
     twist = codec("geometry_msgs/msg/Twist").to_hub(binary.encode([[1, 0, 0], [0, 0, 0.5]], Profile.YARP3), None, None)
     assert to_json(REGISTRY, "geometry_msgs/msg/Twist", twist)["linear"] == {"x": 1.0, "y": 0.0, "z": 0.0}
     hello = codec("std_msgs/msg/String").to_hub(binary.encode(["hello"], Profile.YARP4), Profile.YARP4, None)

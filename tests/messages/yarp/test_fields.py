@@ -1,4 +1,4 @@
-"""Short Bottles of chosen fields, both ways."""
+"""Short Bottles of chosen fields, converted in both directions."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_the_short_bottle_of_a_velocity(profile: Profile, x: float, y: float, tu
 
 
 def test_constants_and_degrees_make_a_command_of_robot_goto() -> None:
-    """``(3 vx vy vtheta gain)``, as navigation's modules send it."""
+    """``(3 vx vy vtheta gain)``, as the modules of robotology/navigation send it."""
     known = codec(TWIST, 3, "linear.x", "linear.y", "deg(angular.z)", 100.0)
     message = {"linear": {"x": 0.5}, "angular": {"z": math.pi}}
     assert out(known, TWIST, message) == [3, 0.5, 0.0, pytest.approx(180.0), 100.0]

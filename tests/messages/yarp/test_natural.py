@@ -1,4 +1,4 @@
-"""The natural YARP types: against the bytes of a real YARP, against values, and there and back."""
+"""The natural YARP types: compared with the bytes of a real YARP and with values, and round trips."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ HEADER = {"stamp": {"sec": 1_795_143_618, "nanosec": 22_890_000}, "frame_id": "b
 
 
 def captured(name: str) -> bytes:
-    """The bytes that YARP 4.0 wrote of a value."""
+    """Return the bytes that YARP 4.0 wrote for a value."""
     text = CAPTURED.read_text().split(f"\n{name} (")[1].split("\n", 1)[1]
     lines = [line[9:57] for line in re.match(r"(?:   [0-9a-f]{4}  .*\n)+", text).group().splitlines()]
     return bytes.fromhex("".join(lines))
@@ -352,7 +352,7 @@ def test_a_turned_map_has_its_cells_in_the_same_places() -> None:
     info = back(GRID, grid.to_bytes(Profile.YARP4))["info"]
     turn, place = info["origin"]["orientation"], info["origin"]["position"]
     yaw = 2 * math.atan2(turn["z"], turn["w"])
-    # ROS: the middle of the cell in column 2 of the second row from below
+    # in ROS, this is the center of the cell in column 2 of the second row from the bottom
     x, y = 2.5 * 0.5, 1.5 * 0.5
     ros = place["x"] + x * math.cos(yaw) - y * math.sin(yaw), place["y"] + x * math.sin(yaw) + y * math.cos(yaw)
     assert ros == pytest.approx(tuple(grid.centers_of((2, 2))))
@@ -400,14 +400,14 @@ ANY = [name for name in KINDS if name not in ("sensor_msgs/msg/Image", CLOUD, GR
 @pytest.mark.parametrize("name", ANY)
 @pytest.mark.parametrize("profile", Profile)
 def test_round_trip_keeps_every_value(name: str, profile: Profile) -> None:
-    """Values that YARP's type lacks are lost the first time, and nothing else the second time."""
+    """Values that YARP's type lacks are lost in the first round trip; the second one loses nothing more."""
     first = out(name, _small(sample(REGISTRY.schema(name))), profile)
     again = out(name, back(name, first, profile), profile)
     assert _near(values(again, profile), values(first, profile))
 
 
 def _small(message: Any) -> Any:
-    """Angles wind up; small numbers stay."""
+    """Divide all floats by 1000, because large angles are wrapped and small ones are kept."""
     if isinstance(message, dict):
         return {key: _small(value) for key, value in message.items()}
     return message / 1000 if isinstance(message, float) else message
