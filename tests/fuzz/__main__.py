@@ -77,7 +77,7 @@ def _unpacked(text: str) -> bytes:
 
 
 def shares(targets: Sequence[Target], inputs: int) -> dict[Target, int]:
-    """Return the number of inputs for each target, at least one."""
+    """Return each target's number of inputs, which is at least one."""
     whole = sum(target.share for target in targets)
     counts = {target: max(inputs * target.share // whole, 1) for target in targets}
     first = next(iter(counts))

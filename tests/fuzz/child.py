@@ -27,7 +27,7 @@ def main() -> None:
     path = Path(sys.argv[1])
     journal = Journal(path)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    faulthandler.enable(path.with_name(STACKS).open("w"))  # open until the process exits
+    faulthandler.enable(path.with_name(STACKS).open("w"))  # stays open until the process exits
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     subjects: dict[str, Subject] = {}

@@ -1,6 +1,6 @@
 """``python -m tests.fuzz.guided NAME``: the same targets with atheris, which is guided by branch coverage.
 
-It finds inputs that need several right guesses in sequence, but is slower at first. It is not a dependency: ``pip
+It finds inputs that need several right guesses in sequence, but is slower at first. Atheris is not a dependency: ``pip
 install atheris`` (Linux). The corpus stays in its folder, and the next run continues with it.
 """
 
@@ -19,7 +19,7 @@ _INSTRUMENTED = ["bridge", "http", "json", "urllib", "xmlrpc", "yaml"]
 
 
 def main() -> None:
-    """Fuzz one target until the time is over or an input fails, which is saved next to the corpus."""
+    """Fuzz one target until the time is over or an input fails; a failing input is saved next to the corpus."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz.guided", description=__doc__)
     parser.add_argument("name", help="a target, as 'python -m tests.fuzz' lists them")
     parser.add_argument("--seconds", type=int, default=60)

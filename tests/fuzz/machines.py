@@ -1,4 +1,4 @@
-"""``python -m tests.fuzz.machines FORM ...``: fuzz the conversion machine in another form than the installed one.
+"""``python -m tests.fuzz.machines FORM ...``: fuzz the conversion machine in a form other than the installed one.
 
 ``python`` runs it uncompiled, so that an access out of bounds is an IndexError; ``sanitized`` compiles it with
 AddressSanitizer, which aborts the process. Further arguments are passed to ``python -m tests.fuzz``.

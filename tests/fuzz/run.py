@@ -25,7 +25,7 @@ MEMORY = 64 << 20
 """Additional memory for one input, bytes."""
 
 SECONDS = 1.0
-"""Maximum processor time for one input, seconds; 100 times that of the slowest valid ones."""
+"""Maximum processor time for one input, seconds; 100 times that of the slowest valid inputs."""
 
 JOURNAL = 1 << 20
 JOURNAL_IDLE = (1 << 64) - 1
@@ -115,7 +115,7 @@ def fuzz(
 
 
 def _give(subject: Subject, content: bytes, *, trace: bool) -> tuple[set[Any], Finding | None]:
-    """Run a parser on one input; return its coverage, and a finding if it failed."""
+    """Run a parser on one input; return the input's coverage, and a finding if the parser failed."""
     coverage: set[Any] = set()
     begun = time.thread_time()
     try:
@@ -134,7 +134,7 @@ def _give(subject: Subject, content: bytes, *, trace: bool) -> tuple[set[Any], F
 
 
 def warm(subject: Subject) -> bool:
-    """Run a parser on its seeds, to load its modules before memory is limited; return whether it accepts any."""
+    """Run a parser on its seeds, to load its modules before memory is limited; return whether it accepts any seed."""
     good = [_is_good(subject, content) for content in subject.seeds]
     return any(good)
 
@@ -142,7 +142,7 @@ def warm(subject: Subject) -> bool:
 def _is_good(subject: Subject, content: bytes) -> bool:
     try:
         subject.parse(content)
-    except Exception:  # checked later, on inputs derived from it
+    except Exception:  # failures are found later, in inputs derived from this seed
         return False
     return True
 
@@ -170,7 +170,7 @@ def finding_of(err: BaseException, content: bytes) -> Finding:
 
 
 def fingerprint_of(err: BaseException) -> int:
-    """Return a hash of a rejection's traceback and message, which stands for the input's code path."""
+    """Return a hash of a rejection's traceback and message, which identifies the input's code path."""
     fingerprint = hash(_DIGITS.sub("", str(err)[:200]))
     place = err.__traceback__
     for _ in range(12):

@@ -31,7 +31,9 @@ def test_all_parsers_survive_half_a_million_inputs(tmp_path: Path) -> None:
     command += ["--json", str(figures), "--save", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     print(done.stdout)
-    findings = done.stdout[done.stdout.find(f"\n{MARK}") :]  # at the end of the output, without the table
+    findings = done.stdout[
+        done.stdout.find(f"\n{MARK}") :
+    ]  # the findings are at the end of the output, after the table
     assert done.returncode == 0, findings + done.stderr[-3000:]
     results = json.loads(figures.read_text())
     assert set(results) == set(TARGETS)

@@ -1,4 +1,4 @@
-"""The conversion machine stays within its buffers: fuzzed as Python, and compiled with AddressSanitizer."""
+"""The conversion machine stays within its buffers: it is fuzzed as Python, and compiled with AddressSanitizer."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ BROKEN = {
         "elif write:\n                    _copy(source, i, target, o + 2,",
     ),
 }
-"""A line of the source, and a replacement that goes out of bounds: by one byte, where Python appends a NUL to the
-input, or by two."""
+"""A line of the source, and a replacement that is out of bounds by one byte (Python's NUL after the input) or two."""
 
 CUT_SHORT = """
 from tests.fuzz.machines import load

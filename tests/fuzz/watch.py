@@ -46,7 +46,7 @@ class Outcome:
 
 
 class _DeadError(Exception):
-    """The process exited, or was killed, during an input; ``stacks`` are those of its threads then."""
+    """The process exited, or was killed, during an input; ``stacks`` are the stacks of its threads at that time."""
 
     def __init__(self, how: str, number: int, content: bytes, stacks: str) -> None:
         super().__init__(how)
@@ -61,7 +61,7 @@ class _Worker:
         path = Path(self._folder.name) / "journal"
         path.write_bytes(bytes(JOURNAL))
         self._journal = Journal(path)
-        self._journal.write(JOURNAL_IDLE, b"")  # until the first input, as the start of the process may take long
+        self._journal.write(JOURNAL_IDLE, b"")  # idle until the first input, because the process may take long to start
         self._stacks = path.with_name(STACKS)
         self._process = subprocess.Popen(
             [sys.executable, "-W", "ignore", *_PROGRAM, str(path)],

@@ -11,7 +11,7 @@ from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
 
 def _pub() -> Subject:
-    """The fields for ``midspan topic pub``."""
+    """The message fields that a user types for ``midspan topic pub``."""
     from bridge.cli.messages import yaml_fields
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
@@ -32,7 +32,7 @@ def _pub() -> Subject:
 
 
 def _status() -> Subject:
-    """Workers' status documents, as shown in a terminal."""
+    """Workers' status documents, printed as for a terminal."""
     from rich.console import Console
 
     from bridge.cli.inspection.status import show

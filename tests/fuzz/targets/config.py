@@ -25,7 +25,7 @@ _WORDS = texts(
 
 
 def _config() -> Subject:
-    """A whole file as text; an accepted configuration can be sent to a worker, and its rules decide."""
+    """A whole file as text; an accepted configuration can be sent to a worker, and its rules can be applied."""
     from bridge.config.load import loads
     from bridge.config.model import Config
     from bridge.daemon.protocol import config_json

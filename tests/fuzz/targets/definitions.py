@@ -176,7 +176,7 @@ def _idl() -> Subject:
 
 
 def _mapping_rules() -> Subject:
-    """Files of mapping rules, as of ros1_bridge and about versions."""
+    """Files of mapping rules: those of ros1_bridge, and those about versions."""
     from bridge.messages.mapping.rules import Rules
     from bridge.messages.mapping.version_rules import VersionRules
 

@@ -61,13 +61,13 @@ def _token() -> Subject:
 
 
 def _graph() -> Subject:
-    """The graph while tokens are added and removed, one per line (``-`` removes); in the end it is empty."""
+    """The graph while tokens are added and removed, one per line (``-`` removes); in the end the graph is empty."""
     import zenoh
 
     from bridge.hub.graph import HubGraph
 
     class Nothing:
-        """A session, its liveliness and its subscribers, which do nothing."""
+        """A session, its liveliness and its subscribers, all of which do nothing."""
 
         def __getattr__(self, _name: str) -> Any:
             return lambda *_args, **_more: self
@@ -175,7 +175,7 @@ def _samples() -> Subject:
     from bridge.hub.wire.qos import Durability, Qos
 
     class Nothing:
-        """A session, a graph and their objects, which do nothing."""
+        """A session, a graph and their objects, all of which do nothing."""
 
         def __getattr__(self, _name: str) -> Any:
             return lambda *_args, **_more: self
@@ -184,7 +184,7 @@ def _samples() -> Subject:
             return "0"
 
     put = zenoh.SampleKind.PUT
-    module.MAX_HELD_BYTES = 1000  # three samples
+    module.MAX_HELD_BYTES = 1000  # room for three samples
 
     def parse(data: bytes) -> None:
         received: list[Any] = []

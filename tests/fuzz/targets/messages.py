@@ -104,7 +104,7 @@ def _rosbags() -> Subject:
         message = data[1:]
         if number % 2:
             ours = to_hub(message)
-            normal = to_ros1(ours)  # other bools than 0 and 1 become 1; rosbags keeps them
+            normal = to_ros1(ours)  # bools other than 0 and 1 become 1, but rosbags keeps them
             theirs = bytes(store.ros1_to_cdr(normal, name))
         else:
             ours = to_ros1(message)
@@ -115,7 +115,7 @@ def _rosbags() -> Subject:
 
 
 def _to_json() -> Subject:
-    """Messages as JSON, as for ``topic echo``; they are encoded to the same bytes again."""
+    """Messages converted to JSON, as for ``topic echo``, and encoded to the same bytes again."""
     from bridge.messages.json import from_json, to_json
     from bridge.messages.registry import Registry
     from tests.messages.samples import sample
@@ -133,7 +133,7 @@ def _to_json() -> Subject:
 
 
 def _from_json() -> Subject:
-    """Messages from JSON, as by ``topic pub`` and on plain zenoh keys."""
+    """Messages from JSON, as for ``topic pub`` and on plain zenoh keys."""
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
     from tests.messages.samples import sample

@@ -105,7 +105,7 @@ def _rpc_client() -> Any:
         reply = b""
 
         def _exchange(self, body: bytes, _deadline: float) -> bytes:
-            servers = body.count(b"lookupService")  # one per service in the state, in a second request
+            servers = body.count(b"lookupService")  # a second request has one call for each service in the state
             return _answer([[[1, "", "rosrpc://h:1"]]] * servers) if servers else self.reply
 
     return FakeServerClient("http://127.0.0.1:1/", 1.0)
@@ -145,7 +145,7 @@ def _xmlrpc() -> Subject:
 
 
 def _slave() -> Subject:
-    """Calls of this node's slave API: each has a reply of three values, or a fault."""
+    """Calls of this node's slave API: each call gets a reply of three values, or a fault."""
     from bridge.adapters.ros1.connection_loop import ConnectionLoop
     from bridge.adapters.ros1.node.slave import SlaveApi, SlaveEvents, SlaveState
     from bridge.adapters.ros1.topics.book import TopicBook
@@ -198,7 +198,7 @@ def _graph() -> Subject:
                 entries = others(state, own_node)
                 removal_calls(state, entries)
                 hash((state.publishers, state.subscribers))
-        # and the reply to a request for the addresses of three nodes
+        # also the reply to a request for the addresses of three nodes
         reader._nodes = ("/a", "/b", "/c")
         reader.read()
 

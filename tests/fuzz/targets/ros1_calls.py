@@ -17,14 +17,14 @@ _SIZES = [struct.pack("<I", n) for n in (0, 1, 5, 65_536, 65_537, _LIMIT, _LIMIT
 
 
 class _Plain(socket.socket):
-    """A socket of a pair, on which TCP options are ignored."""
+    """One end of a socket pair, on which TCP options are ignored."""
 
     def setsockopt(self, *_: Any) -> None:
         pass
 
 
 class _Loop:
-    """Stands in for the thread that reads all connections; the test reads one."""
+    """Stands in for the thread that reads all connections; here, the target reads one connection."""
 
     def __init__(self) -> None:
         self.reads = threading.Event()
@@ -52,7 +52,8 @@ class _Loop:
 def _drive(connection: Any, loop: _Loop, peer: socket.socket) -> bytes:
     """Read a connection to its end, like the shared thread, and return what the peer receives meanwhile.
 
-    A separate thread may read large messages. The peer must receive: a send to a full socket waits for it forever.
+    A separate thread may read large messages. The peer must receive, because a send to a full socket would block
+    forever.
     """
     received = bytearray()
     connection.start()

@@ -31,7 +31,7 @@ def _network() -> Subject:
     folder = scratch()
     own_prefix = bytes(range(12))
     origins = Origins(own_prefix, folder, frozenset, lambda: None, DelayedCalls("fuzz-origins"))
-    # expired at once, without a timer for each
+    # entries expire at once, without a timer for each
     origins._first_seen = _Seen()
 
     def parse(data: bytes) -> None:

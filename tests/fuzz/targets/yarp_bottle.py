@@ -85,7 +85,7 @@ def _text() -> Subject:
         assert len(line) > 1000 or to_text(values) == to_text(TextReader(line).values(line, 0))
         is_complete(line)
         wire = encode(values, Profile.YARP4)
-        # compared as bytes, because escapes may be between the bytes of one character
+        # compared as bytes, because there may be escapes between the bytes of one character
         back = to_text(decode(wire, Profile.YARP4))
         assert back.encode(errors="surrogateescape") == to_text(values).encode(errors="surrogateescape")
 

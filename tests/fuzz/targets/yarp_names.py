@@ -47,7 +47,7 @@ def _checked(registry: PortRegistry, answer: Command) -> None:
 
 
 def _remembered(registry: PortRegistry) -> None:
-    """Check that the stored registry is loaded as equal."""
+    """Check that a registry loaded from the stored one is equal."""
     data = dumps(registry)
     again = PortRegistry(_SERVER)
     loads(again, data)

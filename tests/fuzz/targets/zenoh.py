@@ -40,7 +40,7 @@ def _ros2dds_token() -> Subject:
 
 
 def _ros2dds_graph() -> Subject:
-    """Adds and removes of these tokens, one per line (``-`` removes); in the end the graph is empty."""
+    """Additions and removals of these tokens, one per line (``-`` removes); in the end the graph is empty."""
     import zenoh
 
     from bridge.adapters.zenoh.ros2dds_graph import Ros2ddsGraph
@@ -65,7 +65,7 @@ def _ros2dds_graph() -> Subject:
 
 
 class _Nothing:
-    """A session and its objects, which do nothing."""
+    """A session and its objects, all of which do nothing."""
 
     def __getattr__(self, _name: str) -> Any:
         return lambda *_args, **_more: self
@@ -89,7 +89,7 @@ def _ros1_beacon() -> Subject:
 
 
 def _ros1_beacons() -> Subject:
-    """These beacons, one per line, then silence, after which the graph is empty."""
+    """Such beacons, one per line, and then silence, after which the graph is empty."""
     import zenoh
 
     from bridge.adapters.zenoh.ros1_discovery import _LOST, PERIOD, Aloha
@@ -102,7 +102,7 @@ def _ros1_beacons() -> Subject:
             aloha._on_beacon(SimpleNamespace(key_expr=line, kind=put, source_info=None, timestamp=None))  # type: ignore[arg-type]
         assert len(aloha.topics()) <= data.count(b"\n") + 1
         now = time.monotonic()
-        for step in range(2 * _LOST + 2):  # in steps: time during a standstill of the process does not count as silence
+        for step in range(2 * _LOST + 2):  # in steps: while the process is suspended, silence does not count
             aloha.tick(now + step * PERIOD)
         assert aloha.topics() == []
 
