@@ -1,4 +1,4 @@
-"""Bags as other programs write them: without hashes, definitions or metadata."""
+"""Bags like those of other programs, which lack hashes, definitions or metadata."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MESSAGES = (
 
 
 class Recorded(NamedTuple):
-    """A topic of a bag with its messages; ``text`` None for a type without a definition."""
+    """A topic of a bag with its messages; ``text`` is None for a type without a definition."""
 
     topic: str
     type_name: str
@@ -33,7 +33,7 @@ class Recorded(NamedTuple):
 
 
 def foreign_mcap(path: Path, *topics: Recorded, encoding: str = "cdr") -> Path:
-    """An MCAP file with nothing but definitions."""
+    """Write an MCAP file with definitions, but without metadata unless a topic has some."""
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start("", "a test")
@@ -48,7 +48,7 @@ def foreign_mcap(path: Path, *topics: Recorded, encoding: str = "cdr") -> Path:
 
 
 def humble_db3(path: Path, *topics: Recorded) -> Path:
-    """A SQLite file as rosbag2 of Foxy and Humble writes it: it has no definitions and no hashes."""
+    """A SQLite file like those of rosbag2 in Foxy and Humble, without definitions and hashes."""
     file = sqlite3.connect(path)
     with file:
         file.execute(_TOPICS)

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 for the tests of playing, written by rosbags with fields that a test names."""
+"""ROS 1 bags for tests of playback, written by rosbags with fields that a test sets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROS1 = Messages(ros1=True)
 
 
 class Said(NamedTuple):
-    """A message of a bag: seconds from its beginning."""
+    """A message of a bag; times are in seconds from the beginning of the bag."""
 
     at: float
     topic: str
@@ -25,7 +25,7 @@ class Said(NamedTuple):
 
 
 def write_bag(path: Path, messages: Iterable[Said], latched: Iterable[str] = ()) -> Path:
-    """A ROS 1 bag of these messages; each topic is of one publisher."""
+    """Write a ROS 1 bag of these messages; each topic has one publisher."""
     kept = set(latched)
     with Writer(path) as writer:
         connections: dict[str, Any] = {}
@@ -39,13 +39,13 @@ def write_bag(path: Path, messages: Iterable[Said], latched: Iterable[str] = ())
 
 
 def stamp(at: float) -> dict[str, int]:
-    """The bag's time as ROS 1 has it."""
+    """Return a bag time as a ROS 1 stamp."""
     seconds, nanoseconds = divmod(START + round(at * NS), NS)
     return {"sec": seconds, "nanosec": nanoseconds}
 
 
 def transform(parent: str, child: str, at: float = 0.0, x: float = 0.0) -> dict[str, Any]:
-    """One transform of a TFMessage."""
+    """Return one transform of a TFMessage."""
     return {
         "header": {"stamp": stamp(at), "frame_id": parent},
         "child_frame_id": child,

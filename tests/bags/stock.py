@@ -1,4 +1,4 @@
-"""Bags as the stock readers decode them: ROS 1's ``rosbag``, ``rosbags``, and ``mcap`` with ``mcap-ros2-support``."""
+"""Bags as decoded by the stock readers: ROS 1's ``rosbag``, ``rosbags``, and ``mcap`` with ``mcap-ros2-support``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def write_ros1(files: Mapping[Path, Sequence[Ros1Message]]) -> None:
 
 
 def rosbag(files: Sequence[Path]) -> list[list[Message] | str]:
-    """Read bags with ROS 1's ``rosbag``: the messages of each file, or the error."""
+    """Read bags with ROS 1's ``rosbag``; return the messages of each file, or the error."""
     return [
         messages_
         if isinstance(messages_, str)
@@ -55,7 +55,7 @@ def rosbags(file: Path) -> list[Message]:
 
 
 def mcap(file: Path) -> list[Message]:
-    """Read a file with ``mcap`` and its decoder of ROS 2."""
+    """Read a file with ``mcap`` and its ROS 2 decoder."""
     with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         return [(d.channel.topic, d.schema.name if d.schema else "", d.decoded_message)
@@ -80,7 +80,7 @@ READERS: dict[str, dict[str, Callable[[Sequence[Path]], list[list[Message] | str
     ".db3": {"rosbags": _each(rosbags)},
     ".mcap": {"rosbags": _each(rosbags), "mcap": _each(mcap)},
 }
-"""The readers of each format: the messages of each file, or the error."""
+"""The readers of each format, which return the messages of each file, or the error."""
 
 
 def member(message: Any, path: str) -> Any:

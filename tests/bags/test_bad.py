@@ -1,4 +1,4 @@
-"""Files that were cut, changed or made to harm: an error with its place, what stands before it, and bounded memory."""
+"""Truncated, changed and malicious files: errors give a position, messages before it are read, memory is bounded."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ MEGABYTE = 1 << 20
 
 
 def chunk(compression: bytes, data: bytes, size: int) -> bytes:
-    """An MCAP file with one chunk that declares any size."""
+    """Return an MCAP file with one chunk that declares a given size."""
     body = struct.pack("<QQQII", 0, 9, size, 0, len(compression)) + compression + struct.pack("<Q", len(data)) + data
     header = struct.pack("<BQII", 1, 8, 0, 0)
     return b"\x89MCAP0\r\n" + header + struct.pack("<BQ", 6, len(body)) + body
 
 
 def ros1_record(content: bytes, **fields: bytes) -> bytes:
-    """One record of a bag of ROS 1."""
+    """Return one record of a ROS 1 bag."""
     built = [name.encode() + b"=" + value for name, value in fields.items()]
     head = b"".join(struct.pack("<I", len(field)) + field for field in built)
     return struct.pack("<I", len(head)) + head + struct.pack("<I", len(content)) + content
 
 
 def ros1_chunk(compression: bytes, data: bytes, size: int) -> bytes:
-    """The same as a bag of ROS 1."""
+    """Return a ROS 1 bag with one chunk that declares a given size."""
     start = ros1_record(b"", op=b"\x03", index_pos=bytes(8), conn_count=bytes(4), chunk_count=bytes(4))
     chunk = ros1_record(data, op=b"\x05", compression=compression, size=struct.pack("<I", size))
     return b"#ROSBAG V2.0\n" + start + chunk
@@ -147,13 +147,13 @@ def test_an_invalid_header_after_valid_ones_is_reported_with_its_chunk(
 
 
 def text(number: int, size: int = 9) -> bytes:
-    """A message whose time in seconds is its number."""
+    """Return a message whose time in seconds is its number."""
     data = struct.pack("<I", size) + random.Random(number).randbytes(size // 2).hex().encode().ljust(size)
     return ros1_record(data, op=OP, conn=bytes(4), time=struct.pack("<II", number, 0))
 
 
 def saved(path: Path, content: bytes) -> tuple[list[int], list[int | None]]:
-    """Mend a ROS 1 bag without an index: the times of its messages in seconds, and the positions of the damage."""
+    """Repair a ROS 1 bag without an index; return the times of its messages in seconds, and the positions of damage."""
     path.write_bytes(content)
     with open_bag(path) as bag:
         done = cut(bag, path.with_name("mended.bag"), mend=True)
@@ -184,14 +184,14 @@ def test_the_other_messages_of_a_damaged_ros1_chunk_are_saved(what: str, tmp_pat
 
 
 def broken_bz2(plain: bytes) -> bytes:
-    """Damaged within one of its blocks of 100 kB."""
+    """Return bz2 data that is damaged within one of its 100 kB blocks."""
     packed = bytearray(bz2.compress(plain, 1))
     packed[len(packed) * 3 // 4] ^= 0xFF
     return bytes(packed)
 
 
 def broken_lz4(plain: bytes) -> bytes:
-    """With a block of a length that cannot be."""
+    """Return lz4 data with a block of an impossible length."""
     packed, at = bytearray(lz4.frame.compress(plain)), 15
     while at < len(packed) * 3 // 5:
         at += 4 + int.from_bytes(packed[at : at + 4], "little")
@@ -263,7 +263,7 @@ def test_a_chunk_that_is_too_large_is_not_read(form: str, tmp_path: Path) -> Non
         at = data.index(struct.pack("<BQ", 6, 40))
         path.write_bytes(data[: at + 1] + struct.pack("<Q", 40 + size) + data[at + 9 : -8] + struct.pack("<Q", size))
     with path.open("r+b") as file:
-        file.truncate(path.stat().st_size + size)  # with a hole: it takes no room
+        file.truncate(path.stat().st_size + size)  # a sparse file, which needs no disk space
     tracemalloc.start()
     try:
         with open_bag(path) as bag, pytest.raises(BagError, match=r", byte \d+: .*limit") as caught:
@@ -347,7 +347,7 @@ def test_an_unreadable_definition_is_an_error_that_names_the_type(tmp_path: Path
 
 
 def crc_of_nobody(data: bytes) -> bytes:
-    """The file without its chunks' checksums."""
+    """Return the file without the checksums of its chunks."""
     built, at = bytearray(data), 8
     while at < len(built) - 8:
         opcode, length = struct.unpack_from("<BQ", built, at)
@@ -360,7 +360,7 @@ def crc_of_nobody(data: bytes) -> bytes:
 def test_a_damaged_table_stops_a_conversion_and_not_a_mending(tmp_path: Path) -> None:
     data = bytearray(mcap_bytes(100))
     at = 8
-    while data[at] != 11:  # the statistics
+    while data[at] != 11:  # 11 is the Statistics record
         at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
     data[at + 9 + 42 : at + 9 + 46] = b"\xff\xff\xff\xff"
     path = tmp_path / "a.mcap"
@@ -389,5 +389,5 @@ def test_chunks_that_are_cut_out_whole_keep_their_index(tmp_path: Path) -> None:
 
 
 def messages(path: Path) -> list[Any]:
-    """All messages by the library, in order of time, found by the index."""
+    """Return all messages that the library finds by the index, in order of time."""
     return list(make_reader(io.BytesIO(path.read_bytes()), validate_crcs=True).iter_messages())

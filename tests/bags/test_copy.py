@@ -1,4 +1,4 @@
-"""Bags that are converted, cut and mended, as independent readers find them afterwards."""
+"""Bags that are converted, cut and repaired, checked with independent readers."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def copied(source: Path, target: Path, registry: Registry, **more: Any) -> Copie
 
 
 def messages_of(path: Path) -> list[tuple[str, int, Any]]:
-    """Topic, time and message of each, by rosbags."""
+    """Return topic, time and content of each message, read by rosbags."""
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
         return [(c.topic, time, bag.deserialize(raw, c.msgtype)) for c, time, raw in bag.messages()]
 
@@ -69,7 +69,7 @@ def test_a_bag_is_unchanged_after_all_formats(registry: Registry, tmp_path: Path
     for source, target in pairwise(steps):
         assert copied(source, target, registry).messages == 21
     first, last = messages_of(steps[0]), messages_of(steps[-1])
-    assert str(first) == str(last)  # each bag has separate classes
+    assert str(first) == str(last)  # rosbags creates separate classes for each bag
     assert len(first) == 21
     for path in steps[1:4]:
         for (topic, time, message), (topic2, time2, message2) in zip(first, messages_of(path), strict=True):
@@ -111,7 +111,7 @@ def test_large_and_nested_messages_are_converted_both_ways(registry: Registry, t
 
 
 def custom_bag(path: Path) -> Path:
-    """A bag with a type that is only defined there, and one that is installed."""
+    """A bag with a type that is defined only in the bag, and an installed type."""
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg("int32 number\nstd_msgs/String[] texts\n", "odd_msgs/msg/Odd"))
     odd = store.types["odd_msgs/msg/Odd"](7, [store.types[STRING]("a")])
@@ -125,7 +125,7 @@ def custom_bag(path: Path) -> Path:
 
 def test_a_type_defined_only_in_the_bag_is_converted_and_back(tmp_path: Path) -> None:
     source = custom_bag(tmp_path / "a.bag")
-    copied(source, tmp_path / "b.mcap", Registry())  # another process has not seen its types
+    copied(source, tmp_path / "b.mcap", Registry())  # as in another process, which has not seen the bag's types
     copied(tmp_path / "b.mcap", tmp_path / "c.db3", Registry())
     copied(tmp_path / "c.db3", tmp_path / "d.bag", Registry())
     assert raw_of(source) == raw_of(tmp_path / "d.bag")
@@ -139,7 +139,7 @@ def test_a_type_without_counterpart_is_named_or_left_out(registry: Registry, tmp
     done = copied(source, tmp_path / "b.bag", registry, skip_unknown=True)
     assert (done.messages, list(done.unknown)) == (1, ["/odd"])
     assert [name for name, *_ in raw_of(tmp_path / "b.bag")] == ["/known"]
-    assert copied(source, tmp_path / "c.db3", registry).messages == 2  # CDR is handed on by who does not know it
+    assert copied(source, tmp_path / "c.db3", registry).messages == 2  # CDR is copied without knowing the type
 
 
 def test_a_message_that_is_not_of_its_type_is_named_or_left_out(registry: Registry, tmp_path: Path) -> None:

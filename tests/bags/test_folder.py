@@ -1,4 +1,4 @@
-"""Folders of rosbag2 whose files overlap in time, cannot be opened, or are many."""
+"""Rosbag2 folders with files that overlap in time or cannot be opened, or with many files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FILES = 20
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Three files of the same 21 times."""
+    """A folder with three files that have the same 21 times."""
     bag_ = tmp_path / "run"
     bag_.mkdir()
     for number in range(3):
@@ -39,7 +39,7 @@ def test_files_that_overlap_are_read_in_order_of_time(folder: Path) -> None:
 
 
 class Watched(Bag):
-    """A file with one message a second; ``reading`` counts those that are being read."""
+    """A file with one message per second; ``reading`` counts the files that are being read."""
 
     reading = most = 0
 
@@ -61,7 +61,7 @@ class Watched(Bag):
         Watched.reading -= 1
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing, because nothing is open."""
 
 
 def test_only_files_of_the_current_time_are_read(tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_a_file_that_cannot_be_opened_loses_only_its_messages(
         assert "run_1.mcap" in str(bag.trouble)
         assert words in str(bag.trouble)
         messages_: list[BagMessage] = []
-        with pytest.raises(BagError, match=r"run_1\.mcap"):  # a play goes on to there
+        with pytest.raises(BagError, match=r"run_1\.mcap"):  # playback continues up to the broken file
             messages_.extend(bag.messages())
         assert len(messages_) == 42
         for refused in (

@@ -31,11 +31,11 @@ UUID = {"uuid": [7] * 16}
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of type with a message of each world.
+    """A kind of type, with a message in each ROS version.
 
     Attributes:
-        ros2, ros1: topic, type and values; None if the world does not have it.
-        member: of the message, with its value.
+        ros2, ros1: topic, type and values; None if that ROS version does not have the type.
+        member: a member of the message, with its value.
         in_ros1: the same in ROS 1, if its name differs there.
     """
 
@@ -88,7 +88,7 @@ ASK = "int32 a\n---\nint32 b\n"
 
 @pytest.fixture(scope="module")
 def registry() -> Registry:
-    """A registry with the types of the sources; each conversion has a new one."""
+    """Return a registry with the types of the sources; each conversion uses a new registry."""
     built = Registry()
     built.learn_ros1("my_msgs/Own", OWN)
     built.learn_ros2("my_msgs/msg/Own", OWN)
@@ -97,7 +97,7 @@ def registry() -> Registry:
 
 
 def _ros2(registry: Registry, kind: Kind) -> tuple[str, str, str, str, bytes]:
-    """Topic, type, hash, full definition and CDR of a kind's message."""
+    """Return topic, type, hash, full definition and CDR of a kind's message."""
     topic, type_name, values = kind.ros2
     known = registry.ros2(type_name)
     return topic, type_name, known.type_id, known.definition, from_json(registry, type_name, values)
@@ -129,7 +129,7 @@ def _bag(registry: Registry, files: dict[Path, Kind]) -> None:
 
 
 def _mcap1(registry: Registry, files: dict[Path, Kind]) -> None:
-    """MCAP of profile ``ros1``, as ``mcap convert`` writes it."""
+    """Write MCAP of profile ``ros1``, as ``mcap convert`` does."""
     _bag(registry, {path.with_suffix(".bag"): kind for path, kind in files.items()})
     for path in files:
         writer = Writer(stream := io.BytesIO())
@@ -148,7 +148,7 @@ SOURCES = {
     "ROS 2": {".mcap": _mcap2, "": _db3},
     "ROS 1": {".bag": _bag, ".mcap": _mcap1},
 }
-"""Writers of a file for each kind, by the ending of its name."""
+"""Functions that write a file for each kind, by the file's extension."""
 
 ROWS = [(kind, world) for kind, has in KINDS.items() for world in SOURCES if world == "ROS 2" or has.ros1]
 
@@ -182,7 +182,7 @@ def _converts(source: Path, target: Path) -> bool:
 
 
 def shown(kind: str, world: str) -> list[str]:
-    """The cells of a row of the page's table."""
+    """Return the cells of a row of the page's table."""
     row = re.search(rf"^\| {kind} \| {world}[ ,].*?\| (.*) \|$", PAGE, re.MULTILINE)
     assert row is not None, f"no row of {kind} in {world}"
     return [cell.strip() for cell in row[1].split("|")]

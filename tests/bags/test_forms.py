@@ -1,4 +1,4 @@
-"""Topics that another format cannot hold as they are: names, types, definitions."""
+"""Topics whose names, types or definitions are not valid in another format."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LINE = "=" * 80 + "\n"
 
 
 def ros1_file(path: Path, topics: Sequence[tuple[str, str, str, bytes]]) -> Path:
-    """A bag with one message of each topic: name, type, definition, data."""
+    """Write a bag with one message on each topic (name, type, definition, data)."""
     with Writer1(path) as writer:
         for number, (topic, type_name, text, data) in enumerate(topics):
             types = parse_full(text, type_name, World.ROS1)
@@ -46,7 +46,7 @@ def ros1_file(path: Path, topics: Sequence[tuple[str, str, str, bytes]]) -> Path
 
 
 def ros2_file(path: Path, topics: Sequence[tuple[str, str, str, bytes]], encoding: str = "ros2msg") -> Path:
-    """An MCAP with one message of each topic; without a type its channel has no schema."""
+    """Write an MCAP file with one message on each topic; the channel of a topic without a type has no schema."""
     writer = Writer(stream := io.BytesIO())
     writer.start("ros2", "test")
     for number, (topic, type_name, text, data) in enumerate(topics):
@@ -217,7 +217,7 @@ FILES = {
     "my_robot/srv/Empty_Event": (EMPTY, {"response": [{"texts": ["x", "y"]}]}, "response.0.texts.1", "y"),
     "my_robot/action/Dig_FeedbackMessage": (DIG, {"feedback": {"part": {"depth": 1.5}}}, "feedback.part.depth", 1.5),
     "my_robot/action/Dig_SendGoal_Event": (DIG, {"request": [{"goal": {"depth": 2.5}}]}, "request.0.goal.depth", 2.5),
-    # of the same package, and named in one word
+    # a type of the same package, named without the package
     "my_robot/action/Near_FeedbackMessage": (NEAR, NEAR_PARTS, "feedback.parts.1.depth", 1.5),
     "my_robot/action/Near_SendGoal_Event": (NEAR, NEAR_GOAL, "request.0.goal.part.depth", 2.5),
 }
@@ -234,7 +234,7 @@ def test_the_text_of_a_service_or_action_file_becomes_a_definition(type_name: st
     source = ros2_file(tmp_path / "a.mcap", [("/part", type_name, text, data[4:])])
     converted(source, tmp_path / target)
     again = tmp_path / f"again-{target}"
-    converted(tmp_path / target, again)  # in another process, which knows the new file's definition only
+    converted(tmp_path / target, again)  # as in another process, which knows only the definition in the new file
     for file in (tmp_path / target, again):
         assert [(kind, member(message, path)) for _, kind, message in rosbags(file)] == [(type_name, value)]
 
@@ -344,8 +344,7 @@ def test_a_stored_definition_is_read_back(type_name: str) -> None:
 def test_a_stored_definition_keeps_its_authors_text(tmp_path: Path) -> None:
     definition = full_text(Registry().schema("sensor_msgs/msg/LaserScan"))
     assert stored_definition("sensor_msgs/msg/LaserScan", definition) == ("ros2msg", definition)
-    converted(
-        ros2_file(tmp_path / "a.mcap", [("/e", "std_msgs/msg/Empty", "", b"\0")]), tmp_path / "b.db3"
-    )  # its definition is known here
+    # the type's definition is known here
+    converted(ros2_file(tmp_path / "a.mcap", [("/e", "std_msgs/msg/Empty", "", b"\0")]), tmp_path / "b.db3")
     with sqlite3.connect(tmp_path / "b.db3") as file:
         assert file.execute("SELECT topic_type FROM message_definitions").fetchall() == [("std_msgs/msg/Empty",)]

@@ -1,4 +1,4 @@
-"""Which definition a bag is read by: its own, else one known here if the messages fit it."""
+"""Which definition is used to read a bag: the bag's own, or else a known one that the messages fit."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SEVERAL = pytest.mark.parametrize("kind", KINDS)
 
 
 def humble_range(number: int = 0) -> bytes:
-    """A message of Humble, which has no field ``variance``."""
+    """Return a Range message of Humble, which has no field ``variance``."""
     types = HUMBLE_STORE.types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](number, 6), "laser")
     return bytes(HUMBLE_STORE.serialize_cdr(types[RANGE](header, 1, 0.5, 0.25, 4.0, 1.25), RANGE))
@@ -38,7 +38,7 @@ def humble_range(number: int = 0) -> bytes:
 
 @pytest.fixture
 def newer(tmp_path: Path) -> Registry:
-    """The types of this machine: ``Drive`` with its fields in another order."""
+    """This machine's types, in which ``Drive`` has its fields in another order."""
     folder = tmp_path / "installed" / "my_robot" / "msg"
     folder.mkdir(parents=True)
     (folder / "Drive.msg").write_text(NEW_DRIVE)
@@ -91,7 +91,7 @@ def test_each_ros1_definition_without_md5_is_read_by_itself(kind: Kind, newer: R
         types_ = {m.topic.name: (m.topic.definition, m.data.removeprefix(CDR)) for m in bag.messages()}
     if kind == "bag":
         assert types_ == {"/a": (OLD_DRIVE, data), "/b": (NEW_DRIVE, data)}
-    else:  # both become the one that is installed
+    else:  # both types become the installed one
         swapped = struct.pack("<ff", 0.25, 1.5)
         assert types_ == {"/a": (NEW_DRIVE, swapped), "/b": (NEW_DRIVE, data)}
 
@@ -109,7 +109,7 @@ def test_parts_of_an_action_keep_definition_and_hash(tmp_path: Path) -> None:
         "MSG: my_robot/action/Go_Feedback\nint32 done\n"
     )
     type_hash = Registry().learn_ros2(name, text)
-    # writers of MCAP leave the kind out of the names
+    # some MCAP writers leave the kind ("msg") out of type names
     stored = text.replace("/action/", "/")
     for number, metadata in enumerate(({"topic_type_hash": type_hash}, {})):
         recorded = Recorded("/go/_action/feedback", name, stored, [], metadata)
@@ -152,9 +152,9 @@ def test_a_folder_with_the_recorded_version_cures_that(kind: Kind, humble: Path,
 @pytest.mark.parametrize(
     ("text", "messages"),
     [
-        ("float32 speed\n", [CDR + struct.pack("<ff", 1.5, 0.25)]),  # a field fewer than was recorded
-        ("float32 speed\nfloat32 angle\nstring name\n", [OLD_DATA]),  # one more
-        ("string<=3 name\n", [CDR + b"\3\0\0\0hi\0", CDR + b"\7\0\0\0longer\0"]),  # the second one does not fit
+        ("float32 speed\n", [CDR + struct.pack("<ff", 1.5, 0.25)]),  # one field fewer than recorded
+        ("float32 speed\nfloat32 angle\nstring name\n", [OLD_DATA]),  # one field more
+        ("string<=3 name\n", [CDR + b"\3\0\0\0hi\0", CDR + b"\7\0\0\0longer\0"]),  # the second message does not fit
     ],
 )
 def test_definitions_that_do_not_fit_are_noticed(text: str, messages: list[bytes], tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_topics_that_do_not_fit_are_not_played(humble: Path) -> None:
 
 def test_without_a_definition_a_bag_of_this_version_is_read(tmp_path: Path) -> None:
     text = bytes(ROS2.serialize_cdr(value(ROS2, STRING, 0), STRING))
-    padded = [text, text + b"\0", text + b"\1\2\3"]  # DDS pads with anything
+    padded = [text, text + b"\0", text + b"\1\2\3"]  # DDS pads with arbitrary bytes
     target = converted(humble_db3(tmp_path / "a.db3", Recorded("/text", STRING, None, padded)), "bag", Registry())
     assert [message.data for *_, message in rosbags(target)] == ["text 0"] * 3
 

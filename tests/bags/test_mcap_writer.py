@@ -1,4 +1,4 @@
-"""What is written as MCAP is read by independent readers: types, values, times, QoS; so is what a cut file holds."""
+"""Independent readers read our MCAP files (types, values, times, QoS), and the remaining messages of truncated ones."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_independent_readers_read_the_written_messages(
     first, second = connection.ext.offered_qos_profiles
     assert (first.durability, first.depth) == (QosDurability.TRANSIENT_LOCAL, 1)
     assert (second.reliability, second.deadline.nsec) == (QosReliability.BEST_EFFORT, 10**8)
-    with file.open("rb") as stream:  # its decoder takes no name with "_", and so none of an action's own types
+    with file.open("rb") as stream:  # mcap's decoder rejects names with "_", which an action's own types have
         decoded = list(make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/pose"]))
     schema, channel, raw, value = decoded[0]
     assert (schema.name, raw.log_time, raw.publish_time, raw.sequence) == (POSE, 2_000, 1_000, 7)
@@ -108,7 +108,7 @@ def test_flushed_messages_are_read_from_an_unfinished_file(registry: Registry) -
 
 
 def read_all(data: bytes) -> list[int]:
-    """The numbers of the messages, as far as the data go."""
+    """Return the numbers of the messages up to the end of the data."""
     messages_: list[int] = []
     with pytest.raises((EndOfFile, struct.error)):
         messages_.extend(r.sequence for r in StreamReader(io.BytesIO(data)).records if isinstance(r, Message))

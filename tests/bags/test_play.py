@@ -1,4 +1,4 @@
-"""``midspan play`` on a real hub: a bag of ROS 1, and who subscribes there."""
+"""``midspan play`` on a real hub, with a ROS 1 bag and subscribers."""
 
 from __future__ import annotations
 
@@ -114,13 +114,13 @@ IMPORTS = (
 
 @pytest.fixture
 def play(file: Path, bag: Path) -> Play:
-    """The verb in this process."""
+    """The command in this process."""
     return lambda *arguments: main(["play", str(bag), "--config", str(file), "--settle", "0", *arguments])
 
 
 @pytest.fixture
 def player(file: Path, bag: Path) -> Iterator[Player]:
-    """The verb in a separate process."""
+    """The command in a separate process."""
     started: list[Process] = []
 
     def start(*arguments: str) -> Process:
@@ -133,8 +133,8 @@ def player(file: Path, bag: Path) -> Iterator[Player]:
 
 
 def ended(program: Process) -> str:
-    """What it wrote, once it has ended well."""
-    until(lambda: program.popen.poll() is not None, "it ends", 20)
+    """Return a program's output after its successful exit."""
+    until(lambda: program.popen.poll() is not None, "the program exits", 20)
     assert program.popen.poll() == 0, program.output()
     return program.output()
 
@@ -175,7 +175,7 @@ def test_the_option_commands_plays_commands_and_zero_ends_them(
 ) -> None:
     assert play("--commands", "--topics", "/cmd_vel", "--json") == 0
     out = capsys.readouterr()
-    played = json.loads(out.out)["messages"]  # on a busy machine some are late
+    played = json.loads(out.out)["messages"]  # on a busy machine some messages are late
     assert 1 <= played <= 3
     until(lambda: len(listener.received_on("/cmd_vel")) == played + 1, "the velocities and zero are received", 5)
     assert [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")] == [0.5] * played + [0.0]
@@ -184,14 +184,18 @@ def test_the_option_commands_plays_commands_and_zero_ends_them(
 
 def test_latched_topics_stay_latched_but_velocities_do_not(player: Player, listener: Listener) -> None:
     program = player("--commands", "--rate", "0.05", "--loop")
-    until(lambda: listener.received_on("/cmd_vel"), "it drives", 20)
+    until(lambda: listener.received_on("/cmd_vel"), "a velocity is received", 20)
     ends = {end.topic: end for end in listener.hub.graph.publishers() if not end.own}
     assert {name for name, end in ends.items() if end.qos.latched} == {"/name", "/tf_static"}
     listener.on_message("/name", "std_msgs/msg/String", LATCHED)
     until(lambda: listener.texts("/name") == ["latched"], "a late subscriber gets latched messages", 5)
     begun = time.monotonic()
     program.signal(signal.SIGINT)
-    until(lambda: not [end for end in listener.hub.graph.publishers() if not end.own], "its publishers are gone", 5)
+    until(
+        lambda: not [end for end in listener.hub.graph.publishers() if not end.own],
+        "the player's publishers are gone",
+        5,
+    )
     ended(program)
     assert time.monotonic() - begun < 2.0
     assert listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0
@@ -199,10 +203,10 @@ def test_latched_topics_stay_latched_but_velocities_do_not(player: Player, liste
 
 def test_a_halt_pauses_a_player_of_commands(player: Player, listener: Listener) -> None:
     program = player("--commands", "--topics", "/cmd_vel", "--rate", "0.05", "--clock")
-    until(lambda: listener.received_on("/cmd_vel"), "it drives", 20)
+    until(lambda: listener.received_on("/cmd_vel"), "a velocity is received", 20)
     assert [answer.value for answer in listener.hub.ask("halt", {})] == [RECORDED]
-    until(lambda: listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0, "zero is commanded", 5)
-    until(lambda: listener.received_on("/clock")[-1] == listener.received_on("/clock")[-2], "the time is stopped", 5)
+    until(lambda: listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0, "a zero velocity is received", 5)
+    until(lambda: listener.received_on("/clock")[-1] == listener.received_on("/clock")[-2], "/clock has stopped", 5)
     at, count = listener.received_on("/clock")[-1], len(listener.received_on("/clock"))
     until(lambda: len(listener.received_on("/clock")) > count + 5, "the clock is published again", 5)
     assert listener.received_on("/clock")[-1] == at
@@ -219,14 +223,14 @@ def test_keys_pause_step_and_end_the_play(file: Path, bag: Path, listener: Liste
     )
     try:
         shown = Shown(primary)
-        until(lambda: "paused" in shown.text(), "its line is there", 20)
+        until(lambda: "paused" in shown.text(), "the progress line is shown", 20)
         os.write(primary, b".")
         until(lambda: listener.texts() == ["said 0"], "a key steps", 5)
         os.write(primary, b"s")
-        until(lambda: listener.texts() == ["said 0", "said 1"], "and another one", 5)
+        until(lambda: listener.texts() == ["said 0", "said 1"], "another key steps again", 5)
         until(lambda: "0.1 of 0.5 s, rate 1, 2 messages, paused" in shown.text(), "the progress is shown", 5)
         os.write(primary, b" ")
-        until(lambda: "said 4" in listener.texts(), "it goes on", 5)
+        until(lambda: "said 4" in listener.texts(), "playback continues", 5)
         os.write(primary, b"q")
         assert program.wait(10) == 0
     finally:
@@ -253,8 +257,8 @@ def test_services_pause_and_step_while_the_clock_is_stopped(player: Player, list
     caller = HubSide(listener.hub, REGISTRY)
     until(lambda: len(listener.received_on("/clock")) > 3, "the clock is published", 20)
     assert caller.call(STEP, "std_srvs/Trigger").result(5)["reply"]["success"]
-    until(lambda: listener.texts() == ["said 1"], "one message is played", 5)
-    until(lambda: listener.received_on("/clock")[-1]["clock"] == clock(0.1), "the time is the message's", 5)
+    until(lambda: listener.texts() == ["said 1"], "a step plays one message", 5)
+    until(lambda: listener.received_on("/clock")[-1]["clock"] == clock(0.1), "/clock has the message's time", 5)
     count = len(listener.received_on("/clock"))
     until(lambda: len(listener.received_on("/clock")) > count + 3, "the clock is published again", 5)
     assert listener.received_on("/clock")[-1]["clock"] == clock(0.1)
@@ -294,7 +298,7 @@ def test_a_live_publisher_is_reported(play: Play, hubs: QuickHub, capsys: pytest
 def test_topics_are_selected_and_renamed(play: Play, listener: Listener, capsys: pytest.CaptureFixture[str]) -> None:
     listener.on_message("/text/new", "std_msgs/msg/String")
     assert play("--rate", "10", "--topics", "/s*", "/name", "-x", "ame$", "--remap", "said:=/text/new", "--json") == 0
-    until(lambda: len(listener.received_on("/text/new")) == 6, "it has its new name", 5)
+    until(lambda: len(listener.received_on("/text/new")) == 6, "the messages arrive on the topic's new name", 5)
     assert json.loads(capsys.readouterr().out)["topics"] == {"/text/new": 6}
 
 
@@ -330,7 +334,7 @@ def test_a_damaged_bag_is_played_up_to_the_damage_and_fails(
     messages = [Said(0.01 * n, "/said", TEXT, {"data": f"{n}" + "x" * 100_000}) for n in range(40)]
     built = write_bag(tmp_path / "damaged.bag", messages)
     data = bytearray(built.read_bytes())
-    data[1_300_000:1_450_000] = bytes(150_000)  # of the second chunk, over the head of a message
+    data[1_300_000:1_450_000] = bytes(150_000)  # in the second chunk, over the header of a message
     built.write_bytes(data)
     assert main(["play", str(built), "--config", str(file), "--settle", "0", "--json"]) == 1
     out = capsys.readouterr()

@@ -1,4 +1,4 @@
-"""When messages are due, by a clock that the test moves."""
+"""When messages are due, with a clock that the test advances."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ START = 1_700_000_000 * NS
 
 
 class Clock:
-    """A monotonic clock on which waiting is all that takes time, and each wait ``over`` too long."""
+    """A monotonic clock on which only waits take time; each wait takes ``over`` too long."""
 
     def __init__(self, over: float = 0.0) -> None:
         self.seconds, self.over = 5000.0, over
@@ -62,7 +62,7 @@ def test_the_bags_time_never_passes_a_message_that_has_not_been_played() -> None
     assert played.next(START + 2 * NS) is Due.MESSAGE
     assert played.late == pytest.approx(4.0)
     assert played.behind == pytest.approx(4.0)
-    # the bag's time was set back, so the next message keeps its distance
+    # the bag time was set back, so the interval to the next message is kept
     before = clock.seconds
     assert played.next(START + 3 * NS) is Due.MESSAGE
     assert clock.seconds - before == pytest.approx(1.0)
@@ -132,7 +132,7 @@ def test_the_clock_is_due_in_real_time_also_while_paused() -> None:
         clocks.append(played.now_ns() - START)
     assert due is Due.MESSAGE
     assert clocks == pytest.approx([0, *(number * NS // 5 for number in range(1, 6))][: len(clocks)], abs=1000)
-    assert len(clocks) in (5, 6)  # at the very end the message or the clock is first
+    assert len(clocks) in (5, 6)  # at the end, either the message or the clock is first
     played.pause(True)
     assert played.next(START + 2 * NS) is Due.PAUSED
     before = clock.seconds

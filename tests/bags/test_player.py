@@ -1,4 +1,4 @@
-"""What is played and dropped, by a clock that the test moves; and which topics are commands."""
+"""Which messages are played or dropped, with a clock that the test advances, and which topics are commands."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Tape:
 
 
 class RecordingOutput:
-    """Notes what was published, and when."""
+    """Records what was published, and when."""
 
     def __init__(self, clock: Clock) -> None:
         self.now = clock.now
@@ -83,7 +83,7 @@ class RecordingOutput:
 
 
 class Stage:
-    """A player of messages in memory, on a clock that the test moves."""
+    """A player of messages in memory, on a clock that the test advances."""
 
     def __init__(self, *messages: tuple[float, PlayTopic], paused: bool = False, **more: Any) -> None:
         self.clock = Clock()
@@ -114,7 +114,7 @@ def test_late_commands_are_dropped_and_others_are_played_late_and_reported() -> 
 
     stage.recorded.after = stall
     stage.player.run()
-    # at 0.7 s that of 0.1 s is far too late; the bag's time is set back to it, and the others keep their distance
+    # at 0.7 s, the message of 0.1 s is far too late: the bag time is set back to it, and the other intervals are kept
     assert stage.recorded.received_on("/cmd_vel")[:2] == [(0.8, "0.2"), (0.9, "0.30000000000000004")]
     assert stage.player.dropped == {("/cmd_vel", "late"): 1}
     assert [data for _, data in stage.recorded.received_on("/scan")] == ["0.0", "0.9"]
@@ -140,7 +140,7 @@ def test_a_pause_ends_a_velocity_and_drops_old_commands() -> None:
 
     def wait(condition: threading.Condition, seconds: float | None) -> None:
         calls.append(seconds)
-        if len(calls) == 2:  # while it waits for the third message
+        if len(calls) == 2:  # while the player waits for the third message
             stage.clock.seconds += 1.0
             stage.timeline.pause(True)
         elif seconds is None:
@@ -343,7 +343,7 @@ def test_static_transforms_are_played_despite_a_damaged_end(tmp_path: Path) -> N
     ]
     bag = write_bag(tmp_path / "damaged.bag", messages, latched=["/tf_static"])
     data = bytearray(bag.read_bytes())
-    data[1_300_000:1_450_000] = bytes(150_000)  # of the second chunk, over the head of a message
+    data[1_300_000:1_450_000] = bytes(150_000)  # in the second chunk, over the header of a message
     bag.write_bytes(data)
     with ExitStack() as stack:
         chosen_, _ = chosen(bag, stack)

@@ -1,4 +1,4 @@
-"""QoS profiles in the metadata of bags: policies that are left open, and values that rmw does not define."""
+"""QoS profiles in the metadata of bags: unspecified policies, and values that rmw does not define."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags that others wrote are read: topics, types, QoS, times and bytes, as an independent reader finds them."""
+"""Bags of other programs: topics, types, QoS, times and bytes are read as by an independent reader."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The kernel that finds messages, compiled and as Python; and what is made of whole chunks of them."""
+"""The kernel that finds messages, compiled and as Python, and the processing of whole chunks of messages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FORMS = [split, uncompiled("bridge.bags.split")]
 
 
 def rows_(form: Any, case_: str, data: bytes) -> tuple[int, list[list[int]]]:
-    """Where one form of the kernel ends, and its table."""
+    """Return the position where one form of the kernel stops, and the kernel's table."""
     table = form.new_table(len(data))
     at, filled = getattr(form, case_)(data, table, 0, 0)
     return at, table[:filled].tolist()
@@ -59,7 +59,7 @@ def test_compiled_and_python_find_the_same_in_damaged_chunks(case_: str, record:
 
 
 def mixed_bag(path: Path) -> dict[tuple[int, int], bytes]:
-    """A bag of three topics, with times that are not in order in its chunks, nor among them; its texts."""
+    """Write a bag of three topics whose times are in order neither within chunks nor across them; return its texts."""
     dice, written = random.Random(3), dict[tuple[int, int], bytes]()
     writer = Writer(path)
     writer.chunk_threshold = 300_000

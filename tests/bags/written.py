@@ -1,4 +1,4 @@
-"""Good bags of all formats for the tests, written by rosbags and by Midspan's own writer of MCAP."""
+"""Valid bags of all formats for the tests, written by rosbags and by Midspan's MCAP writer."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
 
 
 def value(store: Any, type_name: str, number: int) -> Any:
-    """One message of rosbags' own classes."""
+    """Return one message of rosbags' own classes."""
     types = store.types
     if type_name == STRING:
         return types[STRING](f"text {number}")
@@ -42,7 +42,7 @@ TOPICS = {"/map_name": STRING, "/pose": POSE}
 
 
 def ros1_bag(path: Path, count: int = 20, compression: str = "none") -> Path:
-    """A ROS 1 bag: a latched text at its start, then poses each 100 ms."""
+    """Write a ROS 1 bag: a latched text at the start, then poses every 100 ms."""
     writer = Writer1(path)
     writer.chunk_threshold = 1000
     if compression != "none":
@@ -58,7 +58,7 @@ def ros1_bag(path: Path, count: int = 20, compression: str = "none") -> Path:
 
 
 def db3_folder(path: Path, count: int = 20) -> Path:
-    """The same as a folder of rosbag2."""
+    """Write the same messages as a rosbag2 folder."""
     far = QosTime(9_223_372_036, 854_775_807)
     latched = BagQos(
         QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, far, far,
@@ -75,7 +75,7 @@ def db3_folder(path: Path, count: int = 20) -> Path:
 
 
 def mcap_bytes(count: int = 20, compression: Compression = "zstd", *, finished: bool = True) -> bytes:
-    """The same as MCAP."""
+    """Return the same messages as MCAP."""
     registry = Registry()
     stream = io.BytesIO()
     writer = McapWriter(stream, compression, chunk_bytes=1000)
@@ -102,7 +102,7 @@ def mcap_bytes(count: int = 20, compression: Compression = "zstd", *, finished: 
 
 
 def mcap_file(path: Path, count: int = 20, compression: Compression = "zstd", *, finished: bool = True) -> Path:
-    """The same as a file of MCAP."""
+    """Write the same messages as an MCAP file."""
     path.write_bytes(mcap_bytes(count, compression, finished=finished))
     return path
 
