@@ -1,4 +1,4 @@
-"""What the rules are asked about: the five parts of an action are the action."""
+"""Rules decide on an action as a whole, which includes its five parts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def gate(*rules: dict, parts: tuple[str, ...] = tuple(PARTS), **section: object)
 
 
 def decided(gate: EntryGate) -> dict[str, str | None]:
-    """Return each part's name beyond the gate, None if it is withheld."""
+    """Return each part's name on the other side of the gate, or None if the part is not bridged."""
     result: dict[str, str | None] = {}
     for part, (kind, type_name) in PARTS.items():
         of = "service" if kind is Kind.SERVER else "topic"

@@ -1,4 +1,4 @@
-"""Messages that wait for their publisher: bounded in number and in bytes, with every one that makes room counted."""
+"""Messages that wait for their publisher: bounded in number and in bytes, and every dropped message is counted."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from bridge.routing.backlog import Backlog, Waiting
 
 
 class Line:
-    """A backlog, and how many made room in it."""
+    """A backlog, and the number of messages that it dropped."""
 
     def __init__(self, most: int, room: int) -> None:
         self.dropped = 0

@@ -30,9 +30,9 @@ def test_checks_at_the_start_and_when_woken_but_not_when_stopped(monkeypatch: py
     monkeypatch.setattr(check_loop, "TICK", 0.01)
     checks, ticks = list[None](), list[None]()
     with running(lambda: bool(checks.append(None)), lambda: ticks.append(None)) as loop:
-        until(lambda: len(checks) == 1, "the first check")
+        until(lambda: len(checks) == 1, "the first check has run")
         loop.wake()
-        until(lambda: len(checks) == 2, "the check after the wake-up")
+        until(lambda: len(checks) == 2, "a check has run after the wake-up")
         assert loop.alive() == ""
         before = len(ticks)
         until(lambda: len(ticks) > before + 1, "the loop waits again")
@@ -52,7 +52,7 @@ def test_wake_up_during_a_check_leads_to_another_check(monkeypatch: pytest.Monke
         assert inside.wait(40)
         loop.wake()
         proceed.set()
-        until(lambda: len(checks) == 2, "another check")
+        until(lambda: len(checks) == 2, "another check has run")
 
 
 @pytest.mark.parametrize("again", [True, False])
@@ -66,7 +66,7 @@ def test_check_with_refused_routes_is_repeated_soon(monkeypatch: pytest.MonkeyPa
         return again
 
     with running(check, lambda: ticks.append(None)):
-        until(lambda: len(ticks) > 10, "ten ticks")
+        until(lambda: len(ticks) > 10, "ten ticks have run")
     assert (len(checks) > 3) is again
 
 
@@ -74,7 +74,7 @@ def test_missed_notification_is_recovered_after_the_poll_period(monkeypatch: pyt
     monkeypatch.setattr(check_loop, "POLL", 0.05)
     checks = list[None]()
     with running(lambda: bool(checks.append(None))):
-        until(lambda: len(checks) > 3, "checks without a wake-up")
+        until(lambda: len(checks) > 3, "checks run without a wake-up")
 
 
 def test_failed_check_ends_the_thread_with_its_reason() -> None:
@@ -84,8 +84,8 @@ def test_failed_check_ends_the_thread_with_its_reason() -> None:
         raise ValueError("no such graph")
 
     with running(check, failed=reasons.append):
-        until(lambda: reasons, "the failure")
-        until(lambda: all(t.name != "midspan-test-engine" for t in threading.enumerate()), "the thread ends")
+        until(lambda: reasons, "the failure is reported")
+        until(lambda: all(t.name != "midspan-test-engine" for t in threading.enumerate()), "the thread has ended")
     assert reasons == ["following the graphs failed: no such graph"]
 
 

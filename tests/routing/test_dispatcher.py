@@ -1,4 +1,4 @@
-"""The dispatcher, and the order of what routes publish on whatever thread."""
+"""The dispatcher, and the order of messages that routes publish, whatever the thread."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_work_on_the_callers_thread_is_watched(monkeypatch: pytest.MonkeyPatch) 
     thread.start()
     assert inside.wait(40)
     monkeypatch.setattr("bridge.routing.dispatcher._STUCK_SECONDS", 0.01)
-    until(lambda: stuck(dispatcher) == "publishing has been stuck", "the work under way is seen")
+    until(lambda: stuck(dispatcher) == "publishing has been stuck", "the running work is detected")
     go_on.set()
     thread.join()
     assert dispatcher.alive("publishing") == ""

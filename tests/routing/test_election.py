@@ -1,4 +1,4 @@
-"""Who carries what where several Midspan workers share a network: the policy, with a clock that the test turns."""
+"""Which of several Midspan workers on a network carries what: the policy, with a clock that the test advances."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NS = 1_000_000_000
 
 @dataclass
 class Worker:
-    """One worker's election, and what reaches it."""
+    """One worker's election, and the records that reach it."""
 
     name: str
     network: str
@@ -117,14 +117,14 @@ class World:
         return self.now - start
 
     def paths(self) -> Iterator[tuple[str, str, str]]:
-        """Every way of a message: from which network, to which, through which worker that puts it there."""
+        """Yield every path of a message: its source network, its destination network, and the workers that carry it."""
         for put, take in itertools.product(self.workers, repeat=2):
             across = put.active and take.active and put.network != take.network and self.same_hub(put, take)
             if across and take.name in put.election.outcome.carried:
                 yield take.network, put.network, f"{take.name} {put.name}"
 
     def check(self) -> None:
-        """No message has two ways to a network, nor into a hub."""
+        """Assert that no message has two paths to a network, or two paths into a hub."""
         paths = [path[:2] for path in self.paths()]
         assert len(paths) == len(set(paths)), sorted(self.paths())
         entries = [(w, v) for w, v in itertools.combinations(self.workers, 2) if w.active and v.active]
@@ -196,7 +196,9 @@ def test_the_successor_takes_over_and_keeps(world: World, hubs: str, known_gone:
     for network in "XY":
         world.add(f"A2/{network}", network, hubs[0], skew=-3600 * NS)
     world.run(5)
-    assert all("B/" in path[2] and "A2/" not in path[2] for path in world.paths()), "nothing is handed back"
+    assert all("B/" in path[2] and "A2/" not in path[2] for path in world.paths()), (
+        "no message is returned to the network that it came from"
+    )
 
 
 @pytest.mark.parametrize("hubs", ["hh", "ij"])
@@ -248,7 +250,7 @@ def test_only_records_received_after_a_suspension_count() -> None:
     assert not turn(1.0, standby(0))
     assert turn(1.2, standby(1))
     election.lapse(5.0)
-    assert not turn(5.0, standby(2)), "it may have taken over since this record"
+    assert not turn(5.0, standby(2)), "the worker may have taken over since this record"
     assert turn(5.2, standby(3))
 
 
@@ -280,10 +282,10 @@ def test_no_daemon_is_active_beside_another_major_version() -> None:
     for now in (1.0, 1.0 + 10 * UNKNOWN):
         assert "uses version 2.0 of Midspan's protocol" in turn(now, now, "2.0")
     assert turn(90.0, 90.0, "1.99") == ""
-    assert election.outcome.standing_by == "A", "a later minor is understood"
+    assert election.outcome.standing_by == "A", "records of a later minor version are understood"
     election.turn(91.0 + SILENCE, 100, [Sighting("a", b'{"wire": "2.0"}', 90.0)], HubView(), settled=True)
     election.turn(91.0 + UNKNOWN, 100, [], HubView(), settled=True)
-    assert election.outcome.active, "it has gone"
+    assert election.outcome.active, "the other worker has left"
 
 
 def test_nothing_is_bridged_while_it_is_unknown_whether_hubs_are_joined() -> None:
@@ -297,8 +299,10 @@ def test_nothing_is_bridged_while_it_is_unknown_whether_hubs_are_joined() -> Non
     assert turn(1.0, HubView(settled=False)) == (False, "")
     assert "share this hub" in election.outcome.waiting
     assert turn(2.0, HubView(frozenset("ab"))) == (False, "A")
-    assert turn(2.0 + CUT / 2, HubView()) == (False, "A"), "a link may break and come again"
-    assert turn(2.0 + CUT, HubView()) == (True, ""), "another hub now, whose programs no other worker serves"
+    assert turn(2.0 + CUT / 2, HubView()) == (False, "A"), "a link may fail and be restored"
+    assert turn(2.0 + CUT, HubView()) == (True, ""), (
+        "the worker is on another hub now, whose programs no other worker serves"
+    )
 
 
 def test_joined_hubs_agree_on_one_active_daemon(world: World) -> None:
@@ -314,7 +318,7 @@ def test_joined_hubs_agree_on_one_active_daemon(world: World) -> None:
 
 @pytest.mark.parametrize("seed", range(30))
 def test_never_two_active_daemons(seed: int) -> None:
-    """Daemons come, die and stand still at random, with slow ways and wrong clocks; each step is checked."""
+    """Daemons start, die and are suspended at random, with slow links and wrong clocks; each step is checked."""
     dice, world = random.Random(seed), World()
     names = (f"D{n}" for n in itertools.count())
     for _ in range(60):

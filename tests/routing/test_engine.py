@@ -1,4 +1,4 @@
-"""What an engine's loop does must not be felt by routes that are there already."""
+"""The work of an engine's loop must not disturb existing routes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.support.wait import until
 
 
 class SlowEdge(FakeEdge):
-    """Each look at its graph takes long, as where hundreds of routes are made in one go."""
+    """An edge whose graph takes long to read, as when hundreds of routes are created at once."""
 
     def __init__(self, network: FakeNetwork, registry: Registry) -> None:
         super().__init__(network, registry)
@@ -47,7 +47,7 @@ def test_busy_loop_is_not_a_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
             assert edge.looked.wait(40)
             for _ in range(5):
                 before = len(beats)
-                until(lambda before=before: len(beats) > before, "it beats")
+                until(lambda before=before: len(beats) > before, "the loop sends a heartbeat")
         finally:
             edge.go_on.set()
             engine.stop()
@@ -91,7 +91,7 @@ def test_tap_shows_a_topic_that_does_not_cross_under_another_name(monkeypatch: p
         engine = Engine(FakeEdge(network, Registry()), hub, rules, "tap", pytest.fail)
         engine.start()
         try:
-            until(engine.decisions, "the first check")
+            until(engine.decisions, "the first check has run")
             assert engine.tap("/missing", 10.0) == {}
             answers = [engine.tap("/secret", 10.0) for _ in range(2)]
         finally:

@@ -1,4 +1,4 @@
-"""The answer of ``midspan explain``."""
+"""The output of ``midspan explain``."""
 
 from __future__ import annotations
 

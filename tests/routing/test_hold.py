@@ -33,7 +33,7 @@ def hubs() -> Iterator[QuickHub]:
 
 
 class Gateway:
-    """The publisher of holds."""
+    """A gateway's publisher of holds."""
 
     def __init__(self, hubs: QuickHub) -> None:
         self.hub = Hub.open(hubs.settings("gateway"))
@@ -76,15 +76,18 @@ def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHu
     far, hub = Hub.open(hubs.settings("far")), Hub.open(hubs.settings("midspan_fake"))
     received: list[Any] = []
     far.subscription("/cmd_vel", TWIST, "*", Qos(depth=1), received.append)
-    until(lambda: hub.graph.publishers(HOLD), "the gateway is seen")
+    until(lambda: hub.graph.publishers(HOLD), "the gateway is discovered")
     hold = Hold(hub, {"/cmd_vel"})
-    assert hold.held, "a gateway without a message yet may want it"
+    assert hold.held, "a gateway that has not sent a message yet may want a hold"
     engine = Engine(FakeEdge(network, REGISTRY), hub, RoutingSection(), "test", pytest.fail, REGISTRY, hold)
     engine.start()
     try:
         drives = network.write_on("/cmd_vel", TWIST, Qos(depth=1), MadeBy.NATIVE, "/move_base")
         looks = network.write_on("/scan_vel", TWIST, Qos(depth=1), MadeBy.NATIVE, "/move_base")
-        until(lambda: {"/cmd_vel", "/scan_vel"} <= {route.hub_topic for route in engine.routes()}, "both cross")
+        until(
+            lambda: {"/cmd_vel", "/scan_vel"} <= {route.hub_topic for route in engine.routes()},
+            "both topics are bridged",
+        )
         velocity = from_json(REGISTRY, TWIST, {"linear": {"x": 0.4}})
 
         def drop() -> int:
@@ -92,18 +95,18 @@ def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHu
             network.write(looks, velocity)
             return {route.topic: route for route in engine.status().routes}["/cmd_vel"].drops.get("held", 0)
 
-        until(drop, "it is dropped before the gateway's first message")
+        until(drop, "the velocity is dropped before the gateway's first message")
         gateway.publish(held=False)
-        until(lambda: drop() and received, "it crosses")
+        until(lambda: drop() and received, "the velocity is bridged")
         gateway.publish(held=True)
-        until(lambda: hold.held, "it is held")
+        until(lambda: hold.held, "velocities are held")
         before = drop()
         received.clear()
         assert drop() == before + 1
         assert not received
-        gateway.hub.close()  # a gateway that is gone wants nothing; its goals are canceled
-        until(lambda: not hold.held, "it is free again")
-        until(lambda: drop() and received, "it crosses again")
+        gateway.hub.close()  # a gateway that has left wants no hold; its goals are canceled
+        until(lambda: not hold.held, "velocities are no longer held")
+        until(lambda: drop() and received, "the velocity is bridged again")
     finally:
         engine.stop()
         hold.close()

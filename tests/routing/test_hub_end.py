@@ -1,4 +1,4 @@
-"""The parts of a route to the side at its end on the hub."""
+"""The parts of a hub-to-side route at the route's end on the hub."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def test_invented_gid_belongs_to_the_native_program_of_its_session() -> None:
     sources = HubSources().updated([publisher("a"), native, other], [publisher("r", "y")], [], latches)
     assert source_of(sources, "invented", "y") == "n"
     assert source_of(sources, "invented", "x") == "m"
-    assert source_of(sources, "invented", "z") == "", "a worker does not invent GIDs"
-    assert source_of(sources, "invented", "") == "n", "the session of the sample is not known"
-    assert source_of(sources, "r", "y") == "", "a refused publisher of the same session"
+    assert source_of(sources, "invented", "z") == "", "a GID that no endpoint has is not accepted from a known session"
+    assert source_of(sources, "invented", "") == "n", "without a session, the sample is not attributed to it"
+    assert source_of(sources, "r", "y") == "", "the publisher is refused, although its session is known"
 
 
 def test_update_keeps_the_age_of_a_remaining_source_and_the_earlier_snapshot() -> None:
@@ -93,7 +93,9 @@ def test_counts_continue_over_reopened_subscriptions() -> None:
     assert (subscription.open, subscription.status(), subscription.losses()) == (False, (("", ""), 0), None)
     assert subscription.request(Qos(depth=10))
     opened[0].lost, opened[0].by_lane = 3, 5
-    assert not subscription.request(Qos(Reliability.BEST_EFFORT, depth=20)), "it receives from these too"
+    assert not subscription.request(Qos(Reliability.BEST_EFFORT, depth=20)), (
+        "the existing subscription also receives from such publishers"
+    )
     assert subscription.request(LATCHED), "only a latched subscription receives the history"
     assert [item.closed for item in opened] == [True, False]
     opened[1].lost, opened[1].by_lane = 1, 2
@@ -103,7 +105,7 @@ def test_counts_continue_over_reopened_subscriptions() -> None:
     subscription.close()
     subscription.close()
     assert (subscription.open, subscription.status(), subscription.losses()) == (False, (("", ""), 7), None)
-    assert subscription.request(LATCHED), "the last durability does not count after a close"
+    assert subscription.request(LATCHED), "after a close, the previous durability does not matter"
 
 
 @pytest.fixture
@@ -155,7 +157,7 @@ def test_the_rate_is_that_of_the_time_without_a_subscriber(clock: Clock) -> None
     clock.now += 1000.0
     demand.update(100_000, wanted=False, subscribed=True)
     clock.now += 11.0
-    assert demand.update(100_010, wanted=False, subscribed=True) is Demand.UNWANTED, "it is slow by now"
+    assert demand.update(100_010, wanted=False, subscribed=True) is Demand.UNWANTED, "the stream has become slow by now"
     clock.now += 11.0
     assert demand.update(100_100, wanted=False, subscribed=True) is Demand.PAUSED
 

@@ -43,7 +43,7 @@ def test_rate_limit_meets_its_mean_though_messages_come_in_batches(monkeypatch: 
     gate = RateLimit(30)
     passed = []
     for n in range(1000):
-        # 100 Hz, and every half second the machine does something else for 70 ms.
+        # 100 Hz, but every half second the machine is busy with something else for 70 ms.
         late = max(0.0, 0.07 - (n % 50) / 100)
         clock.now = 1000.0 + n / 100 + late
         if gate.passes():

@@ -1,4 +1,4 @@
-"""One worker's watch over the others on its network, on a clock of the test's own."""
+"""One worker's watch over the other workers on its network, with the test's own clock."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bridge.routing.peer_watch import HubViews, PeerWatch
 
 
 class World:
-    """A network with one other worker, "b", whose hub is ours; the hub's link to it may be lost."""
+    """A network with one other worker, "b", which is on the same hub; the hub's link to it may be lost."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now, self.linked = 100.0, True
@@ -69,7 +69,7 @@ def test_suspended_worker_waits_for_its_hub_before_it_judges_another(
     world.now += 10.0
     world.b_holds, world.linked = True, False
     world.run(2.0)
-    assert not world.watch.outcome.active, "b may be on our hub: the link to it is not back yet"
+    assert not world.watch.outcome.active, "b may be on our hub, because the link to it is not restored yet"
     world.linked = True
     world.run(3.0)
     assert world.watch.outcome.standing_by == "B"
@@ -118,11 +118,11 @@ def test_lone_worker_releases_its_routes_to_a_newcomer(monkeypatch: pytest.Monke
     world.settled, world.b_lives = True, False
     world.run(2.0)
     assert world.watch.outcome.active
-    assert world.watch.outcome.term > before.term, "its routes are created again"
+    assert world.watch.outcome.term > before.term, "a new term makes the worker create its routes again"
 
 
 class LinkedHub:
-    """A hub with the members of two networks, and a foreign worker that lists none."""
+    """A hub with the members of two networks, and a foreign worker that lists no members."""
 
     zid = "a"
 

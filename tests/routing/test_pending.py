@@ -1,4 +1,4 @@
-"""Messages that arrive before the engine knows their publishers: none replaces a newer one, and none is lost."""
+"""Messages that arrive before the engine knows their publishers: no message replaces a newer one, and none is lost."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ LATCHED = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
 
 
 class HubRecord:
-    """The hub's end of a route: it records what its publishers publish."""
+    """A route's end on the hub, which records what its publishers publish."""
 
     max_payload = 1000
 
@@ -233,7 +233,10 @@ class HubRoute:
         publisher = self._there.publisher(TOPIC, STRING, self._type_id, qos)
         for text in texts:
             publisher.put(line(text))
-        seen = until(lambda: [e for e in self.hub.graph.publishers(TOPIC) if e.gid == publisher.gid], "it is seen")
+        seen = until(
+            lambda: [e for e in self.hub.graph.publishers(TOPIC) if e.gid == publisher.gid],
+            "the publisher is discovered",
+        )
         return publisher, seen[0]
 
     def expect(self, *texts: str) -> None:
@@ -250,20 +253,20 @@ def hub_route() -> Iterator[HubRoute]:
 
 
 def test_messages_of_a_hub_publisher_that_returns_are_retained_again(hub_route: HubRoute) -> None:
-    """Its link was lost, or another daemon carried its topic meanwhile; its messages count as received."""
+    """The publisher's link was lost, or another daemon carried its topic meanwhile; its messages count as received."""
     route, network = hub_route.route, hub_route.network
     endpoints = [hub_route.publisher(LATCHED, text)[1] for text in ("1", "2")]
     route.update(endpoints, [])
-    until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages")
+    until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages are retained")
     route.update(endpoints[:1], [])
     assert len(network.retained()) == 1
     route.update(endpoints, [])
-    until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages again")
+    until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages are retained again")
     assert route.counters.messages == 3, "the other publisher's message is not repeated"
 
 
 def test_messages_published_during_an_absence_cross_once_and_in_order(hub_route: HubRoute) -> None:
-    """They are held meanwhile, as their publisher waits or is not on the graph, and are in its cache as well."""
+    """Messages are held while their publisher waits or is not on the graph, and are also in the publisher's cache."""
     route = hub_route.route
     publisher, endpoint = hub_route.publisher(replace(LATCHED, depth=2), "1", "2")
     route.update([endpoint], [])
@@ -271,7 +274,7 @@ def test_messages_published_during_an_absence_cross_once_and_in_order(hub_route:
     for text, waiting in (("3", [endpoint]), ("4", [])):
         route.update([], [], waiting)
         publisher.put(line(text))
-        until(lambda: len(route.held.unknown) + len(route.held.latched) == 1, "it is held")
+        until(lambda: len(route.held.unknown) + len(route.held.latched) == 1, "the message is held")
         hub_route.received.clear()
         route.update([endpoint], [])
         hub_route.expect(str(int(text) - 1), text)
@@ -287,15 +290,15 @@ def test_queued_message_of_a_publisher_that_returns_crosses_once(hub_route: HubR
     route.update([], [endpoint])
     with route.queue.publishing:
         publisher.put(line("2"))
-        until(lambda: len(route.queue._messages) == 1, "it is queued")
+        until(lambda: len(route.queue._messages) == 1, "the message is queued")
     hub_route.received.clear()
     route.update([endpoint], [])
-    until(lambda: route.queue._next() or len(hub_route.received) >= 2, "the messages cross")
+    until(lambda: route.queue._next() or len(hub_route.received) >= 2, "the messages are bridged")
     hub_route.expect("1", "2")
 
 
 def test_held_message_crosses_once_though_a_new_subscription_receives_it_again(hub_route: HubRoute) -> None:
-    """The first publisher that may pass is volatile, so the route's subscription was too."""
+    """The first admitted publisher is volatile, so the route's subscription was volatile too."""
     route = hub_route.route
     _, volatile = hub_route.publisher(Qos())
     latched, endpoint = hub_route.publisher(replace(LATCHED, depth=2))
@@ -305,12 +308,12 @@ def test_held_message_crosses_once_though_a_new_subscription_receives_it_again(h
         latched.put(line("1"))
         return bool(route.held.latched)
 
-    until(held, "it is held")
+    until(held, "the message is held")
     latched.put(line("2"))
-    until(lambda: len(route.held.latched) == 2, "both are held")
+    until(lambda: len(route.held.latched) == 2, "both messages are held")
     route.update([volatile, endpoint], [])
     until(
-        lambda: len(hub_route.received) >= 2, "the held ones cross"
-    )  # the next one replaces the first one in the cache
+        lambda: len(hub_route.received) >= 2, "the held messages are bridged"
+    )  # the next message replaces the first one in the publisher's cache
     latched.put(line("3"))
     hub_route.expect("1", "2", "3")

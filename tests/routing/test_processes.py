@@ -1,4 +1,4 @@
-"""Detection by its name whether another worker's process still runs."""
+"""Whether another worker's process still runs, detected by the process's name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_a_process_that_ended_is_known_by_its_name() -> None:
     assert not has_ended(name)
     assert not has_ended(process_name())
     child.kill()
-    until(lambda: has_ended(name), "its death is seen before anybody waited for it")
+    until(lambda: has_ended(name), "the death of the process is detected before its parent has waited for it")
     child.communicate()
     assert has_ended(name)
 

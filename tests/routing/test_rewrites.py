@@ -1,4 +1,4 @@
-"""Static transforms of several publishers as one message."""
+"""Static transforms of several publishers are merged into one message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Routes of topics: what waits, retained state, pauses, counters and errors."""
+"""Topic routes: held messages, retained state, pauses, counters and errors."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_urgent_work_goes_first() -> None:
     dispatcher.submit(Priority.COMMAND, lambda: done.append("command"))
     dispatcher.start()
     try:
-        until(lambda: len(done) == 3, "all done")
+        until(lambda: len(done) == 3, "all work is done")
         assert done == ["command", "state", "stream"]
     finally:
         dispatcher.stop()
@@ -88,7 +88,7 @@ def test_messages_before_their_publisher_are_bridged_once_it_is_known(latched: b
         assert route.counters.messages == (1 if latched else 0)
         assert network.retained() == ([line("new")] if latched else [])
         route.update([native, endpoint], [])
-        assert route.counters.messages == (1 if latched else 0), "given once"
+        assert route.counters.messages == (1 if latched else 0), "bridged only once"
         route.close()
 
 
@@ -114,7 +114,7 @@ def test_state_received_without_a_lease_is_bridged_with_the_next(latched: bool) 
         assert route.counters.messages == 0
         lease.extend(math.inf)
         route.update(publishers)
-        assert route.counters.messages == (1 if latched else 0), "the newest, once"
+        assert route.counters.messages == (1 if latched else 0), "only the newest message is bridged, once"
         assert route.counters.drops["standby"] == (1 if latched else 2)
         route.close()
 
@@ -148,9 +148,11 @@ def test_fast_stream_is_unsubscribed_ten_seconds_after_its_last_subscriber(
             return route.status().state
 
         listener = network.read_from(topic, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda *_: None)
-        assert [state_after(0.1), state_after(30.0)] == ["active", "active"], "a subscriber is there"
+        assert [state_after(0.1), state_after(30.0)] == ["active", "active"], "there is a subscriber"
         network.remove(listener)
-        assert [state_after(30.0), state_after(9.0)] == ["active", "active"], "the listener left at the look before"
+        assert [state_after(30.0), state_after(9.0)] == ["active", "active"], (
+            "the ten seconds begin at the first check without a listener"
+        )
         assert state_after(2.0) == ("unheard" if count else "active")
         network.read_from(topic, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda *_: None)
         assert state_after(0.1) == "active"
@@ -164,7 +166,7 @@ def hub_publisher(topic: str, type_hash: str, qos: Qos) -> HubEndpoint:
 
 
 class LatchedRoute:
-    """A route with two latched publishers of the hub, without its subscription."""
+    """A route from two latched publishers on the hub; its hub subscription is disabled."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         registry, self.network, self.wakes = Registry(), FakeNetwork(), 0
@@ -225,7 +227,7 @@ def test_message_stored_without_a_lease_does_not_replace_a_newer_one(monkeypatch
     latched.lease.end()
     latched.receive("oldest")
     latched.receive("old")
-    assert latched.wakes == 0, "a check could not publish it"
+    assert latched.wakes == 0, "no wake-up: without a lease, a check could not publish the message"
     latched.lease.extend(math.inf)
     latched.receive("new")
     assert latched.wakes == 1, "a check is due"
@@ -340,7 +342,7 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
     policy = RoutePolicy(allowed=True, why="", name=topic, rate=0.001, priority=priority)
     key, conversion = RouteKey(topic, STRING, type_.type_id), Conversion(type_, type_, None)
     volatile, latching = Qos(), Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-    other = latching if not latched else volatile  # another publisher changes nothing
+    other = latching if not latched else volatile  # another publisher does not change the rate
     with HubNetwork() as hubs, Hub.open(hubs.settings("rates")) as hub:
         idle, lease = Dispatcher("idle"), Lease()
         lease.extend(math.inf)
@@ -372,7 +374,7 @@ def test_lost_messages_are_reported_with_their_place() -> None:
     counters.missed(3, lambda: "3 from yarp")
     assert (counters.as_dict()["drops"]["lost"], counters.as_dict()["error"]) == (3, "3 from yarp")
     counters.failed("something else")
-    counters.missed(3, lambda: "3 from yarp")  # no news
+    counters.missed(3, lambda: "3 from yarp")  # the total is unchanged, so it is not reported again
     assert counters.as_dict()["error"] == "something else"
 
 
@@ -392,7 +394,9 @@ def test_error_is_logged_once_per_change(monkeypatch: pytest.MonkeyPatch) -> Non
     assert logged(*["no server of /a"] * 20) == 1
     assert logged(*[f"message of {size} bytes, 100 allowed" for size in range(200, 220)]) == 1
     assert logged("no server of /a", "no server of /a") == 1
-    assert [counters.failed("another"), counters.failed("a third")] == [True, False], "a second has not passed"
+    assert [counters.failed("another"), counters.failed("a third")] == [True, False], (
+        "at most one error is logged per second"
+    )
     assert logged("a third", "a third") == 1
     now += 61.0
     assert logged("a third") == 1

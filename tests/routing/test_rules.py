@@ -1,4 +1,4 @@
-"""Rules: deny wins, the first match gives the attributes, two gates."""
+"""Rules: deny wins, the first match gives the attributes, and both gates apply."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_rules_decide_what_enters_the_hub(
     ("entries", "section", "origin", "allowed"),
     [
         ([], {}, "ros1", True),
-        ([], {"default": "deny"}, "ros1", True),  # this daemon's gate let it in
+        ([], {"default": "deny"}, "ros1", True),  # this daemon's own gate admitted it
         ([], {"default": "deny"}, "zenoh", False),
         ([{"topic": "/scan"}], {"default": "deny"}, "zenoh", True),
         ([{"topic": "/scan", "to": "ros2"}], {"default": "deny"}, "ros1", True),

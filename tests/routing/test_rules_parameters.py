@@ -1,4 +1,4 @@
-"""Parameter services and events at both gates, for each owner, origin and destination."""
+"""Parameter services and events at both gates, for every owner, origin and destination."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def leaving(
     compiled: RuleSet, origin: str, side: str, node: str = "/ns/shared", services: Iterable[tuple[str, str]] = (),
     *, elsewhere: bool = False,
 ) -> dict[str, RoutePolicy]:  # fmt: skip
-    """The decisions on a node's services, the six of parameters by default."""
+    """Return the decisions on a node's services, by default its six parameter services."""
     return {
         name: compiled.leave(
             origin, side, f"{node}/{name}", f"rcl_interfaces/srv/{type_}", "service", elsewhere=elsewhere
@@ -74,7 +74,7 @@ def test_shared_parameters_do_not_leave_as_services_to_a_side_without_parameters
         ("ros2", "ros2", True),
         ("zenoh_ros2dds", "ros2", True),
         ("ros1", "ros1", True),
-        (NATIVE, "ros1", False),  # its own parameters are not the ones that the rule shares
+        (NATIVE, "ros1", False),  # the rule shares the parameters of another side's node
     ],
 )
 def test_shared_parameters_leave_to_a_side_with_parameters(

@@ -25,7 +25,7 @@ def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.Monke
 
 
 def ages(clock: ProcessClock, gate: stall.AgeGate, offset: float, count: int = 20) -> list[float]:
-    """Ages of messages at 20 Hz that arrive at once from a source whose clock differs."""
+    """Return the ages of messages that a source with a different clock sends at 20 Hz and that arrive at once."""
     seconds = []
     for _ in range(count):
         clock.now += 0.05
@@ -41,7 +41,9 @@ def test_source_is_received_again_after_its_clock_was_set(monkeypatch: pytest.Mo
     held = [a for a in after if a > 0.1]
     assert len(held) <= stall.HOLD / 0.05 + 1
     assert after[-1] < 0.01
-    assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, "an old command is old on the new scale too"
+    assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, (
+        "after the clock jump, an old command is still recognized as old"
+    )
 
 
 def test_setting_the_local_clock_makes_no_message_old(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,7 +91,7 @@ def test_suspended_worker_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
     clock.now += 3.0
     assert stall_detector.stood_still(0.5)
     stall_detector.beat()
-    assert stall_detector.stood_still(0.5), "what piled up is still being read"
+    assert stall_detector.stood_still(0.5), "the backlog is still being read"
     for _ in range(6):
         clock.now += 0.1
         stall_detector.beat()
@@ -103,7 +105,7 @@ def test_pulse_reports_a_suspension_once_the_process_continues(monkeypatch: pyte
     try:
         clock.now += 20.0
         assert reported.get(timeout=40) == pytest.approx(20.0)
-        assert stall_detector.stood_still(0.5), "what piled up is still being read"
+        assert stall_detector.stood_still(0.5), "the backlog is still being read"
     finally:
         stall_detector.stop()
 
@@ -114,8 +116,8 @@ def test_pulse_pauses_without_readers_and_resumes_at_once(monkeypatch: pytest.Mo
     quick = stall_detector.pause
     stall_detector.start()
     try:
-        until(lambda: stall_detector.pause > quick, "it rests")
-        assert stall_detector.pause < 0.3, "a wait that long counts as a standstill"
+        until(lambda: stall_detector.pause > quick, "the detector checks less often")
+        assert stall_detector.pause < 0.3, "a longer wait would count as a standstill"
         monkeypatch.setattr(stall, "_REST_SECONDS", 1000.0)
         stall_detector.stood_still(0.5)
         assert stall_detector.pause == quick

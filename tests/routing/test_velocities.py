@@ -30,13 +30,13 @@ REGISTRY = Registry()
 
 
 class Edge(FakeEdge):
-    """A network in memory under the name of a side that rules can name."""
+    """An in-memory network with the name of a side, which rules can refer to."""
 
     side = "ros1"
 
 
 class Side:
-    """A side on a hub, and another program there."""
+    """A side on a hub, and another program on the hub."""
 
     def __init__(self, hubs: HubNetwork) -> None:
         self.network = FakeNetwork()
@@ -104,7 +104,7 @@ def test_announced_velocities_follow_rules_with_wildcards(side: Side) -> None:
     side.rules({"topic": "/robot/**", "rename": "/**"})
     until(side.announced(("/cmd_vel", STAMPED), ("/robot/cmd_vel", STAMPED)), "the renamed topic is announced too")
     side.rules({"topic": "/*/cmd_vel", "rename": "/cmd_vel"})
-    until(side.announced(("/cmd_vel", STAMPED)), "a name that the rule loses is not announced")
+    until(side.announced(("/cmd_vel", STAMPED)), "a name that no longer follows from the rule is not announced")
     assert side.hub.graph.refused == 0
     assert side.hub.graph.velocities() == side.far.graph.velocities()
 
@@ -126,7 +126,7 @@ MESSAGES = {TWIST: WITHOUT_STAMP, STAMPED: WITH_STAMP}
 
 
 def decoded(type_name: str, cdr: bytes) -> Any:
-    """Return the velocity in a message; its header, if any, has a stamp and a frame."""
+    """Return the velocity in a message; assert that its header, if any, has a stamp and a frame."""
     message = to_json(REGISTRY, type_name, cdr)
     if type_name == TWIST:
         return message
@@ -145,11 +145,11 @@ def test_a_rule_converts_velocities_to_a_side(side: Side, stamped: bool, form: s
     side.rules({"topic": CMD_VEL, "to": "ros1", "stamped": stamped})
     side.base(CMD_VEL, form)
     program = side.program(type_name)
-    until(lambda: (program.put(MESSAGES[type_name]), side.received)[1], "it arrives")
+    until(lambda: (program.put(MESSAGES[type_name]), side.received)[1], "the velocity arrives on the side")
     assert decoded(form, side.received[-1]) == MOTION
     other = side.program({TWIST: STAMPED, STAMPED: TWIST}[type_name])
-    until(lambda: len(side.engine.routes()) == 2, "programs of both forms drive")
-    assert {e.type for e in side.network.endpoints() if e.topic == CMD_VEL} == {form}, "the side has one type"
+    until(lambda: len(side.engine.routes()) == 2, "programs with both types can drive")
+    assert {e.type for e in side.network.endpoints() if e.topic == CMD_VEL} == {form}, "the side has only one type"
     assert not [decision for decision in side.engine.decisions() if decision.refused]
     other.close()
     until(side.announced((CMD_VEL, form)), "programs on the hub follow the base")
@@ -163,7 +163,7 @@ def test_a_rule_converts_velocities_to_the_hub(side: Side, stamped: bool, form: 
     type_id = REGISTRY.ros2(form).type_id
     side.far.subscription(CMD_VEL, form, type_id, Qos(), lambda sample: received.append(sample.data()))
     writer = side.network.write_on(CMD_VEL, type_name, Qos(), MadeBy.NATIVE, "/joystick")
-    until(lambda: (side.network.write(writer, MESSAGES[type_name]), received)[1], "it arrives")
+    until(lambda: (side.network.write(writer, MESSAGES[type_name]), received)[1], "the velocity arrives on the hub")
     assert decoded(form, received[-1]) == MOTION
     assert {publisher.type_name for publisher in side.far.graph.publishers(CMD_VEL)} == {form}
 
@@ -172,36 +172,39 @@ def test_a_base_that_gets_the_other_form_by_a_rule_is_not_announced(side: Side) 
     side.base(CMD_VEL, STAMPED)
     until(side.announced((CMD_VEL, STAMPED)), "the base is announced")
     side.rules({"topic": CMD_VEL, "to": "ros1", "stamped": False})
-    until(side.announced(), "nothing reaches it")
+    until(side.announced(), "no velocity reaches the base, so none is announced")
 
 
 def test_of_two_forms_a_side_gets_the_one_that_its_nodes_subscribe_to(side: Side) -> None:
-    """A side has one type for each topic: the other one would keep out what stops its base."""
+    """A side has one type per topic; with the wrong type, velocities that stop the base would not arrive."""
     program = side.program(TWIST)
-    until(lambda: [route.hub_type for route in side.engine.routes()] == [TWIST], "the first one has a route")
+    until(lambda: [route.hub_type for route in side.engine.routes()] == [TWIST], "the first type has a route")
     base = side.base(CMD_VEL, STAMPED)
     stamped = side.program(STAMPED)
-    until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's form replaces it")
-    until(lambda: (stamped.put(WITH_STAMP), side.received)[1], "it arrives")
+    until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's type replaces it")
+    until(lambda: (stamped.put(WITH_STAMP), side.received)[1], "the stamped velocity arrives")
     (refused,) = [decision for decision in side.engine.decisions() if decision.refused]
     assert (refused.type, refused.cure) == (TWIST, "convert it with a rule: 'to: ros1', 'stamped: true'")
     assert f"nodes on the side subscribe to {CMD_VEL} as {STAMPED}" in refused.reason
     stamped.close()
-    until(lambda: not side.engine.routes(), "no program has the base's form")
+    until(lambda: not side.engine.routes(), "no program publishes the base's type")
     side.network.remove(base)
-    until(lambda: [route.hub_type for route in side.engine.routes()] == [TWIST], "no base needs the name")
+    until(
+        lambda: [route.hub_type for route in side.engine.routes()] == [TWIST],
+        "without a base, the first type has the topic again",
+    )
     program.close()
-    until(lambda: not side.engine.routes(), "its publisher left")
+    until(lambda: not side.engine.routes(), "the route ends after its publisher has left")
 
 
 def test_form_that_no_node_of_the_side_subscribes_to_has_no_route(side: Side) -> None:
-    """On ROS 1 it would become the topic's type, and the base's own one would no longer be known."""
+    """On ROS 1, it would become the topic's type, and the type of the base would no longer be known."""
     side.base(CMD_VEL, STAMPED)
     side.program(TWIST)
-    until(lambda: [decision for decision in side.engine.decisions() if decision.refused], "it is refused")
+    until(lambda: [decision for decision in side.engine.decisions() if decision.refused], "the topic is refused")
     assert side.engine.routes() == []
     side.program(STAMPED)
-    until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's form has a route")
+    until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's type has a route")
 
 
 def test_a_malformed_velocity_is_not_converted() -> None:

@@ -1,4 +1,4 @@
-"""Service routes: each call ends exactly once, despite all disturbances; and the counters."""
+"""Service routes: their counters, and calls that end exactly once despite all disturbances."""
 
 from __future__ import annotations
 
@@ -135,9 +135,9 @@ def test_one_cause_is_logged_once_however_often_it_is_called(
     answer[0] = works
     assert logged(2) == 0
     answer[0] = CallError("the server of /do left before it answered")
-    assert logged(5) == 1, "it had worked in between"
+    assert logged(5) == 1, "logged again, because a call succeeded in between"
     clock += 100.0
-    assert logged(5) == 1, "after a pause"
+    assert logged(5) == 1, "logged again after a pause"
 
 
 def test_a_canceled_call_is_canceled_on_the_side(place: Place) -> None:
@@ -182,7 +182,7 @@ def test_while_another_worker_may_be_active_a_call_is_refused(place: Place) -> N
     serving = place.serve()
     client = place.client()
     (route,) = place.engine.routes()
-    route._context = replace(route._context, lease=Lease())  # one that was never extended
+    route._context = replace(route._context, lease=Lease())  # a lease that was never extended
     assert ask(client).result()["error"] == "the bridge to fake was suspended or is on standby; call again later"
     assert serving.requests(1, 0) == []
     assert place.row()["drops"]["standby"] == 1
@@ -198,7 +198,7 @@ def test_the_end_of_the_network_ends_its_calls(place: Place) -> None:
         "the server of /do left before it answered",
     )
     serving.release()
-    until(lambda: not place.far.graph.servers("/do"), "gone from the hub")
+    until(lambda: not place.far.graph.servers("/do"), "the service is gone from the hub")
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_explain_lists_the_parts_of_an_action(place: Place) -> None:
     def explained() -> set[tuple[str, str, str]]:
         return {(line["topic"], line["action"], line["decision"]) for line in place.engine.explain("/go")}
 
-    until(lambda: explained() == expected, "both are explained")
+    until(lambda: explained() == expected, "both services are explained")
 
 
 def test_a_server_of_the_hub_is_called_from_the_side(place: Place) -> None:
@@ -248,14 +248,14 @@ def test_a_server_of_the_hub_is_called_from_the_side(place: Place) -> None:
 
     server = place.far.server("/do", SET, REGISTRY.service_ros2(SET).type_id, serve)
     served: Callable[[], bool] = lambda: any(e.topic == "/do" for e in place.network.endpoints())  # noqa: E731
-    until(served, "offered on the side")
+    until(served, "the service is offered on the side")
 
     def ask_side(request: bytes, done: Done) -> Abandon:
         return place.network.call("/do", request, done)
 
     assert Calling(REGISTRY, SET, {"data": True}, ask_side).result()["reply"]["success"] is True
     server.close()
-    until(lambda: not served(), "taken back")
+    until(lambda: not served(), "the service is withdrawn")
     assert Calling(REGISTRY, SET, {}, ask_side).result()["error"] == "/do has no server"
 
 
@@ -266,20 +266,20 @@ def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: 
     call = ask(client)
     serving.requests(1)
     second = place.another("second")
-    until(lambda: second.summary().standing_by, "the second one stands by")
+    until(lambda: second.summary().standing_by, "the second worker is on standby")
     until(lambda: [line["decision"] for line in second.explain("/do")] == ["standby"], "explained")
     assert len(place.far.graph.servers("/do")) == 1
     place.engine.stop()
     assert call.result()["error"]
     serving.release()
-    until(lambda: second.summary().state == "running", "the second one is active")
+    until(lambda: second.summary().state == "running", "the second worker is active")
     again = place.client()
     until(lambda: (ask(again).result()["reply"] or {}).get("success"), "the next call is served")
-    until(lambda: len(place.far.graph.servers("/do")) == 1, "by exactly one worker")
+    until(lambda: len(place.far.graph.servers("/do")) == 1, "exactly one worker serves the service")
 
 
 def test_only_planner_goals_are_canceled_when_their_client_dies(place: Place) -> None:
-    """The gateway's process is killed: no other program knows the goal, so none could stop the robot."""
+    """The gateway's process is killed: no other program knows the goal, so no other program could stop the robot."""
     hub = Hub.open(place.hubs.settings("gateway"))
     cancels = {action: _goal(place, hub, action) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
     hub.close()

@@ -1,4 +1,4 @@
-"""Servers of one name and type, but of different versions."""
+"""Servers with the same name and type, but different versions of the type."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def served(_request: bytes, _done: Done) -> Any:
 
 
 def test_a_server_that_cannot_cross_does_not_keep_another_from_the_side() -> None:
-    """The first one has an unknown version of the type."""
+    """The first server has an unknown version of the type."""
     call: Call = served
     registry, network = Registry(), FakeNetwork()
     with HubNetwork() as hubs, Hub.open(hubs.settings("far")) as far, Hub.open(hubs.settings("near")) as near:
@@ -39,7 +39,7 @@ def test_a_server_that_cannot_cross_does_not_keep_another_from_the_side() -> Non
 
             until(lambda: decisions() == ["refused"], "the server is refused")
             far.server("/do", SERVICE, registry.service_ros2(SERVICE).type_id, call)
-            until(lambda: decisions() == ["bridged", "refused"], "the other one is offered")
+            until(lambda: decisions() == ["bridged", "refused"], "the other server is offered")
         finally:
             engine.stop()
 
