@@ -26,7 +26,7 @@ MANY = 8
 
 
 def worker_status(daemon: Daemon, name: str) -> dict[str, Any]:
-    """Return the daemon's status of a worker, empty if the daemon does not respond."""
+    """Return the daemon's status of a worker; it is empty if the daemon does not respond."""
     status = ask_daemon(Config(name="test", state=daemon.folder / "state"))
     return {} if status is None else next(report.document() for report in status.workers if report.worker == name)
 
@@ -34,11 +34,11 @@ def worker_status(daemon: Daemon, name: str) -> dict[str, Any]:
 def test_a_worker_that_computes_during_start_up_is_not_killed(daemon: Daemon) -> None:
     daemon.order("ros1", "compute-at-start")
     process = daemon.quick(MANY, start=1.5)
-    until(lambda: worker_status(daemon, "ros1").get("text") == "computing on purpose", "it computes")
+    until(lambda: worker_status(daemon, "ros1").get("text") == "computing on purpose", "the worker computes")
     started = daemon.pids("ros1")  # on a busy machine an earlier process may wait for 1.5 s before it computes
     begun = time.monotonic()
-    until(lambda: time.monotonic() > begun + 3, "it computes for longer than the start limit")
-    until(lambda: worker_status(daemon, "ros1").get("phase") == "starting", "it is still starting")
+    until(lambda: time.monotonic() > begun + 3, "the worker computes for longer than the start limit")
+    until(lambda: worker_status(daemon, "ros1").get("phase") == "starting", "the worker is still starting")
     status = daemon.midspan("status", "--config", str(daemon.file))
     assert status.popen.wait(40) == 1, "the fake workers have no hub"
     assert "ros1     starting computing on purpose (" in status.output()
@@ -62,11 +62,11 @@ def test_a_worker_that_computes_instead_of_reporting_is_not_killed(daemon: Daemo
     first = daemon.wait_started("ros1")
     daemon.expect_output(process, "ros1: running")
     daemon.order("ros1", "compute")
-    until(lambda: daemon.events("ros1", "computes"), "it starts to compute")
+    until(lambda: daemon.events("ros1", "computes"), "the worker begins to compute")
     begun = time.monotonic()
-    until(lambda: time.monotonic() > begun + 4, "it computes for longer than the heartbeat limit")
+    until(lambda: time.monotonic() > begun + 4, "the worker computes for longer than the heartbeat limit")
     daemon.order("ros1")
-    until(lambda: daemon.events("ros1", "computed"), f"it reports its state:\n{process.output()}")
+    until(lambda: daemon.events("ros1", "computed"), f"the worker reports its state:\n{process.output()}")
     assert daemon.pids("ros1") == [first], process.output()
 
 
@@ -100,7 +100,9 @@ def test_a_worker_in_an_endless_loop_is_killed(seconds: float, phase: Phase, cap
 def test_a_single_core_starts_workers_one_after_the_other(daemon: Daemon) -> None:
     daemon.order("ros1", "compute-at-start")
     process = daemon.quick(1)
-    until(lambda: worker_status(daemon, "ros2").get("text") == "waiting for ros1 to start", "the second one is queued")
+    until(
+        lambda: worker_status(daemon, "ros2").get("text") == "waiting for ros1 to start", "the second worker is queued"
+    )
     assert worker_status(daemon, "ros2")["phase"] == "queued"
     assert not daemon.pids("ros2")
     assert "router: running" in process.output().partition("ros1 started")[0]
@@ -116,7 +118,7 @@ def test_a_restarted_worker_is_queued_too(daemon: Daemon) -> None:
     os.kill(daemon.wait_started("ros2"), signal.SIGKILL)
     daemon.wait_started("ros2", 2)
     os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
-    until(lambda: worker_status(daemon, "ros1").get("text") == "waiting for ros2 to start", "it is queued")
+    until(lambda: worker_status(daemon, "ros1").get("text") == "waiting for ros2 to start", "the worker is queued")
     daemon.order("ros2")
     assert alive(daemon.wait_started("ros1", 2))
 

@@ -65,7 +65,7 @@ def port_of(path: Path) -> int:
 
 
 def plain(path: Path) -> socket.socket:
-    """Connect as any user of the machine can."""
+    """Connect without a key, as any user of the machine can."""
     return socket.create_connection(("127.0.0.1", port_of(path)), 5.0)
 
 
@@ -142,7 +142,7 @@ def test_requests_without_the_secret_are_refused(tmp_path: Path) -> None:
                 with contextlib.suppress(ConnectionResetError):
                     assert client.recv(1000) == b""
         with contextlib.ExitStack() as stack:
-            for _ in range(20):  # silent ones do not exclude the owner
+            for _ in range(20):  # silent connections do not exclude the owner
                 stack.enter_context(plain(path))
             until(lambda: ask_daemon(config, 5.0), "the owner gets a response")
 
@@ -158,7 +158,7 @@ def test_commands_without_the_secret_are_refused(tmp_path: Path) -> None:
             with plain(tmp_path / "socket") as other:
                 other.sendall(b"0" * 64 + encode_command(NewConfig(Config(name="evil"))))
                 with contextlib.suppress(ConnectionResetError):
-                    assert other.recv(1000) == b"", "it gets no report"
+                    assert other.recv(1000) == b"", "the other user gets no report"
             owner.sendall(encode_command(NewConfig(Config(name="test"))))
             until(lambda: commands, "the owner stays connected")
     finally:
@@ -167,7 +167,7 @@ def test_commands_without_the_secret_are_refused(tmp_path: Path) -> None:
 
 
 def test_greeting_has_one_time_limit_in_total() -> None:
-    """A client that sends a byte at a time holds its thread no longer than a silent one."""
+    """A client that sends one byte at a time occupies its thread no longer than a silent one."""
     near, far = socket.socketpair()
     with near, far:
         near.settimeout(0.2)
@@ -206,7 +206,7 @@ def test_silent_clients_do_not_exclude_the_daemon(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.usefixtures("_tcp")
 def test_a_program_at_the_port_of_a_dead_listener_gets_no_configuration(tmp_path: Path) -> None:
-    """As after a reboot: a configuration may have passwords."""
+    """This can happen after a reboot, and a configuration may contain passwords."""
     received: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as server:
         (tmp_path / "socket").write_text(json.dumps([server.getsockname()[1], "a" * 64, "b" * 64]))

@@ -93,7 +93,7 @@ def test_silent_and_invalid_clients_do_not_block_others(served: tuple[Config, Ke
             silent.connect(str(config.state) + "/test.daemon.sock")
             if number % 2:
                 silent.sendall(b"everything\n")
-        document = until(lambda: ask_log(config, 0, 10.0), "a response, once a connection is free")
+        document = until(lambda: ask_log(config, 0, 10.0), "a response arrives once a connection is free")
         assert document is not None
         assert document["last"] == 31
         assert document["lines"][0]["text"] == "x" * 8000
@@ -113,5 +113,8 @@ def test_the_log_of_a_daemon_can_be_queried(daemon: Daemon) -> None:
     def texts() -> list[tuple[str, str]]:
         return [(line["worker"], line["text"]) for line in (ask_log(config, 0) or {"lines": []})["lines"]]
 
-    until(lambda: any("ros1 cannot work" in text for worker, text in texts() if worker == OWN), "the daemon's own line")
+    until(
+        lambda: any("ros1 cannot work" in text for worker, text in texts() if worker == OWN),
+        "the daemon's own line is in the log",
+    )
     assert any(text.startswith("ready: ") for _, text in texts())

@@ -86,7 +86,7 @@ def test_reload_is_announced(daemon: Daemon, systemd: Systemd) -> None:
     systemd.expect("READY=1")
     process.signal(signal.SIGHUP)
     systemd.expect("RELOADING=1\nMONOTONIC_USEC=")
-    until(lambda: systemd.count("READY=1") == 2, "ready again")
+    until(lambda: systemd.count("READY=1") == 2, "the daemon is ready again")
 
 
 def test_watchdog_is_fed_unless_the_daemon_is_stopped(daemon: Daemon, systemd: Systemd) -> None:
@@ -95,12 +95,12 @@ def test_watchdog_is_fed_unless_the_daemon_is_stopped(daemon: Daemon, systemd: S
     fed = systemd.count("WATCHDOG=1")
     until(lambda: systemd.count("WATCHDOG=1") >= fed + 3, "fed")
     process.signal(signal.SIGSTOP)
-    until(lambda: is_stopped(process.pid), "it is stopped")
+    until(lambda: is_stopped(process.pid), "the daemon is suspended")
     fed = systemd.count("WATCHDOG=1")
     time.sleep(1.5)  # longer than the watchdog's interval
     assert systemd.count("WATCHDOG=1") == fed
     process.signal(signal.SIGCONT)
-    until(lambda: systemd.count("WATCHDOG=1") > fed, "fed again")
+    until(lambda: systemd.count("WATCHDOG=1") > fed, "the watchdog is fed again")
 
 
 def test_watchdog_is_not_fed_if_only_the_loop_hangs(daemon: Daemon, systemd: Systemd) -> None:
@@ -112,7 +112,7 @@ def test_watchdog_is_not_fed_if_only_the_loop_hangs(daemon: Daemon, systemd: Sys
     fed = systemd.count("WATCHDOG=1")
     until(lambda: systemd.count("WATCHDOG=1") > fed, "fed")
     process.signal(signal.SIGUSR1)
-    until(hangs.exists, "it hangs")
+    until(hangs.exists, "the daemon hangs")
     fed, ticked = systemd.count("WATCHDOG=1"), ticks.stat().st_size
     time.sleep(1.5)  # longer than the watchdog's interval
     assert systemd.count("WATCHDOG=1") == fed

@@ -40,7 +40,7 @@ WORKERS = ("router", "ros1_master", "ros1", "yarp", "zenoh", "modules", "web")
 
 
 class OtherOs:
-    """A daemon as on another system, with the programs on its sides."""
+    """A daemon as on another system, and programs on its sides."""
 
     def __init__(self, system: str, folder: Path, log: IO[bytes]) -> None:
         self.system = system
@@ -103,11 +103,11 @@ class OtherOs:
         return PlainPeer(Ros1Program(name, master=uri), uri)
 
     def interrupt(self) -> None:
-        """Send a Ctrl-C; to another process group, Windows can only send Ctrl-Break."""
+        """Send Ctrl-C, or Ctrl-Break on Windows, which cannot send Ctrl-C to another process group."""
         self.process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
 
     def close(self) -> None:
-        """Stop everything, also what a failed test left."""
+        """Stop everything, including what a failed test left running."""
         if self.process.poll() is None:
             self.interrupt()
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -122,7 +122,7 @@ class OtherOs:
 
 @pytest.fixture(scope="module", params=SYSTEMS)
 def other(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[OtherOs]:
-    """One daemon for each system."""
+    """A daemon for each tested system."""
     folder = tmp_path_factory.mktemp("other os")
     with (folder / "daemon.log").open("wb") as log:
         other = OtherOs(request.param, folder, log)
@@ -134,7 +134,7 @@ def other(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 @pytest.mark.timeout(240)
 def test_the_daemon_works(other: OtherOs) -> None:
-    """One test, since its parts depend on each other."""
+    """This is one test because its parts depend on each other."""
     other.wait_for("ready: ")
     for worker in WORKERS:
         other.wait_for(f"{worker}: running")
@@ -188,7 +188,7 @@ def assert_restarts_a_killed_worker(other: OtherOs) -> None:
     """A killed worker is started again, once its lock is free."""
     (first,) = other.pids("yarp")
     psutil.Process(first).kill()
-    until(lambda: len(other.pids("yarp")) == 2, "it is started again", 40)
+    until(lambda: len(other.pids("yarp")) == 2, "the worker is started again", 40)
     other.wait_for("yarp: running", 2)
 
 
@@ -199,7 +199,7 @@ def assert_stops(other: OtherOs) -> None:
     assert other.process.wait(30 * SLOWNESS) == 0
     assert [pid for pid in workers if psutil.pid_exists(pid)] == []
     stops = re.findall(r" (\w+): stopping: (?:requested by the daemon|SIGTERM)", other.output())
-    assert set(WORKERS) <= set(stops), "each was asked, and none only killed"
+    assert set(WORKERS) <= set(stops), "every worker was asked to stop, and none was just killed"
     assert "Traceback" not in other.output()
     names = [path.name for path in (other.folder / "state").rglob("*")]
     assert [name for name in names if name.endswith(".sock")] == []

@@ -155,7 +155,7 @@ def test_relayed_lines_are_queued_until_they_are_delivered(capsys: pytest.Captur
     handler.relay_to(lambda _level, _text: False)
     handler.close()
     written = capsys.readouterr().err.splitlines()
-    assert written[0] == "<6>line 7"  # it was not delivered, so it is still pending
+    assert written[0] == "<6>line 7"  # the line was not delivered, so it is still pending
     assert written[-1] == f"<6>line {log.KEPT_LINES + 4}"
 
 
@@ -184,7 +184,9 @@ def test_a_lock_belongs_to_this_machine_even_after_a_rename(tmp_path: Path, monk
     holder = lock.holder()
     assert holder is not None
     assert (holder.machine, holder.is_here) == ("robot1", True)
-    assert replace(holder, machine="robot2", space="an earlier boot").is_here, "the machine was restarted"
+    assert replace(holder, machine="robot2", space="an earlier boot").is_here, (
+        "a lock from before a restart of the machine is not held"
+    )
     for space in ("another boot", ""):
         assert not replace(holder, space=space).is_here
     lock.close()

@@ -17,7 +17,7 @@ def at_a_step(now: float, share: float, reads: bool) -> tuple[str, float, int]:
     ("share", "reads", "moves"),
     [
         (1.0, False, True),
-        (0.02, False, True),  # shares its core with fifty others
+        (0.02, False, True),  # the process shares its core with fifty others
         (0.003, False, False),  # a wait that polls
         (0.0, False, False),
         (0.0, True, True),  # a slow disk

@@ -68,14 +68,14 @@ def test_a_file_instead_of_a_socket_yields_none(tmp_path: Path) -> None:
 
 
 def test_a_daemon_of_an_earlier_release_is_not_reported_as_reloaded(tmp_path: Path) -> None:
-    """It sends its status to each client, and ignores the request."""
+    """Such a daemon sends its status to each client, and ignores the request."""
     listener = LocalListener(tmp_path / "test.daemon.sock")
 
     def respond() -> None:
         client, _ = listener.sock.accept()
         with client:
             client.sendall(b'{"daemon": "test", "refused": "", "status": "running"}')
-            client.recv(1, socket.MSG_PEEK)  # it closes with the unread request
+            client.recv(1, socket.MSG_PEEK)  # closes the connection with the request unread
 
     responder = threading.Thread(target=respond)
     responder.start()
@@ -97,7 +97,7 @@ def test_without_descriptors_a_client_is_disconnected_and_the_loop_does_not_spin
             again.settimeout(5.0)
             again.connect(str(tmp_path / "sock"))
             again.sendall(b'{"verb": "status"}\n')
-            for _ in range(2):  # accepts, then reads
+            for _ in range(2):  # one step accepts, the next one reads
                 loop.step(5.0)
             assert again.recv(100) == b"{}"
 
@@ -115,7 +115,7 @@ def test_a_response_larger_than_the_buffer_arrives_complete_and_the_request_runs
         client.setblocking(False)
         client.connect(str(tmp_path / "sock"))
         client.sendall(b'{"verb": "log"}\n')
-        for _ in range(2):  # accepts, then reads
+        for _ in range(2):  # one step accepts, the next one reads
             loop.step(5.0)
         client.sendall(b"\n")
         response, parts = b"", 0

@@ -27,7 +27,7 @@ def test_only_workers_that_use_the_change_reload(daemon: Daemon) -> None:
     sides = ("ros1", "ros2")
     until(lambda: all(daemon.events(worker, "reload") for worker in sides), "both sides reload")
     assert [daemon.events(worker, "reload") for worker in sides] == [[["reload", "deny"]]] * 2
-    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    until(lambda: process.output().count("ready: ") == 2, "the daemon is ready again")
     assert daemon.events("router", "reload") == []
     assert [len(daemon.pids(worker)) for worker in WORKERS] == [1, 1, 1]
 
@@ -37,7 +37,7 @@ def test_a_change_of_one_side_does_not_reload_the_other(daemon: Daemon) -> None:
     daemon.wait_ready(process)
     reload(daemon, process, "ros1: {poll: 1}\n")
     until(lambda: daemon.events("ros1", "reload"), "ros1 reloads")
-    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    until(lambda: process.output().count("ready: ") == 2, "the daemon is ready again")
     assert daemon.events("ros2", "reload") == []
 
 
@@ -45,7 +45,7 @@ def test_an_unchanged_file_reloads_no_worker(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     process.signal(signal.SIGHUP)
-    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    until(lambda: process.output().count("ready: ") == 2, "the daemon is ready again")
     assert [daemon.events(worker, "reload") for worker in WORKERS] == [[], [], []]
 
 
@@ -57,7 +57,7 @@ def test_only_the_worker_that_needs_a_restart_is_restarted(daemon: Daemon) -> No
     assert alive(daemon.wait_started("ros1", 2))
     assert daemon.events("ros1", "start")[1][2] == "deny"
     assert len(daemon.events("ros1", "stop")) == 1
-    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    until(lambda: process.output().count("ready: ") == 2, "the daemon is ready again")
     assert len(daemon.pids("ros2")) == len(daemon.pids("router")) == 1
 
 
@@ -105,8 +105,8 @@ def test_sides_are_switched_off_and_on(daemon: Daemon) -> None:
     daemon.wait_ready(process)
     first = daemon.wait_started("ros1")
     reload(daemon, process, "ros1: {enabled: false}\n")
-    until(lambda: not alive(first), "switched off")
-    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    until(lambda: not alive(first), "the disabled worker has exited")
+    until(lambda: process.output().count("ready: ") == 2, "the daemon is ready again")
     assert len(daemon.events("ros1", "stop")) == 1
     reload(daemon, process, "")
     assert alive(daemon.wait_started("ros1", 2))
@@ -126,4 +126,4 @@ def test_a_restarting_worker_gets_the_new_configuration(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_started("ros1", 2)
     reload(daemon, process, "routing: {default: deny}\n")
-    until(lambda: daemon.events("ros1", "start")[-1][2] == "deny", "started with the new one")
+    until(lambda: daemon.events("ros1", "start")[-1][2] == "deny", "the worker is started with the new configuration")

@@ -55,7 +55,7 @@ def test_the_master_outlives_a_killed_daemon_and_a_clean_restart_keeps_its_state
     daemon.wait_ready(third)
     assert call("getParam", "/x") == 5
     assert call("lookupNode", "/node") == "http://127.0.0.1:1/"
-    os.kill(call("getPid"), signal.SIGSTOP)  # it hangs, and the daemon kills it
+    os.kill(call("getPid"), signal.SIGSTOP)  # the master hangs, and the daemon kills it
     third.signal(signal.SIGTERM)
     third.popen.wait(40)
     assert [path.name for path in (daemon.folder / "state").rglob("*.sock")] == []

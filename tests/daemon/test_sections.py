@@ -59,7 +59,7 @@ def merged(base: dict[str, Any], change: dict[str, Any]) -> Config:
 
 
 def used(worker: str, base: dict[str, Any]) -> set[str]:
-    """Return the changes to a configuration that reload a worker."""
+    """Return the configuration changes for which a worker is reloaded."""
     kind, before = worker_kinds({})[worker], merged(base, {})
     return {
         name for name, change in CHANGES.items() if kind.config_part(merged(base, change)) != kind.config_part(before)
@@ -115,7 +115,7 @@ OF_NAVIGATION = {
     "map": {"gateway", "localization_server", "robot_path_planner"},
     "localizer": {"gateway", "localization_server"},
 }
-"""The modules whose sections take keys of ``navigation`` in place of their own."""
+"""The modules whose sections use keys of ``navigation`` if they do not set their own."""
 
 
 def running(change: dict[str, Any]) -> Config:

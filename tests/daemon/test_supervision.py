@@ -88,7 +88,7 @@ def test_worker_whose_loop_hangs_is_replaced(daemon: Daemon, order: str) -> None
     daemon.order("ros1", order)
     until(lambda: "ros1 sent no heartbeat" in process.output(), "noticed")
     if order == "hang":
-        assert "fakes.py" in process.output()  # where it hangs
+        assert "fakes.py" in process.output()  # the file in which the worker hangs
     daemon.order("ros1")
     assert alive(daemon.wait_started("ros1", 2))
 
@@ -114,7 +114,7 @@ def test_hanging_worker_does_not_delay_the_stop_beyond_five_seconds(daemon: Daem
     process.signal(signal.SIGTERM)
     assert process.popen.wait(40) == 0
     stopped = re.search(r"stopped after ([\d.]+) s", process.output())
-    assert stopped  # the promise itself, by the daemon's clock: the exit of its interpreter depends on the machine
+    assert stopped  # measured by the daemon's clock, because the exit of its interpreter depends on the machine
     assert float(stopped[1]) <= STOP_SECONDS
     assert not any(alive(pid) for pid in pids)
 
@@ -189,7 +189,7 @@ def test_a_suspended_daemon_does_not_restart_its_workers(daemon: Daemon) -> None
     process = daemon.start()
     daemon.wait_ready(process)
     process.signal(signal.SIGSTOP)
-    time.sleep(6)  # longer than the heartbeat's limit
+    time.sleep(6)  # longer than the heartbeat limit
     process.signal(signal.SIGCONT)
     daemon.configure("routing: {default: deny}\n")
     process.signal(signal.SIGHUP)
@@ -242,7 +242,7 @@ def test_no_descriptors_or_processes_leak_over_restarts(daemon: Daemon) -> None:
         daemon.wait_started("ros1", count)
         os.kill(daemon.wait_started("router", count - 1), signal.SIGKILL)
         daemon.wait_started("router", count)
-    until(lambda: watched.num_fds() == before, "as many descriptors as before")
+    until(lambda: watched.num_fds() == before, "the number of descriptors is the same as before")
     assert len(watched.children()) == len(WORKERS)
     assert watched.num_threads() == 1
 

@@ -33,7 +33,7 @@ def test_the_unit_of_a_configuration() -> None:
 
 
 class System:
-    """A root folder with configurations, and systemd's links of enabled and active units."""
+    """A root folder with configurations and systemd's links for enabled and active units."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -161,7 +161,7 @@ def test_the_doctor_names_broken_and_missing_configurations(system: System) -> N
 
 @pytest.fixture
 def service(tmp_path: Path) -> Iterator[RobotDaemon]:
-    """A daemon with the state folder that systemd gives to its unit."""
+    """A daemon with the state folder that systemd assigns to its unit."""
     robot = RobotDaemon(tmp_path, navigation={}, modules={}, state=None)
     robot.env |= {"STATE_DIRECTORY": str(tmp_path / "state"), "XDG_STATE_HOME": str(tmp_path / "own")}
     yield robot
@@ -191,7 +191,7 @@ def test_the_command_line_finds_the_state_of_a_service(
 
 
 def test_two_daemons_share_the_state_folder_and_the_hub(tmp_path: Path) -> None:
-    """As two instances of the template units do: one router serves both, the other one is on standby."""
+    """Two instances of the template units do this; one router serves both, and the other is on standby."""
     robots = [RobotDaemon(tmp_path / name, navigation={}, modules={}, state=None) for name in folders(tmp_path)]
     try:
         for robot, name in zip(robots, ("one", "two"), strict=True):
@@ -247,7 +247,7 @@ topics:
 
 
 def test_the_files_of_an_imported_domain_bridge_are_instances(system: System, tmp_path: Path) -> None:
-    """As in docs/start/migrating.md: two domains, two daemons, one unit."""
+    """The setup is that of docs/start/migrating.md: two domains, two daemons, one template unit."""
     (tmp_path / "bridge_config.yaml").write_text(BRIDGE)
     assert main(["import", "domain_bridge", str(tmp_path / "bridge_config.yaml"), "-o", f"{tmp_path}/etc/midspan"]) == 0
     names = ["my_bridge_domain2", "my_bridge_domain3"]

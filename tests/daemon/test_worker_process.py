@@ -47,7 +47,7 @@ class Supervised:
         self.popen.stdin.flush()
 
     def read(self) -> dict[str, Any]:
-        """Return its next report, except those of its current step."""
+        """Return the worker's next report, except reports of its current step."""
         while "busy" in (report := self.read_any()):
             pass
         return report
@@ -92,7 +92,7 @@ def test_a_worker_sends_heartbeats_until_the_stop_command(daemon: Daemon, superv
     assert len(daemon.events("ros1", "stop")) == 1
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no such setting")
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc has this setting")
 @pytest.mark.parametrize("alone", [False, True])
 def test_threads_share_two_heaps(daemon: Daemon, supervised: Supervised, alone: bool) -> None:
     daemon.order("ros1", "heaps")
@@ -100,14 +100,14 @@ def test_threads_share_two_heaps(daemon: Daemon, supervised: Supervised, alone: 
         daemon.midspan("worker", "ros1", "--config", str(daemon.file))
     else:
         supervised.send(config(daemon))
-    until(lambda: bool(daemon.events("ros1", "heaps")), "the count")
+    until(lambda: bool(daemon.events("ros1", "heaps")), "the worker reports the number of heaps")
     assert daemon.events("ros1", "heaps") == [["heaps", "2"]]
 
 
 def test_the_garbage_collector_runs_again_after_the_imports(daemon: Daemon, supervised: Supervised) -> None:
     daemon.order("ros1", "collector")
     supervised.send(config(daemon))
-    until(lambda: bool(daemon.events("ros1", "collector")), "its state")
+    until(lambda: bool(daemon.events("ros1", "collector")), "the worker reports the collector's state")
     assert daemon.events("ros1", "collector") == [["collector", "True"]]
 
 
@@ -115,7 +115,7 @@ def test_a_worker_reports_its_steps_from_the_start(daemon: Daemon, supervised: S
     assert supervised.read_any() == {"busy": "loading Python's libraries", "used": 0.0, "read": 0}
     daemon.order("ros1", "compute-at-start")
     supervised.send(config(daemon))
-    until(lambda: supervised.read_any()["busy"] == "computing on purpose", "where it is")
+    until(lambda: supervised.read_any()["busy"] == "computing on purpose", "the report names the current step")
     first, second = supervised.read_any(), supervised.read_any()
     assert second["used"] > first["used"], "the processor time of the thread that works"
     daemon.order("ros1")
@@ -166,7 +166,7 @@ def test_a_worker_reports_whether_a_reload_needs_a_restart(daemon: Daemon, super
     assert daemon.events("ros1", "reload") == [["reload", "deny"]]
     daemon.order("ros1", "refuse-reload")
     supervised.send(config(daemon))
-    until(lambda: "restart" in supervised.read(), "needs a restart")
+    until(lambda: "restart" in supervised.read(), "the worker reports that it needs a restart")
 
 
 @pytest.mark.parametrize(
@@ -288,7 +288,7 @@ def test_the_daemon_waits_for_a_service_that_starts_later(daemon: Daemon) -> Non
     service.signal(signal.SIGKILL)
     daemon.expect_output(process, "router ended after")
     daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
-    until(lambda: process.output().count("router: running") == 2, "adopted again")
+    until(lambda: process.output().count("router: running") == 2, "the router is adopted again")
     assert len(daemon.pids("router")) == 2
 
 
@@ -312,7 +312,7 @@ def test_service_restarts_itself_for_a_configuration_that_needs_it(daemon: Daemo
     daemon.configure("hub: {domain: 3}\n")
     process.signal(signal.SIGHUP)
     assert daemon.wait_started("router", 2) == router
-    until(lambda: process.output().count("router: running") == 2, "adopted again")
+    until(lambda: process.output().count("router: running") == 2, "the router is adopted again")
     assert "restarting in" not in process.output()
 
 
@@ -359,7 +359,7 @@ def test_the_router_stores_its_log_for_the_next_daemon(daemon: Daemon) -> None:
     first.popen.kill()
     first.popen.wait()
     daemon.order("router", "unanswered")
-    until(lambda: daemon.events("router", "unanswered"), "a log line while no daemon runs")
+    until(lambda: daemon.events("router", "unanswered"), "the worker has a log line while no daemon runs")
     second = daemon.start()
     daemon.expect_output(second, "router: the worker's loop does not respond: the engine does not respond")
     daemon.order("router")
@@ -397,7 +397,7 @@ class Reporting(Worker):
         self._texts = texts
 
     def start(self, config: Config) -> None:
-        """Nothing to start."""
+        """Do nothing."""
 
     def reload(self, config: Config) -> bool:  # noqa: ARG002
         return True
@@ -406,7 +406,7 @@ class Reporting(Worker):
         return Health("running", self._texts.pop(0))
 
     def stop(self) -> None:
-        """Nothing to stop."""
+        """Do nothing."""
 
 
 def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -421,5 +421,5 @@ def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.Mo
 
     worker_main.WorkerLoop(Reporting(texts), commands, report).run(Config())
     first, second, third = (later - earlier for earlier, later in itertools.pairwise(at))
-    assert max(first, second) < 4.0, "something new"
-    assert third > 3.5, "the same again: the interval begins before the report is written"
+    assert max(first, second) < 4.0, "a new text is reported at once"
+    assert third > 3.5, "a repeated text is reported after the interval, which begins before the report is written"

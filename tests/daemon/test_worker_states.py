@@ -1,4 +1,4 @@
-"""Every transition of a worker's process: in the table, and by what the daemon and the process do."""
+"""Every transition of a worker's process: in the table, and as caused by the daemon and the process."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class _Channel:
 
 
 class _Kind:
-    """A worker of the configuration, which can be disabled, and lack something."""
+    """A kind of worker that can be disabled, or lack a requirement."""
 
     name, outlives = "ros1", False
 
@@ -122,7 +122,7 @@ class _Launcher:
 
 
 class _Rig:
-    """A worker without a process, and what it depends on."""
+    """A worker without a process, and the objects that it depends on."""
 
     def __init__(self, timing: Timing | None = None) -> None:
         self.loop, self.kind, self.launcher = SelectorLoop(), _Kind(), _Launcher()
@@ -134,7 +134,7 @@ class _Rig:
         self.worker.configure(Config(name=name))
 
     def bring_to(self, phase: Phase) -> None:
-        """Bring the worker to a state, by what happens on a machine."""
+        """Bring the worker to a state by events that happen on a machine."""
         if phase is Phase.OFF:
             return
         if phase in IDLE:
@@ -149,7 +149,7 @@ class _Rig:
         assert self.worker.phase is phase
 
     def cause(self, event: WorkerEvent) -> None:
-        """Cause an event, by what the configuration, the machine or the process does."""
+        """Cause an event by a change of the configuration, the machine or the process."""
         worker = self.worker
         self.kind.on, self.kind.lacks = "auto", ""
         match event:
@@ -235,14 +235,14 @@ def test_a_timer_starts_a_worker_again(event: WorkerEvent) -> None:
     rig.bring_to(Phase.UP if event is WorkerEvent.CRASH else Phase.OFF)
     rig.cause(event)
     rig.launcher.result = Launch(WorkerEvent.START, channel=rig.launcher.channel)  # type: ignore[arg-type]
-    until(lambda: rig.loop.step(1.0) or rig.worker.phase is Phase.STARTING, "it starts again")
+    until(lambda: rig.loop.step(1.0) or rig.worker.phase is Phase.STARTING, "the worker starts again")
     rig.loop.close()
 
 
 def test_a_timer_kills_a_worker_that_does_not_stop(caplog: pytest.LogCaptureFixture) -> None:
     rig = _Rig(Timing(stop=0.0))
     rig.bring_to(Phase.STOPPING)
-    until(lambda: rig.loop.step(1.0) or rig.launcher.channel.killed, "it is killed")
+    until(lambda: rig.loop.step(1.0) or rig.launcher.channel.killed, "the process is killed")
     assert "ros1 did not stop in time; killing process 7" in caplog.text
     rig.loop.close()
 
