@@ -29,7 +29,7 @@ from tests.support.wait import until
 FILE = ROOT / "Containerfile"
 PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 BUILT = "octomap_msgs"
-"""The message package that is built, which takes the least time."""
+"""The message package that is built, because it takes the least time."""
 
 _COMPILER = '#!/bin/sh\nexec /usr/bin/${0##*/} "$@" -O0 -g0 -w\n'
 
@@ -42,7 +42,7 @@ def instructions() -> list[tuple[str, str]]:
 
 
 def last(keyword: str) -> str:
-    """Return the arguments of the last instruction with a keyword, which is in force in the final image."""
+    """Return the arguments of the last instruction with a keyword, which takes effect in the final image."""
     return [arguments for name, arguments in instructions() if name == keyword][-1]
 
 
@@ -53,7 +53,7 @@ def pip_settings() -> tuple[dict[str, str], list[str]]:
     for name, _, value in sorted(line.partition("=") for line in output.stdout.splitlines()):  # variables come first
         settings.setdefault(f"PIP_{name.rpartition('.')[2].upper().replace('-', '_')}", ast.literal_eval(value))
     paths = [Path(url.removeprefix("file://")) for value in settings.values() for url in value.split()]
-    # an index has its files next to it
+    # the files of an index are next to it
     paths = [path.parent if path.name == "simple" else path for path in paths if path.is_absolute() and path.exists()]
     return settings, [str(path) for path in paths]
 

@@ -1,4 +1,4 @@
-"""Virtual environments outside the checkout with installed wheels."""
+"""Virtual environments with installed wheels, outside the checkout."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ class Installed:
         return {**kept, "PATH": f"{self.bin}:/usr/bin:/bin", "HOME": str(self.folder)}
 
     def pip(self, *words: str) -> None:
-        """Run the tests' pip on it."""
+        """Run the tests' pip on the environment."""
         command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", str(self.bin / "python")]
         done = subprocess.run([*command, *words], capture_output=True, text=True, timeout=120, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
 
     def run(self, *words: str | Path, code: int = 0) -> str:
-        """Run one of its programs in its folder, and return the output."""
+        """Run one of the environment's programs in the environment's folder, and return the output."""
         done = subprocess.run(
             [self.bin / words[0], *words[1:]],
             cwd=self.folder, env=self.environ(), capture_output=True, text=True, timeout=120, check=False,

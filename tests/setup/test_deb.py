@@ -36,7 +36,7 @@ SECOND = "name: second\nhub: {listen: tcp/127.0.0.1:7448}\nros1: {enabled: false
 """Configuration of a second daemon on the same machine."""
 
 RELEASES = os.environ.get("MIDSPAN_RELEASES", "bookworm").split(",")
-"""The releases whose packages are installed: each takes some minutes, and CI has one of them."""
+"""The Debian releases to test; each takes some minutes, and CI tests one."""
 
 
 def test_the_manual_has_every_verb_and_no_accidental_roff_request() -> None:
@@ -97,7 +97,7 @@ def test_the_bill_of_materials_next_to_a_package_names_each_library(
 def test_a_library_for_another_processor_is_rejected(
     number: int, arch: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also a library without the processor in its name."""
+    """This includes a library without the processor in its name."""
     file = tmp_path / "foreign-1.0-py3-none-any.whl"
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("foreign-1.0.dist-info/METADATA", "Name: foreign\nVersion: 1.0\n")
@@ -123,7 +123,7 @@ def test_a_package_for_another_processor_has_its_libraries_and_wheel(tmp_path: P
     assert not [text for text in arm if text.startswith("ros-")]
     assert set(arm) <= set(here)
     newest = {text.partition("==")[0] for text in deb.libraries(deb.RELEASES["resolute"], "amd64")}
-    assert "backports.zstd" in {text.partition("==")[0] for text in here} - newest, "Python 3.14 has it"
+    assert "backports.zstd" in {text.partition("==")[0] for text in here} - newest, "Python 3.14 already contains it"
     version = dist.version()
     for name in (f"midspan-{version}-cp311-abi3-linux_x86_64.whl", f"yarp_compat-{version}-py3-none-any.whl"):
         (tmp_path / name).touch()
@@ -158,7 +158,7 @@ class Place:
         return self.tree.machine.run("sh", "-c", "rosnode list || true", env=self.environ).split()
 
     def joined(self) -> bool:
-        """Return whether the master lists the bridge."""
+        """Return whether the master lists the bridge's node."""
         return "/midspan" in self.nodes() and "ros1 running" in self.status()
 
 
@@ -189,7 +189,9 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
     components = deb.stage(release, wheels, root)
     first = deb.pack(release, root, folder / "packages", quick=True)
     listed = json.loads(deb.write_sbom(first, components).read_text(encoding="utf-8"))["components"]
-    files = root.glob("opt/midspan/lib/*/site-packages/*.dist-info/METADATA")  # without what setuptools vendors
+    files = root.glob(
+        "opt/midspan/lib/*/site-packages/*.dist-info/METADATA"
+    )  # packages that setuptools vendors are left out
     metadata = [message_from_bytes(file.read_bytes()) for file in files]
     contained = sorted(f"{canonicalize_name(message['Name'])} {message['Version']}" for message in metadata)
     assert sorted(f"{part['name']} {part['version']}" for part in listed) == contained
@@ -204,7 +206,7 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
                 shutil.rmtree(path)
             elif pattern.startswith("lib/"):  # ROS 2's libraries
                 path.unlink()
-    return [first, second, deb.pack(release, root, folder / "own")]  # lintian rejects an uncompressed one
+    return [first, second, deb.pack(release, root, folder / "own")]  # lintian rejects an uncompressed package
 
 
 @pytest.fixture(scope="module", params=RELEASES)
@@ -226,18 +228,20 @@ def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         planned = tree.chroot(*documented, "--simulate")
         assert {"midspan", "g++", "python3-dev"} <= set(re.findall(r"^Inst (\S+)", planned, re.MULTILINE))
         tree.chroot(*documented, "--no-install-recommends", "--download-only")
-        (tree.folder / "etc/hosts").write_text("127.0.0.1 localhost\n")  # netbase's, which rospy used to bring
+        (tree.folder / "etc/hosts").write_text(
+            "127.0.0.1 localhost\n"
+        )  # a file of netbase, on which rospy used to depend
         tree.boot()
         stack.enter_context(tree.machine.start(ROS1_PYTHON, ROS1_CORE, "11311", env=environ))
         made_place = Place(tree, release, lintian, environ)
-        until(lambda: "/rosout" in made_place.nodes(), "a master")
+        until(lambda: "/rosout" in made_place.nodes(), "the master is running")
         yield made_place
 
 
 @pytest.mark.long
 @pytest.mark.timeout(2400)
 def test_a_package_is_installed_runs_is_upgraded_and_purged(place: Place, tmp_path: Path) -> None:
-    """All in one test, because each step depends on the previous one."""
+    """This is one test because each step depends on the previous one."""
     tree = place.tree
     place.install(dist.version())
     assert tree.run("systemctl", "is-active", "midspan", "midspan-router").split() == ["active", "active"]
@@ -273,7 +277,7 @@ def test_a_package_is_installed_runs_is_upgraded_and_purged(place: Place, tmp_pa
     assert "kitchen" in tree.run("midspan", "location", "list")
     assert tree.run("systemctl", "is-active", *second).split() == ["active", "active"]
     after = [tree.run("systemctl", "show", "-P", "MainPID", unit) for unit in second]
-    assert not set(before) & set(after), "both processes are of the new version"
+    assert not set(before) & set(after), "both processes run the new version"
     until(lambda: "ros2 running" in status_of(place, "midspan@second"), "the second daemon runs again", 60)
     services = tree.run("midspan", "doctor", "--only", "services")
     assert "midspan@second is the daemon second (/etc/midspan/second.yaml)" in " ".join(services.split())
@@ -302,7 +306,7 @@ def add_kitchen(place: Place) -> bool:
 
 
 def longest(gap: Process) -> float:
-    """Return the longest gap in seconds between two messages since the last call."""
+    """Return the longest time in seconds between two messages since the last call."""
     assert gap.popen.stdin is not None
     assert gap.popen.stdout is not None
     gap.popen.stdin.write("\n")
@@ -311,7 +315,7 @@ def longest(gap: Process) -> float:
 
 
 def left_behind(tree: Tree, installed: set[str]) -> list[str]:
-    """Return files that are named after Midspan, were created after its installation, or have no owner any more."""
+    """Return files that are named after Midspan, were created after its installation, or no longer have an owner."""
     files = tree.files()
     left = {path for path in files if "midspan" in path and not OTHERS.search(path)}
     left |= {path for path in files - installed if not OTHERS.search(path)}

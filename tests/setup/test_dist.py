@@ -64,7 +64,7 @@ def test_each_module_is_in_one_distribution(tmp_path: Path) -> None:
     metadata = tomllib.loads((midspan / "pyproject.toml").read_text(encoding="utf-8"))
     assert f"yarp-compat=={dist.version()}" in metadata["project"]["dependencies"]
     assert metadata["tool"]["setuptools"]["packages"]["find"]["include"] == ["bridge*", "navigation*", "sim*"]
-    assert not list(midspan.rglob("*.so")), "no compiled files"
+    assert not list(midspan.rglob("*.so")), "there are no compiled files"
 
 
 def test_a_replacement_must_match_exactly_once() -> None:
@@ -81,7 +81,7 @@ def test_links_into_the_repository_become_plain_text_on_a_package_index() -> Non
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Sequence[Path]:
-    """All built files."""
+    """Return all built files."""
     need(COMPILER)
     folder = tmp_path_factory.mktemp("dist")
     return dist.build(folder / "dist", folder / "work")
@@ -146,7 +146,7 @@ def test_the_metadata_of_the_distributions(files: Sequence[Path]) -> None:
 def test_a_second_build_elsewhere_has_the_same_bytes(
     files: Sequence[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another folder, umask and time zone."""
+    """The second build has another folder, umask and time zone."""
     monkeypatch.setenv("TZ", "Asia/Tokyo")
     source = tmp_path / "another folder"
     source.mkdir()
@@ -160,7 +160,7 @@ def test_a_second_build_elsewhere_has_the_same_bytes(
     for again in (sdist, wheel):
         assert again.read_bytes() == only(files, again.name).read_bytes()
     with zipfile.ZipFile(only(files, COMPILED)) as archive:
-        seconds = reproducible.epoch() // 2 * 2  # the resolution of zip
+        seconds = reproducible.epoch() // 2 * 2  # zip stores times with a resolution of 2 s
         assert {info.date_time for info in archive.infolist()} == {time.gmtime(seconds)[:6]}
         assert {info.external_attr >> 16 for info in archive.infolist()} <= {0o100644, 0o100755}
 

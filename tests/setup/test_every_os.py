@@ -83,7 +83,7 @@ def test_all_its_tests_can_be_collected_without_what_windows_lacks(workflow: dic
 
 
 def test_set_up_installs_nothing_for_midspans_own_ci(workflow: dict[Any, Any]) -> None:
-    """GitHub sets CI=true, with which set-up ends if anything is unavailable, as rospy is on Ubuntu."""
+    """GitHub sets CI=true, which makes set-up fail if anything is unavailable, such as rospy on Ubuntu."""
     making = [step for step in steps(workflow) if "make" in shlex.split(step.get("run", ""))]
     assert [step["env"] for step in making] == [{"CI": ""}]
 
@@ -91,7 +91,7 @@ def test_set_up_installs_nothing_for_midspans_own_ci(workflow: dict[Any, Any]) -
 def test_launchd_gets_a_valid_file() -> None:
     job = plistlib.loads((ROOT / "packaging/midspan.plist").read_bytes())
     assert (job["Label"], job["RunAtLoad"], job["KeepAlive"]) == ("midspan", True, {"SuccessfulExit": False})
-    assert job["UserName"] == "_midspan", "not root"
+    assert job["UserName"] == "_midspan", "the daemon does not run as root"
     assert job["ProgramArguments"][1:] == ["run", "--config", "/etc/midspan/midspan.yaml"]
     page = (ROOT / "docs/start/pip.md").read_text("utf-8")
     assert f"sysadminctl -addUser {job['UserName']} -roleAccount" in page

@@ -1,4 +1,4 @@
-"""A newcomer's first run: a bare clone in a folder with a space, a busy machine; the demo drives.
+"""A newcomer's first run: a bare clone in a folder with a space, on a busy machine; the demo must drive.
 
 The caches are empty, but in CI they contain most of the compiled code.
 """
@@ -22,19 +22,19 @@ from tests.support.process import Process
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 1500
-"""For set-up and demo on one core. Neither depends on time, so only a hang takes this long."""
+"""Time limit for set-up and demo on one core. Neither depends on timing, so only a hang takes this long."""
 
 _OURS = (
     "AMENT", "BROWSER", "CI", "KILTED", "MIDSPAN_CACHE", "MIDSPAN_KERNEL_CACHE", "PYTEST", "PYTHON", "ROS",
     "VIRTUAL_ENV", "YARP",
 )  # fmt: skip
-"""Beginnings of the variables that a newcomer's shell does not have; with CI, set-up installs what only tests use."""
+"""Prefixes of variables that a newcomer's shell does not have; with CI, set-up also installs what only tests use."""
 
 pytestmark = pytest.mark.timeout(2 * SECONDS)
 
 _FOLDER = ROOT / ".cache" / "first-run"
-"""Contains the clone and its user's home. Both tests use them, in two processes of pytest-xdist; `make` removes what a
-failed run left."""
+"""The folder with the clone and the user's home. Both tests use it, in two processes of pytest-xdist; `make` removes
+what a failed run left behind."""
 
 _CACHE = _FOLDER / "home" / "cache"
 _PACKAGES = _CACHE / "midspan" / "interfaces"
@@ -94,7 +94,7 @@ def test_on_a_busy_machine(clone: Path) -> None:
 @pytest.mark.long
 @pytest.mark.alone
 def test_on_one_core(clone: Path) -> None:
-    """In a clone that is set up already, if the other test has run."""
+    """If the other test has run, the clone is already set up."""
     core = min(os.sched_getaffinity(0))
     _assert_reaches_all_rooms(clone, ["taskset", "-c", str(core), "make", "demo"])
     shutil.rmtree(_FOLDER)

@@ -72,7 +72,7 @@ def test_every_requirement_is_locked(system: str) -> None:
 
 
 def test_kilted_is_locked() -> None:
-    """With nothing that it would replace in the virtual environment: only packages of ROS 2."""
+    """The lock contains only ROS 2 packages, so that it replaces nothing else in the virtual environment."""
     locked = pins("requirements-kilted.lock")
     assert lacking(settings()["dependency-groups"]["kilted"], locked, "Linux") == []
     assert [name for name in locked if not name.startswith("ros-")] == []
@@ -80,7 +80,7 @@ def test_kilted_is_locked() -> None:
 
 @every_system
 def test_requirements_of_locked_packages_are_locked(system: str) -> None:
-    """Checked by the installed metadata, for all versions that the system shares with this one."""
+    """Checked with the installed metadata, for all versions that the system and this one have in common."""
     locked = pins(*FILES, system=system)
     met = [name for name, version in locked.items() if installed(name) == version]
     assert len(met) > 50
@@ -89,7 +89,7 @@ def test_requirements_of_locked_packages_are_locked(system: str) -> None:
 
 @pytest.mark.parametrize("python", lock.NEWER_PYTHONS)
 def test_newer_pythons_get_nothing_that_they_do_not_need(python: str) -> None:
-    """A backport, for example, has no wheel for the Python that has its module."""
+    """For example, a backport has no wheel for the Python version that already contains its module."""
     metadata = {
         canonicalize_name(d.name): {"name": d.name, "version": d.version, "requires_dist": d.requires or ()}
         for d in importlib.metadata.distributions()
@@ -113,7 +113,7 @@ def test_a_package_that_newer_pythons_do_not_need_gets_a_marker() -> None:
 
 
 def test_development_dependencies_are_groups_and_no_extras() -> None:
-    """PEP 735, so that the metadata that users see has only what they can use; no extra is empty."""
+    """See PEP 735: the metadata that users see then has only what they can use. No extra is empty."""
     assert sorted(settings()["dependency-groups"]) == ["bench", "dev", "dist", "kilted"]
     extras = project()["optional-dependencies"]
     assert not set(extras) & {"bench", "dev", "dist", "kilted"}

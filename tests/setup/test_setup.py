@@ -9,7 +9,7 @@ import pytest
 from tests.setup.machine import Machine
 
 AGAIN = ["python -m compileall -q -j 2 bridge navigation sim yarp_compat", "midspan interfaces build"]
-"""Commands of each run, which do nothing if everything is up to date."""
+"""Commands that each run executes, and that do nothing if everything is up to date."""
 
 
 def test_a_new_machine_is_set_up_once(tmp_path: Path) -> None:
@@ -58,7 +58,7 @@ def test_a_new_lock_file_is_installed(tmp_path: Path) -> None:
         lock.write("more==1.0\n")
     machine.setup()
     assert machine.called("requirements.lock")
-    assert not machine.called("venv"), "the virtual environment stays"
+    assert not machine.called("venv"), "the virtual environment is kept"
 
 
 def test_a_moved_checkout_is_set_up_again(tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_a_sourced_ros2_is_used_instead_of_the_wheels(tmp_path: Path) -> None:
     machine.setup()
     sourced = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/opt/ros/jazzy"}
     assert machine.setup(**sourced).returncode == 0
-    assert machine.called("venv", "--clear"), "without the wheels"
+    assert machine.called("venv", "--clear"), "the virtual environment is created again, without the wheels"
     assert not machine.called("requirements-ros2.lock")
     machine.setup(**sourced)
     assert machine.calls == AGAIN
@@ -157,7 +157,7 @@ def test_a_system_without_rospy_is_reported_once_and_gets_no_ros1_packages(tmp_p
     again = machine.setup(NOT_INSTALLED="python3-rospy python3-std-msgs", NOT_IN_ARCHIVE="python3-rospy")
     assert "apt" not in again.stderr
     compiler = machine.setup(**ubuntu)
-    assert machine.called("apt-get", "install", "g++"), "what is missing now is tried again"
+    assert machine.called("apt-get", "install", "g++"), "an installation that failed is tried again"
     assert compiler.returncode == 0
 
 
@@ -175,7 +175,7 @@ def test_kilted_is_installed_once_for_tests_and_shared_by_checkouts(tmp_path: Pa
     assert not machine.called("requirements-kilted.lock")
     assert machine.setup(**cache).returncode == 0
     (install,) = machine.called("requirements-kilted.lock")
-    assert "--ignore-installed" in install, "Jazzy's packages stay"
+    assert "--ignore-installed" in install, "Jazzy's packages are not removed"
     assert (machine.checkout / ".cache/kilted/lib").is_dir()
     machine.setup(**cache)
     assert machine.calls == AGAIN
