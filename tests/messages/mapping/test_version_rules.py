@@ -23,7 +23,7 @@ Configured = Callable[[list[dict[str, Any]]], Path]
 
 @pytest.fixture
 def configured(tmp_path: Path) -> Configured:
-    """Return a function that writes a configuration with both package versions and given rules, and returns its path."""
+    """Return a function that writes a configuration with both package versions and given rules; it returns the path."""
     write_versions(tmp_path)
 
     def write(rules: list[dict[str, Any]]) -> Path:
