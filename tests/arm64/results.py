@@ -1,8 +1,8 @@
-"""Results of each kernel for fixed inputs, to be compared between two processors.
+"""Results of each kernel for fixed inputs, for comparison between two processors.
 
-``python -m tests.arm64.results FILE`` writes them into a file. Inputs are exact on every processor: whole numbers
-divided by a power of two, and not NumPy's own functions, whose last bits differ by processor. Each result's name begins
-with its kernel's.
+``python -m tests.arm64.results FILE`` writes them into a file. Inputs are exact on every processor: they are integers
+divided by a power of two, without NumPy's own functions, whose last bits differ by processor. Each result's name begins
+with the name of its kernel.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ CASES: tuple[Callable[[], Named], ...] = (grids, scans, simulated, messages, tra
 
 
 def results() -> dict[str, Any]:
-    """Return each result's digest, and its numbers or its text."""
+    """Return the digest of each result, and the result's numbers or text."""
     got: dict[str, Any] = {}
     for case in CASES:
         for name, value in case():

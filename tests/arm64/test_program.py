@@ -1,4 +1,4 @@
-"""What `make test-arm64` runs under qemu, on this machine: the results, their comparison, and the wheel's check."""
+"""What `make test-arm64` runs under qemu, run on this machine: results, their comparison, and the wheel check."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The newest command for a board, and the joints that move by it."""
+"""The newest command for a board, and the joints that it moves."""
 
 from __future__ import annotations
 
@@ -115,7 +115,9 @@ def test_joints_count_as_moving_until_a_stop_is_confirmed(board: FakeBoard) -> N
     assert drive.moving == (0, 2)
     board.fails.clear()
     drive.reconnect(board, 2)
-    assert (board.calls[-1], drive.moving) == ((VELOCITY, (0,), (0.0,)), (0,)), "it may execute an earlier command late"
+    assert (board.calls[-1], drive.moving) == ((VELOCITY, (0,), (0.0,)), (0,)), (
+        "the board may execute an earlier command late, so the joint is stopped"
+    )
     assert 0.0 < drive.until - time.monotonic() <= 1.0
     drive.stop(board)
     assert (board.calls[-1], drive.moving) == ((VELOCITY, (0,), (0.0,)), ())

@@ -64,7 +64,10 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
 def test_the_state_has_names_and_radians(robot: Robot) -> None:
     robot.board.of("position")[:] = [180.0, 90.0, 0.0]
     robot.board.of("torque")[:] = [1.0, 2.0, 3.0]
-    state = until(lambda: next((s for s in [robot.state()] if s["position"][0] and len(s["effort"])), None), "a state")
+    state = until(
+        lambda: next((s for s in [robot.state()] if s["position"][0] and len(s["effort"])), None),
+        "a joint state arrives",
+    )
     assert state is not None
     assert list(state["name"]) == ["joint0", "joint1", "joint2"]
     assert list(state["position"]) == pytest.approx([math.pi, math.pi / 2, 0.0])
@@ -85,7 +88,7 @@ def test_a_velocity_stops_if_it_is_not_repeated(robot: Robot) -> None:
 
 
 def test_joints_moving_at_a_connection_loss_are_stopped_on_reconnect(robot: Robot) -> None:
-    """A real board keeps a velocity forever."""
+    """A real board keeps moving at the last velocity."""
 
     def repeat_command() -> bool:
         robot.command(name=["joint0"], velocity=[1.0])
@@ -130,9 +133,9 @@ def test_invalid_commands_are_refused_and_halt_stops_all_joints(robot: Robot) ->
         robot.command(name=["joint0"], velocity=[math.nan])
         return bool(robot.answer("control_boards")["refused"].get("/arm/command"))
 
-    until(refused, "it is refused")
+    until(refused, "the command is refused")
     assert robot.speeds == [0.0, 0.0, 0.0]
-    robot.speeds[:] = [5.0, 5.0, 5.0]  # a YARP client drives
+    robot.speeds[:] = [5.0, 5.0, 5.0]  # moved by a YARP client
     answers = robot.far.hub.ask("halt", {}, worker="control_boards")
     assert [answer.value for answer in answers] == [{"halted": True}]
     until(lambda: robot.speeds == [0.0, 0.0, 0.0], "all joints are stopped")

@@ -1,4 +1,4 @@
-"""The examples in the docstrings of packages run as they are written."""
+"""The examples in package docstrings run as written."""
 
 from __future__ import annotations
 
@@ -83,12 +83,16 @@ def test_a_node_publishes_on_the_hub(hubs: QuickHub, host: Host, monkeypatch: py
     received: list[dict[str, Any]] = []
     host.node.subscription("/lamp/on", BOOL, received.append)
     graph = host.node.hub.graph
-    monkeypatch.setattr(builtins, "input", lambda _: until(lambda: graph.publishers("/lamp/on"), "both are linked"))
+    monkeypatch.setattr(
+        builtins,
+        "input",
+        lambda _: until(lambda: graph.publishers("/lamp/on"), "the lamp's publisher is discovered"),
+    )
     code = example(bridge.hub)
     endpoint = "tcp/127.0.0.1:7447"
     assert endpoint in code
     run(code.replace(endpoint, hubs.endpoint))
-    assert until(lambda: received, "the message") == [{"data": True}]
+    assert until(lambda: received, "the message has arrived") == [{"data": True}]
 
 
 def test_ports_exchange_a_bottle(capsys: pytest.CaptureFixture[str]) -> None:

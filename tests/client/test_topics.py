@@ -88,7 +88,7 @@ def test_messages_arrive_unchanged(far: Hub, topics: HubTopics) -> None:
     until(publisher.matched, "a message arrives")
     publisher.put(text("one"), 1_000)
     publisher.put(text("two"), 2_000)
-    until(lambda: len(received) == 2, "both came")
+    until(lambda: len(received) == 2, "both messages have arrived")
     assert [(item.sequence, item.source_time_ns, item.data()) for item in received] == [
         (1, 1_000, text("one")), (2, 2_000, text("two")),
     ]  # fmt: skip
@@ -133,7 +133,9 @@ def test_definitions_are_installed_or_from_a_worker(far: Hub, topics: HubTopics)
     kind = elsewhere.ros2(OWN_TYPE)
     reported = {"name": OWN_TYPE, "hash": kind.type_id, "definition": kind.definition}
     far.serve("type", lambda _: reported)
-    told_here = until(lambda: topics.definitions.find(OWN_TYPE, kind.type_id, 2.0), "the worker sends it", every=0.1)
+    told_here = until(
+        lambda: topics.definitions.find(OWN_TYPE, kind.type_id, 2.0), "the worker sends the definition", every=0.1
+    )
     assert "float32 joy" in told_here
     assert "MSG: std_msgs/Header" in told_here
     assert topics.definitions.find(OWN_TYPE, "RIHS01_" + "0" * 64, 2.0) is None

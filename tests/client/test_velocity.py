@@ -1,4 +1,4 @@
-"""Velocities are published in the form of the base, and never in both."""
+"""Velocities are published with the type that the base subscribes to, never with both types."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Robot:
         return hub
 
     def has(self, expected: dict[str, list[str]], endpoints: int = 0) -> Callable[[], bool]:
-        """Return a function that returns whether these, and so many subscriptions on the hub, are known."""
+        """Return a function that returns whether these subscribers and this number of hub subscriptions are known."""
 
         def known() -> bool:
             return len(self.graph.subscriptions(CMD_VEL)) == endpoints and subscribers(self.graph, CMD_VEL) == expected
@@ -65,14 +65,14 @@ def robot() -> Iterator[Robot]:
 
 
 class Published(list[tuple[str, Mapping[str, Any]]]):
-    """What was published: type and message; and which types have a publisher."""
+    """Records published messages with their types, and the types that have a publisher."""
 
     def __init__(self) -> None:
         self.open: list[str] = []
         self.reports: list[str] = []
 
     def open_as(self, type_name: str) -> Output:
-        assert not self.open, "one form at a time"
+        assert not self.open, "only one type has a publisher at a time"
         self.open.append(type_name)
         return Output(self, type_name)
 
@@ -82,7 +82,7 @@ class Published(list[tuple[str, Mapping[str, Any]]]):
 
     @property
     def forward(self) -> list[tuple[str, float]]:
-        """Type and speed of each message."""
+        """The type and the speed of each message."""
         return [(type_name, message.get("twist", message)["linear"]["x"]) for type_name, message in self]
 
 
@@ -105,7 +105,8 @@ def test_nodes_of_one_form_and_sides_count_as_subscribers(robot: Robot) -> None:
     robot.node("base", TWIST_STAMPED)
     until(robot.has({TWIST_STAMPED: ["/base"]}, endpoints=5), "the subscribers are known")
     side = robot.side("ros2", TWIST)
-    side.subscription(CMD_VEL, TWIST_STAMPED, ANY_HASH, Qos(), lambda _: None)  # of a route, with or without a base
+    # the subscription of a route, which exists with or without a base
+    side.subscription(CMD_VEL, TWIST_STAMPED, ANY_HASH, Qos(), lambda _: None)
     until(robot.has({TWIST: ["ros2"], TWIST_STAMPED: ["/base"]}, endpoints=6), "the subscribers are known")
     side.close()
     until(robot.has({TWIST_STAMPED: ["/base"]}, endpoints=5), "the subscribers are known")
@@ -123,7 +124,7 @@ def test_the_form_of_the_base_is_published_after_zero_in_the_old_one(robot: Robo
     side.close()
     until(robot.has({}), "the subscribers are known")
     publisher.publish()
-    assert published.forward[-1] == (TWIST_STAMPED, 0.0), "a base that restarts keeps its form"
+    assert published.forward[-1] == (TWIST_STAMPED, 0.0), "after a restart of the base, the type is kept"
     robot.node("base", TWIST)
     until(robot.has({TWIST: ["/base"]}, endpoints=1), "the subscribers are known")
     publisher.follow()

@@ -1,4 +1,4 @@
-"""Keys that take one text or a list of texts accept both forms."""
+"""Keys for one text or a list of texts accept both."""
 
 from __future__ import annotations
 

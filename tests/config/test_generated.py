@@ -1,4 +1,4 @@
-"""What is generated from the model is right and up to date; the shipped configurations are valid."""
+"""The files generated from the model are correct and up to date, and the shipped configurations are valid."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ENTRIES = (
     Rule, ParameterRule, QosOverride, Dialect, DialectKey, TopicPort, ServicePort, OwnModule, BaseInput, Planner,
     OtherRobot, ControlBoardSection, ObstacleSection, DepthSource,
 )  # fmt: skip
-"""Of lists of sections."""
+"""Sections that are entries of lists."""
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
 
 
@@ -40,7 +40,7 @@ def test_example_has_every_key_and_loads_to_the_defaults() -> None:
     for path in all_keys(Config):
         part: Any = data
         if path == ("name",):
-            assert "\n# name:\n" in text  # the machine's: in the file it would be this machine's everywhere
+            assert "\n# name:\n" in text  # the default is this machine's name, which would be wrong on other machines
             continue
         lists = (
             ("routing", "rules"),

@@ -1,4 +1,4 @@
-"""Addresses of one configuration that cannot all be opened."""
+"""Addresses in one configuration that cannot all be opened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Older files brought to today's keys: those that the project shipped, as text, and other ways to write the same."""
+"""Migration of older files to the current keys: files that the project shipped, and other spellings of the same."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ routing:
   rules:
     - {{topic: /camera/**, rate: 5, depth: 2}}
 """
-"""configs/two_machines_robot.yaml as it was before the hub had a door, without its command rule."""
+"""configs/two_machines_robot.yaml as it was before the hub had external listeners, without its command rule."""
 
 
 def comments(text: str) -> list[str]:
@@ -196,7 +196,7 @@ def test_a_file_that_is_not_a_configuration_is_refused(text: str) -> None:
     ],
 )
 def test_all_other_text_stays_byte_for_byte(text: str) -> None:
-    """Text that the round trip of ruamel.yaml 0.19 would change: it drops or moves comments, or rewrites the style."""
+    """The text contains what a round trip of ruamel.yaml 0.19 would change: moved or dropped comments, and styles."""
     assert migrate(text, FILE).text.replace(f"version: {FORMAT}\n", "", 1) == text
 
 

@@ -1,4 +1,4 @@
-"""A worker's configuration, whose sections are built at their first use."""
+"""A worker's configuration, whose sections are parsed when first used."""
 
 from __future__ import annotations
 

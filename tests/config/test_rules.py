@@ -1,4 +1,4 @@
-"""Routing rules derived from the section ``navigation``."""
+"""Routing rules derived from the ``navigation`` section."""
 
 from __future__ import annotations
 
@@ -233,7 +233,9 @@ def test_a_class_as_planner_is_hosted_under_its_name(factory: str, name: str) ->
     assert (config.navigation.planner, config.navigation.choices) == (name, (*OURS, name))
     assert config.navigation.at(name) == f"/planner/{name}/navigate_to_pose"
     assert config.hosted[name].model_dump() == {"name": name, "factory": factory, "options": {}}
-    assert Config.model_validate(config.model_dump(mode="json", by_alias=True)) == config, "as a worker receives it"
+    assert Config.model_validate(config.model_dump(mode="json", by_alias=True)) == config, (
+        "a worker receives the same configuration"
+    )
 
 
 def test_a_map_from_a_topic_has_the_name_of_its_copy_in_the_store() -> None:

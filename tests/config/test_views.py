@@ -1,4 +1,4 @@
-"""The views of configs/ that name YARP's ports; those of topics are held against a deployment (`test_navigation`)."""
+"""The views in configs/ that name YARP ports; views of topics are compared with a deployment (`test_navigation`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The section ``yarp``: invalid values, their errors, and values that count as given."""
+"""The ``yarp`` section: invalid values, their errors, and values that count as set."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The configuration sets how the calls of YARP programs are answered."""
+"""The configuration determines how calls from YARP programs are answered."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_who_is_answered_how(
 
 
 def test_a_release_restarts_nothing_and_what_leads_elsewhere_does() -> None:
-    """By what the workers compare on a reload."""
+    """The test uses what workers compare on a reload."""
     old = Config.model_validate({"yarp": {"address": "robot:10000"}})
     parsed = Config.model_validate({"yarp": {"address": "robot:10000", "release": "3.9", "peers": RULES}})
     topics = Config.model_validate({"yarp": {"address": "robot:10000", "topics": [{"topic": "/x", "as": "natural"}]}})

@@ -1,4 +1,4 @@
-"""zenoh's own settings in a configuration: each mistake is refused with its place before a session opens with it."""
+"""zenoh's own settings in a configuration: each mistake is refused with its location before a session is opened."""
 
 # ruff: noqa: E501  expected lines are written as they appear
 

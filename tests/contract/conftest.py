@@ -40,7 +40,7 @@ SIDES: dict[str, type[Any]] = {
     "yarp": YarpSide,
     "own": OwnSide,
 }
-if has_rmw_cyclonedds():  # the wheels come without it; docs/sides/ros2.md
+if has_rmw_cyclonedds():  # the wheels do not include it; see docs/sides/ros2.md
     SIDES["ros2_cyclone"] = CycloneSide
 if ROS1 in lacking():
     SIDES["ros1_without_rospy"] = PlainSide

@@ -66,7 +66,7 @@ class Ros2Side(Side):
 
 
 class KiltedSide(Ros2Side):
-    """The same with programs on ROS 2 Kilted (Fast DDS 3); Midspan stays on Jazzy."""
+    """The same with programs on ROS 2 Kilted (Fast DDS 3), while Midspan uses Jazzy."""
 
     @override
     def mortal(self) -> Peer:
@@ -97,7 +97,7 @@ class CycloneSide(Ros2Side):
 
 @functools.cache
 def _custom_prefix() -> Path:
-    """Build the suite's message packages like a user of them."""
+    """Build the suite's message packages as a user would."""
     return build(read_folders(PEER_FOLDERS))
 
 

@@ -36,7 +36,7 @@ def test_an_unknown_type_is_reported_and_others_cross(side: Side, bridge: Bridge
     far.advertise("/normal", STRING)
     far.until_route("/normal", "out")
     line = until(
-        lambda: [x for x in far.explain("/strange") if x["direction"] == "out"], "an explanation", 15, every=0.1
+        lambda: [x for x in far.explain("/strange") if x["direction"] == "out"], "the topic is explained", 15, every=0.1
     )[0]
     assert line["decision"] == "refused"
     assert "nowhere_msgs" in line["why"]
@@ -48,7 +48,10 @@ def test_an_unknown_type_is_reported_and_others_cross(side: Side, bridge: Bridge
 def test_a_hash_that_differs_is_reported(side: Side, bridge: Bridge, far: HubSide) -> None:
     other = far.hub.publisher("/other_string", "std_msgs/msg/String", "RIHS01_" + "cd" * 32, Qos())
     line = until(
-        lambda: [x for x in far.explain("/other_string") if x["decision"] == "refused"], "a refusal", 15, every=0.1
+        lambda: [x for x in far.explain("/other_string") if x["decision"] == "refused"],
+        "the topic is refused",
+        15,
+        every=0.1,
     )[0]
     assert "RIHS01_" in line["why"] or "hash" in line["why"]
     other.close()

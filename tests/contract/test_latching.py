@@ -75,9 +75,9 @@ def test_static_transforms_of_three_broadcasters_to_the_hub(side: Side, bridge: 
     for number, (peer, id_) in enumerate(zip(peers, ids, strict=True)):
         peer.publish(id_, _transforms(f"sensor{number}", f"lens{number}"))
     everything = [f"{part}{n}" for part in ("lens", "sensor") for n in range(3)]
-    until(lambda: _frames(_late_tf(far)) == everything, "the whole set on the hub", 15)
+    until(lambda: _frames(_late_tf(far)) == everything, "the hub has all static transforms", 15)
     peers[0].drop(ids[0])
-    until(lambda: (far.route("/tf_static", "in") or {}).get("sources") == 2, "a broadcaster left", 15, every=0.1)
+    until(lambda: (far.route("/tf_static", "in") or {}).get("sources") == 2, "one broadcaster has left", 15, every=0.1)
     assert _frames(_late_tf(far)) == everything
 
 
@@ -90,7 +90,7 @@ def test_static_transforms_of_three_broadcasters_to_the_side(side: Side, bridge:
     )
     assert _frames(_late_peer_tf(side)) == ["sensor0", "sensor1", "sensor2"]
     far.drop(ids[2])
-    until(lambda: far.route("/tf_static", "out")["sources"] == 2, "a broadcaster left", 15, every=0.1)
+    until(lambda: far.route("/tf_static", "out")["sources"] == 2, "one broadcaster has left", 15, every=0.1)
     assert _frames(_late_peer_tf(side)) == ["sensor0", "sensor1", "sensor2"]
 
 
@@ -118,7 +118,11 @@ def test_a_program_that_advertises_again_without_latching_and_with(side: Side, b
             peer.publish(out, {"data": text})
             _until_late(far, "/mode", [text], f"{text} is kept")
         else:
-            until(lambda: [p.qos.latched for p in far.publishers("/mode")] == [False], "no longer latched", 20)
+            until(
+                lambda: [p.qos.latched for p in far.publishers("/mode")] == [False],
+                "the topic is no longer latched",
+                20,
+            )
             subscription = far.subscribe("/mode", STRING)
 
             def crossed(out: int = out, subscription: int = subscription, text: str = text) -> bool:

@@ -58,7 +58,7 @@ def test_default_deny_is_an_allow_list(side: Side, far: HubSide, config) -> None
     assert not far.publishers("/unwanted")
     far.advertise("/unwanted_too", STRING)
     far.advertise("/wanted", STRING)
-    until(lambda: far.route("/wanted", "out"), "a route out", 15, every=0.1)
+    until(lambda: far.route("/wanted", "out"), "a route to the side exists", 15, every=0.1)
     assert far.route("/unwanted_too", "out") is None
 
 

@@ -113,7 +113,7 @@ def test_error_texts_cross_in_both_directions(side: Side, bridge: Bridge, far: H
         assert ended["reply"] is None
         return "no map yet" in ended["error"]
 
-    until(reported, "the error's text", 60)
+    until(reported, "the client receives the error's text", 60)
 
 
 def test_rules_of_services(side: Side, far: HubSide, config) -> None:

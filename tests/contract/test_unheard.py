@@ -61,7 +61,7 @@ def test_a_high_rate_topic_crosses_from_its_first_subscriber_on(side: Side, brid
     far.hub_publish_until(quick, first, lambda: first in peer.wait(subscription, 1, 0.2))
     for n in range(20):
         far.publish(quick, {"data": f"number {n}"})
-    until(lambda: {"data": "number 19"} in peer.wait(subscription, 21, 0.2), "the last message")
+    until(lambda: {"data": "number 19"} in peer.wait(subscription, 21, 0.2), "the last message arrives")
     received = [m["data"] for m in peer.wait(subscription, 21) if m["data"].startswith("number")]
     assert received == [f"number {n}" for n in range(20)]
     assert _route(far, "/quick")["state"] == "active"

@@ -47,7 +47,7 @@ def start(folder: Path, *options: str, what: str = "topics", out: Any = subproce
     env = {k: v for k, v in os.environ.items() if k not in ("STAY", "JSON")}
     env |= {"TMPDIR": str(folder), "PYTHONPATH": str(ROOT), **SETTINGS}
     command = [sys.executable, "-m", "bridge.cli.main", "demo", what, *options]
-    # like the systemd units: no worker may need memory that is writable and executable
+    # like the systemd units: no worker may need memory that is both writable and executable
     return subprocess.Popen(
         command, env=env, cwd=folder, stdout=out, stderr=subprocess.STDOUT, text=True, preexec_fn=seal
     )
@@ -119,7 +119,7 @@ def test_an_interrupted_demo_leaves_nothing(folder: Path, number: signal.Signals
         until(lambda: any("robot" in line for line in processes_of(folder)), "the robot runs", 30.0)
         demo.send_signal(number)
         demo.communicate(timeout=40)
-        until(lambda: not processes_of(folder), "all its processes end", 60.0)
+        until(lambda: not processes_of(folder), "all processes of the demo end", 60.0)
     finally:
         demo.kill()
     assert demo.returncode != 0
@@ -180,7 +180,7 @@ Paths:
 @pytest.mark.thorough
 @pytest.mark.parametrize("ros1", ["rospy", "own"])
 def test_clients_of_three_sides_send_the_robot_to_rooms(folder: Path, ros1: str) -> None:
-    """With configs/navigation.yaml, to nearby places; and with Midspan's own ROS 1, as on Ubuntu 24.04."""
+    """The clients use configs/navigation.yaml and nearby places, also with Midspan's own ROS 1, as on Ubuntu 24.04."""
     config = yaml.safe_load((CONFIGS / "navigation.yaml").read_text())
     (folder / "near.ini").write_text(PLACES)
     config["store"] = {"maps": str(CONFIGS / config["store"]["maps"]), "locations": str(folder / "near.ini")}

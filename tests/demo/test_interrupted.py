@@ -118,7 +118,7 @@ with Shutdown() as ending:
 
 
 def test_a_hanging_demo_is_ended_in_time(tmp_path: Path) -> None:
-    """Like Python waiting for a library's thread."""
+    """For example, Python may wait for a library's thread."""
     command = [sys.executable, "-c", STUCK]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as stuck:
         assert stuck.stdout is not None
@@ -160,4 +160,4 @@ def test_signal_handlers_are_restored_without_a_signal() -> None:
         assert not ending.interrupted
         assert signal.getsignal(signal.SIGINT) not in before
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
-    until(lambda: psutil.Process().num_threads() <= threads, "its thread ends", 20.0)
+    until(lambda: psutil.Process().num_threads() <= threads, "the demo's thread ends", 20.0)

@@ -235,7 +235,7 @@ def test_missing_software_is_reported_with_its_cure(tmp_path: Path) -> None:
 def test_a_demo_without_a_package_names_the_extra_that_has_it(
     monkeypatch: pytest.MonkeyPatch, what: str, module: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, module, None)  # cannot be imported
+    monkeypatch.setitem(sys.modules, module, None)  # the module cannot be imported
     monkeypatch.setattr("bridge.adapters.ros2.environment._SYSTEM", Path("/nonexistent"))
     args = build_parser(["demo"]).parse_args(["demo", what])
     with pytest.raises(ClientError, match=r"(?s)needs more than this machine has:.*pip install 'midspan\[demo\]'"):
@@ -259,7 +259,7 @@ def test_a_sandboxes_ports_are_outside_the_ephemeral_range() -> None:
 
 
 def test_a_hanging_program_ends_with_its_input() -> None:
-    """Like rospy, whose master died while it registered."""
+    """This happens to rospy if its master dies during registration."""
     waits = (
         "from bridge.demo.topics_demo import report; report.LAST_SECONDS = 1; report.Reporter();"
         " import time; time.sleep(600)"
@@ -280,7 +280,7 @@ time.sleep(600)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="orphans are found on Linux")
 def test_a_guard_kills_what_its_command_left() -> None:
-    """Like a killed daemon that leaves its router, or a roscore that leaves its master."""
+    """For example, a killed daemon leaves its router, and a roscore leaves its master."""
     command = [str(part) for part in guarded(sys.executable, "-c", LEAVES_ONE_BEHIND)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as guard:
         assert guard.stdin is not None

@@ -1,4 +1,4 @@
-"""What counts as progress while a demo starts and drives, and the messages without progress."""
+"""What counts as progress while a demo starts and drives, and the messages if there is none."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_new_texts_are_progress_and_repeated_ones_are_not() -> None:
     assert demo_progress.stalled
     demo_progress.begin()
     assert not demo_progress.stalled
-    assert demo_progress.note("ros2", "joining"), "it is the first text for the new condition"
+    assert demo_progress.note("ros2", "joining"), "the text is the first one for the new condition"
 
 
 def test_changed_numbers_are_progress_only_on_request() -> None:
@@ -120,7 +120,7 @@ def test_a_worker_that_cannot_work_or_restarts_repeatedly_has_failed(daemon_stat
     daemon_status["workers"] = [worker("ros1", Phase.UP), worker("ros2", Phase.STARTING, "importing rclpy")]
     assert refreshed()[0].failed is None
     daemon_status["workers"][1] = worker("ros2", Phase.PAUSED, "died", restarts=1)
-    assert refreshed()[0].failed is None, "it is being restarted"
+    assert refreshed()[0].failed is None, "the worker is being restarted"
     daemon_status["workers"][1] = worker("ros2", Phase.PAUSED, "died", restarts=3)
     assert refreshed()[0].failed is not None
     daemon_status["workers"][1] = worker("ros2", Phase.FAILED, "no rclpy for this Python")

@@ -10,7 +10,7 @@ from bridge.demo import rooms
 
 
 class Course:
-    """A robot whose poses arrive one by one: its distances to a room."""
+    """A robot whose poses arrive one by one, given as distances to a room."""
 
     def __init__(self, *distances: float) -> None:
         self._distances = list(distances)

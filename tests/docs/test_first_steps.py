@@ -78,7 +78,7 @@ def test_every_line_succeeds(folder: Path, environ: Mapping[str, str]) -> None:
             return "ready:" in daemon.output()
 
         until(ready, "the first terminal shows 'ready:'", 90)
-        # -x: the output names each command as it starts
+        # -x prints each command when it starts
         done = subprocess.run(
             ["bash", "-e", "-x", "-c", second], cwd=folder, env=environ, capture_output=True, text=True, timeout=280
         )

@@ -1,4 +1,4 @@
-"""The examples of docs/yarp/python.md run, each as a program."""
+"""The examples in docs/yarp/python.md run, each as a separate program."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_the_examples_run(environment: dict[str, str], example: str) -> None:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     errors = [line for line in done.stderr.splitlines() if "[ERROR]" in line and "yarp.dev.PolyDriver" not in line]
-    assert not errors, "except for devices, whose servers are missing"
+    assert not errors, "there are no errors except those of devices, whose servers are missing"
 
 
 def test_there_are_examples() -> None:

@@ -1,4 +1,4 @@
-"""What the doctor's tests share."""
+"""Shared parts of the doctor's tests."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from bridge.status import StatusDocument, read_status
 
 
 def around(config: dict[str, Any] | None = None, environ: dict[str, str] | None = None, **more: Any) -> CheckContext:
-    """Surroundings with nothing in the environment but what is given."""
+    """Return surroundings whose environment contains only the given variables."""
     return CheckContext(Config.model_validate({"name": "robot1", **(config or {})}), environ=environ or {}, **more)
 
 
 def hub(*documents: dict[str, Any], **more: Any) -> HubSnapshot:
-    """A hub with these workers."""
+    """Return a hub with these workers."""
     return HubSnapshot(documents=[document(d) for d in documents], **more)
 
 
@@ -28,16 +28,16 @@ def document(fields: dict[str, Any]) -> StatusDocument:
 
 
 def results(findings: Findings) -> list[Result]:
-    """The findings' results."""
+    """Return the results of the findings."""
     return [finding.result for finding in every(findings)]
 
 
 def only(findings: Findings) -> Finding:
-    """The one finding that there must be."""
+    """Return the only finding; fail if there are more or none."""
     (finding,) = every(findings)
     return finding
 
 
 def every(findings: Findings) -> Sequence[Finding]:
-    """Return the findings as a list, also if a check returns only one."""
+    """Return the findings as a list, even if a check returns a single one."""
     return [findings] if isinstance(findings, Finding) else findings

@@ -1,4 +1,4 @@
-"""Lines of one cause become one line that names what it affects."""
+"""Lines with the same cause become one line that names everything affected."""
 
 from __future__ import annotations
 

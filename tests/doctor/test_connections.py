@@ -54,7 +54,7 @@ def test_a_successful_and_a_failed_connection_are_reported(keys: Path) -> None:
 
 
 def test_a_listener_of_this_machine(keys: Path) -> None:
-    """It is tested at loopback, by whichever names its certificate has."""
+    """The listener is tested on loopback, whatever names its certificate has."""
     Authority(keys / "a").issue("far", ["10.9.9.9"])
     port = free_port()
     place = f"tls/0.0.0.0:{port}"

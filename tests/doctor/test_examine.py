@@ -1,4 +1,4 @@
-"""Checks that hang or break."""
+"""Checks that hang or fail."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_outcomes_are_in_the_order_of_the_items() -> None:
 
     def work(item: int) -> int:
         if item == 0:
-            assert first.wait(40)  # it ends last
+            assert first.wait(40)  # the hanging check ends last
         elif item == 9:
             first.set()
         return item * 2

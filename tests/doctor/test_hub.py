@@ -30,7 +30,7 @@ from tests.support.ports import free_port
 def endpoint(
     node: str, type_name: str, digit: str, kind: EndpointKind = EndpointKind.PUBLISHER, topic: str = "/topic"
 ) -> HubEndpoint:
-    """An endpoint whose type's hash is made of one digit."""
+    """Return an endpoint whose type hash consists of one repeated digit."""
     type_hash = {"0": UNKNOWN_HASH, "": NO_HASH}.get(digit, f"RIHS01_{digit * 64}")
     return HubEndpoint(
         "ab", node, "/", kind, topic, type_name, type_hash, Qos(), bytes(16), origin=None, pending=False, own=False
@@ -67,7 +67,7 @@ def test_workers_are_judged_by_their_state() -> None:
         {"worker": "ros1", "state": "waiting"},
         {"worker": "ros2", "state": "running", "warnings": ["a QoS mismatch"]},
         {"worker": "other", "error": "no answer"},
-        # by the daemon's word, as `midspan status` has them
+        # as the daemon reports them in `midspan status`
         {"worker": "sim", "state": "starting", "text": "importing dartpy (4 s)"},
         {"worker": "modules", "state": "cannot work", "text": "no module is there"},
     )
@@ -195,7 +195,7 @@ def test_bridged_endpoints_are_named_by_their_side() -> None:
 
 
 def test_node_that_subscribes_to_several_types_has_no_conflict() -> None:
-    # as BaseControl, which subscribes to /cmd_vel as Twist and as TwistStamped
+    # for example BaseControl, which subscribes to /cmd_vel with Twist and with TwistStamped
     first, second = endpoint("one", "a/msg/A", "1"), endpoint("two", "a/msg/B", "2")
     both = [endpoint("base", e.type_name, e.type_hash[7], EndpointKind.SUBSCRIPTION) for e in (first, second)]
     assert conflicts(both) == conflicts([*both, first]) == conflicts([*both, first, second]) == []
@@ -205,7 +205,7 @@ def test_node_that_subscribes_to_several_types_has_no_conflict() -> None:
 
 
 def test_a_map_server_of_ros_beside_map2d_server() -> None:
-    # refused by the ros1 worker next to a real map_server (navigation 1.17.3), which serves both
+    # refused by the ros1 worker beside a real map_server (navigation 1.17.3), which serves both
     def refused(service: str, *, reason: str = "") -> list[dict[str, Any]]:
         entry = {"kind": "service", "topic": service, "hub_topic": service, "type": "nav_msgs/srv/GetMap"}
         refusal = reason or f"/map_server already serves {service} there"
@@ -223,7 +223,7 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
     finding = check_refused({"/map": 1}, both)
     assert results(finding) == [Result.OK, Result.OK]
     assert finding[1].seen.startswith("/change_map, /static_map: the map server there answers on ros1")
-    assert set(results(check_refused({}, both))) == {Result.FAIL}  # it serves other maps than that one
+    assert set(results(check_refused({}, both))) == {Result.FAIL}  # the module serves other maps than the map_server
     assert set(results(check_refused({"/map": 1}, refused("/static_map", reason="no definition")))) == {Result.FAIL}
     assert set(results(check_refused({"/map": 1}, refused("/other")))) == {Result.FAIL}
 
@@ -231,7 +231,7 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
 def test_a_missing_compiler_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
     finding = only(types.check_compiler(around()))
-    if finding.result is not Result.SKIP:  # without rclpy nothing is built
+    if finding.result is not Result.SKIP:  # without rclpy, no package is built
         assert (finding.result, "no-such-compiler" in finding.seen) == (Result.WARN, True)
     assert only(types.check_compiler(around({"ros2": {"enabled": False}}))).result is Result.SKIP
 

@@ -45,7 +45,7 @@ def test_the_quickest_answer_counts(monkeypatch: pytest.MonkeyPatch) -> None:
         if wait is None:
             return None
         reported = now[0]
-        now[0] += wait  # a slow reply looks like a clock that is late
+        now[0] += wait  # a slow reply looks like a clock that is behind
         return reported
 
     monkeypatch.setattr(context, "time", SimpleNamespace(time_ns=lambda: now[0], monotonic_ns=lambda: now[0]))
@@ -113,7 +113,7 @@ def test_the_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def shm_file(folder: Path, name: str, size: int = 4096, age: float = 60.0) -> Path:
-    """A file as Fast DDS or zenoh leaves it, with its lock file."""
+    """Create a shared-memory file as left by Fast DDS or zenoh, with its lock file."""
     file = folder / name
     file.write_bytes(b"x" * size)
     lock = file if name.endswith(".zenoh") else folder / f"{name}_el"
@@ -124,7 +124,7 @@ def shm_file(folder: Path, name: str, size: int = 4096, age: float = 60.0) -> Pa
 
 @contextmanager
 def locked(lock: Path, how: int) -> Iterator[None]:
-    """The lock as a living process has it."""
+    """Hold a lock as a living process does."""
     with lock.open("rb") as file:
         fcntl.flock(file, how)
         yield
@@ -151,7 +151,7 @@ def test_holders_of_a_shared_file(tmp_path: Path, proc: Path) -> None:
 
 def test_files_of_dead_processes_in_shared_memory_are_reported(tmp_path: Path) -> None:
     place = around(shm=tmp_path, proc=PROC)
-    shm_file(tmp_path, "fastrtps_port7410", sharedmemory.LITTER_BYTES * 2)  # taken over, thus no litter
+    shm_file(tmp_path, "fastrtps_port7410", sharedmemory.LITTER_BYTES * 2)  # taken over, so not litter
     assert only(sharedmemory.check_litter(place)).result is Result.OK
     segment = shm_file(tmp_path, SEGMENT, sharedmemory.LITTER_BYTES)
     shm_file(tmp_path, "12345.zenoh", 4096)
@@ -182,13 +182,13 @@ def test_another_users_fast_dds(tmp_path: Path, transport: str, result: Result) 
     os.chown(tmp_path / SEGMENT_3, 65534, -1)
     with locked(kilted, fcntl.LOCK_EX):
         assert only(sharedmemory.check_users(place)).result is result, "no worker is known"
-        with locked(mine, fcntl.LOCK_EX):  # Fast DDS 2, which does not use the other's memory
+        with locked(mine, fcntl.LOCK_EX):  # Fast DDS 2, which does not use shared memory of other users
             assert only(sharedmemory.check_users(place)).result is Result.OK
 
 
 def test_full_disk_is_reported(tmp_path: Path) -> None:
     assert only(sharedmemory.check_size(around(shm=tmp_path / "none"))).result is Result.SKIP
-    # a file system without any room: /sys is one
+    # /sys is a file system without any space
     if Path("/sys").is_mount():
         assert only(sharedmemory.check_size(around(shm=Path("/sys")))).result is Result.FAIL
     assert str(tmp_path) in only(sharedmemory.check_size(around(shm=tmp_path))).seen
@@ -197,5 +197,5 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
 def test_foreign_process_is_ignored() -> None:
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()"], dict(os.environ), pipes=True) as stranger:
         place = around(hub=hub({"worker": "ros1", "side": "ros1", "pid": stranger.pid}))
-        until(lambda: Path(f"/proc/{stranger.pid}/cmdline").read_bytes(), "it runs")
+        until(lambda: Path(f"/proc/{stranger.pid}/cmdline").read_bytes(), "the process runs")
         assert place.process(place.hub.documents[0]) is None

@@ -1,4 +1,4 @@
-"""Why a planner is not available."""
+"""The doctor's reasons for an unavailable planner."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GATEWAY = {"worker": "gateway", "module": True, "state": "waiting", "text": "the
 
 
 def server(action: str) -> HubEndpoint:
-    """A part of an action on the hub."""
+    """Return a server of one part of an action on the hub."""
     return HubEndpoint(
         "ab", "n", "/", EndpointKind.SERVER, f"{action}/_action/send_goal", "a/action/A_SendGoal", "h", Qos(),
         bytes(16), origin=None, pending=False, own=False,

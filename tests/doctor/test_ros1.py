@@ -30,7 +30,7 @@ def roscore() -> Iterator[RosMaster]:
 
 @pytest.fixture
 def master(roscore: RosMaster) -> Iterator[RosMaster]:
-    """A roscore without what earlier tests registered."""
+    """A roscore without registrations from earlier tests."""
     yield roscore
     for kind, name in (("Publisher", "publishers"), ("Subscriber", "subscribers")):
         for topic, nodes in roscore.state()[name].items():
@@ -160,7 +160,7 @@ class _Http(SimpleXMLRPCRequestHandler):
 
 @pytest.fixture
 def living() -> Iterator[str]:
-    """A node that answers getPid with 4711, as a Midspan elsewhere would."""
+    """A node that answers getPid with 4711, as Midspan on another machine would."""
     server = SimpleXMLRPCServer(("127.0.0.1", 0), _Http)
     server.register_function(lambda _caller: (1, "", 4711), "getPid")
     thread = threading.Thread(target=server.serve_forever, args=(0.05,))

@@ -64,7 +64,7 @@ def test_the_environment_of_ros2_is_checked(
 def test_the_running_daemon_has_another_domain() -> None:
     env = {**os.environ, "ROS_DOMAIN_ID": "23"}
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
-        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "it runs")
+        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "the worker runs")
         view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
         finding = only(ros2.check_environment(around(environ={"ROS_DOMAIN_ID": "5"}, hub=view)))
     assert finding.result is Result.WARN
@@ -75,7 +75,7 @@ def test_the_running_daemon_has_another_domain() -> None:
 def test_discovery_server_of_the_running_daemon(mine: str, result: Result) -> None:
     env = {**os.environ, "ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
-        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "it runs")
+        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "the worker runs")
         view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
         finding = only(ros2.check_environment(around(environ={"ROS_DISCOVERY_SERVER": mine}, hub=view)))
     assert finding.result is result
@@ -83,7 +83,7 @@ def test_discovery_server_of_the_running_daemon(mine: str, result: Result) -> No
 
 
 def test_a_discovery_server_that_is_younger_than_the_daemon() -> None:
-    """The kernel counts start times in hundredths of a second, so each program starts when the last one runs."""
+    """The kernel counts start times in hundredths of a second, so each program starts once the previous one runs."""
     port = free_port()
     environ = {"ROS_DISCOVERY_SERVER": f"127.0.0.1:{port};10.0.0.1"}
     bind = f"import socket; s = socket.socket(type=socket.SOCK_DGRAM); s.bind(('127.0.0.1', {port}))"
@@ -111,7 +111,7 @@ def test_peers_and_security_of_the_running_daemon() -> None:
     env = {**os.environ, "ROS_DOMAIN_ID": "0"}
     mine = {"ROS_STATIC_PEERS": "10.0.0.2", "ROS_SECURITY_ENABLE": "true"}
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
-        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "it runs")
+        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "the worker runs")
         view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
         findings = every(ros2.check_environment(around({"ros2": {"localhost_only": False}}, mine, hub=view)))
     assert results(findings) == [Result.WARN, Result.FAIL]
@@ -149,14 +149,14 @@ def test_other_bridges_on_dds(tmp_path: Path) -> None:
         peer.advertise("/chatter", "std_msgs/String")
 
         def seen() -> bridges.DdsView | None:
-            """On a busy machine a look may end before all is discovered, or fail."""
+            """Return the findings; on a busy machine, a check may fail or end before everything is discovered."""
             try:
                 view = bridges.check_dds(config, os.environ)
             except bridges.LookError:
                 return None
             return view if view.midspans and "/ros_bridge" in view.nodes else None
 
-        view = until(seen, "both are seen")
+        view = until(seen, "both bridges are discovered")
     assert view is not None
     assert view.midspans == {prefix}
     finding = bridges.of_dds(around(), view)

@@ -1,4 +1,4 @@
-"""The doctor names what has no wheel on a system."""
+"""The doctor names requirements that have no wheel on a system."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROS2 = ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces"]
 
 @pytest.fixture
 def requirements() -> list[str]:
-    """Midspan's own, as the metadata of its wheel has them."""
+    """Return Midspan's own requirements, as in the metadata of its wheel."""
     file = Path(__file__).parents[2] / "pyproject.toml"
     project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]
     requirements_text: list[str] = list(project["dependencies"])
@@ -57,7 +57,7 @@ def test_a_newer_python_lacks_dart(requirements: list[str]) -> None:
     [
         ("auto", "no rclpy", Result.WARN),
         (True, "no rclpy", Result.FAIL),
-        ("auto", "", Result.OK),  # of an installation
+        ("auto", "", Result.OK),  # in an installation
         (False, "no rclpy", Result.OK),
     ],
 )

@@ -1,4 +1,4 @@
-"""Some hundred endpoints created and closed on each side, and a slow subscriber on each; benchmarks run longer."""
+"""Some hundred endpoints created and closed on each side, and a slow subscriber on each side; benchmarks run longer."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
 BATCHES = 2
 MOST_EACH = 60_000
-"""Memory that an endpoint may leave, bytes: zenoh retains up to 15 kB for its keys, and short runs vary."""
+"""Memory in bytes that may remain per closed endpoint: zenoh retains up to 15 kB for its keys, and short runs vary."""
 
 ROUNDS = 4
-"""Rounds of which one must stay within the limit: queues on a busy machine stop growing, leaks do not."""
+"""Number of rounds, one of which must stay within the limit: unlike leaks, queues on a busy machine stop growing."""
 
 SPARE_THREADS = 8
-"""Threads that the middlewares start once."""
+"""Number of threads that the middlewares start only once."""
 
 
 @pytest.fixture(scope="module")
 def deployment() -> Iterator[Deployment]:
-    """A daemon between a program of each side."""
+    """A daemon that bridges one program on each side."""
     with Deployment() as started:
         for side in SIDES:
             started.program(side)
@@ -86,20 +86,18 @@ def settled(deployment: Deployment, before: Census | None) -> Census:
 
 @pytest.mark.parametrize("side", SIDES)
 def test_a_slow_subscriber_uses_bounded_memory_and_does_not_delay_others(deployment: Deployment, side: str) -> None:
-    """It reads one message per second of a 40 MB/s stream; one side at a time, because two cores carry only one."""
+    """It reads one message per second of a 40 MB/s stream. Sides are tested one at a time: two cores carry only one."""
     (slow,) = slow_consumer.measure(deployment, [side], rate=40.0, seconds=4.0, alone=1.0)
     small, big = slow.beside[slow_consumer.SMALL], slow.beside[slow_consumer.BIG]
-    assert slow.read < 15, "it is slow"
+    assert slow.read < 15, "the slow subscriber is slow"
     assert small.sent > 100
     assert (small.repeated, big.repeated) == (0, 0)
-    if (
-        side == "zenoh"
-    ):  # links drop messages that a slow reader does not read, and large messages wait for it (docs/sides/hub.md)
+    if side == "zenoh":  # links drop messages for a slow reader, and large messages wait for it (docs/sides/hub.md)
         assert small.lost <= small.sent // 50
     else:
         assert small.lost == 0
         assert big.lost < big.sent / 10
     for name, most in slow.memory_beside.items():
-        assert most - slow.memory_before[name] < 100, f"{name}: the slow one cost {most} MB"
+        assert most - slow.memory_before[name] < 100, f"{name}: the slow subscriber cost {most} MB"
     if side == "ros1":
         assert slow.drops["slow"] > 0

@@ -21,7 +21,7 @@ def status(stamp: int, state: str) -> Status:
 
 
 class Robot:
-    """Serves the examples' keys; `goes` runs when a goal arrives, and is set by the test."""
+    """Serves the examples' keys; `goes`, which the test sets, runs when a goal arrives."""
 
     def __init__(self) -> None:
         self.place = f"tcp/127.0.0.1:{free_port()}"
@@ -29,7 +29,7 @@ class Robot:
         config.insert_json5("mode", '"router"')
         config.insert_json5("listen/endpoints", json.dumps([self.place]))
         self.session = zenoh.open(config)
-        self.now: Status | None = status(1, "goal_reached")  # of the goal before
+        self.now: Status | None = status(1, "goal_reached")  # the status of the previous goal
         self.goes: Callable[[], None] = lambda: None
         self.session.declare_queryable("robot/go_to", self._go)
         self.session.declare_queryable("robot/navigation", self._serve_status)

@@ -45,7 +45,7 @@ def test_the_module_sends_the_robot_to_its_charger_when_the_battery_is_low(place
         until(published, f"the status contains {text}", 20, 0.1)
 
     reports(0.5, "50% left")
-    until(lambda: connections.exists(place.names, "/charge/rpc"), "its port is registered", 20)
+    until(lambda: connections.exists(place.names, "/charge/rpc"), "the module's port is registered", 20)
     with Client("/charge/rpc", naming=place.names) as client:
         assert client.ask(["off"]) == ["ok"]
         reports(0.1, "10% left; off")

@@ -33,7 +33,7 @@ FOLDERS = [str(EXAMPLES / name) for name in ("own_planner", "own_localizer")]
 
 
 class OwnMix(Mix):
-    """The clients of `Mix`, over the examples' configurations."""
+    """The clients of `Mix`, with the examples' configurations."""
 
     def _sections(self, planner: str) -> dict[str, Any]:
         sections = super()._sections(planner)
@@ -46,7 +46,7 @@ class OwnMix(Mix):
         return sections
 
     def localization(self) -> ILocalization2DMsgs:
-        """Return a YARP client of the localization."""
+        """Return a YARP client of the localizer."""
         naming = NameClient(self._names, namespace="/root")
         client = ServiceClient(ILocalization2DMsgs, "/localizationServer/rpc", naming=naming, timeout=SECONDS)
         self.deployment.keep(Closing(client.open()))
@@ -118,7 +118,7 @@ def test_the_wave_finds_the_gap_in_a_wall(monkeypatch: pytest.MonkeyPatch) -> No
         one.y + (5.05 - one.x) / (other.x - one.x) * (other.y - one.y) for one, other in legs if one.x < 5.05 < other.x
     ]
     assert len(crossing) == 1
-    assert 0.3 < crossing[0] < 1.2, "it stays 0.3 m away from the end of the wall"
+    assert 0.3 < crossing[0] < 1.2, "the path stays 0.3 m away from the end of the wall"
     for closed, start, goal in ((50, 2.0, 5.05), (60, 2.0, 8.0), (45, -2.0, 8.0), (45, 2.0, 12.0)):
         flags[:closed, 50] = 1
         with pytest.raises(PlanError):

@@ -1,1 +1,1 @@
-"""Faults and the recovery from them."""
+"""Faults, and the recovery from them."""

@@ -123,7 +123,7 @@ def test_a_lossy_link_delivers_state_but_no_late_commands(link: Link) -> None:
     for name in texts:
         mouth.put(name.encode())
         link.command(0.2)
-    until(lambda: link.proxy.lost or link.command(0.1), "something is lost")
+    until(lambda: link.proxy.lost or link.command(0.1), "a segment is lost")
     link.proxy.loss = 0.0
     until(link.drives, "commands arrive")
     subscription.expect(*texts)
@@ -147,7 +147,7 @@ def test_a_half_open_connection_is_closed_and_reconnected(link: Link, direction:
     started = time.monotonic()
     deaf = link.engine.hub if direction == "up" else link.operator
     other = link.operator if direction == "up" else link.engine.hub
-    until(lambda: other.zid not in {node.zid for node in deaf.graph.nodes()}, "the disconnection is noticed")
+    until(lambda: other.zid not in {node.zid for node in deaf.graph.nodes()}, "the disconnection is detected")
     noticed = time.monotonic() - started
     link.command(0.5)
     link.proxy.thaw()

@@ -46,7 +46,7 @@ def test_bytes_arrive_unchanged_with_their_time(desk: Desk) -> None:
         app.subscribe("/said")
         app.until(publisher.matched, "the server subscribes")
         publisher.put(cdr("one"), 1_234)
-        publisher.put(cdr("two") + b"\0\0\0", 5_678)  # with padding, as some writers leave it
+        publisher.put(cdr("two") + b"\0\0\0", 5_678)  # with trailing padding, as some writers add it
         assert app.received("/said", 2) == [(1_234, cdr("one")), (5_678, cdr("two") + b"\0\0\0")]
         assert [app.decoded("/said", at).data for at in (0, 1)] == ["one", "two"]
 
@@ -60,7 +60,7 @@ def test_only_watched_topics_are_subscribed(desk: Desk) -> None:
         first, second = app.subscribe("/said"), other.subscribe("/said")
         for entry in (app, other):
             entry.sync()
-        app.until(publisher.matched, "it is subscribed")
+        app.until(publisher.matched, "the topic is subscribed")
         publisher.put(cdr("x"))
         app.received("/said")
         other.received("/said")
@@ -71,9 +71,9 @@ def test_only_watched_topics_are_subscribed(desk: Desk) -> None:
         assert len(other.received("/said", 2)) == 2
         assert publisher.matched(), "the other client still watches"
         other.unsubscribe(second)
-        until(lambda: not publisher.matched(), "it is unsubscribed")
+        until(lambda: not publisher.matched(), "the topic is unsubscribed")
         app.subscribe("/said")
-        app.until(publisher.matched, "it is subscribed again")
+        app.until(publisher.matched, "the topic is subscribed again")
     until(lambda: not publisher.matched(), "the subscription ends with its client")
 
 
@@ -87,7 +87,7 @@ def test_a_late_client_receives_latched_messages(desk: Desk) -> None:
             late.subscribe("/map_name")
             assert late.received("/map_name")[0][1] == cdr("kitchen")
         desk.far.publish(end, {"data": "hall"})
-        app.until(lambda: app.messages["/map_name"][-1][1] == cdr("hall"), "the new message")
+        app.until(lambda: app.messages["/map_name"][-1][1] == cdr("hall"), "the new message has arrived")
         with desk.app() as late:
             late.subscribe("/map_name")
             assert late.received("/map_name")[0][1] == cdr("hall")
@@ -122,7 +122,7 @@ def test_a_latched_message_may_arrive_before_its_publisher_is_in_the_graph() -> 
     recorded.logged.clear()
     channel.follow(HubTopic(key, tuple(ends)))
     channel.resend_latched()
-    # the first of them was evicted, and nothing is cached for the last but one
+    # the first one was evicted, and nothing is cached for the second to last
     assert recorded.logged == [gid[:1] for gid in gids[2:] if gid != gids[-2]]
 
 
@@ -140,7 +140,7 @@ def test_a_client_that_never_reads_does_not_delay_others_and_has_a_bounded_backl
     publisher = desk.publisher("/blob", "std_msgs/String")
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         app.subscribe("/blob")
-        app.until(publisher.matched, "it is subscribed")
+        app.until(publisher.matched, "the topic is subscribed")
         deaf.subscribe("/blob")
         payload = cdr("x" * 100_000)
         for sent in range(1, 601):  # 60 MB; unread messages are dropped
@@ -163,15 +163,17 @@ def test_invalid_frames_of_a_client_affect_no_other(desk: Desk) -> None:
     publisher = desk.publisher("/said", "std_msgs/String")
     with desk.app() as app, desk.app() as bad:
         app.subscribe("/said")
-        app.until(publisher.matched, "it is subscribed")
+        app.until(publisher.matched, "the topic is subscribed")
         bad.channel("/said")
         for frame in FRAMES:
             bad.socket.send(frame)
         bad.subscribe("/said")
-        bad.until(lambda: sum(entry["op"] == "status" for entry in bad.texts) > 8, "it receives the errors")
+        bad.until(lambda: sum(entry["op"] == "status" for entry in bad.texts) > 8, "the client receives the errors")
         publisher.put(cdr("well"))
         assert app.received("/said")[0][1] == bad.received("/said")[0][1] == cdr("well")
-        with contextlib.suppress(websockets.ConnectionClosed):  # it is disconnected while it sends, or afterwards
+        with contextlib.suppress(
+            websockets.ConnectionClosed
+        ):  # the client is disconnected while it sends, or afterwards
             bad.socket.send(b"\x01" + bytes(20 << 20))
         with pytest.raises(websockets.ConnectionClosed):
             bad.read_until_cut()
@@ -190,7 +192,7 @@ def test_the_newest_latched_message_is_the_last_for_a_late_client() -> None:
 
     def publish() -> None:
         publishing.start()
-        publishing.join(0.3)  # it ends only if it does not have to wait for the older message
+        publishing.join(0.3)  # the thread ends only if it does not have to wait for the older message
 
     recorded.before = publish
     channel.resend_latched()
@@ -225,7 +227,7 @@ def channels_of(topics: ListedTopics) -> Channels:
 
 
 def test_a_second_version_of_a_type_is_refused_with_its_reason() -> None:
-    """The topics are not listed again each second, as nothing can change without a change of the graph."""
+    """Topics are not listed again each second, because nothing can change unless the graph does."""
     name = "std_msgs/msg/String"
     topics = ListedTopics(TopicKey("/a", name, "1"), TopicKey("/a", name, "2"), definition="string data")
     channels = channels_of(topics)

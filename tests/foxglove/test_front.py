@@ -94,11 +94,11 @@ def test_foreign_pages_may_not_connect(desk: Desk) -> None:
     assert status_of(desk, user_agent_header=FIREFOX) == 403
     for options in ({"origin": "https://app.foxglove.dev", "user_agent_header": FIREFOX}, {"origin": "file://"}, {}):
         with desk.app(**options) as app:
-            app.until(lambda: app.texts, "it is accepted")
+            app.until(lambda: app.texts, "the client is accepted")
     desk.open_with(foxglove={"origins": ["https://fox.example"]})
     assert status_of(desk, origin="https://app.foxglove.dev") == 403
     with desk.app(origin="https://Fox.example") as app:
-        app.until(lambda: app.texts, "it is accepted")
+        app.until(lambda: app.texts, "the client is accepted")
 
 
 def test_tokens_determine_name_and_role(guarded: GuardedDesk) -> None:
@@ -119,7 +119,7 @@ def test_tokens_determine_name_and_role(guarded: GuardedDesk) -> None:
             ("anna at 127.0.0.1", "drive"), ("hall at 127.0.0.1", "watch"),
         ]  # fmt: skip
         assert status["text"].startswith(f"wss://127.0.0.1:{guarded.live.front.port}, 2 clients")
-    until(lambda: guarded.status()["clients"] == [], "they are disconnected")
+    until(lambda: guarded.status()["clients"] == [], "the clients are disconnected")
 
 
 def test_clients_without_a_valid_token_are_refused(
@@ -162,7 +162,7 @@ def test_a_secret_is_valid_once(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(visitors, "identify", record)
     with desk.app() as app:
-        app.until(lambda: app.texts, "it is accepted")
+        app.until(lambda: app.texts, "the client is accepted")
         ((client, secret),) = until(lambda: recorded, "the secret was used")
         identify(99, secret)
         assert visitors.visitor_of(99) is None
@@ -212,17 +212,17 @@ def test_other_protocols_are_refused_and_disconnected(desk: Desk, monkeypatch: p
     monkeypatch.setattr(front, "HEAD_SECONDS", 0.2)
     assert raw(desk, b"GET / HTTP/1.1\r\n") == b"", "an incomplete request is disconnected"
     with desk.app() as app:
-        app.until(lambda: app.texts, "others are served")
+        app.until(lambda: app.texts, "other clients are served")
 
 
 def test_the_number_of_clients_is_limited(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(front, "MOST_CLIENTS", 2)
     with desk.app(), desk.app() as app:
         assert status_of(desk) == 503
-        app.until(lambda: app.texts, "the others are served")
-    until(lambda: not desk.status()["clients"], "they are disconnected")
+        app.until(lambda: app.texts, "other clients are served")
+    until(lambda: not desk.status()["clients"], "the clients are disconnected")
     with desk.app() as app:
-        app.until(lambda: app.texts, "there is room again")
+        app.until(lambda: app.texts, "new clients are accepted again")
 
 
 def test_a_client_that_reads_nothing_is_disconnected_and_does_not_delay_others(
@@ -234,9 +234,8 @@ def test_a_client_that_reads_nothing_is_disconnected_and_does_not_delay_others(
     secret = cdr("x" * 500_000)
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         deaf.subscribe("/flood")
-        deaf.until(
-            publisher.matched, "it is subscribed"
-        )  # a client that no longer reads does not subscribe twice either
+        # a client that no longer reads does not subscribe twice
+        deaf.until(publisher.matched, "the topic is subscribed")
         app.subscribe("/flood")
         app.sync()
         shares: list[int] = []

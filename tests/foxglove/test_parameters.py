@@ -84,7 +84,9 @@ def answers(app: App, request: str) -> dict[str, Any]:
         ]
         return parameters_[-1] if parameters_ else None
 
-    return {parameter["name"]: parameter for parameter in app.until(values, "the parameters")["parameters"]}
+    return {
+        parameter["name"]: parameter for parameter in app.until(values, "the parameters have arrived")["parameters"]
+    }
 
 
 def read_parameters(app: App, *names: str) -> dict[str, Any]:
@@ -96,7 +98,7 @@ def read_parameters(app: App, *names: str) -> dict[str, Any]:
 def test_parameters_of_all_nodes_are_returned_on_request(desk: Desk) -> None:
     node = Node(desk, "/ns/base", VALUES)
     with desk.app() as app:
-        parameters_ = app.until(lambda: read_parameters(app), "they are read")
+        parameters_ = app.until(lambda: read_parameters(app), "the parameters are read")
         assert parameters_ == {
             "/ns/base.speed": {"name": "/ns/base.speed", "value": 2.0, "type": "float64"},
             "/ns/base.count": {"name": "/ns/base.count", "value": 3},
@@ -110,13 +112,13 @@ def test_parameters_of_all_nodes_are_returned_on_request(desk: Desk) -> None:
         node.values["count"] = ParameterValue(ParameterType.INTEGER, 4)
         until(lambda: read_parameters(app, "/ns/base.count")["/ns/base.count"]["value"] == 4, "the change is read", 10)
         node.close()
-        until(lambda: not read_parameters(app), "it is removed", 10)
+        until(lambda: not read_parameters(app), "the parameter is removed", 10)
 
 
 def test_nodes_are_queried_only_while_clients_request(desk: Desk) -> None:
     node = Node(desk, "/base", VALUES)
     with desk.app() as app:
-        app.until(lambda: app.texts, "it is accepted")
+        app.until(lambda: app.texts, "the client is accepted")
         desk.far.advertise("/said", "std_msgs/String")
         app.channel("/said")
         assert node.read_parameters == 0
@@ -126,7 +128,7 @@ def test_nodes_are_queried_only_while_clients_request(desk: Desk) -> None:
 def test_a_watching_client_may_not_set_parameters(desk: Desk) -> None:
     node = Node(desk, "/base", VALUES)
     with desk.app() as app:
-        app.until(lambda: read_parameters(app), "they are read")
+        app.until(lambda: read_parameters(app), "the parameters are read")
         app.send(op="setParameters", parameters=[{"name": "/base.count", "value": 5}], id="w")
         wait_for_status(app, "you may read parameters, but not set them")
         assert answers(app, "w")["/base.count"]["value"] == node.values["count"].content == 3
@@ -136,9 +138,9 @@ def test_parameters_are_set_with_their_nodes_type(desk: Desk) -> None:
     desk.open_with(**DRIVE)
     node = Node(desk, "/base", VALUES)
     with desk.app() as app, desk.app() as other:
-        app.until(lambda: read_parameters(app), "they are read")
+        app.until(lambda: read_parameters(app), "the parameters are read")
         other.send(op="subscribeParameterUpdates", parameterNames=["/base.speed"])
-        other.until(lambda: read_parameters(other), "it is subscribed")
+        other.until(lambda: read_parameters(other), "the parameters are subscribed")
         other.texts.clear()
         new = {"/base.speed": 3, "/base.count": 7, "/base.raw": "AgM=", "/base.fixed": "y", "/base.no": 1}
         wanted = [{"name": name, "value": value} for name, value in new.items()]
@@ -155,7 +157,7 @@ def test_parameters_are_set_with_their_nodes_type(desk: Desk) -> None:
         wait_for_status(app, "/base refuses fixed: it is fixed")
         (update,) = other.until(
             lambda: [parameter for parameter in other.texts if parameter["op"] == "parameterValues"],
-            "the others are notified",
+            "the other clients are notified",
         )
         assert update["parameters"] == [{"name": "/base.speed", "value": 3.0, "type": "float64"}]
 

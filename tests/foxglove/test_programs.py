@@ -93,7 +93,7 @@ def test_messages_of_each_side_arrive_unchanged(robot: Robot) -> None:
                 pass
             return all(app.messages[f"/by_{name}"] for name in ("ros1", "ros2", "sdk"))
 
-        until(all_arrived, "a message of each side", 40)
+        until(all_arrived, "a message from each side has arrived", 40)
         for name in ("ros1", "ros2", "sdk"):
             assert app.messages[f"/by_{name}"][0][1] == string(f"of {name}")
             assert app.decoded(f"/by_{name}").data == f"of {name}"
@@ -126,7 +126,7 @@ def test_the_apps_messages_reach_rospy_and_rclpy(robot: Robot) -> None:
             app.publish(number, json.dumps({"data": "hello"}).encode())
             return all(peer.wait(end, 1, 0.2) for peer, end in subscriptions.items())
 
-        until(arrives, "it arrives", 40)
+        until(arrives, "the message arrives", 40)
         assert {peer.wait(end, 1)[0]["data"] for peer, end in subscriptions.items()} == {"hello"}
 
 
@@ -137,7 +137,7 @@ def test_the_app_calls_services_of_rospy_and_rclpy(robot: Robot) -> None:
             reply = {"success": True, "message": name}
             peer.ask("serve", service=f"/{name}_light", type="std_srvs/SetBool", reply=reply)
             call = app.call(f"/{name}_light", request)
-            frame = app.until(lambda: app.replies.get(call), f"the reply of {name}; {app.texts[-1]}", 30)  # noqa: B023
+            frame = app.until(lambda: app.replies.get(call), f"the reply of {name} arrives; {app.texts[-1]}", 30)  # noqa: B023
             assert frame[4] == 1
             assert frame[-len(name) - 1 :] == name.encode() + b"\0"
 
@@ -146,10 +146,14 @@ def test_the_app_sets_a_parameter_of_rclpy(robot: Robot) -> None:
     node = robot.keep(Peer(PARAMETERS, ros2_python(), ros2_environment(), "controller_server"))
     node.ask("declare", parameters={"speed": 0.5, "mode": "slow"})
     with robot.app() as app:
-        until(lambda: read_parameters(app).get("/controller_server.speed", {}).get("value") == 0.5, "it is read", 40)
+        until(
+            lambda: read_parameters(app).get("/controller_server.speed", {}).get("value") == 0.5,
+            "the parameter is read",
+            40,
+        )
         app.send(op="setParameters", parameters=[{"name": "/controller_server.speed", "value": 2}], id="w")
-        until(lambda: read_parameters(app)["/controller_server.speed"]["value"] == 2.0, "it is set", 20)
-        until(lambda: node.ask("own", name="speed")["value"] == 2.0, "the node has it", 10)
+        until(lambda: read_parameters(app)["/controller_server.speed"]["value"] == 2.0, "the parameter is set", 20)
+        until(lambda: node.ask("own", name="speed")["value"] == 2.0, "the node has the new value", 10)
 
 
 @pytest.mark.thorough
@@ -161,7 +165,7 @@ def test_a_killed_worker_is_restarted_and_serves_again(robot: Robot) -> None:
         app.received("/kept")
         pid = robot.document()["pid"]
         os.kill(pid, signal.SIGKILL)
-        until(lambda: robot.document().get("pid", pid) != pid, "another one runs", 30)
+        until(lambda: robot.document().get("pid", pid) != pid, "a new server process runs", 30)
     with robot.app() as app:
         app.subscribe("/kept")
         assert app.received("/kept")[0][1] == string("kept")

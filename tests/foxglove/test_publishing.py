@@ -31,7 +31,8 @@ def velocity(x: float, turn: float = 0.0) -> bytes:
 def wait_for_status(app: App, text: str) -> dict[str, Any]:
     """Wait for a status message that contains a text."""
     return app.until(
-        lambda: next((entry for entry in app.texts if text in entry.get("message", "")), None), f"a status: {text}"
+        lambda: next((entry for entry in app.texts if text in entry.get("message", "")), None),
+        f"a status contains {text}",
     )
 
 
@@ -40,7 +41,7 @@ def test_json_and_cdr_reach_the_hub(driven: Desk, type_name: str) -> None:
     subscription = driven.far.subscribe("/said", "std_msgs/String")
     with driven.app() as app:
         as_json, as_cdr = app.advertise("/said", type_name, "json"), app.advertise("/said", type_name, "cdr")
-        until(lambda: len(driven.far.publishers("/said")) == 2, "both are publishers")
+        until(lambda: len(driven.far.publishers("/said")) == 2, "both publishers are on the hub")
         app.publish(as_json, b'{"data": "one"}')
         app.publish(as_cdr, from_json(driven.far.registry, "std_msgs/msg/String", {"data": "two"}))
         assert driven.far.wait(subscription, 2) == [{"data": "one"}, {"data": "two"}]
@@ -53,7 +54,7 @@ def test_json_and_cdr_reach_the_hub(driven: Desk, type_name: str) -> None:
 
         until(lambda: counts() == [("127.0.0.1", 1)] * 2, "each message is counted, after it was published")
         app.unadvertise(as_json)
-        until(lambda: len(driven.far.publishers("/said")) == 1, "one is withdrawn")
+        until(lambda: len(driven.far.publishers("/said")) == 1, "one publisher is withdrawn")
     until(lambda: not driven.far.publishers("/said"), "the other publisher ends with its client")
 
 
@@ -80,7 +81,7 @@ def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
             wait_for_status(app, reason)
         assert not driven.far.publishers("/a")
         number = app.advertise("/n", "std_msgs/msg/Int8", "json")
-        until(lambda: driven.far.publishers("/n"), "it is published")
+        until(lambda: driven.far.publishers("/n"), "the topic is published")
         for data, reason in (
             (b"{", "the message is not JSON"), (b"[" * 100_000, "the message is not JSON"), (b"3", "not a JSON object"),
             (b'{"data": 300}', "data must be int8, not 300"), (b'{"dat": 3}', "has no field 'dat'"),
@@ -91,9 +92,13 @@ def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
         app.publish(number, b'{"data": 3}')
         assert driven.far.wait(subscription, 1) == [{"data": 3}]
         binary = app.advertise("/n", "std_msgs/msg/Int8", "cdr")
-        until(lambda: len(driven.far.publishers("/n")) == 2, "it is published")
+        until(lambda: len(driven.far.publishers("/n")) == 2, "the second publisher is on the hub")
         app.publish(binary, b"\0\1\0")
-        (texts,) = (entry for entry in app.until(lambda: bad(driven), "it is counted") if entry["drops"]["bad"] == 1)
+        (texts,) = (
+            entry
+            for entry in app.until(lambda: bad(driven), "the invalid message is counted")
+            if entry["drops"]["bad"] == 1
+        )
         assert texts["error"]
 
 
@@ -107,10 +112,10 @@ def test_a_velocity_expires_and_zero_follows_once(driven: Desk) -> None:
         number = app.advertise("/cmd_vel", TWIST, "json")
         first = drive_until_received(driven, app, number, subscription)
         assert first["linear"]["x"] == 0.3, "limited as in the console (web.speed)"
-        until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero after the silence")
+        until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "a zero velocity follows the silence")
         count = len(driven.far.wait(subscription, 1))
         assert [entry["linear"]["x"] for entry in driven.far.wait(subscription, 1)].count(0.0) == 1
-        (end,) = until(lambda: driven.far.publishers("/cmd_vel"), "its publisher is in the graph")
+        (end,) = until(lambda: driven.far.publishers("/cmd_vel"), "the planner's publisher is in the graph")
         assert not end.qos.latched
         late = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
         drive_until_received(driven, app, number, late)
@@ -128,7 +133,7 @@ def drive_until_received(desk: Desk, app: App, number: int, subscription: int) -
 
 @pytest.mark.parametrize("end", ["unadvertise", "leave", "cut", "the server stops"])
 def test_zero_is_commanded_when_the_driver_leaves(driven: Desk, end: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hold, "HOLD_SECONDS", 60.0)  # so that the silence does not stop it
+    monkeypatch.setattr(hold, "HOLD_SECONDS", 60.0)  # so that the silence does not stop the base
     subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     with driven.app(close_timeout=0.1) as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
@@ -141,7 +146,7 @@ def test_zero_is_commanded_when_the_driver_leaves(driven: Desk, end: str, monkey
             app.socket.socket.close()
         else:
             driven.live.host.loop.call(driven.live.stop_publishing)
-        until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero is commanded")
+        until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "a zero velocity is commanded")
 
 
 def test_one_client_drives_at_a_time_and_none_against_a_planner(desk: Desk) -> None:
@@ -157,7 +162,7 @@ def test_one_client_drives_at_a_time_and_none_against_a_planner(desk: Desk) -> N
             other.read()
             return any("drives manually" in entry.get("message", "") for entry in other.texts)
 
-        until(refused, "the second is refused")
+        until(refused, "the second client is refused")
         status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)
         desk.far.publish(status, {"state": State.MOVING.value})
 
@@ -167,7 +172,7 @@ def test_one_client_drives_at_a_time_and_none_against_a_planner(desk: Desk) -> N
             return any("nav2 drives" in entry.get("message", "") for entry in app.texts)
 
         until(planner, "driving against the planner is refused")
-        until(lambda: desk.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "and zero was commanded")
+        until(lambda: desk.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "a zero velocity was commanded")
 
 
 def test_invalid_velocities_are_refused(driven: Desk) -> None:

@@ -31,7 +31,7 @@ def store(desk: Desk, tmp_path: Path) -> Iterator[Store]:
         grid = MapGrid2D.of(
             np.zeros((4, 6), np.uint8), np.zeros((4, 6), np.uint8), name="hall", resolution=0.5, origin=(1.0, 2.0, 0.0)
         )
-        grid.flags[3, 0] = MapFlag.KEEP_OUT  # the cell at the origin: rows go down
+        grid.flags[3, 0] = MapFlag.KEEP_OUT  # the cell at the origin, because rows go from top to bottom
         shared.store.write([
             Write(MAP, "hall", grid), Write(CURRENT, THE_MAP, "hall"),
             Write(LOCATION, "kitchen", Map2DLocation("hall", 2.0, 3.0, 90.0)),
@@ -118,7 +118,9 @@ def test_places_and_areas_of_the_current_map_are_shown(desk: Desk, store: Store)
     with desk.app() as app:
         app.subscribe(SCENE)
         app.received(SCENE)
-        entities = app.until(lambda: scene(app) if len(scene(app)) == 3 else None, "robot, place and area")
+        entities = app.until(
+            lambda: scene(app) if len(scene(app)) == 3 else None, "the scene has the robot, the place and the area"
+        )
         assert set(entities) == {"robot", "place:kitchen", "area:desk"}
         kitchen, area = entities["place:kitchen"], entities["area:desk"]
         assert (kitchen.text(FRAME), kitchen.inner(TEXTS).text(6)) == ("map", "kitchen")
@@ -126,7 +128,7 @@ def test_places_and_areas_of_the_current_map_are_shown(desk: Desk, store: Store)
         assert kitchen.inner(ARROWS, 1, 2).number(3) == pytest.approx(0.5**0.5, abs=1e-3)
         assert corners(area) == [(1.0, 2.0), (2.0, 2.0), (2.0, 3.0)]
         store.write([Write(LOCATION, "door", Map2DLocation("hall", 1.0, 1.0, 0.0))])
-        app.until(lambda: "place:door" in scene(app), "a new place")
+        app.until(lambda: "place:door" in scene(app), "the scene has the new place")
         with desk.app() as late:
             late.subscribe(SCENE)
             late.received(SCENE)
@@ -167,7 +169,7 @@ def test_the_store_is_polled_only_while_a_client_watches(
         assert is_idle()
         assert not clients, "no client watches yet"
         number = app.subscribe(SCENE)
-        app.until(lambda: app.messages[SCENE], "a scene")
-        app.until(lambda: len(clients) > 3, "it is polled repeatedly")
+        app.until(lambda: app.messages[SCENE], "a scene arrives")
+        app.until(lambda: len(clients) > 3, "the scene is polled repeatedly")
         app.unsubscribe(number)
-        until(is_idle, "it rests")
+        until(is_idle, "polling has stopped")

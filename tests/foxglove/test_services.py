@@ -40,23 +40,23 @@ def test_services_are_announced_with_their_definitions_and_withdrawn(driven: Des
     with driven.app() as app:
         driven.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
         driven.far.serve("/node/get_parameters", "rcl_interfaces/GetParameters", reply={})
-        service = app.until(lambda: app.services.get("/light"), "it is announced")
+        service = app.until(lambda: app.services.get("/light"), "the service is announced")
         assert service["type"] == SET_BOOL
         assert (service["request"]["encoding"], service["request"]["schemaEncoding"]) == ("cdr", "ros2msg")
         assert "bool data" in service["request"]["schema"]
         assert "string message" in service["response"]["schema"]
         assert driven.status()["services"] == 1
         driven.far.servers.pop("/light").close()
-        app.until(lambda: not app.services, "it is withdrawn")
+        app.until(lambda: not app.services, "the service is withdrawn")
 
 
 def test_a_call_receives_its_reply(driven: Desk, codec: CallCodec) -> None:
     driven.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
     with driven.app() as app:
         call = app.call("/light", codec.request({"data": True}))
-        reply = app.until(lambda: app.replies.get(call), "the reply")
+        reply = app.until(lambda: app.replies.get(call), "the reply arrives")
         assert codec.response_value(reply) == {"success": True, "message": "on"}
-        until(lambda: not driven.far.hub.graph.clients("/light"), "its client is withdrawn")
+        until(lambda: not driven.far.hub.graph.clients("/light"), "the server's client is withdrawn")
 
 
 def test_failed_calls_are_reported(driven: Desk, codec: CallCodec, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,19 +66,19 @@ def test_failed_calls_are_reported(driven: Desk, codec: CallCodec, monkeypatch: 
         assert "has not answered in 0.3 s" in failure(app, app.call("/light", codec.request({"data": True})))
         assert "CallRefusedError" in failure(app, app.call("/light", b"\0\1\0"))
         assert "Unsupported encoding" in failure(app, app.call("/light", b"{}", "json"))
-        until(lambda: serving.abandoned == 1, "its server is notified of the abandoned call")
+        until(lambda: serving.abandoned == 1, "the service's server is notified of the abandoned call")
         monkeypatch.setattr(services, "CALL_SECONDS", 30.0)
         calls = [app.call("/light", codec.request({"data": True})) for _ in range(services.MOST_CALLS)]
         assert len(serving.requests(1 + services.MOST_CALLS)) == 1 + services.MOST_CALLS
         assert "16 calls are pending" in failure(app, app.call("/light", codec.request({"data": True})))
         serving.release()
-        app.until(lambda: all(call in app.replies for call in calls), "the others have their replies")
+        app.until(lambda: all(call in app.replies for call in calls), "the other calls have replies")
 
 
 def test_a_watching_client_may_not_call(desk: Desk) -> None:
     desk.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
     with desk.app() as app:
-        app.until(lambda: app.texts, "it is accepted")
+        app.until(lambda: app.texts, "the client is accepted")
         desk.far.advertise("/said", "std_msgs/String")
         app.channel("/said")
         assert not app.services

@@ -1,1 +1,1 @@
-"""The interface builder: definitions checked, packages built, and used by real ROS 2 programs."""
+"""The interface builder: definitions are checked, and packages are built and used by real ROS 2 programs."""

@@ -17,9 +17,9 @@ bool on true
     "srv/Thing.srv": "uint8 NONE=0\nThing thing\n---\nuint8 NONE=0\nbool done\n",
     "action/Thing.action": "int32 goal\n---\nuint8 NONE=0\nint32 result\n---\nuint8 NONE=0\nThing at\n",
 }
-"""Three kinds of the same name, and equal constants in two parts: both break rosidl if it is used naively."""
+"""Three kinds of the same name, and equal constants in two parts: both would make a naive use of rosidl fail."""
 
 WHOLE = {"msg/Whole.msg": "midspan_parts_msgs/Thing[] parts\ntf2_msgs/TFMessage where\n"}
 
 PACKAGES = {"midspan_parts_msgs": PARTS, "midspan_whole_msgs": WHOLE}
-"""The second package needs the first one, and one of Midspan."""
+"""The second package depends on the first one, and on one of Midspan's packages."""

@@ -105,7 +105,7 @@ def test_a_failed_build_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytes
         with pytest.raises(BuildError, match="false failed"):
             build(TINY, tmp_path)
     assert not list((tmp_path / "packages").iterdir())
-    # as a process leaves it that is killed while it builds
+    # as left by a process that is killed while it builds
     name = build(TINY, tmp_path)
     (package,) = members(name).values()
     for folder in (package, name):

@@ -26,7 +26,7 @@ PUBLISHED = {
 
 @pytest.fixture(scope="module")
 def hashes() -> dict[str, str]:
-    """The hash of every type of the built packages, as ROS 2's own generator wrote it."""
+    """Return the hash of every type in the built packages, as written by ROS 2's own generator."""
     hashes_by_name: dict[str, str] = {}
     for name, folder in members(build_bundled()).items():
         for file in (folder / "share" / name).glob("*/*.json"):

@@ -42,7 +42,7 @@ def test_a_package_has_the_name_of_its_package_xml(tmp_path: Path) -> None:
 
 def test_a_folder_of_packages(tmp_path: Path) -> None:
     write(tmp_path, "a_msgs/msg/One.msg", "b_msgs/One.msg", "c_pkg/package.xml", "c_pkg/msg/One.msg", "docs/readme.md")
-    write(tmp_path, "package.xml")  # of a metapackage
+    write(tmp_path, "package.xml")  # the package.xml of a metapackage
     assert read_folders([tmp_path]) == {"a_msgs": ONE, "b_msgs": ONE, "xml_pkg": ONE}
 
 

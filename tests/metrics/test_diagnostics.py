@@ -139,7 +139,7 @@ class Side(Worker):
         return has_subscribers(self._hub.graph)
 
     def start(self, config: Config) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def reload(self, config: Config) -> bool:  # noqa: ARG002
         return True
@@ -148,7 +148,7 @@ class Side(Worker):
         return Health("running", "")
 
     def stop(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 class PublishingSide:
@@ -173,7 +173,7 @@ class PublishingSide:
         return side(state="running", network="n1")
 
     def is_announced(self) -> bool:
-        """Poll as at a heartbeat, and return whether the topic is on the hub."""
+        """Poll as a heartbeat does, and return whether the topic is on the hub."""
         self.publishing.on_heartbeat(self.config)
         return bool(self.far.hub.graph.publishers(TOPIC))
 
@@ -207,7 +207,9 @@ def test_publishes_only_with_subscribers_and_at_once_on_a_change(
     assert first["header"]["stamp"]["sec"] > 1e9
     monkeypatch.setattr(diagnostics, "PERIOD", 60.0)
     count = len(publishing.far.wait(subscription, 1, 0.0))
-    assert len(publishing.far.wait(subscription, count + 1, 10.0)) == count + 1, "the message that was already due"
+    assert len(publishing.far.wait(subscription, count + 1, 10.0)) == count + 1, (
+        "only the message that was already due arrives"
+    )
     publishing.daemon_document = {
         "pid": 1,
         "workers": [worker_document("ros1"), worker_document("ros2", "restarting", None, "signal 9")],
@@ -219,7 +221,7 @@ def test_publishes_only_with_subscribers_and_at_once_on_a_change(
 def test_publishes_for_a_sides_subscriber_and_yields_to_the_metrics_worker(publishing: PublishingSide) -> None:
     kind = Registry().ros2(TYPE).type_id
     wanted = publishing.far.hub.subscription(HEARD, TYPE, kind, Qos(), lambda _sample: None)
-    until(lambda: publishing.is_announced() and publishing.asked > 1, "it publishes periodically", 10)
+    until(lambda: publishing.is_announced() and publishing.asked > 1, "the worker publishes periodically", 10)
     publishing.daemon_document = {"pid": 1, "workers": [worker_document("ros1"), worker_document("metrics")]}
     until(lambda: not publishing.is_announced(), "the metrics worker publishes", 10)
     publishing.daemon_document = {
@@ -256,12 +258,14 @@ def test_ros_subscribers_receive_all_parts_without_console_and_metrics(tmp_path:
         parts |= {"daemon", "side ros1", "side ros2", "module gateway", "module store"}
         for program, subscription in (*subscribers, (native, at_hub)):
             shown = until(
-                lambda p=program, h=subscription: parts <= (now := levels(p, h)).keys() and now, "all parts", 30
+                lambda p=program, h=subscription: parts <= (now := levels(p, h)).keys() and now,
+                "the message has all parts",
+                30,
             )
             assert {part: shown[part] for part in ("side ros1", "worker ros2", "module store")} == {
                 "side ros1": 0, "worker ros2": 0, "module store": 0,
             }  # fmt: skip
-            assert shown["module gateway"] == 1, "it waits for its planner"
+            assert shown["module gateway"] == 1, "the gateway waits for its planner"
         assert publishing_worker(ask_daemon(load(deployment.file))) == "ros1"
         program, subscription = subscribers[1]
 
@@ -276,7 +280,7 @@ def test_ros_subscribers_receive_all_parts_without_console_and_metrics(tmp_path:
         until(is_reported_down, "the other side reports the restart", 20, every=0.05)
         for program, subscription in subscribers:
             program.wait(subscription, 10_000, 0.1)
-            until(lambda p=program, h=subscription: levels(p, h).get("worker ros1") == 0, "it is up again", 40)
+            until(lambda p=program, h=subscription: levels(p, h).get("worker ros1") == 0, "the worker runs again", 40)
 
 
 def test_a_yarp_reader_receives_all_parts(tmp_path: Path) -> None:
@@ -300,9 +304,9 @@ def test_a_yarp_reader_receives_all_parts(tmp_path: Path) -> None:
         until(
             lambda: any(node.node == "midspan_yarp" for node in far.graph.nodes()), "the hub's nodes are discovered", 20
         )
-        assert not far.graph.publishers(TOPIC), "it is published without a subscriber"
+        assert not far.graph.publishers(TOPIC), "diagnostics are not published without a subscriber"
         reader.listen_to("/midspan/diagnostics:o")
         parts = ("midspan here: daemon", "midspan here: side yarp", "midspan here/yarp: worker")
-        until(lambda: all(f"'{part}'" in str(reader.bottles()) for part in parts), "all parts", 20)
+        until(lambda: all(f"'{part}'" in str(reader.bottles()) for part in parts), "the message has all parts", 20)
         reader.stop()
         until(lambda: not far.graph.publishers(TOPIC), "publishing ends after the last subscriber has left", 20)

@@ -1,4 +1,4 @@
-"""Events are counted: goals, changes of the store, elections; scraped from real daemons."""
+"""Events (goals, changes of the store, elections) are counted, as scraped from real daemons."""
 
 from __future__ import annotations
 

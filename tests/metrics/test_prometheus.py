@@ -59,7 +59,7 @@ class ScrapedDeployment(Deployment):
         until(is_bridged, "a message is bridged", 40)
         added = self.command("location", "add", "--map", "hall", "dock", "1", "2", "90")
         assert added.returncode == 0, added.stderr
-        until(lambda: self.get("/readyz")[0] == 200, "all is ready", 40, every=0.2)
+        until(lambda: self.get("/readyz")[0] == 200, "the daemon is ready", 40, every=0.2)
 
     def pid_of(self, worker: str) -> int:
         """Return the worker's process id, as the daemon reports it."""
@@ -200,21 +200,25 @@ def test_a_hanging_worker_is_reported_and_delays_nothing(watched: ScrapedDeploym
     os.kill(pid, signal.SIGSTOP)
     try:
         scrapes = iter(lambda: watched.get("/metrics")[1], "")
-        text = until(lambda: text if f"{answering}0.0" in (text := next(scrapes)) else "", "it is reported", 9)
+        text = until(
+            lambda: text if f"{answering}0.0" in (text := next(scrapes)) else "",
+            "the worker is reported as not answering",
+            9,
+        )
         assert 'midspan_worker_answering{worker="ros1"} 1.0' in text
         took = next(float(line.split()[1]) for line in text.splitlines() if line.startswith("midspan_ask_duration"))
         assert 0.9 < took < 3.0
         assert 'midspan_worker_resident_memory_bytes{worker="modules"}' in text, "the system reports it"
     finally:
         os.kill(pid, signal.SIGCONT)
-    until(lambda: f"{answering}1.0" in watched.get("/metrics")[1], "it answers again", 40, every=0.2)
+    until(lambda: f"{answering}1.0" in watched.get("/metrics")[1], "the worker answers again", 40, every=0.2)
 
 
 @pytest.mark.thorough
 @needs(PROMETHEUS)
 def test_a_real_prometheus_scrapes_it(watched: ScrapedDeployment, tmp_path: Path) -> None:
     with contextlib.closing(Prometheus(tmp_path, watched.address)) as prometheus:
-        until(lambda: prometheus.query('up{job="midspan"} == 1'), "it scrapes", every=0.2)
+        until(lambda: prometheus.query('up{job="midspan"} == 1'), "Prometheus scrapes the daemon", every=0.2)
         routes = until(lambda: prometheus.query('midspan_route_messages_total{topic="/chat"}'), "routes", 20, every=0.2)
         assert {route["metric"]["side"] for route in routes} == {"ros1", "ros2"}
         quantile = "histogram_quantile(0.5, sum by (le) (midspan_route_latency_seconds_bucket{topic='/chat'}))"

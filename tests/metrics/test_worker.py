@@ -106,7 +106,7 @@ def test_metrics_are_exported_in_both_formats(place: Place) -> None:
     status, kind, text = place.ask("/metrics")
     assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
     assert [s.value for f in parse(text) if f.name == "midspan_route_messages" for s in f.samples] == [3], (
-        "only the routes of this daemon"
+        "only this daemon's routes are exported"
     )
     (answer,) = place.far.ask("status", {}, daemon="here", worker="metrics")
     check_document(answer.value, "metrics")
@@ -118,7 +118,7 @@ def test_metrics_are_exported_in_both_formats(place: Place) -> None:
 
 @pytest.mark.parametrize("known", [True, False], ids=["both", "without its token"])
 def test_another_daemon_of_the_name_is_left_out(place: Place, tmp_path: Path, known: bool) -> None:
-    """A worker of an earlier release announces no daemon, and counts."""
+    """A worker of an earlier release announces no daemon, and is included."""
     settings = replace(place.hubs.settings("ros2", "ros2", "here"), identity=identity(tmp_path) if known else None)
     own_hub = Hub.open(settings)
     (tmp_path / "other").mkdir()
@@ -132,7 +132,7 @@ def test_another_daemon_of_the_name_is_left_out(place: Place, tmp_path: Path, kn
             return {sample.labels["side"] for sample in place.families().get("midspan_side_state", [])}
 
         until(lambda: len(namesake.ask("status", {}, "here")) >= 3, "all workers answer")
-        until(lambda: "ros2" in sides(), "the own worker is exported", 20)
+        until(lambda: "ros2" in sides(), "this daemon's worker is exported", 20)
         assert sides() == {"ros1", "ros2"}
     finally:
         own_hub.close()
@@ -194,7 +194,7 @@ def test_another_machine_needs_a_token(place: Place, tmp_path: Path) -> None:
     tls = ssl.create_default_context(cafile=tmp_path / "keys" / "ca.pem")
     assert place.ask("/metrics", tls=tls)[0] == 401
     assert place.ask("/metrics", tls=tls, token=TOKEN[0])[0] == 200
-    assert place.ask("/healthz", tls=tls)[0] == 200, "a supervisor has no token"
+    assert place.ask("/healthz", tls=tls)[0] == 200, "a supervisor, which has no token, may read /healthz"
     status, _, text = place.ask("/readyz", tls=tls)
     assert (status, "daemon" in text) == (503, False)
     assert "no daemon" in place.ask("/readyz", tls=tls, token=TOKEN[0])[2]

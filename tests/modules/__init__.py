@@ -1,1 +1,1 @@
-"""The host of modules, with a module of the tests' own."""
+"""The host of modules, with a module for the tests."""

@@ -66,18 +66,18 @@ def test_a_call_has_one_reply_or_one_error(two: Two) -> None:
     server = two.server.server("/switch", BOOL, serve)
     client = two.client.client("/switch", BOOL)
     replies = ask(two, client, {"data": True})
-    assert until(lambda: replies, "a reply") == [{"success": True, "message": "on"}]
+    assert until(lambda: replies, "a reply arrives") == [{"success": True, "message": "on"}]
     errors = ask(two, client, {"data": False})
-    assert "ValueError: off" in str(until(lambda: errors, "an error")[0])
+    assert "ValueError: off" in str(until(lambda: errors, "an error arrives")[0])
     with pytest.raises(ConversionError, match="dta"):
         client.call({"dta": True}, replies.append)
     assert server.counters.messages == 2
     last_replies = ask(two, client, {"data": True})
-    until(lambda: last_replies, "a reply")
+    until(lambda: last_replies, "a reply arrives")
     server.close()
     late_replies: list[Any] = []
     client.call({"data": True}, late_replies.append)
-    assert isinstance(until(lambda: late_replies, "an error")[0], CallError)
+    assert isinstance(until(lambda: late_replies, "an error arrives")[0], CallError)
 
 
 def test_a_malformed_reply_and_a_busy_server_are_errors(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,9 +90,9 @@ def test_a_malformed_reply_and_a_busy_server_are_errors(two: Two, monkeypatch: p
     third = ask(two, client, {})
     assert "is busy" in str(until(lambda: third, "the third request is rejected")[0])
     pending[0]({"sucess": True})
-    assert "malformed reply" in str(until(lambda: first, "an error")[0])
+    assert "malformed reply" in str(until(lambda: first, "an error arrives")[0])
     pending[1]({"success": True})
-    assert until(lambda: second, "a reply")[0]["success"]
+    assert until(lambda: second, "a reply arrives")[0]["success"]
     ask(two, client, {})
     until(lambda: len(pending) == 3, "the next request is accepted")
 
@@ -157,7 +157,7 @@ def test_goals_end_as_their_server_decides(two: Two) -> None:
     get_result = two.client.client("/lookup/_action/get_result", f"{LOOKUP}_GetResult")
     until(lambda: get_result.ready, "the get_result service is available")
     get_result.call({"goal_id": {"uuid": list(goal.id)}}, results.append)
-    assert until(lambda: results, "the cached result")[0]["status"] == GoalState.ABORTED
+    assert until(lambda: results, "the cached result arrives")[0]["status"] == GoalState.ABORTED
 
 
 def test_one_goal_or_all_are_canceled(two: Two) -> None:

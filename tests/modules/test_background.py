@@ -1,4 +1,4 @@
-"""Slow jobs of a module: one at a time on a thread of their own, with results on the module's thread."""
+"""Slow jobs of a module: one at a time on a separate thread, with results on the module's thread."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ def test_a_newer_job_replaces_the_waiting_one_and_the_thread_stays_free(loop: Ev
     loop.call(lambda: jobs.submit(background, "first", "second", "third"))
     until(lambda: jobs.threads, "the first job runs")
     assert jobs.prepared == ["first"]
-    own = loop.call(threading.current_thread)  # answers although a job runs
+    own = loop.call(threading.current_thread)  # the loop answers although a job runs
     jobs.free.set()
-    until(lambda: len(jobs.delivered) == 2, "two results")
+    until(lambda: len(jobs.delivered) == 2, "two results are delivered")
     assert jobs.results == jobs.prepared == ["first", "third"]
     assert all(thread is own for _, thread in jobs.delivered)
     assert own not in jobs.threads

@@ -87,36 +87,36 @@ def test_a_native_client_is_served_again_when_the_module_is_back(
     config: Config, names: NameClient, modules: Modules
 ) -> None:
     with contextlib.closing(NativeClient("/native/rpc", names)) as client:
-        until(lambda: client.connect("/echo/rpc"), "the port is there")
-        until(lambda: _kept(config), "its caller is kept")
+        until(lambda: client.connect("/echo/rpc"), "the port is registered")
+        until(lambda: _kept(config), "the port's client is stored")
         for _ in range(2):
             assert client.call(HELLO) == SAID
             modules.kill()
-            assert client.call(HELLO) is None  # at once, and no success
+            assert client.call(HELLO) is None  # the call fails at once
             modules.start()
-            until(lambda: client.call(HELLO) == SAID, "it is served again")
+            until(lambda: client.call(HELLO) == SAID, "calls are served again")
     until(lambda: not _kept(config), "a client that leaves is no longer stored")
 
 
 def test_client_without_a_call_meanwhile_is_served_again(config: Config, names: NameClient, modules: Modules) -> None:
-    client = NativeClient("/native/rpc", names)  # which still lists the connection that ended
+    client = NativeClient("/native/rpc", names)  # this native client still lists the connection that ended
     try:
-        until(lambda: client.connect("/echo/rpc"), "the port is there")
-        until(lambda: _kept(config), "its caller is kept")
+        until(lambda: client.connect("/echo/rpc"), "the port is registered")
+        until(lambda: _kept(config), "the port's client is stored")
         modules.kill()
         assert connections.is_connected(names, "/native/rpc", "/echo/rpc")
         modules.start()
-        until(lambda: "/native/rpc" in _inputs(names), "it was asked back")
-        until(lambda: client.call(HELLO) == SAID, "it is served again")
+        until(lambda: "/native/rpc" in _inputs(names), "the client was asked to reconnect")
+        until(lambda: client.call(HELLO) == SAID, "calls are served again")
     finally:
         client.close()
 
 
 def test_yarp_compats_own_client_is_served_again(config: Config, names: NameClient, modules: Modules) -> None:
-    until(lambda: connections.exists(names, "/echo/rpc"), "the port is there")
+    until(lambda: connections.exists(names, "/echo/rpc"), "the port is registered")
     with Client("/echo/rpc", naming=names) as client:
         assert client.ask(["hello"], timeout=40) == ["said", "hello"]
-        until(lambda: _kept(config), "its caller is kept")
+        until(lambda: _kept(config), "the port's client is stored")
         modules.kill()
         with pytest.raises(OSError, match="closed"):
             client.ask(["hello"], timeout=40)
@@ -127,21 +127,21 @@ def test_yarp_compats_own_client_is_served_again(config: Config, names: NameClie
                 return client.ask(["hello"], timeout=40) == ["said", "hello"]
             return False
 
-        until(served, "it is served again")
+        until(served, "calls are served again")
 
 
 def test_successor_of_a_dead_client_name_is_not_connected(config: Config, names: NameClient, modules: Modules) -> None:
     client = NativeClient("/native/rpc", names)
-    until(lambda: client.connect("/echo/rpc"), "the port is there")
-    until(lambda: _kept(config), "its caller is kept")
+    until(lambda: client.connect("/echo/rpc"), "the port is registered")
+    until(lambda: _kept(config), "the port's client is stored")
     modules.kill()
     client.close()
     other = PortCore("/native/rpc", naming=names, rpc=True)
     other.open()
     try:
         modules.start()
-        until(lambda: connections.exists(names, "/echo/rpc"), "the port is back")
-        until(lambda: not _kept(config), "its former caller is given up")
+        until(lambda: connections.exists(names, "/echo/rpc"), "the port is registered again")
+        until(lambda: not _kept(config), "the port's former client is no longer stored")
         assert not other.connections.outputs
     finally:
         other.close()
@@ -151,10 +151,10 @@ def test_ports_that_are_closed_in_good_order_know_their_callers_again(config: Co
     with contextlib.closing(NativeClient("/native/rpc", names)) as client:
         for _ in range(2):
             ports = _open(config)
-            until(lambda: client.call(HELLO) == SAID or not _kept(config), "it is asked back")
+            until(lambda: client.call(HELLO) == SAID or not _kept(config), "the client is asked to reconnect")
             if not _kept(config):
-                until(lambda: client.connect("/echo/rpc"), "the port is there")
-            until(lambda: _kept(config) == ["/native/rpc"], "its caller is kept")
+                until(lambda: client.connect("/echo/rpc"), "the port is registered")
+            until(lambda: _kept(config) == ["/native/rpc"], "the port's client is stored")
             ports.close()
             assert client.call(HELLO) is None
             assert _kept(config) == ["/native/rpc"]
@@ -171,7 +171,7 @@ def test_invalid_file_is_ignored(config: Config, names: NameClient) -> None:
 
 
 def _inputs(names: NameClient) -> list[str]:
-    """Who is connected to the port."""
+    """Return the names of the clients that are connected to the port."""
     contact = names.query("/echo/rpc")
     assert contact is not None
     try:

@@ -1,4 +1,4 @@
-"""The clock of a module: the system's, or a simulation's on the hub, on which its timers run."""
+"""The clock on which a module's timers run: the system's clock, or that of a simulation on the hub."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CLOCK = "rosgraph_msgs/Clock"
 
 
 class Ticking(Module):
-    """Counts the seconds of its clock."""
+    """A module that counts the seconds of its clock."""
 
     name = "ticking"
     seen: ClassVar[list[str]] = []
@@ -52,9 +52,9 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
     for second in (11, 12, 13):
         for tenth in range(6, 16):
             publish_clock(second - 1 + tenth / 10)
-        until(lambda s=second: Ticking.seen[-1:] == [str(s)], "a second")
+        until(lambda s=second: Ticking.seen[-1:] == [str(s)], "the module has counted a second")
     assert Ticking.seen == ["11", "12", "13"]
-    until(lambda: place.far.wait(done, 1)[-1]["stamp"]["sec"] == 13, "the module is done with the time")
+    until(lambda: place.far.wait(done, 1)[-1]["stamp"]["sec"] == 13, "the module has acknowledged the time")
     assert place.far.wait(done, 1)[-1]["frame_id"] == "ticking"
     # a slow job delays the next acknowledgment, so that steps of the simulation wait for it
     jobs: list[threading.Thread] = []
@@ -64,12 +64,12 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
     publish_clock(2.0)
     until(lambda: "back" in Ticking.seen, "the jump is reported")
     publish_clock(3.0)
-    until(lambda: Ticking.seen[-1:] == ["3"], "it goes on")
+    until(lambda: Ticking.seen[-1:] == ["3"], "the clock continues")
 
 
 def test_the_systems_clock_needs_no_simulation(place: Place) -> None:  # noqa: F811
     place.worker.start(config(place, "system"))
-    until(lambda: Ticking.seen, "a second")
+    until(lambda: Ticking.seen, "the module has counted a second")
     assert abs(int(Ticking.seen[0]) - time.time()) < 5
 
 
@@ -84,7 +84,7 @@ def test_clock_reports_only_backward_jumps(caplog: pytest.LogCaptureFixture) -> 
     assert jumps.acquire(blocking=False)
     assert "set back" in caplog.text
     withdraw()
-    clock.receive(bytes(3))  # none
+    clock.receive(bytes(3))  # not a time
     assert clock.stamp() == {"sec": 0, "nanosec": 0}
     system = RunClock()
     system.receive(bytes([0, 1, 0, 0]) + bytes(8))

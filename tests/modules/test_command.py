@@ -44,7 +44,7 @@ def test_one_module_runs_alone_and_stops_cleanly(tmp_path: Path) -> None:
                 until(lambda: far.ask("status", {}, worker="echo"), "the module answers", 30)
                 program.send_signal(signal.SIGTERM)
                 assert program.wait(20) == 0
-                until(lambda: not [n for n in far.graph.nodes() if n.node == "echo"], "its node left")
+                until(lambda: not [n for n in far.graph.nodes() if n.node == "echo"], "the module's node has left")
         finally:
             program.kill()
             program.communicate()

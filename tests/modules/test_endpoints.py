@@ -100,8 +100,8 @@ def test_immediate_callbacks_do_not_wait_for_the_module(node: ModuleNode, far: H
         far.publish(out, {"data": "x"})
         return bool(at_once)
 
-    until(arrived, "it arrives while the module is busy")
+    until(arrived, "the message arrives while the module is busy")
     assert not later
     release.set()
-    until(lambda: later, "the module receives it, too")
+    until(lambda: later, "the module receives the message, too")
     assert not set(at_once) & set(later)

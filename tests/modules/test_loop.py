@@ -56,7 +56,7 @@ def test_a_timer_leaves_out_the_times_that_were_missed(loop: EventLoop) -> None:
 
     def hold() -> float:
         counted()
-        time.sleep(0.2)  # twenty times are missed
+        time.sleep(0.2)  # twenty ticks are missed
         return time.monotonic()
 
     went_on = loop.call(hold)
@@ -71,7 +71,7 @@ def test_closed_timer_no_longer_runs(loop: EventLoop) -> None:
 
     def begin() -> None:
         late = loop.after(0.0, lambda: ran.append(1))
-        loop.after(0.0, done.set)  # due after it
+        loop.after(0.0, done.set)  # due after the previous callback
         late.close()
 
     loop.call(begin)
@@ -80,7 +80,7 @@ def test_closed_timer_no_longer_runs(loop: EventLoop) -> None:
 
 
 def test_timers_and_posted_actions_alternate(loop: EventLoop) -> None:
-    loop.every(1e-9, lambda: None)  # due again as soon as it has run
+    loop.every(1e-9, lambda: None)  # due again as soon as the callback has run
     assert loop.call(lambda: "its turn") == "its turn"
 
     def on_and_on() -> None:
@@ -98,7 +98,7 @@ def test_blocked_step_is_reported(loop: EventLoop) -> None:
     assert begun.wait(40)
     with pytest.raises(TimeoutError, match="a loop has not answered"):
         loop.call(lambda: None, seconds=0.05)
-    until(lambda: hung(loop), "it hangs")
+    until(lambda: hung(loop), "the loop is reported as hanging")
     gate.set()
     loop.call(lambda: None)
     assert loop.computes() == ""
@@ -116,7 +116,7 @@ def use_processor(seconds: float) -> None:
 
 
 def hung(loop: EventLoop) -> str:
-    """Why, once it is so."""
+    """Return the reason once the loop is reported as hanging."""
     try:
         loop.computes()
     except TimeoutError as err:
@@ -128,14 +128,17 @@ def test_computing_step_is_distinguished_from_a_hanging_one(loop: EventLoop) -> 
     done = threading.Event()
     loop.post(lambda: compute(done))
     try:
-        until(lambda: loop.computes() == "computes for 2 s", "it computes for far longer than a step may stand still")
+        until(
+            lambda: loop.computes() == "computes for 2 s",
+            "the loop computes for far longer than a step may stand still",
+        )
     finally:
         done.set()
     loop.call(lambda: None)
     assert loop.computes() == ""
     gate = threading.Event()
     loop.post(lambda: gate.wait(40))
-    until(lambda: "computes nothing" in hung(loop), "it hangs")
+    until(lambda: "computes nothing" in hung(loop), "the loop is reported as hanging")
     gate.set()
 
 
@@ -144,7 +147,7 @@ def test_endless_step_is_reported(loop: EventLoop, monkeypatch: pytest.MonkeyPat
     done = threading.Event()
     loop.post(lambda: compute(done))
     try:
-        until(lambda: "a loop is in an endless loop" in hung(loop), "it is told")
+        until(lambda: "a loop is in an endless loop" in hung(loop), "the endless loop is reported")
     finally:
         done.set()
 
@@ -152,7 +155,9 @@ def test_endless_step_is_reported(loop: EventLoop, monkeypatch: pytest.MonkeyPat
 def test_loop_waits_for_work_that_progresses(loop: EventLoop) -> None:
     done = threading.Event()
     threading.Timer(1.5, done.set).start()
-    assert loop.work(lambda: (compute(done), "done")[1]) == "done", "three times what a step may stand still"
+    assert loop.work(lambda: (compute(done), "done")[1]) == "done", (
+        "the step may compute for three times as long as it may stand still"
+    )
     with pytest.raises(ZeroDivisionError):
         loop.work(lambda: 1 // 0)
 
@@ -205,7 +210,7 @@ def test_waiting_call_fails_at_once_when_the_loop_ends() -> None:
     until(lambda: loop.waiting == 1, "the call waits")
     loop.close(seconds=0)
     asking.join(20)
-    assert errors == ["an ending loop has ended"], "the step that is under way need not be over"
+    assert errors == ["an ending loop has ended"], "the call fails without waiting for the running step"
     with pytest.raises(TimeoutError, match="has ended"):
         loop.call(lambda: None, seconds=40)
     gate.set()

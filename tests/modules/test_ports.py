@@ -26,7 +26,7 @@ def config(tmp_path: Path) -> Config:
 
 
 class Held(threading.Event):
-    """An event that is set again by another thread while the ports' own is about to clear it."""
+    """An event that another thread sets again while the ports' own thread is about to clear it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -45,7 +45,7 @@ class Held(threading.Event):
 
 
 def threads() -> set[threading.Thread]:
-    """Those of all modules' ports in this process."""
+    """Return the threads of all modules' ports in this process."""
     return {thread for thread in threading.enumerate() if thread.name == "midspan-ports"}
 
 
@@ -78,10 +78,11 @@ def test_call_to_a_module_without_a_thread_gets_an_error(config: Config) -> None
 
 def test_connection_during_port_registration_loses_nothing(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     ports = Ports(config, "test")
-    monkeypatch.setattr(ports, "_open", lambda port: port.core.is_open or port.core.open())  # it goes no further
+    # opening goes no further than this
+    monkeypatch.setattr(ports, "_open", lambda port: port.core.is_open or port.core.open())
     with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
         port = ports.output("/said:o")
-        until(lambda: port.core.is_open, "it is registered")
+        until(lambda: port.core.is_open, "the port is registered")
         with Reader("/heard:i", naming=ports.naming) as reader:
             connections.connect(ports.naming, "/said:o", "/heard:i")
             assert port.trouble
@@ -93,7 +94,7 @@ def test_connection_during_port_registration_loses_nothing(config: Config, monke
 
 
 def test_each_reader_gets_the_form_of_its_release(config: Config, caplog: pytest.LogCaptureFixture) -> None:
-    """By a rule, by the whole network's setting, and by the default, which the log and the status name."""
+    """The release comes from a rule, from the network's setting, or from the default, which log and status name."""
     rules = {"peers": [{"port": "/older/*", "release": "3.9"}]}
     changed = config.model_copy(update={"yarp": type(config.yarp)(**{**config.yarp.model_dump(), **rules})})
     ports = Ports(changed, "test")

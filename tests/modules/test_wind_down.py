@@ -29,7 +29,7 @@ def place(tmp_path: Path) -> Iterator[Place]:
 
 
 class WindDown:
-    """Takes the place of a module's `begin_stop` and `stop`, and records the order of events."""
+    """Replaces a module's `begin_stop` and `stop`, and records the order of events."""
 
     def __init__(self, module: Module, monkeypatch: pytest.MonkeyPatch) -> None:
         self.events: list[str] = []
@@ -75,14 +75,14 @@ def test_a_module_is_stopped_once_it_has_wound_down(place: Place, monkeypatch: p
     stopping = Stopping(running)
     assert winding.begun.wait(20)
     assert winding.done is not None
-    place.until_replied("one more", received, "one more")  # its endpoints work meanwhile
+    place.until_replied("one more", received, "one more")  # the module's endpoints work meanwhile
     assert not stopping.stopped
     assert winding.events == ["winding down"]
     winding.done()
     stopping.join()
     assert winding.events == ["winding down", "stopped"]
     assert stopping.seconds < 60.0
-    until(lambda: not place.far.hub.graph.publishers("/said"), "its endpoints are closed")
+    until(lambda: not place.far.hub.graph.publishers("/said"), "the module's endpoints are closed")
 
 
 def test_a_module_that_does_not_wind_down_is_stopped_all_the_same(
@@ -94,9 +94,9 @@ def test_a_module_that_does_not_wind_down_is_stopped_all_the_same(
     stopping = Stopping(running)
     stopping.join()
     assert winding.events == ["winding down", "stopped"]
-    assert 0.3 <= stopping.seconds < 10.0, "it had its time, and only that"
+    assert 0.3 <= stopping.seconds < 10.0, "the module had its time, but no more"
     assert winding.done is not None
-    winding.done()  # too late, and harmless
+    winding.done()  # too late, but harmless
 
 
 def test_a_module_that_has_nothing_to_wind_down_is_stopped_at_once(
@@ -119,9 +119,9 @@ def test_a_module_that_fails_to_wind_down_is_closed(
     monkeypatch.setattr(running.module, "begin_stop", fail)
     Stopping(running).join()
     assert "no base" in caplog.text
-    until(lambda: not place.far.hub.graph.publishers("/said"), "its endpoints are closed")
+    until(lambda: not place.far.hub.graph.publishers("/said"), "the module's endpoints are closed")
 
 
 def test_the_workers_of_the_sides_wait_longer_than_a_module_winds_down_and_the_daemon_waits_longest() -> None:
-    """The daemon kills what has not ended by then, and with it the last replies."""
+    """The daemon kills workers that have not exited by then, and their last replies are lost."""
     assert modules_worker.WIND_DOWN_SECONDS < DRAIN_SECONDS < Timing().stop

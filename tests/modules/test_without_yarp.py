@@ -1,4 +1,4 @@
-"""Modules without YARP: switched off, or not used on this machine."""
+"""Modules without YARP, which is disabled or not used on this machine."""
 
 from __future__ import annotations
 

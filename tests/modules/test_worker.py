@@ -36,7 +36,7 @@ def test_a_module_subscribes_publishes_and_counts_messages(place: Place) -> None
     place.until_replied("hello", subscription, "again hello")
 
     def counted() -> dict[str, Any] | None:
-        """Return the status once it counts messages on all topics, which is after their delivery."""
+        """Return the status once it counts messages on all topics; messages are counted after their delivery."""
         status = place.status("echo")
         return status if status and all(end["messages"] for end in status["topics"]) else None
 
@@ -141,12 +141,16 @@ def test_a_reload_only_touches_changed_modules(place: Place) -> None:
     unwatch = graph.watch(lambda: snapshots.append(ends("echo")))
     assert place.worker.reload(place.config(echo(prefix="new "), echo("third")))
     place.until_replied("b", subscription, "new b")
-    until(lambda: place.status("third") and ends("third") and not ends("other"), "the third replaces the other")
+    until(
+        lambda: place.status("third") and ends("third") and not ends("other"), "the third module replaces the other one"
+    )
     assert place.status("other") is None
     unwatch()
     assert snapshots, "the graph has changed"
     assert all(snapshot == original for snapshot in snapshots), "the module reloads without a restart"
-    assert {node.zid for node in graph.nodes() if node.node in {"echo", "third"}} == {zid}, "on one session"
+    assert {node.zid for node in graph.nodes() if node.node in {"echo", "third"}} == {zid}, (
+        "both modules have the same session"
+    )
     assert place.worker.reload(place.config(echo(restart=True), echo("third")))
     until(lambda: ends("echo").keys() == original.keys() and ends("echo") != original, "the module has restarted")
     place.until_replied("c", subscription, "c")
@@ -197,7 +201,9 @@ def test_a_module_that_cannot_start_does_not_affect_others_and_is_restarted(plac
     health = place.worker.health()
     assert health.state == "running"
     assert "refuses waiting: start refused by its options" in health.text
-    statuses = {name: until(lambda name=name: place.status(name), "it is reported") for name in ("nowhere", "refuses")}
+    statuses = {
+        name: until(lambda name=name: place.status(name), "the failure is reported") for name in ("nowhere", "refuses")
+    }
     assert {status["state"] for status in statuses.values()} == {"waiting"}
     assert statuses["refuses"]["text"] == "start refused by its options"
     assert "tests.modules.nowhere" in statuses["nowhere"]["text"]

@@ -104,7 +104,7 @@ def test_an_existing_file_is_not_overwritten(file: Path, tmp_path: Path, capsys:
 
 
 def recorder(file: Path, *arguments: str, limit: str = "unlimited") -> subprocess.Popen[str]:
-    """Start the verb as a process; ``limit``: largest file size in kilobytes."""
+    """Start the command as a process; ``limit`` is the maximum file size in kilobytes."""
     command = [sys.executable, "-m", "bridge.cli.main", "record", *arguments, "--config", str(file)]
     return subprocess.Popen(
         ["bash", "-c", f"ulimit -f {limit}; exec {shlex.join(command)}"],
@@ -116,11 +116,14 @@ def test_ctrl_c_ends_a_recording_with_a_summary(robot: Robot, file: Path, tmp_pa
     publisher, latched = robot.publisher("/said"), robot.publisher("/kept", LATCHED)
     latched.put(robot.text("kept"))
     program = recorder(file, "/said", "/k*", "-o", str(tmp_path / "run"), "--folder", "--json")
-    until(lambda: publisher.matched() or program.poll() is not None, "it is subscribed")
+    until(lambda: publisher.matched() or program.poll() is not None, "the topic is subscribed")
     for number in range(10):
         publisher.put(robot.text(str(number)))
     publisher.put(robot.text("last"))
-    until(lambda: [a for a in robot.hub.ask("status", {}) if a.value["recording"]["messages"] == 12], "it is written")
+    until(
+        lambda: [a for a in robot.hub.ask("status", {}) if a.value["recording"]["messages"] == 12],
+        "all messages are written",
+    )
     program.send_signal(signal.SIGINT)
     out, err = program.communicate(timeout=30)
     assert program.returncode == 0, err
@@ -138,10 +141,10 @@ def test_the_recorder_yields_to_publishers(robot: Robot, file: Path, tmp_path: P
     """All threads but the main one, which reports the recorder's health, have a lower priority."""
     publisher = robot.publisher("/said")
     program = recorder(file, "/said", "-o", str(tmp_path / "run.mcap"))
-    until(lambda: publisher.matched() or program.poll() is not None, "it is subscribed")
+    until(lambda: publisher.matched() or program.poll() is not None, "the topic is subscribed")
     of_all = {}
     for task in Path(f"/proc/{program.pid}/task").iterdir():
-        with suppress(OSError):  # it has just ended
+        with suppress(OSError):  # the thread has just ended
             thread = int(task.name)
             of_all[thread] = os.getpriority(os.PRIO_PROCESS, thread), os.sched_getscheduler(thread)
     program.send_signal(signal.SIGINT)
@@ -162,7 +165,7 @@ def test_a_failed_write_leaves_a_file_of_complete_chunks(robot: Robot, file: Pat
     publisher = robot.publisher("/said", Qos(depth=1000))
     path = tmp_path / "run.mcap"
     program = recorder(file, "/said", "-o", str(path), "--compression", "none", limit=str(3 << 10))
-    until(lambda: publisher.matched() or program.poll() is not None, "it is subscribed")
+    until(lambda: publisher.matched() or program.poll() is not None, "the topic is subscribed")
     try:
         for number in range(60):
             publisher.put(robot.text(f"{number:05}" + "x" * 100_000))
@@ -202,14 +205,14 @@ def test_halt_failed_goal_call_and_verb_keep_the_ring(
 ) -> None:  # fmt: skip
     monkeypatch.setattr(triggers, "QUIET_SECONDS", 0.0)
     publisher = robot.publisher("/said")
-    until(publisher.matched, "it is subscribed")
+    until(publisher.matched, "the topic is subscribed")
 
     def after(step: str) -> None:
         written, received = len(kept_reasons(tmp_path)), worker_status(robot)["messages"]
         publisher.put(robot.text(step))
-        until(lambda: worker_status(robot)["messages"] > received, "it is in the ring")
+        until(lambda: worker_status(robot)["messages"] > received, "the message is in the ring")
         steps[step]()
-        until(lambda: len(kept_reasons(tmp_path)) == written + 1, f"{step} writes it")
+        until(lambda: len(kept_reasons(tmp_path)) == written + 1, f"{step} writes the ring")
 
     status = robot.publisher("/navigation/status", LATCHED, STATUS)
     until(lambda: has_subscriber(robot, "/navigation/status"), "the gateway's status is subscribed")
@@ -236,9 +239,9 @@ def worker_status(robot: Robot) -> dict:  # type: ignore[type-arg]
 
 def test_health_and_metrics_show_what_is_written(worker: RecordWorker, robot: Robot) -> None:
     publisher = robot.publisher("/said")
-    until(publisher.matched, "it is subscribed")
+    until(publisher.matched, "the topic is subscribed")
     publisher.put(robot.text("one"))
-    until(lambda: worker_status(robot)["messages"] == 1, "it is written")
+    until(lambda: worker_status(robot)["messages"] == 1, "the message is written")
     health = worker.health()
     assert health.state == "running"
     assert "1 messages" in health.text

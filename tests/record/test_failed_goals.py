@@ -34,16 +34,18 @@ def test_each_rejected_or_aborted_goal_keeps_the_ring(tmp_path: Path, monkeypatc
                     read(max(folder_.parent.glob("*.mcap"))).metadata["midspan.end"]["trigger"] for folder_ in folders
                 ]
 
-            rig.gateway.link.presence.unreachable_at = 0.0  # it has been available for a while: a rejection counts
+            rig.gateway.link.presence.unreachable_at = (
+                0.0  # the planner has been available for a while, so a rejection counts
+            )
             for count in (1, 2):
                 rig.planner.rejects = 1
                 status, reason = ClientGoal(rig.client, pose(1.0)).end()
                 assert (status, reason) == ("ABORTED", "robot_goto rejected the goal")
-                until(lambda n=count: len(kept_reasons()) == n, "it is written")  # type: ignore[misc]
+                until(lambda n=count: len(kept_reasons()) == n, "the ring is written")  # type: ignore[misc]
             given = ClientGoal(rig.client, pose(2.0))
             rig.planner.give_up(rig.planner.until(1), "no way leads there")
             assert given.end()[0] == "ABORTED"
-            until(lambda: len(kept_reasons()) == 3, "it is written")
+            until(lambda: len(kept_reasons()) == 3, "the ring is written")
             reached = ClientGoal(rig.client, pose(3.0))
             rig.planner.reach(rig.planner.until(2))
             assert reached.end()[0] == "SUCCEEDED"

@@ -75,6 +75,6 @@ def test_messages_of_unknown_publishers_are_limited(
         state.saw(message(number, gid))
     known = b"k" * 16
     graph.ends.append(endpoint("/map", known, LATCHED))
-    state.saw(message(9, known))  # unknown publishers do not displace it
+    state.saw(message(9, known))  # unknown publishers do not displace the message
     graph.ends += [endpoint("/map", gid, LATCHED) for gid in gids]
     assert stored(state) == [0, 1, 9]

@@ -58,7 +58,7 @@ def test_messages_are_recorded_unchanged(hubs: QuickHub, robot: Robot, tmp_path:
     chat, other = robot.publisher("/said"), robot.publisher("/camera/other")
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), exclude=["^/camera"]) as recorded:
         path = recorded.recorder.begin()
-        until(chat.matched, "it is subscribed")
+        until(chat.matched, "the topic is subscribed")
         chat.put(robot.text("one"), 1_000)
         chat.put(robot.text("two"), 2_000)
         other.put(robot.text("not this"))
@@ -87,11 +87,13 @@ def test_each_file_of_a_split_starts_with_latched_messages(hubs: QuickHub, robot
         history.put(robot.text(f"h{number}"))
     with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as recorded:
         recorded.recorder.begin()
-        until(chat.matched, "it is subscribed")
+        until(chat.matched, "the topic is subscribed")
         chat.put(robot.text("first"))
         await_written(recorded, 5)
         closed.close()
-        until(lambda: not recorded.recorder.topics.refresh().keys() & {closed_topic_key(recorded)}, "it is closed")
+        until(
+            lambda: not recorded.recorder.topics.refresh().keys() & {closed_topic_key(recorded)}, "the topic is removed"
+        )
         first = recorded.recorder.split()
         chat.put(robot.text("second"))
         await_written(recorded, 6)
@@ -102,7 +104,7 @@ def test_each_file_of_a_split_starts_with_latched_messages(hubs: QuickHub, robot
     assert (first_file.texts("/gone"), second_file.texts("/gone")) == (["gone"], [])
     assert second_file.texts("/said") == ["second"]
     assert [m.topic for m in second_file.messages][-1] == "/said"
-    with Reader(tmp_path / "run") as bag:  # through the folder's metadata
+    with Reader(tmp_path / "run") as bag:  # read through the folder's metadata
         assert bag.message_count == len(first_file.messages) + len(second_file.messages)
     with AnyReader([tmp_path / "run"]) as any_bag:
         texts = [any_bag.deserialize(raw, c.msgtype) for c, _, raw in any_bag.messages() if c.topic == "/said"]
@@ -130,7 +132,7 @@ def test_a_folders_metadata_has_the_qos_of_all_publishers(hubs: QuickHub, robot:
         ends = [robot.publisher("/said"), Robot(hub).publisher("/said", LATCHED)]
         with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as recorded:
             recorded.recorder.begin()
-            until(lambda: all(end.matched() for end in ends), "both are subscribed")
+            until(lambda: all(end.matched() for end in ends), "both topics are subscribed")
             for end in ends:
                 end.put(robot.text("hi"))
             await_written(recorded, 2)
@@ -151,11 +153,11 @@ def test_a_pause_unsubscribes_and_a_start_continues_in_another_file(
     chat = robot.publisher("/said")
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
         recorded.recorder.begin()
-        until(chat.matched, "it is subscribed")
+        until(chat.matched, "the topic is subscribed")
         chat.put(robot.text("before"))
         await_written(recorded, 1)
         assert recorded.recorder.pause() == tmp_path / "one.mcap"
-        until(lambda: not chat.matched(), "it is unsubscribed")
+        until(lambda: not chat.matched(), "the topic is unsubscribed")
         chat.put(robot.text("meanwhile"))
         assert recorded.recorder.begin() == tmp_path / "one_1.mcap"
         until(chat.matched, "the recorder subscribes again")
@@ -175,14 +177,14 @@ def test_a_trigger_keeps_the_rings_last_moments(hubs: QuickHub, robot: Robot, tm
     with recording(hubs, tmp_path, ring, ring={"seconds": 5.0}) as recorded:
         recorded.add_triggers(section)
         recorded.recorder.begin()
-        until(chat.matched, "it is subscribed")
+        until(chat.matched, "the topic is subscribed")
         await_topics(recorded, 3)
         chat.put(robot.text("before it"))
         await_written(recorded, 2)
         assert not list(tmp_path.glob(f"{PREFIX}*"))
         until(lambda: len(robot.hub.graph.subscriptions("/bumper")) >= 2, "the trigger is subscribed")
         bumper.put(robot.text("bump"))
-        folder = until(lambda: next(iter(tmp_path.glob(f"{PREFIX}*/metadata.yaml")), None), "it is kept").parent
+        folder = until(lambda: next(iter(tmp_path.glob(f"{PREFIX}*/metadata.yaml")), None), "the ring is kept").parent
     files = sorted(folder.glob("*.mcap"))
     contents = [read(file) for file in files]
     assert contents[0].texts("/map") == ["map"]
@@ -199,11 +201,11 @@ def test_a_ring_deletes_older_files(hubs: QuickHub, robot: Robot, tmp_path: Path
     chat = robot.publisher("/said")
     with recording(hubs, tmp_path, ring, ring={"seconds": 0.2}) as recorded:
         recorded.recorder.begin()
-        until(chat.matched, "it is subscribed")
+        until(chat.matched, "the topic is subscribed")
         chat.put(robot.text("old"))
         await_written(recorded, 1)
         recorded.recorder.split()
-        until(lambda: not list((tmp_path / ".ring").glob("*.mcap")), "it is deleted")
+        until(lambda: not list((tmp_path / ".ring").glob("*.mcap")), "the ring file is deleted")
         assert recorded.recorder.trigger("nothing").result(10) is None
 
 
@@ -235,7 +237,7 @@ def test_topics_that_are_not_bridged_are_requested_from_their_worker(hubs: Quick
         with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), **section) as recorded:
             recorded.recorder.begin()
             await_written(recorded, 1)
-            until(lambda: requests, "it is requested")
+            until(lambda: requests, "the definition is requested")
     assert set(requests) == {"/arm/home"}
     contents = read(tmp_path / "one.mcap")
     assert contents.texts("/arm/home") == ["at home"]
@@ -255,8 +257,8 @@ def test_a_folder_that_cannot_be_created_is_reported_and_retried(
             recorded.recorder.begin()
         assert recorded.recorder.status()["state"] == "blocked"
         place.unlink()
-        until(lambda: not recorded.recorder.status()["error"], "it continues")
-        until(chat.matched, "it is subscribed")
+        until(lambda: not recorded.recorder.status()["error"], "the recorder continues")
+        until(chat.matched, "the topic is subscribed")
         chat.put(robot.text("after"))
         status = await_written(recorded, 1)
     assert read(Path(status["file"])).texts("/said") == ["after"]
@@ -282,20 +284,20 @@ def test_a_full_disk_stops_recording_until_space_is_free(
     chat = robot.publisher("/said")
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
         recorded.recorder.begin()
-        until(chat.matched, "it is subscribed")
+        until(chat.matched, "the topic is subscribed")
         chat.put(robot.text("before"))
         await_written(recorded, 1)
         free[0] = 1 << 20
         chat.put(robot.text("last"))
-        status = until(lambda: (now := recorded.recorder.status())["error"] and now, "it stops")
+        status = until(lambda: (now := recorded.recorder.status())["error"] and now, "the recorder stops")
         assert status["state"] == "blocked"
         assert "only 1 MB are free" in status["error"]
         until(lambda: read(tmp_path / "one.mcap").whole, "the file is closed")
         assert read(tmp_path / "one.mcap").texts("/said") == ["before", "last"]
         chat.put(robot.text("lost"))
-        until(lambda: recorded.recorder.status()["dropped"].get("disk") == 1, "it is counted")
+        until(lambda: recorded.recorder.status()["dropped"].get("disk") == 1, "the dropped message is counted")
         free[0] = 100 << 20
-        until(lambda: not recorded.recorder.status()["error"], "it continues")
+        until(lambda: not recorded.recorder.status()["error"], "the recorder continues")
         chat.put(robot.text("after"))
         status = await_written(recorded, 3)
     assert status["dropped"] == {"disk": 1}

@@ -23,7 +23,7 @@ def test_a_trigger_that_kept_nothing_does_not_block_the_next_one() -> None:
     (_, halt), _ = host.answer.call_args
     halt({})
     halt({})
-    assert len(requests) == 1, "it is being kept"
+    assert len(requests) == 1, "the ring is being kept"
     requests[0].set_result(None)
     halt({})
     requests[1].set_exception(OSError("the disk is full"))

@@ -1,4 +1,4 @@
-"""Imports of files: at start, once, and older than any written value."""
+"""Imports of files: once, at the start, with timestamps older than any written value."""
 
 from __future__ import annotations
 

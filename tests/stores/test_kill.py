@@ -18,7 +18,7 @@ from tests.support.process import Process
 
 WRITER = Path(__file__).with_name("writer.py")
 MORE_THAN_ANY = 10**9
-"""More puts than the writer can make: it is killed in the middle, however late."""
+"""More puts than the writer can make, so that it is killed in the middle, however late."""
 
 
 @pytest.mark.thorough

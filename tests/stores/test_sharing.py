@@ -138,17 +138,17 @@ def test_a_deletion_reaches_a_replica_that_was_disconnected(hub: QuickHub, tmp_p
     with Shared(tmp_path, "one", hub.endpoint) as first_store, Shared(tmp_path, "two", hub.endpoint) as second_store:
         for number in range(300):  # more than one batch
             first_store.store.put(LOCATION, f"l{number}", KITCHEN)
-        until(lambda: len(names(second_store)) == 300, "all have arrived", SECONDS)
+        until(lambda: len(names(second_store)) == 300, "all values have arrived", SECONDS)
         second_store.disconnect()
         first_store.store.clear(LOCATION)
         second_store.join(hub.endpoint)
-        until(lambda: not names(second_store), "all are deleted", SECONDS)
+        until(lambda: not names(second_store), "all values are deleted", SECONDS)
         assert same(first_store, second_store)
         assert second_store.replica.status()["conflicts"] == 0
 
 
 def test_a_subscriber_of_all_puts_and_deletes_has_the_same_content(hub: QuickHub, tmp_path: Path) -> None:
-    """As zenohd's storage manager does: by key, the latest timestamp."""
+    """The storage manager of zenohd does this: for each key, it stores the value with the latest timestamp."""
     held: dict[str, tuple[int, str, bytes | None]] = {}
 
     def keep(sample: zenoh.Sample) -> None:
@@ -168,15 +168,15 @@ def test_a_subscriber_of_all_puts_and_deletes_has_the_same_content(hub: QuickHub
         for store, name in ((first_store, "a"), (second_store, "b")):  # again, until the route to the listener is known
             until(
                 lambda store=store, name=name: store.store.put(LOCATION, name, KITCHEN) or f"location/{name}" in held,
-                "the listener receives it",
+                "the listener receives the value",
                 SECONDS,
             )
         first_store.store.put(MAP, "m1", grid())
-        until(lambda: same(first_store, second_store), "both have the same content", SECONDS)
+        until(lambda: same(first_store, second_store), "both stores have the same content", SECONDS)
         second_store.store.delete(LOCATION, "a")
         until(
             lambda: len(held) == 3 and same(first_store, second_store) and held["location/a"][2] is None,
-            "all came",
+            "all changes have arrived",
             SECONDS,
         )
         for (kind, name), (stamp, _) in first_store.replica.versions().items():
@@ -205,9 +205,11 @@ def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplo
         assert (about["width"], about["height"], about["occupancy"] + about["flags"]) == (20, 30, len(cells))
 
         session.put("midspan/store/0/location/door", b'{"map": "m1", "x": 4}')
-        until(lambda: first_store.store.get(LOCATION, "door") == Map2DLocation("m1", 4.0), "it is merged", SECONDS)
+        until(
+            lambda: first_store.store.get(LOCATION, "door") == Map2DLocation("m1", 4.0), "the change is merged", SECONDS
+        )
         session.delete("midspan/store/0/location/kitchen")
-        until(lambda: names(first_store) == ["door"], "it is deleted", SECONDS)
+        until(lambda: names(first_store) == ["door"], "the value is deleted", SECONDS)
         with caplog.at_level(logging.WARNING):
             for key, body in (
                 ("midspan/store/0/location/bad", b"[]"),
@@ -218,7 +220,7 @@ def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplo
             ):
                 session.put(key, body)
             session.put("midspan/store/0/location/good", b"{}")
-            until(lambda: "good" in names(first_store), "the valid one is merged", SECONDS)
+            until(lambda: "good" in names(first_store), "the valid value is merged", SECONDS)
         assert names(first_store) == ["door", "good"]
         assert first_store.store.names(MAP) == ["m1"]
         assert len([1 for record in caplog.records if "is not merged" in record.getMessage()]) >= 3
@@ -242,7 +244,7 @@ def test_a_client_reads_its_own_writes(hub: QuickHub, tmp_path: Path) -> None:
             assert client.all(MAP) == {"m1": grid()}
             client.use_map("m1")
             assert client.current_map() == "m1"
-            until(lambda: first_store.store.current_map() == "m1", "the other daemon has it too", SECONDS)
+            until(lambda: first_store.store.current_map() == "m1", "the other daemon has the current map too", SECONDS)
             client.write([Write(LOCATION, "a b", None), Write(LOCATION, "never", None)])
             assert client.names(LOCATION) == []
             assert client.get(LOCATION, "a b") is None
@@ -361,12 +363,12 @@ def test_invalid_queries_and_samples_are_refused(hub: QuickHub, tmp_path: Path) 
         ):
             session.put("midspan/store/0/location/bad", b"{}", attachment=attached)
         session.put("midspan/store/0/location/good", b"{}")
-        until(lambda: names(first_store), "the valid one is merged", SECONDS)
+        until(lambda: names(first_store), "the valid value is merged", SECONDS)
         assert names(first_store) == ["good"]
 
 
 def wanted(space: KeySpace, daemon: str) -> StoreClient | None:
-    """Return a client of a daemon's own replica, None while it is not discovered."""
+    """Return a client of a daemon's own replica, or None while the replica is not discovered."""
     with contextlib.suppress(StoreError):
         client = StoreClient(space, daemon)
         return client if client.daemon == daemon else None
@@ -399,14 +401,14 @@ def test_a_replica_of_another_major_version_is_not_merged(
         kept = session.declare_queryable(f"midspan/store/0/@sync/digest/{zid}", digest, complete=True)
         with caplog.at_level(logging.WARNING):
             token = session.liveliness().declare_token(f"midspan/store/0/@sync/alive/{zid}/far")
-            until(lambda: "the store of far is not merged" in caplog.text, "it is refused", SECONDS)
+            until(lambda: "the store of far is not merged" in caplog.text, "the other store is refused", SECONDS)
         assert caplog.text.count("the store of far is not merged: it uses version 2.0") == 1
         assert json.loads(queries[0])["wire"] == WIRE
         version = {"ns": 7, "replica": "aa", "origin": "far", "seen": {}}
         for name, wire in (("strange", "2.0"), ("later", "1.7")):
             attached = json.dumps({**version, "wire": wire, "more": 1}).encode()
             session.put(f"midspan/store/0/location/{name}", b"{}", attachment=attached)
-        until(lambda: names(first_store), "that of a later minor version is merged", SECONDS)
+        until(lambda: names(first_store), "a store of a later minor version is merged", SECONDS)
         assert names(first_store) == ["later"]
         assert "location/strange is not merged: it uses version 2.0" in caplog.text
         assert first_store.hub is not None
