@@ -62,7 +62,7 @@ def _threads() -> dict[object, str]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    # as a plugin: pytest does not call this file's hooks for a folder whose own conftest cannot be imported
+    # a plugin, because pytest does not call this file's hooks for a folder whose own conftest cannot be imported
     config.pluginmanager.register(missing)
     config.pluginmanager.register(time_limit)
     turns.pytest_configure(config)
@@ -168,7 +168,7 @@ def pytest_testnodedown(node: object, error: object) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     forks.close()
     leads = session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput")
-    remaining_threads = dict if leads else _threads  # with xdist, no test ran here, and the threads are its own
+    remaining_threads = dict if leads else _threads  # with xdist, no test ran here, and the threads are xdist's
     end = time.monotonic() + 20  # on a busy machine a process may take long to exit
     while (left := {**_processes(), **remaining_threads()}) and time.monotonic() < end:
         time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""Jumps of the system clock, by injected clocks; and a simulated time that stands still."""
+"""Jumps of the system clock, simulated with injected clocks, and a simulated time that stands still."""
 
 from __future__ import annotations
 
@@ -133,16 +133,16 @@ def test_its_thread_runs_while_there_is_anyone_to_notify() -> None:
     second.on_jump(clocks.count)
     assert threads() == before + 1
     clocks.wall -= 40 * S
-    until(lambda: clocks.jumps == 2, "both are notified")
+    until(lambda: clocks.jumps == 2, "both watchers are notified")
     first.close()
     first.close()
     clocks.wall += 40 * S
-    until(lambda: clocks.jumps == 3, "the other is notified")
+    until(lambda: clocks.jumps == 3, "the other watcher is notified")
     second.close()
     until(lambda: threads() == before, "the thread ends")
     first.on_jump(clocks.count)
     clocks.wall -= 40 * S
-    until(lambda: clocks.jumps == 4, "it is watched again")
+    until(lambda: clocks.jumps == 4, "the clock is watched again")
     first.close()
     until(lambda: threads() == before, "the thread ends again")
 

@@ -25,17 +25,17 @@ def test_a_bounded_queue_keeps_the_order_and_drops_the_oldest() -> None:
     try:
         assert not queue.busy
         queue.put(0, 1)
-        until(lambda: queue.waiting == 0, "the first one is under way")
+        until(lambda: queue.waiting == 0, "the first message is being handled")
         assert queue.busy
         for number in range(1, 8):
             queue.put(number, 1)
         queue.put(8, 99)  # fits together with one other message, not with two
         go_on.set()
-        until(lambda: not queue.busy, "all are taken")
+        until(lambda: not queue.busy, "all messages are handled")
         assert taken == [0, 7, 8]
         assert len(dropped) == 6
-        queue.put(9, 1000)  # the newest always fits, and a failed one stops nothing
-        until(lambda: taken[-1] == 9, "it goes on")
+        queue.put(9, 1000)  # the newest message always fits, and a failed message does not stop the queue
+        until(lambda: taken[-1] == 9, "the queue continues")
     finally:
         queue.close()
         queue.close()
@@ -81,7 +81,7 @@ def test_a_bounded_queue_takes_what_is_offered_only_where_there_is_room() -> Non
             False,
         ]
         go_on.set()
-        until(lambda: not queue.busy, "all are taken")
+        until(lambda: not queue.busy, "all messages are handled")
         assert taken == [0, 1, 3]
     finally:
         queue.close()
@@ -99,7 +99,7 @@ def test_few_jobs_run_at_a_time_and_each_reports_its_end() -> None:
     futures = [pool.submit(lambda n=n: held(n)) for n in range(5)]
     assert begun.acquire(timeout=20)
     assert begun.acquire(timeout=20)
-    assert not begun.acquire(timeout=0.1), "more than two at once"
+    assert not begun.acquire(timeout=0.1), "no more than two jobs run at once"
     gate.set()
     assert [future.result(20) for future in futures] == list(range(5))
     failed = pool.submit(lambda: 1 // 0)
@@ -121,7 +121,7 @@ def test_a_job_that_hangs_does_not_delay_the_end() -> None:
     assert hanging.result(20)
     assert pool.submit(lambda: None).cancelled()
     until(waiting.cancelled, "the waiting job is canceled")
-    until(lambda: not [t for t in threading.enumerate() if t.name.startswith("pool")], "its thread ends")
+    until(lambda: not [t for t in threading.enumerate() if t.name.startswith("pool")], "the executor's threads end")
 
 
 def test_a_call_that_is_requested_once_is_made_once() -> None:
@@ -134,11 +134,11 @@ def test_a_call_that_is_requested_once_is_made_once() -> None:
         calls.after(0.3, lambda: executed.append("last"))
         calls.after(0.05, once, once=True)
         calls.after(0.1, once, once=True)
-        calls.after(0.0, lambda: 1 // 0)  # stops nothing
-        until(lambda: "last" in executed, "all are made")
+        calls.after(0.0, lambda: 1 // 0)  # the failure does not stop later calls
+        until(lambda: "last" in executed, "all calls have run")
         assert executed == ["once", "last"]
         calls.after(0.0, once, once=True)
-        until(lambda: executed[-1] == "once", "it may be requested again")
+        until(lambda: executed[-1] == "once", "the call may be requested again")
         calls.after(0.05, lambda: executed.append("never"))
     finally:
         calls.close()
@@ -154,7 +154,7 @@ def test_a_job_that_submits_another_sees_it_run_after_itself() -> None:
         done.append("outer")
 
     executor.submit(outer)
-    executor.submit(lambda: 1 // 0)  # stops nothing
+    executor.submit(lambda: 1 // 0)  # the failure does not stop later jobs
     executor.submit(lambda: done.append("next"))
     assert done == ["outer", "inner", "next"]
 

@@ -1,4 +1,4 @@
-"""A forked program is as one that was started: with an environment, a session, output and an exit code of its own."""
+"""A forked program is like a started one, with its own environment, session, output and exit code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Start = Callable[..., Process]
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Forks programs of a few lines."""
+    """A function that forks programs of a few lines."""
     numbers = itertools.count()
     with contextlib.ExitStack() as stack:
 
@@ -55,7 +55,7 @@ def test_exceptions_are_reported(start: Start) -> None:
 
 def test_a_signal_is_its_exit_code(start: Start) -> None:
     program = start("import time\nprint('on', flush=True)\ntime.sleep(60)")
-    until(program.output, "it runs")
+    until(program.output, "the program runs")
     assert program.popen.poll() is None
     with pytest.raises(subprocess.TimeoutExpired):
         program.popen.wait(0.01)
@@ -68,7 +68,7 @@ def test_pipes_and_their_ends(start: Start) -> None:
     program = start(
         "import sys\nfor line in sys.stdin: print(line.strip()[::-1], flush=True)\nprint('end')", pipes=True
     )
-    other = start("import sys\nsys.stdin.read()", pipes=True)  # inherits nothing of the first one's
+    other = start("import sys\nsys.stdin.read()", pipes=True)  # inherits nothing from the first program
     assert program.popen.stdin is not None
     assert program.popen.stdout is not None
     program.popen.stdin.write("abc\n")
@@ -139,7 +139,7 @@ def test_programs_end_with_who_forked_them(start: Start) -> None:
     assert server is not None
     server.kill()
     assert program.popen.wait(20) == -signal.SIGKILL
-    until(lambda: not process.is_running() or process.status() == psutil.STATUS_ZOMBIE, "it has ended")
+    until(lambda: not process.is_running() or process.status() == psutil.STATUS_ZOMBIE, "the process has ended")
     assert start("print('again')", PYTHONHASHSEED="7").popen.wait(20) == 0
 
 
@@ -151,7 +151,7 @@ def test_only_programs_of_the_tests_are_forked_unasked() -> None:
 
 def test_a_forked_program_shows_its_command(start: Start) -> None:
     program = start("import time\nprint('on', flush=True)\ntime.sleep(60)", "first", "second")
-    until(program.output, "it runs")
+    until(program.output, "the program runs")
     assert [word for word in psutil.Process(program.pid).cmdline() if word] == program.args
 
 
@@ -167,12 +167,12 @@ def test_a_forked_daemon_forks_its_workers(tmp_path: Path) -> None:
         assert os.getsid(router.pid) == router.pid
         words = router.cmdline()
         assert words[1:8] == ["-P", "-m", "bridge.cli.child", "worker", "router", "--supervised", "--control"]
-        assert words[-1] == "", "the rest of the fork server's own command"
+        assert words[-1] == "", "the rest of the fork server's own command is overwritten"
         held = [Path(f"/proc/{pid}/fd").iterdir() for pid in (process.pid, router.pid)]
         inodes = [
             {file.readlink().name for file in files if file.readlink().name.startswith("socket:")} for files in held
         ]
-        assert inodes[0] & inodes[1] == set(), "no socket of the daemon"
+        assert inodes[0] & inodes[1] == set(), "the worker has no socket of the daemon"
         router.kill()
         until(lambda: "router killed by SIGKILL" in process.output(), "the daemon reports its end")
     end_router(tmp_path / "state")

@@ -1,4 +1,4 @@
-"""What scripts/house.py finds: cycles, names of classes, large files. `make lint` looks at the tree itself."""
+"""What scripts/house.py finds: cycles, names of classes, large files. `make lint` checks the tree itself."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def test_every_kernel_is_imported_compiled() -> None:
         spec = importlib.util.find_spec(module)
         assert spec is not None
         assert spec.origin == str(kernels.built(module))
-        assert kernels.source(module).is_file(), "a wheel has the source too, for machines that cannot compile"
+        assert kernels.source(module).is_file(), "a wheel also contains the source, for machines that cannot compile"
 
 
 def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.mark.thorough
 @needs(DEBIAN)
 def test_a_folder_with_a_mount_does_not_fail_the_next_run(tmp_path: Path) -> None:
-    """As the tests with debootstrap leave it; the mount exists only in the namespace of this run."""
+    """Killed tests with debootstrap leave such a folder; here, the mount exists only in the namespace of this run."""
     mount = tmp_path / "pytest-of-root" / "garbage-1" / "tree"
     mount.mkdir(parents=True)
     test = tmp_path / "test_it.py"

@@ -96,7 +96,7 @@ def test_only_the_command_line_imports_the_command_line() -> None:
 
 
 SESSIONS = {"session", "endpoints", "router", "identity", "opening"}
-"""The parts of ``bridge.hub`` that talk to a running hub."""
+"""The parts of ``bridge.hub`` that communicate with a running hub."""
 
 
 def test_the_command_line_reaches_the_hub_only_through_the_client_library() -> None:
@@ -132,7 +132,7 @@ def test_parts_of_the_console_import_only_lower_parts(part: str) -> None:
 
 
 def test_programs_beside_rospy_import_only_what_the_system_has() -> None:
-    """They run on the system's Python, where only the benchmarks and ``bridge`` of this project are on the path."""
+    """They run on the system's Python, with only this project's benchmarks and ``bridge`` on the path."""
     wrong = {
         f"{file.relative_to(ROOT)} imports {name}"
         for file in (ROOT / "benchmarks").rglob("*.py")
@@ -145,7 +145,7 @@ def test_programs_beside_rospy_import_only_what_the_system_has() -> None:
 
 SIDES = ("ros1", "ros2", "yarp", "zenoh")
 SHARED = {"environment", "names"}
-"""Modules that other sides may import since they need no middleware: whether a side can run, and its names."""
+"""Modules that other sides may import because they need no middleware: whether a side can run, and its names."""
 
 
 @pytest.mark.parametrize("side", SIDES)

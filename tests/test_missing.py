@@ -1,4 +1,4 @@
-"""What a machine lacks is told once, and in CI it is a failure."""
+"""What a machine lacks is reported once; in CI it is a failure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Memory of large messages, given back when none passes any more."""
+"""Memory of large messages is returned to the system when no more of them arrive."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ def test_memory_is_given_back_once_large_messages_stop(monkeypatch: pytest.Monke
     watched = resources.LargeMessages()
     watched.passed(1000)
     monkeypatch.setattr(resources, "_IDLE_SECONDS", 0.0)
-    assert not watched.trim(), "small messages leave nothing to give back"
+    assert not watched.trim(), "small messages leave no memory to return"
     watched.passed(50_000_000)
     monkeypatch.setattr(resources, "_IDLE_SECONDS", 1000.0)
-    assert not watched.trim(), "the next one may come soon"
+    assert not watched.trim(), "memory is kept, because the next large message may arrive soon"
     monkeypatch.setattr(resources, "_IDLE_SECONDS", 0.0)
     assert watched.trim()
-    assert not watched.trim(), "once is enough"
+    assert not watched.trim(), "memory is returned only once"

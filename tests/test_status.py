@@ -164,7 +164,7 @@ def test_no_report_of_the_daemon_breaks_a_display() -> None:
 
 
 def test_a_module_that_counts_its_refusals_does_not_break_the_doctor() -> None:
-    """`refused` of the frame server is a count by reason, that of a side a list of routes."""
+    """The frame server's `refused` is a count by reason, but that of a side is a list of routes."""
     status = read({"module": True, "state": "running", "refused": {"it is a loop": 3}}, "frame_transform_server")
     assert "no type was refused" in doctor(status)
 

@@ -54,7 +54,7 @@ def test_{0}_alone(number): ...
 @pytest.mark.thorough
 @pytest.mark.parametrize("processes", ["2", "4"])
 def test_what_is_alone_runs_last_with_few_others(tmp_path: Path, processes: str) -> None:
-    """And the others do run at the same time."""
+    """The other tests do run concurrently."""
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = alone")
     (tmp_path / "conftest.py").write_text(CONFTEST)
     for test_name, other in (("left", "right"), ("right", "left")):

@@ -81,7 +81,7 @@ def own(tmp_path: Path) -> Iterator[Turns]:
 def other(tmp_path: Path) -> Iterator[Process]:
     """Another process, which has taken its turn."""
     with Process([sys.executable, "-c", HOLD, tmp_path / "turns"], {**os.environ, "PYTHONPATH": str(ROOT)}) as process:
-        until(lambda: "taken" in process.output(), "it has taken its turn")
+        until(lambda: "taken" in process.output(), "the other process has taken its turn")
         yield process
 
 

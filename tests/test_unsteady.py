@@ -1,4 +1,4 @@
-"""`scripts/unsteady.py`: failed tests run once more; many, or one that fails again, are red."""
+"""`scripts/unsteady.py`: failed tests run once more; the run fails if there are many, or if one fails again."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_many_are_red_at_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("strict", "code"), [("", 0), ("STRICT=1", 2)])
 def test_make_test_runs_failed_tests_once_more(tmp_path: Path, strict: str, code: int) -> None:
-    """A test that fails the first time only; the set-up is left out."""
+    """The test fails only the first time; the set-up is left out."""
     test = tmp_path / "test_race.py"
     test.write_text(
         "from pathlib import Path\n\n\ndef test_it():\n    first = Path(__file__).with_name('first')\n"

@@ -1,4 +1,4 @@
-"""The benchmarks run, and print and write the expected rows; the figures of these short runs mean nothing."""
+"""The benchmarks run, and print and write the expected rows; the figures of these short runs are meaningless."""
 
 from __future__ import annotations
 

@@ -189,9 +189,8 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
     components = deb.stage(release, wheels, root)
     first = deb.pack(release, root, folder / "packages", quick=True)
     listed = json.loads(deb.write_sbom(first, components).read_text(encoding="utf-8"))["components"]
-    files = root.glob(
-        "opt/midspan/lib/*/site-packages/*.dist-info/METADATA"
-    )  # packages that setuptools vendors are left out
+    # packages that setuptools vendors are left out
+    files = root.glob("opt/midspan/lib/*/site-packages/*.dist-info/METADATA")
     metadata = [message_from_bytes(file.read_bytes()) for file in files]
     contained = sorted(f"{canonicalize_name(message['Name'])} {message['Version']}" for message in metadata)
     assert sorted(f"{part['name']} {part['version']}" for part in listed) == contained
@@ -228,9 +227,8 @@ def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         planned = tree.chroot(*documented, "--simulate")
         assert {"midspan", "g++", "python3-dev"} <= set(re.findall(r"^Inst (\S+)", planned, re.MULTILINE))
         tree.chroot(*documented, "--no-install-recommends", "--download-only")
-        (tree.folder / "etc/hosts").write_text(
-            "127.0.0.1 localhost\n"
-        )  # a file of netbase, on which rospy used to depend
+        # a file of netbase, on which rospy used to depend
+        (tree.folder / "etc/hosts").write_text("127.0.0.1 localhost\n")
         tree.boot()
         stack.enter_context(tree.machine.start(ROS1_PYTHON, ROS1_CORE, "11311", env=environ))
         made_place = Place(tree, release, lintian, environ)

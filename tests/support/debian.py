@@ -131,7 +131,7 @@ class Root:
         return self._call(["chroot", str(self.folder), *words], seconds)
 
     def files(self) -> set[str]:
-        """Return all paths of the system."""
+        """Return all paths in the system."""
         return set(self._call(["find", self.folder, "-xdev", "-printf", "/%P\n"], 60).splitlines())
 
     def close(self) -> None:

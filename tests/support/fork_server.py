@@ -121,7 +121,7 @@ def prepare(request: dict[str, Any]) -> None:
     if request["args"][0] != "-m":
         names += imported(Path(request["args"][0]))
     for name in names:
-        with contextlib.suppress(Exception):  # the program reports its own import errors
+        with contextlib.suppress(Exception):  # the program itself reports import errors
             importlib.import_module(name)
 
 

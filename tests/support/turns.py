@@ -83,7 +83,7 @@ class Turns:
 
 
 class Plugin:
-    """Takes a turn for each file."""
+    """A pytest plugin that takes a turn for each file."""
 
     def __init__(self, turns: Turns) -> None:
         self._turns = turns

@@ -126,7 +126,7 @@ def test_a_batch_completes_a_waiting_lookup() -> None:
     answers: list[object] = []
     thread = threading.Thread(target=lambda: answers.append(buffer.lookup_transform("a", "d", timeout=40)))
     thread.start()
-    until(lambda: buffer.waiting == 1, "it waits", 30)
+    until(lambda: buffer.waiting == 1, "the lookup waits", 30)
     before = buffer.changes
     buffer.set_message(message([(a, b, START, (1, 0, 0), UNIT) for a, b in ("ab", "bc", "cd")]))
     thread.join(30)

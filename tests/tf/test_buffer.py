@@ -93,7 +93,7 @@ def test_stamps_are_compared_with_the_clock() -> None:
     assert refusal(now + 2 * S) is None
     assert refusal(now + 2 * S + 1) is FrameRefusal.FUTURE
     assert refusal(now + 3600 * S) is FrameRefusal.FUTURE
-    assert refusal(17 * S) is FrameRefusal.TIME_SCALE  # a simulation's
+    assert refusal(17 * S) is FrameRefusal.TIME_SCALE  # a stamp of a simulation
     assert refusal(0) is FrameRefusal.TIME_SCALE
     assert refusal(-1) is FrameRefusal.INVALID_STAMP
     assert refusal(1 << 70) is FrameRefusal.INVALID_STAMP
@@ -109,7 +109,7 @@ def test_stamps_are_compared_with_the_clock() -> None:
     assert "amcl" in buffer.last_refused[FrameRefusal.TIME_SCALE]
     assert "use_sim_time" in buffer.last_refused[FrameRefusal.TIME_SCALE]
     assert buffer.lookup_transform("map", "odom").stamp == now + 2 * S
-    now = 5 * S  # a run on /clock that receives a stamp of the system clock
+    now = 5 * S  # a node with /clock receives a stamp of the system clock
     assert refusal(START) is FrameRefusal.TIME_SCALE
 
 
@@ -167,7 +167,7 @@ def test_a_lookup_in_a_loop_fails(buffer: TransformBuffer) -> None:
             buffer.lookup_transform("elsewhere", "d", stamp)
     assert buffer.loops == 2
     assert "loop, through a:" in buffer.tree()
-    assert len(buffer.tree().splitlines()) == 7  # x, elsewhere, the loop's line, and its four
+    assert len(buffer.tree().splitlines()) == 7  # x, elsewhere, the line about the loop, and the loop's four frames
 
 
 def test_names_ignore_leading_slashes(buffer: TransformBuffer) -> None:
@@ -200,11 +200,11 @@ def test_a_waiting_lookup_returns_when_the_transform_arrives(
 
     lookup_threads.append(threading.Thread(target=look_up))
     lookup_threads[0].start()
-    until(lambda: buffer.waiting == 1, "it waits", 30)
+    until(lambda: buffer.waiting == 1, "the lookup waits", 30)
     buffer.set_transform("map", "odom", START, (1, 0, 0), UNIT, static=True)
     assert not answers
     moving(buffer, "odom", "base")
-    until(lambda: answers, "it returns long before its deadline")
+    until(lambda: answers, "the lookup returns long before its deadline")
     assert answers[0].translation == pytest.approx((1.5, 0, 0))  # type: ignore[attr-defined]
 
 
@@ -270,7 +270,8 @@ def test_complete_histories_of_many_frames_are_stored(buffer: TransformBuffer) -
             buffer.set_transform("world", f"f{k}", START + n * S // 10, (n, k, 0), UNIT)
     for k in range(200):
         poses = buffer.lookup_many("world", f"f{k}", START + np.arange(150) * S // 10)
-        assert poses.known.tolist() == [False] * 49 + [True] * 101  # 10 s before the newest, and that one
+        # from 10 s before the newest stamp up to that stamp
+        assert poses.known.tolist() == [False] * 49 + [True] * 101
         assert (poses.translations[49:] == [(n, k, 0) for n in range(49, 150)]).all()
 
 

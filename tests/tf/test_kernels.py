@@ -50,7 +50,7 @@ def message(samples: list[tuple]) -> bytes:
 
 
 def run(steps: list[tuple], dice: random.Random) -> list[object]:
-    """Return everything that a buffer answers to the steps of a tree."""
+    """Return all results of a buffer for the steps of a tree."""
     buffer = TransformBuffer()
     answers: list[object] = []
     for step in steps:
@@ -144,7 +144,7 @@ def test_writes_outside_the_rings_are_refused(history: ModuleType) -> None:
     for poses in (np.zeros((3, 6)), np.zeros((3, 8))):
         with pytest.raises(ValueError, match="each must have 7"):
             history.compose_many(poses, POSE[:3], POSE[3:])
-    history.TransformHistory.__new__(history.TransformHistory)  # its memory is freed, although it has none
+    history.TransformHistory.__new__(history.TransformHistory)  # freeing an object without memory is harmless
 
 
 @pytest.mark.parametrize("stamp", [-(1 << 63), -(1 << 62) - 1, -1, (1 << 62) + 1, (1 << 63) - 1])

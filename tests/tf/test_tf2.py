@@ -28,7 +28,7 @@ NAMES = {
     "InvalidArgumentError": "InvalidArgumentException",
 }
 CUT = (116, 162)
-"""Where tf2 truncates (cache.cpp: char str[117], str[163])."""
+"""Lengths at which tf2 truncates texts (cache.cpp: char str[117], str[163])."""
 Answer = tuple
 
 

@@ -128,7 +128,7 @@ def test_lookups_wait_for_transforms_until_their_time_limit(served: Served) -> N
     for n, ends in enumerate(patient):
         assert result(ends)["transform"]["transform"]["translation"]["x"] == pytest.approx(n / 20)
     assert served.server.status() == {"waiting": 0, "found": 20, "failed": 1}
-    until(lambda: served.server._timer is None, "it no longer polls")
+    until(lambda: served.server._timer is None, "the server no longer polls")
 
 
 def test_a_clock_that_is_set_back_ends_waiting_lookups(served: Served) -> None:
@@ -154,7 +154,7 @@ def test_frames_are_returned_in_tf2s_format(served: Served) -> None:
     until(lambda: client.ready, "the server is discovered")
     replies: list[Any] = []
     client.call({}, replies.append)
-    frames = yaml.safe_load(until(lambda: replies, "a reply")[0]["frame_yaml"])
+    frames = yaml.safe_load(until(lambda: replies, "a reply arrives")[0]["frame_yaml"])
     assert frames["no"] == {
         "parent": "map",
         "broadcaster": "mover",

@@ -105,7 +105,7 @@ def test_frames_of_the_hub_get_the_current_time_and_are_never_published(place: P
 
 def test_a_frame_at_one_hertz_is_shown_continuously(place: Place, clock: StoppedClock) -> None:
     for tick in range(400):
-        if tick in (0, 100, 203, 300):  # late once
+        if tick in (0, 100, 203, 300):  # one tick is late
             place.receive("odom", "base")
         assert "base" in place.seen(), tick
         clock.system += 0.01
@@ -141,7 +141,8 @@ def test_static_frames_stay_and_are_published_together(place: Place, clock: Stop
     seen = place.seen()
     assert sorted(seen) == ["arm", "camera", "lidar"]
     assert seen["lidar"].isStatic == 1
-    assert place.set(frame("base", "camera", clock.system, tX=5.0)) is None  # as in YARP: it is static until deleted
+    # as in YARP, the frame is static until it is deleted
+    assert place.set(frame("base", "camera", clock.system, tX=5.0)) is None
     assert place.seen()["camera"].tX == 1.0
     assert place.exchange.ignored["static"] == 1
     assert not place.message
@@ -178,7 +179,7 @@ def test_frames_are_deleted_in_either_order_and_by_wildcard(place: Place, clock:
     assert rpc.deleteTransformRPC("*", "x")
     with pytest.raises(CallFailed):
         rpc.deleteTransformRPC("map", "a")
-    all_set()  # and may be set again
+    all_set()  # deleted frames can be set again
     assert len(place.seen()) == 3
 
 

@@ -102,7 +102,7 @@ def test_a_client_and_the_hub_receive_each_others_frames(place: ServedPlace) -> 
             assert point == [1.5, 2.0, 0.0]
         assert "gripper" not in place.children(place.static_frames), "the hub's frames are not published again"
         frames.delete("laser", "base")
-        until(lambda: "laser" not in frames and "laser" not in asking, "it is deleted")
+        until(lambda: "laser" not in frames and "laser" not in asking, "the frame is deleted")
         assert frames.waitForTransform("gripper", "base", 20.0)
         assert set(place.children(place.received)) == {"arm"}
     place.publish("elsewhere", "base")
@@ -141,8 +141,8 @@ def test_frames_in_simulated_time(place: ServedPlace) -> None:
             both()  # a client drops frames that are not repeated
             return {t.dst_frame_id: t.timestamp for t in frames.tree().transforms}.get("base")
 
-        until(both, "the client has both")
-        assert until(stamp, "a stamp") == 100.0
+        until(both, "the client has both frames")
+        assert until(stamp, "a stamp is received") == 100.0
         arm = until(
             lambda: (both(), [t for t in place.transforms(place.received) if t["child_frame_id"] == "arm"])[1], "", 20
         )
@@ -158,7 +158,7 @@ def test_lifetimes_change_at_run_time_and_the_prefix_with_a_restart(place: Serve
         before = place.status("transform_server")
         assert place.worker.reload(place.served(yarp_frame_lifetime=600.0))
         assert frames.send([transform_of("base", "map", LASER, time.time() - 60.0)])
-        until(lambda: "base" in frames, "it is shown although it is old")
+        until(lambda: "base" in frames, "the frame is shown although it is old")
         after = place.status("transform_server")
         assert before is not None
         assert after is not None
@@ -166,7 +166,7 @@ def test_lifetimes_change_at_run_time_and_the_prefix_with_a_restart(place: Serve
     assert place.worker.reload(place.served(prefix="/robot"))
     with place.to_open(server="/robot", name="/gui") as frames:
         assert place.names.query("/gui/frameTransformClient/frameTransformGet_nwc_yarp/tf:i")
-        assert not frames.waitForTransform("base", "map", 0.1), "it was restarted"
+        assert not frames.waitForTransform("base", "map", 0.1), "the server was restarted, so the frame is gone"
 
 
 def test_a_client_reconnects_to_a_restarted_server(place: ServedPlace) -> None:

@@ -49,7 +49,7 @@ def test_a_set_frame_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.Monke
     port.has_readers = False
     now[0] += 1
     frame_stream.tick()
-    assert len(port.written) == 6, "it has no reader"
+    assert len(port.written) == 6, "nothing is written without a reader"
 
 
 def test_each_dialect_gets_the_outcome_in_its_releases_form() -> None:

@@ -297,10 +297,8 @@ def test_a_thousand_connections_leak_nothing(make_port: MakePort) -> None:
     for carrier in ("tcp", "fast_tcp", "udp", "text", "text_ack", "local"):
         cycle(carrier)
     until(lambda: not reader.inputs(), "the first connections are closed")
-    files, threads = (
-        process.num_fds(),
-        threading.active_count(),
-    )  # may include those of the first connections, which are still ending
+    # may include those of the first connections, which are still ending
+    files, threads = process.num_fds(), threading.active_count()
     got.clear()
     for i in range(1000):
         cycle(("tcp", "fast_tcp", "text_ack", "local")[i % 4])
