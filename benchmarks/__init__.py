@@ -1,1 +1,1 @@
-"""Benchmarks: one script for each claim; see README.md."""
+"""Benchmarks: one script per claim; see README.md."""

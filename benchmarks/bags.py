@@ -1,12 +1,12 @@
-"""The cost of converting and cutting large bags, compared with a copy of the same bytes or with zstd compression.
+"""The cost of converting and cutting large bags, compared with copying the same bytes or compressing them with zstd.
 
 Each row is one bag of ``--megabytes`` whose messages are images of 1 MB (half of each noise), or texts of 1 kB. "Ours"
-are the functions of ``midspan bag`` in a separate process; the peer's work runs in another:
+are the functions of ``midspan bag`` in a separate process; the peer's work runs in another process:
 
 - disk: the source's bytes are copied to a new file in pieces of 1 MB;
 - zstd: the source's data are compressed in pieces of 1 MB and written, after unpacking if the source is compressed.
 
-The time includes the process's start without the interpreter's, until its file is on the disk.
+The time runs from the start of the process (without the interpreter's start) until its file is on the disk.
 
 The last rows are the peak memory of these processes in megabytes, compared with a limit of 400.
 """
@@ -112,7 +112,7 @@ def disk(source: Path, target: Path) -> None:
 
 
 def zstd(source: Path, target: Path) -> None:
-    """Compress only the data, after unpacking if they are compressed."""
+    """Compress only the data, after unpacking them if they are compressed."""
     import zstandard
 
     with target.open("wb") as write:

@@ -1,9 +1,9 @@
 """Round trips of services, actions and cancel requests between ROS 1 and ROS 2 through the daemon, and their floor.
 
-The floor is the sum of the same round trip from rospy to rospy, from zenoh to zenoh and from rclpy to rclpy. Each is
-measured in the same run, in turns with the whole path, as in `topic_latency.py`. The ends are standard: typed messages,
-actionlib, rclpy's executor (one for each end, so that they do not delay each other). So the floor includes the work of
-two more programs than the whole path, which explains ratios below 1. Each round starts new processes.
+The floor is the sum of the same round trip from rospy to rospy, from zenoh to zenoh and from rclpy to rclpy. Each round
+trip is measured in the same run, in turns with the whole path, as in `topic_latency.py`. The ends are standard: typed
+messages, actionlib, rclpy's executor (one for each end, so that they do not delay each other). So the floor includes
+the work of two more programs than the whole path, which explains ratios below 1. Each round starts new processes.
 """
 
 from __future__ import annotations
@@ -127,7 +127,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", nargs="+", choices=[case.key for case in CASES], help="default all")
+    parser.add_argument(
+        "--cases", nargs="+", choices=[case.key for case in CASES], help="kinds of round trips to measure (default all)"
+    )
     parser.add_argument(
         "--rounds", type=int, default=5, metavar="N", help="rounds, each with new processes (default 5)"
     )

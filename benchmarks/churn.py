@@ -26,12 +26,12 @@ from benchmarks.rows import Row, add_json_option, report
 KINDS = ("string", "twist", "scan", "tf", "grid", "image1")
 LATCHED_KINDS = ("string", "scan", "grid")
 FRESH, KEPT = 50, 10
-"""Publishers of a batch: on topics with new names, and on the same topics in each batch."""
+"""Number of publishers per batch on topics with new names, and on the same topics in each batch."""
 FED, STREAMED = 30, 10
-"""Subscriptions of a batch: to another side's latched topics, and to its streams."""
+"""Number of subscriptions per batch to another side's latched topics, and to its streams."""
 BATCH = FRESH + KEPT + FED + STREAMED
 WARM = 3
-"""Batches before the measurement."""
+"""Number of batches before the measurement."""
 SETTLE_SECONDS, IDLE_SECONDS = 40.0, 12.0
 FLOW = 4.0
 """Messages per second of a stream: below the rate that stays on the hub without subscribers (`hub_end.QUICK`)."""
@@ -160,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--endpoints", type=int, default=10_000, metavar="N", help="endpoints on each side (default %(default)s)"
     )
-    parser.add_argument("--sides", nargs="+", choices=SIDES, default=list(SIDES), help="default all")
+    parser.add_argument("--sides", nargs="+", choices=SIDES, default=list(SIDES), help="sides to measure (default all)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
     results: list[Row] = []

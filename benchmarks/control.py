@@ -1,8 +1,9 @@
 """The cost of driving: RobotGoto's control step and the localizer's update, as shares of their periods.
 
-The simulated R1 drives through the apartment in lock-step, so that both process realistic data. The peer is the period:
-RobotGoto's step runs every 10 ms (upstream's period), and receives scans at 10 Hz; the localizer's update (1,000
-particles, 360 beams) runs at most once per scan, 100 ms. All on one core, in real time.
+The simulated R1 drives through the apartment in lock-step, so that both process realistic data. The peer's column is
+the period: RobotGoto's step runs every 10 ms (upstream's period), and receives scans at 10 Hz; the localizer's update
+(1,000 particles, 360 beams) runs at most once per scan, 100 ms. Everything runs on one core, and durations are
+wall-clock time.
 
     python benchmarks/control.py [--json FILE] [--seconds 60]
 """
@@ -97,7 +98,7 @@ def measure(seconds: float) -> list[Row]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_json_option(parser)
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the drive")
+    parser.add_argument("--seconds", type=float, default=60.0, help="simulated seconds of the drive (default 60)")
     options = parser.parse_args()
     report(measure(options.seconds), options.json)
 

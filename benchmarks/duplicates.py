@@ -1,4 +1,4 @@
-"""Duplicate and lost messages with several real daemons on the same networks: both should be none.
+"""Duplicate and lost messages with several real daemons on the same networks; there should be none of either.
 
 The cases: two daemons in a ring (both join the same ROS 1 and the same ROS 2 network) and a triangle of three networks,
 each with joined hubs and equal node names, and with separate hubs and renamed nodes. All daemons of a case start at the
@@ -22,7 +22,7 @@ from tests.peers.daemon.several import Several, flows, pour, ring, triangle
 CASES = {"ring": ring, "triangle": triangle}
 HUBS = {"joined": True, "apart": False}
 NODES = {"joined": "midspan", "apart": "bridge_of_ours"}
-"""Node name of every second daemon: the same as the first's, or another one."""
+"""Node name of every second daemon: the same as the first daemon's, or another one."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,8 +56,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--hubs", nargs="+", choices=HUBS, default=list(HUBS))
-    parser.add_argument("--messages", type=int, default=100_000, help="published in all, in each case")
-    parser.add_argument("--rate", type=float, default=1000.0, help="messages per second, in all")
+    parser.add_argument("--messages", type=int, default=100_000, help="total number of messages published in each case")
+    parser.add_argument("--rate", type=float, default=1000.0, help="total number of messages per second")
     add_json_option(parser)
     return parser
 

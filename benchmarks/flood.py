@@ -1,8 +1,8 @@
-"""A stream of images of 100 MB/s through the daemon together with /cmd_vel and /tf: its effect on these small messages.
+"""A 100 MB/s stream of images through the daemon, and its effect on the small messages of /cmd_vel and /tf.
 
 The stream and the small topics have the same direction, from ROS 1 to ROS 2 and then back. The stream runs in every
-other turn; the peer is the latency without it. Separate processes send and receive the images, so that the small
-topics' ends are not involved.
+other turn; the peer is the latency without it. Separate processes send and receive the images, so that the programs of
+the small topics are not involved.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LATEST_SECONDS = 2.0
 
 
 class Flood(Stage):
-    """The daemon, and two pairs of ends for one direction: for the small topics, and for the stream."""
+    """The daemon, and two pairs of programs for one direction: one for the small topics, and one for the stream."""
 
     def __init__(self, source: str, target: str, *, realtime: bool) -> None:
         super().__init__({"ros2": {"transport": "shared_memory"}, "log": {"level": "warning"}})
@@ -87,7 +87,7 @@ class Flood(Stage):
         return {topic: self._arrived(topic, count) for topic, count in sent.items()}
 
     def _arrived(self, topic: str, sent: int) -> list[int]:
-        """Return the ages received on a topic, once all messages or no more arrive."""
+        """Return the ages received on a topic, once all messages have arrived or no more arrive."""
         listener = "stream listener" if topic == STREAM else "small listener"
         reply = self.command(listener, "collect", "collected", topic=topic, count=sent, seconds=LATEST_SECONDS)
         ages: list[int] = reply["ages"]

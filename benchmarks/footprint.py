@@ -1,4 +1,4 @@
-"""Midspan's footprint on a small computer: memory, processor time and start-up of each worker, and of bare peers.
+"""Midspan's footprint on a small computer: memory, processor time and start-up of each worker and of bare peers.
 
 Five parts, selected by `--parts`:
 
@@ -51,10 +51,10 @@ IDLE, STANDING, RUN, HELP, VERB = 1.0, 25.0, 3.0, 0.25, 0.8
 """Aims: percent of a core idle and with the robot at rest; seconds of `midspan run`, `midspan --help` and a verb."""
 SIDES = ("ros1", "ros2", "yarp")
 DRIVER = "robot_goto"
-"""The module that is ready last, because it waits for the simulator's laser."""
+"""The module that becomes ready last, because it waits for the simulator's laser."""
 VERBS = ("--help", "status", "topic list", "nav status", "tf tree")
 SETTLE_SECONDS = 10.0
-"""Seconds until the compilation, connections and discovery of a start-up are over."""
+"""Seconds after which compilation, connections and discovery of a start-up are complete."""
 _UP_SECONDS = 60.0
 PARTS = ("start", "robot", "idle", "metrics", "cli")
 SCRAPE_SECONDS = 5.0
@@ -67,7 +67,9 @@ def _overrides() -> dict[str, Any]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="seconds of each measurement at rest (default 60)")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="duration of each measurement at rest, seconds (default 60)"
+    )
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="parts to run (default all)")
     parser.add_argument("--times", type=int, default=5, metavar="N", help="runs of each verb (default 5)")
     add_json_option(parser)
@@ -232,7 +234,7 @@ def _verbs(place: Processes, times: int) -> list[Row]:
         config = [] if verb.startswith("-") else ["--config", str(place.place.config_file)]
         command = [sys.executable, "-m", "bridge.cli.main", *verb.split(), *config]
         took: list[float] = []
-        for _ in range(3 * times):  # the first warms the caches; a failure on a busy machine does not count
+        for _ in range(3 * times):  # the first run warms the caches; failed runs on a busy machine do not count
             began = time.monotonic()
             ended = subprocess.run(command, env=place.place.environment(), stdout=subprocess.DEVNULL, check=False)
             if ended.returncode == 0:

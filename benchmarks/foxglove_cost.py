@@ -1,4 +1,4 @@
-"""The cost of the server for the Foxglove app: processor and memory with one client, compared with a bare relay.
+"""The cost of the server for the Foxglove app: processor time and memory with one client, compared with a bare relay.
 
 The relay is a zenoh subscriber that passes each payload to a channel of the same SDK, and nothing else: no definitions,
 no hub, no check of clients. Router, publisher, relay and client are separate processes, which this file starts with
@@ -101,7 +101,7 @@ def free_port() -> int:
 
 
 def until_listening(port: int) -> None:
-    """Wait until a server accepts connections; raises `TimeoutError`."""
+    """Wait until a server accepts connections; raises `TimeoutError` if it does not in time."""
     end = time.monotonic() + 30.0
     while time.monotonic() < end:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
@@ -111,10 +111,10 @@ def until_listening(port: int) -> None:
 
 
 class Program:
-    """A process, and the line with which it reported that it is ready."""
+    """A process, and the line with which the process reported that it is ready."""
 
     def __init__(self, command: Sequence[str], ready: str) -> None:
-        """Start the process, and wait for a line that contains ``ready`` unless that is ""."""
+        """Start the process, and wait for a line that contains ``ready``, unless ``ready`` is ""."""
         self.popen = subprocess.Popen(
             [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )

@@ -72,7 +72,7 @@ def per_second(count: int, work: Callable[[], object]) -> float:
 
 def ours() -> dict[str, Measure]:
     """Return the cases with Midspan's buffer."""
-    from bridge.tf.buffer import TransformBuffer  # not available on the other side
+    from bridge.tf.buffer import TransformBuffer  # not available on the system's Python
     from bridge.tf.stamped import Stamped, write
 
     stored, times = samples(), stamps(LOOKUPS)
@@ -107,7 +107,7 @@ def ours() -> dict[str, Measure]:
 
 def tf2() -> dict[str, Measure]:
     """Return the cases with tf2, which loops over a batch."""
-    import genpy  # only in the system's Python
+    import genpy  # only available on the system's Python
     import tf2_py
     from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
     from tf2_msgs.msg import TFMessage

@@ -36,7 +36,7 @@ SIDES = ("ros1", "ros2", "yarp")
 STATIC = 100
 PATIENCE = 20.0
 _WARM = 10_000_000
-"""Number of the ticks before the measurement."""
+"""Tick number at which the ticks before the measurement begin."""
 
 
 class Load:
@@ -146,11 +146,11 @@ class Load:
             return all(program.ask("report")["ticks"] for program in self.programs.values())
 
         until(seen, "all sides receive frames", 60, 0.2)
-        time.sleep(1.0)  # these frames expire in YARP, and messages in flight arrive
+        time.sleep(1.0)  # wait until these frames expire in YARP, and messages in flight have arrived
 
     @staticmethod
     def _seen(program: Peer, before: int, sent: int) -> int:
-        """Return the number of ticks that a program received, after all have arrived or 5 s."""
+        """Return the number of ticks that a program received, once all have arrived or after 5 s."""
         end = time.monotonic() + 5.0
         while True:
             seen = int(program.ask("report")["ticks"]) - before

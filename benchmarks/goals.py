@@ -37,7 +37,7 @@ from sim.simulation import pose
 BASES = ("r1", "ikart_v1")
 NEEDED_FACTOR = 10.0
 ROWS = 10
-"""Rows of each case."""
+"""Number of rows per case."""
 
 
 def run(
@@ -80,7 +80,7 @@ def run(
         touched += judge.contacts > contacts or judge.entered > entered
         bad = not drive.reached or judge.contacts > contacts or judge.entered > entered
         print(_line(number, goal, drive, judge) if bad else f"{number} reached in {drive.seconds:.0f} s", flush=True)
-        if floor_world.hides and not drive.reached:  # it may be stuck at a board, or in a drop
+        if floor_world.hides and not drive.reached:  # the robot may be stuck at a board, or in a drop
             robot.simulation.teleport(pose(*robot.simulation.world.floor.start))
             ours.put_elsewhere()
             loop.settle()
@@ -153,13 +153,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--world", nargs="+", choices=WORLDS, default=list(WORLDS), help="default all")
-    parser.add_argument("--base", nargs="+", choices=BASES, default=list(BASES), help="default both")
+    parser.add_argument(
+        "--world", nargs="+", choices=WORLDS, default=list(WORLDS), help="worlds to drive in (default all)"
+    )
+    parser.add_argument("--base", nargs="+", choices=BASES, default=list(BASES), help="robots to drive (default both)")
     parser.add_argument(
         "--goals", type=int, default=10, metavar="N", help="goals in each world with each base (default 10)"
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of goals and noise (default 0)")
-    parser.add_argument("--alone", action="store_true", help="without people")
+    parser.add_argument("--alone", action="store_true", help="leave out the people")
     parser.add_argument("--truth", action="store_true", help="take poses from the simulator instead of the localizer")
     parser.add_argument("--laser-alone", action="store_true", help="no depth camera in worlds that need one")
     parser.add_argument("--keep-out", action="store_true", help="RobotGoto knows keep-out cells (keep_out_map)")

@@ -1,9 +1,9 @@
 """The outcome of goals whose server, client, bridge worker or ROS master is killed meanwhile.
 
-Real actionlib and rclpy programs on both ends, through the whole daemon, in both directions; each danger several times
-(default 10). A goal is good if its client receives exactly one end, and no other subscriber on its side receives two.
-If the client itself is killed, the other subscribers must receive the end. The results are the number of good goals,
-their final states, and the seconds from the kill to the end; the rows contain the numbers.
+Real actionlib and rclpy programs on both ends, through the whole daemon, in both directions; each fault is repeated (by
+default, 10 times). A goal is good if its client receives exactly one end, and no other subscriber on its side receives
+two. If the client itself is killed, the other subscribers must receive the end. The results are the number of good
+goals, their final states, and the seconds from the kill to the end; the rows contain the numbers.
 """
 
 from __future__ import annotations
@@ -176,11 +176,11 @@ class Goal:
             self.client.ask("ask_result", id=self.id)
             return bool(self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=1.0)["ends"])
 
-        with contextlib.suppress(AssertionError):  # `end` reports that there was none
-            until(has_ended, "a result", SECONDS)
+        with contextlib.suppress(AssertionError):  # `end` reports that there was no result
+            until(has_ended, "the client has a result", SECONDS)
 
     def end(self) -> End:
-        """Wait until the client receives the end, and for a second one, which must not arrive."""
+        """Wait until the client receives the end, and then for a second end, which must not arrive."""
         state = self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=SECONDS)
         took = time.monotonic() - self.killed_at
         time.sleep(SETTLE)
@@ -188,9 +188,9 @@ class Goal:
         return End(state["status"], max(state["ends"], self.reported_ends()), took)
 
     def end_for_others(self) -> End:
-        """Wait for the end as received by other subscribers."""
+        """Wait until other subscribers receive the end."""
         try:
-            until(self.reported_ends, "an end", SECONDS, every=0.1)
+            until(self.reported_ends, "an end is reported to other subscribers", SECONDS, every=0.1)
         except AssertionError:
             return End(0, 0, SECONDS)
         took = time.monotonic() - self.killed_at
@@ -229,7 +229,7 @@ def worker_killed(worker: str, scene: Scene, server: str, client: str) -> End:
 
 
 def master_killed(scene: Scene, server: str, client: str) -> End:
-    """The ROS master is restarted, and then the server ends the goal: its end is reported, unless one was before."""
+    """The ROS master is restarted, and then the server ends the goal: the end is reported unless one was before."""
     goal = scene.goal(server, client)
     scene.kill_master()
     scene.start_master()
@@ -280,7 +280,7 @@ def _text(end: End) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--dangers", nargs="+", choices=list(DANGERS), help="default all")
+    parser.add_argument("--dangers", nargs="+", choices=list(DANGERS), help="dangers to cause (default all)")
     parser.add_argument("--times", type=int, default=10, metavar="N", help="repetitions of each danger (default 10)")
     add_json_option(parser)
     return parser

@@ -165,7 +165,7 @@ def recovered(world: str, seed: int, settings: LocalizerSection) -> float:
     """Return the seconds of driving from a start wrong by 3 m and 30 degrees until the limits hold for 30 s."""
     rng = np.random.default_rng(1000 + seed)
     tour = Tour(simulated(world, seed), seed)
-    for _ in range(round(10.0 * float(rng.random())) * 10):  # start anywhere on the path
+    for _ in range(round(10.0 * float(rng.random())) * 10):  # drive to a random place on the path first
         tour.steer()
         tour.there.run(0.1)
     truth = tour.there.base.pose()
@@ -209,7 +209,7 @@ def _held_rows(world: str, minutes: float, seeds: int, settings: LocalizerSectio
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_json_option(parser)
-    parser.add_argument("--minutes", type=float, default=10.0, help="of each drive")
+    parser.add_argument("--minutes", type=float, default=10.0, help="duration of each drive, minutes")
     parser.add_argument("--seeds", type=int, default=3, help="drives in each world")
     parser.add_argument("--starts", type=int, default=10, help="wrong starts in each world")
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""A long goal with continuous feedback, in both directions: all feedback arrives, and the result.
+"""A long goal with continuous feedback, in both directions: all feedback and the result must arrive.
 
 Real actionlib and rclpy programs on both ends, through the whole daemon, in real time; both directions at once.
 """

@@ -1,8 +1,8 @@
 """The cost of an engine's check of both graphs with many endpoints, after one of them was added or removed.
 
 Half of the endpoints are on the side (in memory), half on the hub (another session), each on a separate topic; one more
-is added and removed on either. Each row's peer is the same with 50 endpoints: a check that processes only changes costs
-the same with thousands.
+is added and removed on either. The peer of each row is the same check with 50 endpoints: a check that processes only
+changes costs the same with thousands.
 """
 
 from __future__ import annotations
@@ -105,7 +105,9 @@ class EngineUnderLoad:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--endpoints", nargs="+", type=int, default=[500, 2000], metavar="N", help="beside how many")
+    parser.add_argument(
+        "--endpoints", nargs="+", type=int, default=[500, 2000], metavar="N", help="numbers of existing endpoints"
+    )
     parser.add_argument("--times", type=int, default=10, metavar="N", help="changes of each kind (%(default)s)")
     add_json_option(parser)
     args = parser.parse_args(arguments)

@@ -39,11 +39,11 @@ FAST = 250.0
 KINDS = ("ros1", "ros2")
 LANES = {"on": (True,), "off": (False,), "both": (True, False)}
 LATEST_SECONDS = 2.0
-"""Seconds to wait for a missing message."""
+"""Seconds to wait for missing messages."""
 
 
 class Crowd(Stage):
-    """The daemon with a number of topics in each direction, and one more in each for fast messages."""
+    """The daemon with a number of topics in each direction, and one more in each direction for fast messages."""
 
     def __init__(self, topics: int, *, realtime: bool, lane: bool = True, tf: bool = False) -> None:
         super().__init__({
@@ -109,7 +109,7 @@ class Crowd(Stage):
             self.command(sender, "drum", "drumming", topics=topics[direction], rate=rate, seconds=seconds)
         time.sleep(seconds)
         for direction in directions:
-            self.wait_for(f"{WAYS[direction][0]} {part} sender", "drummed")  # later than planned on a full machine
+            self.wait_for(f"{WAYS[direction][0]} {part} sender", "drummed")  # on a busy machine, later than planned
         used = self.meter.read()
         sent = {direction: round(rate * seconds) * len(topics[direction]) for direction in directions}
         tallies = {
@@ -194,7 +194,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 class Taken:
-    """The measurements with the lane on or off."""
+    """The measurements with the lane on, or with it off."""
 
     def __init__(self, *, lane: bool) -> None:
         self.suffix = "" if lane else ", lane off"
@@ -221,7 +221,7 @@ def _measure(args: argparse.Namespace, *, lane: bool) -> Taken:
 
 
 def _tf_rows(args: argparse.Namespace) -> list[Row]:
-    """Return rows of one topic of TF at a high rate, beside strings at the same rate through the bare relays."""
+    """Return rows of one topic of TF at a high rate, compared with strings at the same rate through the bare relays."""
     rate, rows = NUMBERED_TF.rate, []
     with Bare(0, realtime=args.realtime) as crowd:
         bare = {direction: _busy(crowd, "fast", [direction], rate, args.seconds) for direction in WAYS}
@@ -325,7 +325,9 @@ def _parser() -> argparse.ArgumentParser:
         "--topics", type=int, default=500, metavar="N", help="topics, half of them in each direction (500)"
     )
     parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="messages per second on each (10)")
-    parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="length of each measurement (20)")
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, metavar="S", help="duration of each measurement, seconds (20)"
+    )
     parser.add_argument("--lane", choices=LANES, default="on", help="the hub's lane: on, off, or one after the other")
     add_realtime_option(parser)
     add_json_option(parser)

@@ -53,7 +53,7 @@ CLEARANCE = 0.4
 FARTHEST = 10.0
 
 DRIFT = EncodersSection(scale=(0.006, -0.004), noise=0.01)
-"""That of `configs/navigation.yaml`."""
+"""The setting in `configs/navigation.yaml`."""
 
 _STILL = 2.0  # seconds before a tour
 _DENSE = 14_400
@@ -61,7 +61,7 @@ _FINE = 0.01
 
 
 class Seen(NamedTuple):
-    """A scan, its true pose, and that of the odometry."""
+    """A scan, its true pose, and its pose by odometry."""
 
     pose: Pose
     scan: Turn
@@ -104,7 +104,7 @@ def tour(simulation: Simulation, seconds: float = math.inf) -> Iterator[Seen]:
 
 
 def _points(open_: NDArray[np.uint8], step: int) -> Iterator[tuple[int, int]]:
-    """Yield the cells (row, column) of a lattice, back and forth; instead of blocked ones the nearest open cell."""
+    """Yield the cells (row, column) of a lattice, back and forth; the nearest open cells replace blocked ones."""
     near = step // 3
     for turn, row in enumerate(range(step // 2, len(open_), step)):
         columns = range(step // 2, open_.shape[1], step)
@@ -212,7 +212,8 @@ def quality(name: str, seconds: float = math.inf) -> tuple[Match, list[Seen]]:
 class Drifted(NamedTuple):
     """A map from drifting odometry.
 
-    ``off``, ``turned``: error of the final pose, meters and degrees. ``odometry``: that of the odometry, meters.
+    ``off``, ``turned``: error of the final pose, meters and degrees. ``odometry``: the same error of the odometry,
+    meters.
     ``load``: processor time as a share of the tour's time.
     """
 
@@ -247,7 +248,7 @@ def drifted(name: str, seconds: float = math.inf) -> Drifted:
 
 def ours(scans: list[Seen]) -> float:
     """Return Mapper2D's scans per second."""
-    mapped(scans[:2])  # warm
+    mapped(scans[:2])  # warm up
     begin = time.perf_counter()
     mapped(scans)
     return len(scans) / (time.perf_counter() - begin)

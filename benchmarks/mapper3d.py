@@ -43,7 +43,7 @@ WIDTH, HEIGHT, RATE = 640, 480, 5.0
 FOCUS = WIDTH / 2 / math.tan(math.radians(87.0) / 2)
 CAMERA = Camera(WIDTH, HEIGHT, FOCUS, FOCUS, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5)
 MOST = 0.4
-"""Share of a core at ``RATE`` images per second."""
+"""Limit: share of a core at ``RATE`` images per second."""
 
 
 def seat(turn: float) -> SensorPose:
@@ -127,14 +127,14 @@ def layer(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3
             publisher.publish(result)
             computing.append(middle - begin)
             publishing.append(time.thread_time() - middle)
-            received.wait(10.0)  # the subscriber is connected from then on
+            received.wait(10.0)  # once a message has arrived, the subscriber is connected
         host.close()
     return 1000.0 * statistics.median(computing), 1000.0 * statistics.median(publishing)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=int, default=30, help="of each room")
+    parser.add_argument("--images", type=int, default=30, help="number of images per room")
     parser.add_argument("--rooms", type=float, nargs="+", default=[5.0, 10.0], metavar="METERS")
     add_json_option(parser)
     args = parser.parse_args()

@@ -1,9 +1,9 @@
 """The cost of one robot's navigation: each process's share of a core, idle and driving, with a laser at 10 Hz.
 
-The whole deployment, `midspan run` with simulator, base control, localizer, RobotGoto, RobotPathPlanner and gateway.
-The "peer" of a row is the limit: 40 % of a core for all modules while driving. With ``--tables`` the deployment is that
-of configs/tables.yaml: a depth camera of 640 x 480 at 5 Hz, whose points RobotGoto receives, without Mapper3D and with
-it; the difference is the cost of mapping.
+The whole deployment runs: `midspan run` with simulator, base control, localizer, RobotGoto, RobotPathPlanner and
+gateway. The "peer" of a row is the limit: 40 % of a core for all modules while driving. With ``--tables`` the
+deployment is that of configs/tables.yaml: a depth camera of 640 x 480 at 5 Hz, whose points RobotGoto receives, without
+Mapper3D and with it; the difference is the cost of mapping.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def _measured(place: str, seconds: float, case: str = "", **sections: Any) -> li
     with tempfile.TemporaryDirectory(prefix="midspan-nav-cost-") as folder, Chain(Path(folder), **sections) as chain:
         chain.start()
         chain.until(lambda: chain.truth is not None, "the true pose is published")
-        time.sleep(3.0)  # until compilation and opening at the start are over
+        time.sleep(3.0)  # until compilation and connections of the start are complete
         rows = _rows(f"{case}idle", _shares(chain, seconds))
         chain.goto(place)
         chain.until_moving()

@@ -38,7 +38,7 @@ _KEPT = Qos(depth=1000)
 
 
 class Motion(NamedTuple):
-    """One message: seconds of its stamp, m/s, rad/s."""
+    """One message: stamp in seconds, speed in m/s, and angular velocity in rad/s."""
 
     stamp: float
     linear: float
@@ -47,7 +47,7 @@ class Motion(NamedTuple):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=30.0, help="of driving (default 30)")
+    parser.add_argument("--seconds", type=float, default=30.0, help="seconds of driving (default 30)")
     parser.add_argument("--busy", type=int, default=4, help="busy processes (default 4)")
     add_json_option(parser)
     args = parser.parse_args(arguments)

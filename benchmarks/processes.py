@@ -22,12 +22,12 @@ UP_SECONDS = 60.0
 
 
 class Processes:
-    """A sandbox with its processes, which end with it.
+    """A sandbox with its processes, which end with the sandbox.
 
     Args:
         config: the daemon's configuration, without the sandbox's folders and addresses.
         template: a configuration file that ``config`` overrides.
-        yarp: whether there is a YARP network, to which every topic is bridged, too.
+        yarp: whether there is also a YARP network, to which every topic is bridged.
     """
 
     def __init__(self, config: Mapping[str, Any], template: Path | None = None, *, yarp: bool = False) -> None:

@@ -190,7 +190,7 @@ def send_line(message: dict[str, Any]) -> None:
 
 
 class Program:
-    """A process that reads and writes lines."""
+    """A process that reads lines from standard input and writes lines to standard output."""
 
     def __init__(self, *words: str | Path) -> None:
         self._name = " ".join(map(str, words))
@@ -220,7 +220,7 @@ class Program:
         return float(times.user + times.system)
 
     def cpu_at_rest(self) -> float:
-        """Return the processor seconds once the process rests, since then all is written."""
+        """Return the processor seconds once the process is idle, because then everything is written."""
         before, now = -1.0, self.cpu()
         while now - before > 0.05:
             Event().wait(0.5)
@@ -322,7 +322,7 @@ class Bench:
         ]  # fmt: skip
 
     def _flow(self, seconds: float) -> dict[str, Any]:
-        """Let the sender send, and wait until all messages have arrived and are written."""
+        """Let the sender send, and wait until all messages have arrived and have been written."""
         self.sender.send(str(seconds))
         sent = self.sender.receive()
         Event().wait(SETTLE_SECONDS)

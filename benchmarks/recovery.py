@@ -1,6 +1,6 @@
 """Recovery after a loss, with the real daemon between real ROS 1, ROS 2 and hub programs.
 
-Each loss happens several times (default 10). Printed for each are: how often all messages flowed again without help;
+Each loss is caused several times (default 10). Printed for each are: how often all messages flowed again without help;
 the seconds until then, counted from the moment at which the lost part was back (or from the loss, if the daemon
 restarts the part); the longest silence of a stream; delivered stale commands, duplicate stream messages, latched lines
 that old or new subscribers miss, and leftovers of dead processes on the networks. The rows contain the seconds; their
@@ -82,7 +82,9 @@ def _spread(values: Sequence[float]) -> tuple[float, float, float]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", nargs="+", choices=[*(loss.key for loss in LOSSES), LITTER], help="default all")
+    parser.add_argument(
+        "--cases", nargs="+", choices=[*(loss.key for loss in LOSSES), LITTER], help="losses to cause (default all)"
+    )
     parser.add_argument("--times", type=int, default=10, metavar="N", help="repetitions of each loss (default 10)")
     parser.add_argument("--kills", type=int, default=20, metavar="N", help="kills of the case litter (default 20)")
     add_json_option(parser)

@@ -150,11 +150,11 @@ class Bench(Processes):
         registered = self.start_planner()
 
         def recovered() -> bool:
-            """Return whether it was discovered again, or never lost."""
+            """Return whether the planner was discovered again, or was never lost."""
             known = self.watcher.since > killed or time.monotonic() > registered + _STEADY_SECONDS
             return self.watcher.ready and known
 
-        self.until(recovered, "the hub's client discovers it again")
+        self.until(recovered, "the hub's client discovers the planner again")
         times.ours.append(max(0.0, self.watcher.since - registered))
         times.bare.append(float(self.wait_for("waiter", "found")["at"]) - registered)
         self.stop("waiter")
@@ -207,7 +207,9 @@ def measure(side: Side, aways: Sequence[float], rounds: int) -> list[Row]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sides", nargs="+", choices=[side.key for side in SIDES], help="default all")
+    parser.add_argument(
+        "--sides", nargs="+", choices=[side.key for side in SIDES], help="sides to measure (default all)"
+    )
     parser.add_argument(
         "--away", nargs="+", type=float, metavar="S", help="seconds until the restart (default 0 and 5; ROS 2: 25)"
     )

@@ -83,7 +83,7 @@ def factor(run: Callable[[Simulation, float], None], sim: Simulation, seconds: f
 
 
 def scans(count: int, seconds: float) -> tuple[float, float]:
-    """Return scans per second: Midspan's, and by DART's rays."""
+    """Return scans per second, by Midspan and by DART's rays."""
     sim = simulation(count)
     segments, circles = sim.world.seen()
     step = 2 * math.pi / BEAMS
@@ -108,7 +108,7 @@ def scans(count: int, seconds: float) -> tuple[float, float]:
 
 
 def pictures(count: int, seconds: float) -> tuple[float, float]:
-    """Return depth pictures without noise per second: Midspan's, and by DART's rays, with every hundredth cast."""
+    """Return depth pictures without noise per second, by Midspan and by DART's rays (only every hundredth is cast)."""
     sim = simulation(count)
     camera = DepthCamera(CameraSection(rate=5.0, noise=0.0), 0)
     solids, drops, at = sim.world.solids(), sim.world.drops, sim.base.pose()
@@ -152,7 +152,7 @@ def rate(do: Callable[[], Any], seconds: float) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a tenth of the time")
+    parser.add_argument("--quick", action="store_true", help="measure for a tenth of the time")
     add_json_option(parser)
     args = parser.parse_args()
     seconds = 4.0 if args.quick else 30.0

@@ -1,4 +1,4 @@
-"""A subscriber that reads one message per second from a fast stream: its cost for the daemon, and delays of others.
+"""A subscriber that reads one message per second from a fast stream: its cost for the daemon, and others' delays.
 
 On each side a program's callback takes a second for each message of a large stream from another side. A second program
 on the same side reads the same stream, and a small one, without such a pause. The results are the daemon's peak memory,
@@ -200,7 +200,7 @@ def rows(slow: Slow) -> list[Row]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sides", nargs="+", choices=SIDES, default=list(SIDES), help="default all")
+    parser.add_argument("--sides", nargs="+", choices=SIDES, default=list(SIDES), help="sides to measure (default all)")
     parser.add_argument("--rate", type=float, default=50.0, help="images of 1 MB per second (default %(default)s)")
     parser.add_argument(
         "--seconds",

@@ -2,8 +2,8 @@
 
 Topics of many kinds and rates go from each side to both others; every message is numbered, and lost, duplicate and
 misordered messages are reported. Periodically a late joiner on each side subscribes to each latched topic. At the end,
-or after Ctrl-C, the slope of each process's memory is printed, the change of threads and descriptors, and the drift of
-the latency. Commands (Twist) are newest-only, so their losses are reported separately.
+or after Ctrl-C, the slope of each process's memory, the change of threads and descriptors, and the drift of the latency
+are printed. Commands (Twist) are newest-only, so their losses are reported separately.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Course:
 
 
 def load(count: int) -> list[Topic]:
-    """Return a number of topics, from the sides in turn, and the latched ones."""
+    """Return a number of topics, which come from the sides in turn, and the latched topics."""
     topics = [
         Topic(f"/soak/{kind}_{i}", kind, rate, SIDES[i % len(SIDES)])
         for i, (kind, rate) in ((i, MIX[i // len(SIDES) % len(MIX)]) for i in range(count))
@@ -119,7 +119,7 @@ class Soak:
         return not any(self._unheard(_ear(side)) for side in SIDES)
 
     def run(self, seconds: float, every: float) -> None:
-        """Send and count for a time, with periodic samples; Ctrl-C ends it early, but regularly."""
+        """Send and count for a time, with periodic samples; Ctrl-C ends the run early, but in an orderly manner."""
         deployment = self._deployment
         self._at_first = {side: deployment.ask(_ear(side), "report")["heard"] for side in SIDES}
         for side in SIDES:
@@ -155,7 +155,7 @@ class Soak:
         )
 
     def _join(self) -> None:
-        """On each side join the other sides' latched topics late, by the sender, which has no other subscriptions."""
+        """On each side, let the sender, which has no other subscriptions, join the other sides' latched topics late."""
         deployment = self._deployment
         for side in SIDES:
             topics = [t for t in self._topics if t.latched and t.source != side]

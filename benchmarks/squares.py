@@ -1,7 +1,7 @@
 """Squares driven by the simulated R1 through BaseControl, commanded from each side: the accuracy of their corners.
 
-Each leg ends by the odometry that its own side receives. The peers are the project's limits: 5 cm from the commanded
-corners, and odometry within 1 % of the driven path. ``--scale 0.03`` adds an encoder error of 3 %.
+Each leg ends according to the odometry that its side receives. The peers are the project's limits: 5 cm from the
+commanded corners, and odometry within 1 % of the driven path. ``--scale 0.03`` adds an encoder error of 3 %.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def square(robot: Robot, name: str, program: Program, side: float) -> Iterator[R
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--side", type=float, default=4.0, metavar="METERS")
-    parser.add_argument("--scale", type=float, default=0.0, help="scale error of the encoders, as a share")
+    parser.add_argument("--scale", type=float, default=0.0, help="scale error of the encoders, as a fraction")
     add_json_option(parser)
     args = parser.parse_args()
     report(list(measured(args.side, args.scale)), args.json)

@@ -78,7 +78,7 @@ class Samples:
             self._floors[key].append(floor([taken[hop] for hop in HOPS], number))
 
     def rows(self, cases: Sequence[Case], suffix: str, off: Samples | None = None) -> list[Row]:
-        """Return a row for each case, direction and figure, and if measured another compared with the lane off."""
+        """Return a row for each case, direction and figure, and another one compared with the lane off, if measured."""
         suffix += "" if self.lane else ", lane off"
         rows = []
         for case in cases:
@@ -167,10 +167,16 @@ def _chosen(names: Sequence[str] | None, *, quick: bool) -> list[Case]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", nargs="+", choices=[case.key for case in CASES], help="messages (default all)")
-    parser.add_argument("--conditions", nargs="+", choices=[c.key for c in CONDITIONS], help="default all")
+    parser.add_argument(
+        "--cases", nargs="+", choices=[case.key for case in CASES], help="messages to send (default all)"
+    )
+    parser.add_argument(
+        "--conditions", nargs="+", choices=[c.key for c in CONDITIONS], help="conditions to measure (default all)"
+    )
     parser.add_argument("--rounds", type=int, metavar="N", help="rounds, each with new processes (default 5)")
-    parser.add_argument("--quick", action="store_true", help="three messages, two rounds, nothing else bridged")
+    parser.add_argument(
+        "--quick", action="store_true", help="measure only three messages in two rounds, with nothing else bridged"
+    )
     parser.add_argument("--no-shared-memory", action="store_true", help="without shared memory on the hub")
     parser.add_argument("--lane", choices=LANES, default="on", help="the hub's lane: on, off, or both in turns")
     add_realtime_option(parser)

@@ -224,7 +224,7 @@ def _receive(socket: Any) -> None:
 def _latency(deployment: Deployment, seconds: float) -> float:
     """Return the median latency from ROS 2 to the hub, in milliseconds."""
     deployment.drained("zenoh")
-    deployment.ask("zenoh", "report")  # clears earlier counts
+    deployment.ask("zenoh", "report")  # clear earlier counts
     deployment.ask("ros2", "flow", rates={SMALL: RATE})
     time.sleep(seconds)
     deployment.ask("ros2", "still")
@@ -263,7 +263,7 @@ def measure(seconds: float) -> list[Row]:
         _until(lambda: _crosses(deployment), "the topic is bridged")
         alone = _latency(deployment, seconds)
         with ten_pages(address):
-            time.sleep(2.0)  # until each has the map and other initial values
+            time.sleep(2.0)  # until each page has the map and other initial values
             begun, before = time.monotonic(), cpu_seconds(pid := worker())
             beside = _latency(deployment, seconds)
             percent = 100 * (cpu_seconds(pid) - before) / (time.monotonic() - begun)

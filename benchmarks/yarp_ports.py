@@ -95,7 +95,7 @@ def _serve_bare() -> None:
 
 
 def _places() -> list[str]:
-    """Return the placements to measure: one core and two, or any if the system does not support a choice."""
+    """Return the placements to measure: one core and two cores, or any if the system supports no choice."""
     can_choose = hasattr(os, "sched_setaffinity") and len(os.sched_getaffinity(0)) > 1
     return ["one", "two"] if can_choose else ["any"]
 

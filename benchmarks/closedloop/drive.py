@@ -26,7 +26,7 @@ class Stack(Protocol):
     """The software that drives a robot: planner, local navigator and localizer."""
 
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
-        """Start to drive to a pose on the map."""
+        """Start driving to a pose on the map."""
 
     def stop(self) -> None:
         """Cancel the goal."""
@@ -111,7 +111,7 @@ class Loop:
         self.run(1.0)
 
     def drive(self, goal: Pose, optimum: float = math.inf, seconds: float | None = None) -> Drive:
-        """Drive to a goal on the map, within a number of seconds (default: the time of a slow drive)."""
+        """Drive to a goal on the map, within a number of seconds (by default, the duration of a slow drive)."""
         began, driven = self.robot.now, self.robot.driven
         self.lost = self.stood = 0.0
         self.stack.goal(goal)

@@ -25,12 +25,13 @@ class Judge:
 
     Args:
         robot: the robot.
-        keep_out: areas that its hull must not enter.
+        keep_out: areas that the hull must not enter.
 
     Attributes:
-        contacts: ticks in which its hull touched something while it was moving.
-        room: minimum distance between its hull and the nearest thing while it was moving, meters.
-        driving_room: the same while it was also commanded to move: not while it braked, with people walking up to it.
+        contacts: ticks in which the hull touched something while the robot was moving.
+        room: minimum distance between the hull and the nearest thing while the robot was moving, meters.
+        driving_room: the same while the robot was also commanded to move, so not while it braked and people walked up
+        to it.
         entered: distance checks at which its hull was in a keep-out area.
         keep_out_room: minimum distance between its hull and the nearest keep-out area, meters.
         where: time and place of the first contact or entry, for display.

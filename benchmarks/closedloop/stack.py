@@ -43,14 +43,14 @@ MAPPING = Mapper3DSection(resolution=0.04, farthest=2.5, layer=LayerSection(heig
 
 
 class Ours:
-    """All three, stepped like their modules.
+    """All three parts, stepped like their modules.
 
     With a depth camera, RobotGoto receives its points live, and the planner uses a layer of Mapper3D's code, which is
     empty at first and maps while the robot drives, from the estimated poses.
 
     Args:
         robot: the robot.
-        world: the floor, whose map is given to them.
+        world: the floor, whose map they use.
         localized: whether poses come from the localizer; otherwise from the simulator.
         seed: seed of the localizer.
         start: initial pose estimate; None: the true pose.
@@ -122,7 +122,7 @@ class Ours:
     # the loop's interface
 
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
-        """Start to drive to a pose on the map."""
+        """Start driving to a pose on the map."""
         self.planner.goal(pose, constraints=constraints, now=self._robot.now)
 
     def stop(self) -> None:
@@ -131,7 +131,7 @@ class Ours:
         self.driver.cancel()
 
     def put_elsewhere(self) -> None:
-        """Set the pose estimate to the true pose, after the robot was carried."""
+        """Set the pose estimate to the true pose after the robot was carried."""
         self.stop()
         self.driver.restart()
         if self.localizer is not None:

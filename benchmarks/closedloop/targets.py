@@ -27,7 +27,7 @@ _TRIES = 10_000
 
 
 class Targets:
-    """Draws goals on a world's map that a robot can reach while the doors are as they are.
+    """Draws goals on a world's map that a robot can reach with the doors in their current state.
 
     Args:
         world: the floor.
@@ -71,7 +71,7 @@ class Targets:
         return float(np.hypot(*np.diff(corners, axis=0).T).sum()) * self._resolution
 
     def _is_somebodys(self, goal: Pose) -> bool:
-        """Return whether people turn round and rest there, where the robot would wait for them."""
+        """Return whether people turn around and rest at a place, so that the robot would wait for them."""
         people = [walker.person for walker in self._robot.simulation.world.people.values()]
         return any(
             math.dist((goal.x, goal.y), point) < self._robot.radius + person.radius + _ROOM

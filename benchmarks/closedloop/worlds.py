@@ -45,7 +45,7 @@ def hidden(world: FloorWorld) -> list[Piece]:
 
 
 def covered(grid: MapGrid2D, pieces: Iterable[Piece]) -> NDArray[np.float64]:
-    """Return the middles of a map's cells that pieces touch, (n, 2) meters."""
+    """Return the centers of a map's cells that pieces touch, (n, 2) meters."""
     rows, columns = np.indices(grid.flags.shape)
     places = grid.centers_of(np.stack((columns, rows), -1).reshape(-1, 2))
     touched = np.zeros(len(places), np.bool_)
@@ -75,7 +75,7 @@ class World:
 
     @property
     def hides(self) -> bool:
-        """Whether it has obstacles that a laser does not see."""
+        """Whether the floor has obstacles that a laser does not see."""
         floor = self.plan.floors[self.plan.first]
         return bool(floor.tables or floor.drops)
 

@@ -39,7 +39,7 @@ class Census:
 
 
 class Deployment(Stage):
-    """A stage with a running daemon, a program of each side named after it, and a session that observes the hub."""
+    """A stage with a running daemon, a program of each side (named after it), and a session that observes the hub."""
 
     def __init__(self, cases: Sequence[Case] = CASES, config: Mapping[str, Any] | None = None) -> None:
         lane = {"hub": {"lane": os.environ.get("MIDSPAN_TEST_LANE") != "off"}}
@@ -55,10 +55,12 @@ class Deployment(Stage):
                     node="watch",
                     daemon="watch",
                     worker="w",
-                    shared_memory=False,  # this session would retain that of every killed worker
+                    shared_memory=False,  # with it, this session would retain the shared memory of every killed worker
                 )
             )
-            self.until(lambda: all(self.status().get(s, {}).get("state") == "running" for s in WORKERS), "both workers")
+            self.until(
+                lambda: all(self.status().get(s, {}).get("state") == "running" for s in WORKERS), "both workers run"
+            )
             self.pids = processes(self.place.folder)
         except BaseException:
             self.close()
@@ -69,7 +71,7 @@ class Deployment(Stage):
         return f"tcp/127.0.0.1:{self.place.router_port}"
 
     def program(self, side: str, name: str = "") -> str:
-        """Start a program of a side; return its name, by default the side's."""
+        """Start a program of a side; return the program's name, which is the side's by default."""
         name = name or side
         arguments = (self._router, str(self.place.config.hub.domain)) if side == "zenoh" else ()
         self.launch(name, f"benchmarks.endurance.{side}_program", *arguments, system=side == "ros1")

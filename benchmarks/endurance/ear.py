@@ -1,4 +1,4 @@
-"""Counts unique messages by tickets with number and time. Standard library only.
+"""Counts unique messages by tickets that contain a number and a time. Standard library only.
 
 A ticket is a number below 2**53, so that it fits any field: the message's number modulo 2**16, and its time of sending,
 CLOCK_MONOTONIC in microseconds modulo 2**36, which is 19 hours.
@@ -75,5 +75,5 @@ QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
 def behind(sent: int, last: int | None) -> int:
-    """Return the number of messages after ``last``, the last one received, of ``sent`` numbered from 0."""
+    """Return how many of ``sent`` messages (numbered from 0) follow ``last``, the last one received."""
     return 0 if last is None or not sent else (sent - 1 - last) % _NUMBERS

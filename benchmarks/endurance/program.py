@@ -114,7 +114,7 @@ class Program(ABC):
         return {}
 
     def _start_flow(self, rates: dict[str, float]) -> dict[str, Any]:
-        """Also send on these topics at a rate each, until `_still`."""
+        """Also send on these topics, each at its rate, until `_still`."""
         self._flow.stop()
         self._rates |= rates
         self._flow.start({topic: (self._out[topic].send, rate) for topic, rate in self._rates.items()})
@@ -131,7 +131,7 @@ class Program(ABC):
         return {"count": sum(ear.count for ear, _ in self._in.values())}
 
     def _report(self) -> dict[str, Any]:
-        """Return what was sent and received so far."""
+        """Return the counts of sent and received messages so far."""
         received = {topic: ear.report() for topic, (ear, _) in self._in.items()}
         return {"sent": {topic: source.sent for topic, source in self._out.items()}, "heard": received}
 
@@ -165,7 +165,7 @@ class Flow:
         self._thread: threading.Thread | None = None
 
     def start(self, sends: dict[str, tuple[Callable[[], None], float]]) -> None:
-        """Call these functions at a rate each, evenly spread."""
+        """Call these functions, each at its rate and evenly spread."""
         now = time.monotonic()
         self._due = [(now + i / len(sends) / rate, i, 1 / rate, send) for i, (send, rate) in enumerate(sends.values())]
         heapq.heapify(self._due)

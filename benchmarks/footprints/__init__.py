@@ -1,1 +1,1 @@
-"""Parts of `benchmarks.footprint`: bare peers, a single worker, and the kernel's figures of a process."""
+"""Parts of `benchmarks.footprint`: bare peers, one worker, and the kernel's memory and CPU figures for a process."""

@@ -1,7 +1,7 @@
 """A bare peer: an interpreter with one middleware's library and one subscriber, without Midspan.
 
 Usage: ``python -m benchmarks.footprints.peer {ros1,ros2,zenoh}``, or ``router`` or ``hub`` and an endpoint: a session
-that is configured like the hub's. It reports when it is ready, and exits when its input ends.
+that is configured like the hub's. The peer reports when it is ready, and exits when its input ends.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _hub(endpoint: str) -> object:
 
 
 def _ignore(_message: Any) -> None:
-    """Do nothing, since nothing is sent."""
+    """Do nothing, because nothing is sent."""
 
 
 PEERS: dict[str, Callable[..., object]] = {

@@ -26,9 +26,8 @@ class StartedWorker:
         environ: the daemon's environment.
 
     Attributes:
-        first: seconds until its first heartbeat.
-        running: seconds until it reported that it runs.
-        cpu: processor time until then, seconds.
+        first: seconds until its first heartbeat. running: seconds until it reported that it runs. cpu: processor time
+        until then, seconds.
     """
 
     def __init__(self, name: str, config: Config, environ: dict[str, str]) -> None:
@@ -49,7 +48,7 @@ class StartedWorker:
         self._reader.start()
 
     def wait(self) -> None:
-        """Wait until it runs; raises `RuntimeError` if it does not in time."""
+        """Wait until the worker runs; raises `RuntimeError` if it does not in time."""
         if not self._runs.wait(UP_SECONDS):
             msg = f"{self._name} does not run after {UP_SECONDS:g} s: {self._last}"
             raise RuntimeError(msg)

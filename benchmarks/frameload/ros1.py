@@ -41,7 +41,7 @@ class Program:
         self.static: Any = None
 
     def count(self) -> dict[str, Any]:
-        """Start to count."""
+        """Start counting received frames."""
 
         def on_message(message: Any) -> None:
             self.tally.see([round(x) for child, x in transforms(message._buff) if child.startswith("load")])
@@ -61,7 +61,7 @@ class Program:
         return {}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
-        """Join late several times; return how often all frames arrived, and the time of the slowest."""
+        """Join late ``count`` times; return in how many attempts all frames arrived, and the time of the slowest."""
         whole, slowest = 0, 0.0
         for _ in range(count):
             left, done = set(frames), threading.Event()

@@ -37,7 +37,7 @@ class Program:
         self.spinning: threading.Thread | None = None
 
     def count(self) -> dict[str, Any]:
-        """Start to count."""
+        """Start counting received frames."""
 
         def on_message(data: bytes) -> None:
             transforms = read(bytes(data))
@@ -70,7 +70,7 @@ class Program:
         return {}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
-        """Join late several times; return how often all frames arrived, and the time of the slowest."""
+        """Join late ``count`` times; return in how many attempts all frames arrived, and the time of the slowest."""
         whole, slowest = 0, 0.0
         for number in range(count):
             left = set(frames)

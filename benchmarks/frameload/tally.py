@@ -10,7 +10,7 @@ from typing import Any, TextIO
 
 
 class Tally:
-    """Counts ticks of which all frames have arrived.
+    """Counts the ticks of which all frames have arrived.
 
     Args:
         frames: number of frames per tick.

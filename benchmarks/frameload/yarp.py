@@ -1,4 +1,4 @@
-"""The YARP programs: yarp.py FRAMES NAMESERVER-PORT. One sets transforms, the other reads the stream."""
+"""The YARP program: yarp.py FRAMES NAMESERVER-PORT. It runs twice: one sets transforms, the other reads the stream."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Program:
         self.took: list[float] = []
 
     def count(self) -> dict[str, Any]:
-        """Start to count the streamed messages."""
+        """Start counting the streamed messages."""
         reader = self.reader = Reader("", naming=self.names, strict=True).open()
         connections.connect(self.names, SERVER + STREAM, reader.name)
 
@@ -56,7 +56,7 @@ class Program:
         return {}
 
     def set(self, rate: float, ticks: int, first: int) -> dict[str, Any]:
-        """Start to set all frames at once, at a rate, with tick numbers from ``first`` on."""
+        """Start setting all frames, in one request per tick, ``rate`` times a second; tick numbers begin with ``first``."""
         self.sent, self.took = 0, []
         transforms = [FrameTransform("base", f"load{n}") for n in range(self.frames)]
 
@@ -79,12 +79,12 @@ class Program:
         return {}
 
     def done(self, seconds: float) -> dict[str, Any]:
-        """Wait until all ticks are set."""
+        """Wait until all ticks are sent; return their number, and the median time of one in milliseconds."""
         self.setting.join(seconds)
         return {"sent": self.sent, "ms": 1000 * statistics.median(self.took) if self.took else 0.0}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
-        """Join late several times; return how often all frames arrived, and the time of the slowest."""
+        """Join late ``count`` times; return in how many attempts all frames arrived, and the time of the slowest."""
         whole, slowest = 0, 0.0
         for _ in range(count):
             start = time.monotonic()

@@ -158,4 +158,4 @@ NUMBERED_TF = Case(
     "TFMessage of 20", "numbered_tf", "tf2_msgs/msg/TFMessage", lambda: _transforms(_TEXT_MARK + "x" * DIGITS),
     "numbered", 0, 2000.0,
 )  # fmt: skip
-"""The same for transforms."""
+"""A transform message with space for a number after its stamp."""

@@ -98,7 +98,7 @@ class End(ABC):
         reply("sent")
 
     def _drum(self, topics: list[str], rate: float, seconds: float = 0.0) -> None:
-        """Send on all these topics at a rate each, evenly spread, for a time or until the program exits."""
+        """Send on all these topics, each at its rate and evenly spread, for a time or until the program exits."""
         total = round(rate * seconds) * len(topics)
 
         def beat() -> None:
@@ -153,7 +153,7 @@ class End(ABC):
 
     @staticmethod
     def _wait_for(come: Callable[[], int], count: int, seconds: float) -> None:
-        """Wait until ``count`` messages have arrived, or no more within some seconds."""
+        """Wait until ``count`` messages have arrived, or no more arrive for some seconds."""
         last, since = come(), time.monotonic()
         while last < count and time.monotonic() < since + seconds:
             time.sleep(0.02)

@@ -1,4 +1,4 @@
-"""From samples to rows: the floor as a sum of hops, medians over rounds."""
+"""Computes figures from samples: the floor as a sum of hops, and medians over rounds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def figures(samples: Sequence[int]) -> Figures:
 def floor(hops: Sequence[Sequence[int]], seed: int) -> Figures:
     """Return the figures of the sums of randomly paired samples, one of each hop.
 
-    A sum of the hops' 99th percentiles would be far too high, because all hops are rarely slow at once.
+    A sum of the hops' 99th percentiles would be far too high, because the hops are rarely all slow at once.
     """
     chance = random.Random(seed)
     columns = [chance.choices(hop, k=_SUMS) for hop in hops]

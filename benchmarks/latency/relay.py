@@ -93,7 +93,7 @@ class Ros1Half:
         while True:
             for number, _ in self._poll.poll(maxevents=64):
                 sock, send = self._incoming[number]
-                data = sock.recv(_CHUNK)  # whole messages, since small messages are sent in one piece
+                data = sock.recv(_CHUNK)  # these are whole messages, because small messages are sent in one piece
                 if not data:
                     self._poll.unregister(number)
                 at = 0

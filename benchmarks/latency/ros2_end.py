@@ -14,7 +14,7 @@ from benchmarks.latency.end import End
 from benchmarks.latency.taker import Taker, message_class
 
 DEPTH = 100
-"""History depth for ten seconds at 10 Hz, so that a listener that is not scheduled loses nothing."""
+"""History depth for ten seconds at 10 Hz, so that a listener that is not scheduled for a while loses nothing."""
 
 
 class Ros2End(End):

@@ -1,4 +1,4 @@
-"""Time stamps inside prepared messages; standard library only, since the ROS 1 ends run on the system's Python."""
+"""Time stamps inside prepared messages; standard library only, because ROS 1 programs run on the system's Python."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Stamped:
         content: the bytes.
         offset: offset of the stamp.
         form: ``text`` for 16 hexadecimal digits, ``float64`` for a little-endian number, exact up to 104 days of
-            uptime, ``numbered`` for text followed by the message's number, of the same length.
+            uptime, ``numbered`` for ``text`` followed by the message's number in another 16 digits.
     """
 
     def __init__(self, content: bytes, offset: int, form: str) -> None:
@@ -29,7 +29,7 @@ class Stamped:
         self.sent = 0
 
     def fresh(self) -> bytes:
-        """Return a copy for a stamp, so that copying does not count as latency."""
+        """Return a copy to be stamped, made beforehand so that copying does not count as latency."""
         return bytes(self._content)
 
     def stamp(self, fresh: bytes) -> None:

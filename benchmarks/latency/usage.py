@@ -40,7 +40,7 @@ class Usage:
 
 
 class Meter:
-    """Measures processes from a moment on.
+    """Measures processes over a period.
 
     Args:
         pids: the processes by name; see `processes`.

@@ -1,4 +1,4 @@
-"""The losses: what is broken, how it is restored, and from when on all messages could flow again."""
+"""The losses: what fails, how it is restored, and the moment from which all messages could flow again."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def worker_killed(field: Field, worker: str) -> Outcome:
 
 
 def worker_stopped(field: Field, *workers: str, seconds: float) -> Outcome:
-    """Send SIGSTOP to workers for a time: after a short one they continue, after a long one they are replaced."""
+    """Send SIGSTOP to workers for a time: after a short time they continue, after a long time they are replaced."""
     for worker in workers:
         field.until_old(worker)
     watch = _settled(field)
@@ -156,7 +156,7 @@ def _settled(field: Field) -> Watch:
 
 
 def _speak(field: Field, *programs: str) -> None:
-    """Let programs publish new latched lines a moment after the loss."""
+    """Let programs publish new latched lines shortly after the loss."""
     time.sleep(PAUSE)
     field.say_state(*programs)
 

@@ -33,7 +33,7 @@ class Field(Processes):
     """Starts all processes; `close` stops them.
 
     Args:
-        patient: kill a worker again only once its restart is not delayed because of earlier ones.
+        patient: kill a worker again only once its restart would not be delayed because of earlier restarts.
 
     Attributes:
         states: the newest latched line of each publishing program.
@@ -51,7 +51,7 @@ class Field(Processes):
             self.start_master()
             self.start_daemon()
             self.start_programs(*ANCHORS, JOINER)
-            self.until(self._joined, "all workers are up")
+            self.until(self._joined, "all workers have joined")
         except BaseException:
             self.close()
             raise
@@ -84,7 +84,7 @@ class Field(Processes):
             self.command(name, "state", "stated", number=self._number)
 
     def sounds(self, since: float) -> dict[Flow, list[tuple[float, float, float]]]:
-        """Return each anchor's received messages since a moment: arrival, time of sending, number."""
+        """Return the messages that each anchor has received since a moment, as arrival, time of sending and number."""
         result = {}
         for name in ANCHORS:
             if name in self._children:
@@ -126,7 +126,7 @@ class Field(Processes):
         return psutil.Process(pid)
 
     def until_old(self, name: str) -> None:
-        """If patient, wait until a worker has run so long that its restart will not be delayed."""
+        """If patient, wait until a worker has run long enough that its restart will not be delayed."""
         born = self.worker(name).create_time()
         restarted = any(w.worker == name and w.restarts for w in self.document().workers)
         if restarted and self._patient:

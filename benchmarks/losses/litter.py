@@ -30,7 +30,7 @@ def _kill_workers(field: Field) -> None:
         now = {w.worker: w.pid for w in field.document().workers}
         return all(now.get(name) not in (None, 0, pid) for name, pid in pids.items())
 
-    field.until(replaced, "they are restarted")
+    field.until(replaced, "the workers are restarted")
 
 
 def _kill_all(field: Field) -> None:

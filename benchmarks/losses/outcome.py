@@ -51,7 +51,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether nothing went wrong."""
+        """Whether all messages flow again, without any fault."""
         return self.recovered and not (self.stale or self.twice or self.missing or self.left)
 
     @override
@@ -104,7 +104,7 @@ class Watch:
             outcome.gap = max(outcome.gap, after - before)
             if after - before > GAP and after - returned > outcome.seconds:
                 outcome.seconds, outcome.slowest = after - returned, f"({flow[0]} receives {flow[1]})"
-        if arrivals and arrivals[0] - returned > outcome.seconds:  # its very first message arrived late
+        if arrivals and arrivals[0] - returned > outcome.seconds:  # the first message arrived late
             outcome.seconds, outcome.slowest = arrivals[0] - returned, f"({flow[0]} receives {flow[1]})"
         if flow[1].endswith("/cmd_vel"):
             late = [arrival - sent for arrival, sent, _ in sounds if arrival - sent > STALE]

@@ -1,1 +1,1 @@
-"""Faults during a robot's drive to a place."""
+"""Faults during the drive of a robot to a place."""

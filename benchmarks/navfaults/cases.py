@@ -112,7 +112,7 @@ def _driven(chain: Chain, goal: SentGoal) -> float:
 
 
 def _still(chain: Chain, seconds: float) -> float:
-    """Return the seconds until the wheels stand for a while."""
+    """Return the seconds until the wheels have stopped and stay stopped."""
     began = time.monotonic()
     while True:
         chain.until_still(max(0.1, began + seconds - time.monotonic()))

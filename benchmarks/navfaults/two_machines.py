@@ -68,7 +68,7 @@ class TwoMachines(Chain):
 
     @override
     def start(self) -> None:
-        """Start both daemons, the client at the operator's, and the observer at the robot's."""
+        """Start both daemons, the client on the operator's hub, and the observer on the robot's hub."""
         for name in ("robot1", "operator1"):
             self.operator.run(*MIDSPAN, "keys", "make", name, "--folder", self.folder / "keys")
         self.write()

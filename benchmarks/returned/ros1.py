@@ -16,7 +16,7 @@ _start = actionlib.ActionServer.start
 
 
 def _start_and_report(server: Any) -> None:
-    _start(server)  # it returns once all five topics are registered at the master
+    _start(server)  # `_start` returns once all five topics are registered at the master
     report("registered")
 
 

@@ -41,11 +41,11 @@ class End(ABC):
 
     @abstractmethod
     def run_goal(self, prefix: str) -> int:
-        """Measure from sending a goal to its result."""
+        """Measure from sending a goal to receiving its result."""
 
     @abstractmethod
     def cancel_goal(self, prefix: str) -> int:
-        """Measure from the request to cancel a goal to its end."""
+        """Measure from the cancel request for a goal to the end of the goal."""
 
     @abstractmethod
     def close(self) -> None:

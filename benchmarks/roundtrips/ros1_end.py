@@ -116,7 +116,7 @@ def _cancel(goal: Any) -> None:
 
 
 def _nothing(_goal: Any) -> None:
-    """Do nothing, since there is nothing to cancel."""
+    """Do nothing, because there is nothing to cancel."""
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A ROS 2 end: standard rclpy, with a node and an executor for each client and server, which is the fastest."""
+"""A ROS 2 end: standard rclpy, with a node and an executor for each client and server, which is fastest."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class ZenohEnd(End):
 
     @override
     def wait_for(self, prefix: str) -> None:
-        # also waits for the direct link
+        # also waits until the direct link exists
         end = time.monotonic() + SECONDS
         while not self._session.info.peers_zid() and time.monotonic() < end:
             time.sleep(0.02)
