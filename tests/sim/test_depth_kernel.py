@@ -57,7 +57,7 @@ class TestAnalytic:
 
     def test_a_board_is_seen_from_above_and_the_floor_beneath_it(self, module: ModuleType) -> None:
         seen = render(module, [solid(2.0, 0.0, 0.5, 0.5, 0.7, 0.75)])
-        # the near edge, 1.5 m away and 0.25 to 0.3 m below the eye, is 5 to 6 rows below the middle, the far edge 3 rows;
+        # the near edge, 1.5 m away and 0.25 to 0.3 m below the eye, is 5 to 6 rows below the middle, the far edge 3;
         # under the near edge, the floor beneath the board is visible
         assert seen[27, 20] == pytest.approx(1.0 / (7 / FOCAL), rel=1e-6)
         assert seen[25, 20] == pytest.approx(1.5, rel=1e-6)
