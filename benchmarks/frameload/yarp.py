@@ -56,7 +56,7 @@ class Program:
         return {}
 
     def set(self, rate: float, ticks: int, first: int) -> dict[str, Any]:
-        """Start setting all frames, in one request per tick, ``rate`` times a second; tick numbers begin with ``first``."""
+        """Start setting all frames in one request a tick, ``rate`` times a second; tick numbers start at ``first``."""
         self.sent, self.took = 0, []
         transforms = [FrameTransform("base", f"load{n}") for n in range(self.frames)]
 

@@ -75,11 +75,7 @@ ALL = ["base_link", "laser", "map", "odom"]
 
 def seen(midspan: Midspan, *words: str, fits: Callable[[Outcome], object]) -> Outcome:
     """Repeat a command until its output meets a condition: on a busy machine, some frames arrive too late."""
-    return until(
-        lambda: (done := midspan("tf", *words)).code == 0 and fits(done) and done,
-        f"the output of {words} meets the condition",
-        30,
-    )  # type: ignore[return-value]
+    return until(lambda: (done := midspan("tf", *words)).code == 0 and fits(done) and done, f"{words} succeeds", 30)  # type: ignore[return-value]
 
 
 @pytest.mark.usefixtures("robot")
