@@ -184,9 +184,7 @@ def test_a_lock_belongs_to_this_machine_even_after_a_rename(tmp_path: Path, monk
     holder = lock.holder()
     assert holder is not None
     assert (holder.machine, holder.is_here) == ("robot1", True)
-    assert replace(holder, machine="robot2", space="an earlier boot").is_here, (
-        "a lock from before a restart of the machine is not held"
-    )
+    assert replace(holder, machine="robot2", space="an earlier boot").is_here, "the machine has been restarted since"
     for space in ("another boot", ""):
         assert not replace(holder, space=space).is_here
     lock.close()

@@ -115,7 +115,7 @@ OF_NAVIGATION = {
     "map": {"gateway", "localization_server", "robot_path_planner"},
     "localizer": {"gateway", "localization_server"},
 }
-"""The modules whose sections use keys of ``navigation`` if they do not set their own."""
+"""The modules whose sections use keys of ``navigation`` in place of their own."""
 
 
 def running(change: dict[str, Any]) -> Config:

@@ -115,7 +115,7 @@ def test_a_velocity_expires_and_zero_follows_once(driven: Desk) -> None:
         until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "a zero velocity follows the silence")
         count = len(driven.far.wait(subscription, 1))
         assert [entry["linear"]["x"] for entry in driven.far.wait(subscription, 1)].count(0.0) == 1
-        (end,) = until(lambda: driven.far.publishers("/cmd_vel"), "the planner's publisher is in the graph")
+        (end,) = until(lambda: driven.far.publishers("/cmd_vel"), "the client's publisher is in the graph")
         assert not end.qos.latched
         late = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
         drive_until_received(driven, app, number, late)

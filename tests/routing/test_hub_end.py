@@ -51,9 +51,9 @@ def test_invented_gid_belongs_to_the_native_program_of_its_session() -> None:
     sources = HubSources().updated([publisher("a"), native, other], [publisher("r", "y")], [], latches)
     assert source_of(sources, "invented", "y") == "n"
     assert source_of(sources, "invented", "x") == "m"
-    assert source_of(sources, "invented", "z") == "", "a GID that no endpoint has is not accepted from a known session"
-    assert source_of(sources, "invented", "") == "n", "without a session, the sample is not attributed to it"
-    assert source_of(sources, "r", "y") == "", "the publisher is refused, although its session is known"
+    assert source_of(sources, "invented", "z") == "", "workers do not invent GIDs"
+    assert source_of(sources, "invented", "") == "n", "the session of the sample is unknown"
+    assert source_of(sources, "r", "y") == "", "r is a refused publisher in the same session"
 
 
 def test_update_keeps_the_age_of_a_remaining_source_and_the_earlier_snapshot() -> None:
