@@ -251,7 +251,7 @@ def test_a_worker_that_hangs_is_named(midspan: Midspan, network: HubNetwork, clo
         assert done.code == 0
         assert "    /nav/rpc over tcp: its calls are answered as YARP 3.12 does (a guess)" in done.out
         assert "        cure: set its release" in done.out
-        assert "On the hub" not in done.out, "it is a port's name"
+        assert "On the hub" not in done.out, "the name is that of a port"
         assert "YARP (daemon robot1) did not answer within 2 s, so its decisions are missing" in done.out
         done = midspan("explain", "/nowhere")
         assert done.code == 1
