@@ -31,6 +31,7 @@ from navigation.status import Fault, PlannerStatus
 COAST = 0.3  # seconds for which the robot continues past a waypoint until its next goal
 RETREAT_SPEED = 0.2
 MAX_RETREAT = 2.0
+_FACING = 0.1  # rad/s up to which a robot that does not drive does not turn to its path either
 _DOES_NOT_FOLLOW = "the base does not follow its commands: check its emergency stop and its odometry"
 
 
@@ -322,7 +323,8 @@ class Driver:
             return Aim(goal.x, goal.y, math.inf, math.hypot(relative.x, relative.y), True, (goal.x, goal.y))
         if not task.heading:
             goal = goal._replace(theta=math.nan)
-        return task.path.next(self.grid, step.now, step.moved, goal, self.settings.robot_radius)
+        narrow = task.hold.narrow(step.now)
+        return task.path.next(self.grid, step.now, step.moved, goal, self.settings.robot_radius, narrow)
 
     def _blocked(
         self, step: Step, task: GotoTask, limits: GoalLimits, beta: float, distance: float, blocked: float
@@ -366,8 +368,14 @@ class Driver:
         """Return the command that is safe; turn to see the path if the laser does not."""
         guard, task = self._surroundings.guard, self.target
         slowed = guard.allowed(self.settings, step.now, step.moved, wanted)
-        if task is None or self._move.left > 0.0 or not (task.search.active or (wanted.speed and guard.unseen)):
+        if task is None or self._move.left > 0.0:
             return slowed
+        if not (task.search.active or (wanted.speed and guard.unseen)):
+            refused = bool(wanted.speed) and not slowed.speed and abs(slowed.omega) < _FACING
+            if not task.hold.add(step.now, step.moved, refused=refused):
+                return slowed
+            task.waiting_since = task.hold.since
+            return self._wait(step.now, step.passed, "the path is too narrow here", Fault.BLOCKED)
         turning = task.search.advance(guard, step.moved, step.passed, math.radians(self.settings.max_ang_speed))
         if turning is not None:
             return turning

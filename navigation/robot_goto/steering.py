@@ -47,6 +47,9 @@ _AWAY = 1.0  # meters by which a path out of the window may lead away from the g
 _WORTH = 0.5
 """Meters of progress per meter of a blocked path: with less, the robot waits where it is."""
 
+_AROUND, _ROOM = 1.0, 0.06
+"""Within this distance of a place where the robot was held, paths keep this much more room; meters."""
+
 _WIDE = math.radians(60.0)
 _BEND_FROM, _BEND, _BEND_MOST = 1.0, 0.3, math.radians(100.0)
 """Within this distance (meters), the robot bends its path to the goal's heading: it drives to a point behind the goal,
@@ -132,13 +135,24 @@ def behind(goal: Pose, here: Pose) -> tuple[float, float] | None:
     return goal.x - length * math.cos(goal.theta), goal.y - length * math.sin(goal.theta)
 
 
-def aim(grid: LocalGrid, now: float, here: Pose, to: Pose, radius: float, before: Aim | None = None) -> Aim:
+def aim(
+    grid: LocalGrid,
+    now: float,
+    here: Pose,
+    to: Pose,
+    radius: float,
+    before: Aim | None = None,
+    narrow: Pose | None = None,
+) -> Aim:
     """Follow the potential field from one pose to another in the grid's frame; radius in meters, time in seconds.
 
-    A path that is only a little shorter than the ``before`` one does not replace it.
+    A path that is only a little shorter than the ``before`` one does not replace it. Around the place ``narrow``, it
+    keeps more room.
     """
     states, goal = grid.states(now), (to.x, to.y)
     distances = distance_transform(states == OCCUPIED)
+    if narrow is not None:
+        distances -= _more_room(grid, narrow)
     row, column = (min(max(round(at), 0), SIDE - 1) for at in grid.cell(here.x, here.y))
     path = descend(
         distances, states == UNKNOWN, (row, column), grid.cell(*goal),
@@ -156,6 +170,14 @@ def aim(grid: LocalGrid, now: float, here: Pose, to: Pose, radius: float, before
     at_goal = path.aim == len(path.cells) - 1 and _near(grid, goal, path.cells[-1])
     target = goal if at_goal else grid.place(*path.cells[path.aim])
     return Aim(*target, path.blocked * RESOLUTION, path.cost * RESOLUTION, False, end)
+
+
+def _more_room(grid: LocalGrid, narrow: Pose) -> NDArray[np.float32]:
+    """Return by how much cells around a place count as nearer to obstacles, (rows, columns), in cells."""
+    row, column = grid.cell(narrow.x, narrow.y)
+    rows, columns = np.ogrid[:SIDE, :SIDE]
+    around = np.hypot(rows - row, columns - column) * RESOLUTION < _AROUND
+    return np.where(around, np.float32(_ROOM / RESOLUTION), np.float32(0.0))
 
 
 def _is_free(

@@ -17,6 +17,8 @@ from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits,
 CLEAR = 0.3  # seconds for which the path has to be free before the robot drives on
 RAMP = 1.0  # seconds in which it then accelerates to full speed
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
+_HELD, _HELD_AGAIN = 1.0, 0.5  # seconds, meters
+_NARROW_FOR = 20.0  # seconds for which paths keep more room where the robot was held
 _SCAN_TURN, _SCAN_TURNS, _SCAN_AGAIN = 0.5 * math.pi, 2, 0.3  # radians, number of turns, meters
 
 
@@ -68,10 +70,15 @@ class PathFollower:
         self.aim: Aim | None = None
         self._scanned: float | None = None
 
-    def next(self, grid: LocalGrid, now: float, moved: Pose, goal: Pose, radius: float) -> Aim:
-        """Return the point to drive to on the way to a goal in the grid's frame; theta is NaN without a heading."""
+    def next(
+        self, grid: LocalGrid, now: float, moved: Pose, goal: Pose, radius: float, narrow: Pose | None = None
+    ) -> Aim:
+        """Return the point to drive to on the way to a goal in the grid's frame; theta is NaN without a heading.
+
+        Around ``narrow``, a place in the grid's frame, paths keep more room.
+        """
         if self.aim is None or self._scanned != grid.scanned:
-            self.aim = aim(grid, now, moved, goal, radius, self.aim)
+            self.aim = aim(grid, now, moved, goal, radius, self.aim, narrow)
             self._scanned = grid.scanned
         if not self.aim.direct:
             return self.aim
@@ -129,6 +136,40 @@ class Obstruction:
         return min(1.0, max(0.05, (now - self.removed_at) / RAMP))
 
 
+class Hold:
+    """The place at which the collision check stops the robot on a path that is free on the grid.
+
+    The grid's cells are 5 cm wide, so a path may lead through a gap that the check of the exact echoes refuses. Paths
+    then keep more room around that place for a while, so that the robot takes another way, or waits as for an obstacle.
+
+    Attributes:
+        since: when the robot was stopped at this place for the first time, seconds.
+    """
+
+    def __init__(self) -> None:
+        self.since = self._ended = math.inf
+        self._place: Pose | None = None
+        self._began: float | None = None
+
+    def add(self, now: float, moved: Pose, *, refused: bool) -> bool:
+        """Add a step: whether the check refused to drive on; return whether it has done so for too long."""
+        if not refused:
+            self._began = None
+            return False
+        if self._began is None:
+            self._began = now
+        if now - self._began < _HELD:
+            return False
+        if self._place is None or self._place.distance(moved) > _HELD_AGAIN:
+            self._place, self.since = moved, self._began
+        self._began, self._ended = None, now + _NARROW_FOR
+        return True
+
+    def narrow(self, now: float) -> Pose | None:
+        """Return the place around which paths keep more room now, in the grid's frame; None for none."""
+        return self._place if now < self._ended else None
+
+
 class SearchTurn:
     """Turns in place until the laser sees the path, to both sides."""
 
@@ -171,6 +212,7 @@ class GotoTask:
     path: PathFollower = field(default_factory=PathFollower)
     obstruction: Obstruction = field(default_factory=Obstruction)
     search: SearchTurn = field(default_factory=SearchTurn)
+    hold: Hold = field(default_factory=Hold)
 
     @property
     def heading(self) -> bool:

@@ -128,6 +128,21 @@ def test_the_robot_drives_out_of_a_dead_end():
     assert not scene.touched
 
 
+def test_a_gap_that_is_free_on_the_grid_but_too_narrow_for_the_robot_blocks_the_path():
+    scene = Scene()
+    for side in (-1.0, 1.0):
+        scene.sim.world.spawn(box(1.5, 1.53 * side, 0.1, 2.4), f"wall {side}")  # 2 * 1 cm more than the robot needs
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.until(lambda: "too narrow" in scene.reasons, 30)
+    begin = scene.now
+    assert scene.driver.status.state is State.WAITING
+    assert scene.driver.status.fault is Fault.BLOCKED
+    scene.until(lambda: scene.driver.status.state.ended or scene.now > begin + 20.0, 30)
+    still = sum(now > begin and command == (0.0, 0.0, 0.0) for now, command in scene.commands) * 0.01
+    assert still < 2.0, "it looks for another way"
+    assert not scene.touched
+
+
 @pytest.mark.parametrize("robot", ["r1", pytest.param("ikart_v1", marks=pytest.mark.thorough)])
 def test_the_robot_waits_for_or_avoids_a_crossing_person(robot):
     scene = Scene(robot=robot)
