@@ -26,7 +26,8 @@ The services' environment, such as ROS_MASTER_URI; NAME.environment overrides it
 .I /var/lib/midspan
 The services' state: maps, places, latched messages.
 .SH EXIT STATUS
-0 done, 1 failed, 2 wrong usage, 3 done in part (\\fBmidspan import\\fR, \\fBmidspan config migrate\\fR), 130 interrupted.
+0 done, 1 failed, 2 wrong usage, 3 done in part (\\fBmidspan import\\fR, \\fBmidspan config migrate\\fR),
+130 interrupted.
 """
 
 

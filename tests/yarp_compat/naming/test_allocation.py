@@ -34,7 +34,7 @@ def test_freed_numbers_are_reused_only_after_the_last_one() -> None:
     """9,998 numbers are allocated in order, then the freed ones, then none."""
     allocator = Allocator(10000)
     numbers = [allocator.number(f"/p{i}") for i in range(9998)]
-    assert numbers[0], numbers[-1] == (10002, 19999)
+    assert (numbers[0], numbers[-1]) == (10002, 19999)
     assert allocator.number("/late") is None
     allocator.free("/p7", "127.0.0.1", 10009)
     assert allocator.number("/late") == 10009
