@@ -80,8 +80,6 @@ class KiltedSide(Ros2Side):
 class CycloneSide(Ros2Side):
     """Midspan and the programs on Cyclone DDS (``ros2.rmw``)."""
 
-    has_services = False
-
     @override
     def mortal(self) -> Peer:
         return self.peer(**SHORT_CYCLONE_LEASE)

@@ -1,7 +1,7 @@
 """The worker's own participant on Cyclone DDS (``ros2.rmw``): its settings, and what rmw_cyclonedds_cpp does not offer.
 
 rmw_cyclonedds_cpp identifies the publisher of a message by a number of this process only, and does not report the
-enclave of a participant. Two readers of Cyclone DDS's built-in topics have both, here through its C API (``dds.h``, the
+enclave of a participant. Readers of Cyclone DDS's built-in topics have both, here through its C API (``dds.h``, the
 same in 0.10 and 11.0).
 """
 
@@ -92,14 +92,15 @@ def use_settings(config: Config, peers: Iterable[str]) -> None:
 
 # -- built-in topics ---------------------------------------------------------------------------------------------------
 
-_PARTICIPANTS, _WRITERS = 0x7FFF0001, 0x7FFF0003
-"""``DDS_BUILTIN_TOPIC_DCPSPARTICIPANT`` and ``DDS_BUILTIN_TOPIC_DCPSPUBLICATION``."""
+_PARTICIPANTS, _WRITERS, _READERS = 0x7FFF0001, 0x7FFF0003, 0x7FFF0004
+"""``DDS_BUILTIN_TOPIC_DCPSPARTICIPANT``, ``..._DCPSPUBLICATION`` and ``..._DCPSSUBSCRIPTION``."""
 _ALIVE = 16
 """``DDS_ALIVE_INSTANCE_STATE``."""
 _BATCH = 64
 _DEPARTED = 1000
-"""Number of writers, and of participants, that are remembered after they have left: their last messages may wait."""
+"""Number of participants, writers or readers that are remembered after they left: their last messages may wait."""
 _GUID_BYTES = 16
+_MOST_MATCHED = 1000
 
 
 class _Info(Structure):
@@ -123,9 +124,11 @@ def _library() -> CDLL:
     signatures: dict[str, list[Any]] = {
         "dds_lookup_participant": [c_uint32, POINTER(c_int32), c_size_t],
         "dds_get_guid": [c_int32, c_void_p],
+        "dds_get_instance_handle": [c_int32, POINTER(c_uint64)],
         "dds_create_reader": [c_int32, c_int32, c_void_p, c_void_p],
         "dds_take": [c_int32, POINTER(c_void_p), POINTER(_Info), c_size_t, c_uint32],
         "dds_return_loan": [c_int32, POINTER(c_void_p), c_int32],
+        "dds_get_matched_subscriptions": [c_int32, POINTER(c_uint64), c_size_t],
         "dds_qget_userdata": [c_void_p, POINTER(c_void_p), POINTER(c_size_t)],
         "dds_free": [c_void_p],
     }
@@ -134,6 +137,22 @@ def _library() -> CDLL:
         function.argtypes, function.restype = arguments, c_int32
     library.dds_qget_userdata.restype, library.dds_free.restype = c_bool, None
     return library
+
+
+class _Endpoints:
+    """The GUIDs of all writers, or of all readers, by their instance handles, which ``reader`` reads."""
+
+    def __init__(self, reader: int) -> None:
+        self.reader = reader
+        self.guids: dict[int, bytes] = {}
+        self._departed: deque[int] = deque()
+
+    def add(self, handle: int, guid: bytes, *, alive: bool) -> None:
+        self.guids[handle] = guid
+        if not alive:
+            self._departed.append(handle)
+        while len(self._departed) > _DEPARTED:
+            self.guids.pop(self._departed.popleft(), None)
 
 
 class Discovery:
@@ -155,12 +174,14 @@ class Discovery:
         self._check("dds_get_guid", self._dds.dds_get_guid(found[0], guid))
         self.prefix = bytes(guid)[:PREFIX_BYTES]
         self._lock = threading.Lock()
-        self._participants, self._writers = (self._reader(found[0], topic) for topic in (_PARTICIPANTS, _WRITERS))
+        self._participants = self._reader(found[0], _PARTICIPANTS)
+        self._writers, self._readers = (
+            _Endpoints(self._reader(found[0], _WRITERS)),
+            _Endpoints(self._reader(found[0], _READERS)),
+        )
         self._buffers, self._infos = (c_void_p * _BATCH)(), (_Info * _BATCH)()
         self._enclaves: dict[bytes, str] = {}
-        self._guids: dict[int, bytes] = {}
-        self._departed_participants: deque[bytes] = deque()
-        self._departed_writers: deque[int] = deque()
+        self._departed: deque[bytes] = deque()
 
     def _reader(self, participant: int, topic: int) -> int:
         return self._check("dds_create_reader", self._dds.dds_create_reader(participant, topic, None, None))
@@ -182,12 +203,36 @@ class Discovery:
 
     def writer(self, handle: bytes) -> bytes:
         """Return the GUID of the writer that rmw_cyclonedds_cpp calls by this GID; b"" before it is discovered."""
-        number = int.from_bytes(handle[:8], "little")
-        known = self._guids.get(number)
+        return self._guid(self._writers, int.from_bytes(handle[:8], "little"))
+
+    def matched_readers(self, data: int, gid: bytes) -> frozenset[bytes]:
+        """Return the GUIDs of the readers that a writer has matched; b"" for one that is not discovered.
+
+        Raises `RuntimeError` if rmw_cyclonedds_cpp keeps a writer in another form: an entity of Cyclone DDS first.
+
+        Args:
+            data: the address of what rmw_cyclonedds_cpp keeps for it.
+            gid: the GID that rmw_cyclonedds_cpp gives it.
+        """
+        writer = c_int32.from_address(data).value
+        handle = c_uint64()
+        if self._dds.dds_get_instance_handle(writer, byref(handle)) or handle.value.to_bytes(8, "little") != gid[:8]:
+            raise RuntimeError("this rmw_cyclonedds_cpp keeps its writers in an unknown form")
+        handles = (c_uint64 * _MOST_MATCHED)()
+        count = self._check(
+            "dds_get_matched_subscriptions", self._dds.dds_get_matched_subscriptions(writer, handles, _MOST_MATCHED)
+        )
+        if count > _MOST_MATCHED:
+            raise RuntimeError(f"more than {_MOST_MATCHED} readers have matched one writer")
+        return frozenset(self._guid(self._readers, handle) for handle in handles[:count])
+
+    def _guid(self, endpoints: _Endpoints, handle: int) -> bytes:
+        known = endpoints.guids.get(handle)
         if known is None:
             with self._lock:
-                self._read_writers()
-            known = self._guids.get(number, b"")
+                for info, sample in self._taken(endpoints.reader):
+                    endpoints.add(info.instance, string_at(sample, _GUID_BYTES), alive=info.instance_state == _ALIVE)
+            known = endpoints.guids.get(handle, b"")
         return known
 
     def _read_participants(self) -> None:
@@ -197,17 +242,9 @@ class Discovery:
             if info.valid:
                 self._enclaves[prefix] = _enclave(self._user_data(participant.qos))
             if info.instance_state != _ALIVE:
-                self._departed_participants.append(prefix)
-        while len(self._departed_participants) > _DEPARTED:
-            self._enclaves.pop(self._departed_participants.popleft(), None)
-
-    def _read_writers(self) -> None:
-        for info, sample in self._taken(self._writers):
-            self._guids[info.instance] = string_at(sample, _GUID_BYTES)
-            if info.instance_state != _ALIVE:
-                self._departed_writers.append(info.instance)
-        while len(self._departed_writers) > _DEPARTED:
-            self._guids.pop(self._departed_writers.popleft(), None)
+                self._departed.append(prefix)
+        while len(self._departed) > _DEPARTED:
+            self._enclaves.pop(self._departed.popleft(), None)
 
     def _taken(self, reader: int) -> Iterator[tuple[_Info, int]]:
         """Take all samples, each with its address; the lock is held. None after the participant has been destroyed."""

@@ -35,7 +35,7 @@ from bridge.adapters.ros2.services.server import Ros2Server
 from bridge.adapters.ros2.topics.publisher import Ros2Publisher
 from bridge.adapters.ros2.topics.subscription import Ros2Subscription
 from bridge.adapters.ros2.topics.versioned import VersionedPublisher
-from bridge.adapters.ros2.types import NOT_ON_CYCLONE, TypeSupports
+from bridge.adapters.ros2.types import TypeSupports
 from bridge.adapters.ros2.versions import EndpointVersions, Notes
 from bridge.adapters.side_edge import SideEdge
 from bridge.concurrency import DelayedCalls
@@ -111,8 +111,7 @@ class Ros2Edge(SideEdge):
             self._types.prepare_services()
         except MessageTypeError as err:
             _log.warning("%s; %s", err, err.cure)
-        compiled = rcl.is_compiled() and not self._on_cyclone
-        loop = QueueReadLoop() if compiled else WaitSetReadLoop(participant)
+        loop = QueueReadLoop(participant) if rcl.is_compiled() else WaitSetReadLoop(participant)
         loop.start()
         graph = Ros2Graph(participant, self._prefix, self._changed, self._versions)
         send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
@@ -454,7 +453,6 @@ class Ros2Edge(SideEdge):
                     separated.add(end.topic)
         cyclone = {} if self._on_cyclone else vendors.report(self.endpoints())
         warnings = [text] if cyclone and (text := vendors.warning(cyclone)) else []
-        warnings += [NOT_ON_CYCLONE] if self._on_cyclone else []
         warnings += self._over_udp() + self._versions.warnings(self.endpoints(), advertised, separated)
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():

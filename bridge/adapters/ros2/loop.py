@@ -2,7 +2,7 @@
 
 rcl reports new messages to a queue in C, on the middleware's thread and without Python; the thread here waits for the
 queue. So the cost of a message does not depend on the number of subscriptions, whereas a wait set and rclpy's executors
-check all of them for each message. Without a compiler and on Cyclone DDS the wait set remains, for subscriptions.
+check all of them for each message. Without a compiler the wait set remains, for subscriptions.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.rmw import RmwSubscription
 from bridge.hub.lane.joining import Joining
 
 TAKES_PER_TURN = 32
@@ -46,7 +47,10 @@ class EndpointReader(ABC):
 
     def wake(self, waker: rcl.Waker | None) -> None:
         """Report new messages to a waker; None stops that before returning."""
-        rcl.wake(self.kind, self.pointer, waker)
+        if isinstance(self.handle, RmwSubscription):
+            self.handle.wake(waker)
+        else:
+            rcl.wake(self.kind, self.pointer, waker)
 
     @abstractmethod
     def drain(self, taker: rcl.Taker, limit: int) -> None:
@@ -65,7 +69,8 @@ class EndpointReader(ABC):
 class ReadLoop(ABC):
     """A thread, and the readers that it serves."""
 
-    def __init__(self) -> None:
+    def __init__(self, participant: Participant) -> None:
+        self._participant = participant
         self._readers: dict[int, EndpointReader] = {}
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="midspan-ros2-take", daemon=True)
@@ -90,11 +95,8 @@ class ReadLoop(ABC):
             self._thread.join()
         self._close()
 
-    def _new_taker(self) -> rcl.Taker:
-        return rcl.Taker()
-
     def _run(self) -> None:
-        taker = self._new_taker()
+        taker = rcl.Taker(self._participant.resolve)
         try:
             self._serve_all(taker)
         finally:
@@ -120,9 +122,11 @@ class QueueReadLoop(ReadLoop):
     another endpoint.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, participant: Participant) -> None:
+        super().__init__(participant)
         self._queue = rcl.new_queue()
+        # Cyclone DDS may report several messages at once
+        self._least = 0 if participant.resolve is None else TAKES_PER_TURN
         self._leaving: deque[EndpointReader] = deque()
 
     @override
@@ -154,7 +158,7 @@ class QueueReadLoop(ReadLoop):
                 try:
                     if payload is None:
                         joining.flush()
-                        reader.drain(taker, number)
+                        reader.drain(taker, max(number, self._least))
                         continue
                     if len(payload) >= large:
                         joining.flush()
@@ -180,14 +184,9 @@ class WaitSetReadLoop(ReadLoop):
     """Waits in rcl's wait set; subscriptions are keyed by their pointers."""
 
     def __init__(self, participant: Participant) -> None:
-        super().__init__()
-        self._participant = participant
+        super().__init__(participant)
         self._guard = participant.make_guard_condition()
         self._changes: deque[tuple[EndpointReader, bool]] = deque()
-
-    @override
-    def _new_taker(self) -> rcl.Taker:
-        return rcl.Taker(self._participant.resolve)
 
     @override
     def add(self, reader: EndpointReader) -> None:

@@ -22,7 +22,7 @@ from bridge.adapters.ros2.cyclonedds import Discovery
 from bridge.adapters.ros2.environment import CYCLONE, RMW, on_cyclone
 from bridge.adapters.ros2.graph.marks import ENCLAVE, EnclaveMarks, Marks, NodeMarks
 from bridge.adapters.ros2.releases import current
-from bridge.adapters.ros2.rmw import RmwSubscription
+from bridge.adapters.ros2.rmw import RmwPublisher, RmwSubscription
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
 from bridge.messages.errors import MessageTypeError
 
@@ -76,6 +76,11 @@ class Participant:
         used = _rclpy.rclpy_get_rmw_implementation_identifier()
         if (used == CYCLONE) is not on_cyclone():
             raise RuntimeError(f"rclpy uses {used}, although {RMW} is {os.environ.get(RMW)}; check the sourced ROS 2")
+
+    def matched_readers(self, writer: RmwPublisher) -> frozenset[bytes]:
+        """Return the GUIDs of the readers that a raw writer has matched, on Cyclone DDS."""
+        assert self._discovery is not None
+        return self._discovery.matched_readers(writer.data, writer.gid)
 
     @property
     def prefix(self) -> bytes | None:
@@ -143,10 +148,14 @@ class Participant:
         with self._lock, _explained(service, service_class):
             return _rclpy.Client(self._node, service_class, service, to_rclpy(qos))
 
-    def make_reply_reader(self, support: int, service: str) -> RmwSubscription:
-        """Create a reader of all replies of a service; ``support`` is the address of the responses' type support."""
+    def make_raw_reader(self, support: int, dds_topic: str) -> RmwSubscription:
+        """Create a reader of a service's requests or replies; ``support`` is the address of their type support."""
         with self._lock:
-            return RmwSubscription(self.pointer, support, reply_topic(service), SERVICE.depth)
+            return RmwSubscription(self.pointer, support, dds_topic, SERVICE.depth)
+
+    def creating(self) -> threading.Lock:
+        """Return the lock to hold while an endpoint is created."""
+        return self._lock
 
     def make_server(self, service_class: Any, service: str, qos: Qos) -> Any:
         """Create a server; its ``pointer`` is ``rcl_service_t *``."""

@@ -142,24 +142,29 @@ class Taker:
 
     Attributes:
         buffer: a reference to the ``rmw_serialized_message_t``.
+        info: the ``rmw_message_info_t``.
     """
 
     def __init__(self, resolve: Callable[[bytes], bytes] | None = None) -> None:
         self._resolve = resolve
         self._bytes = _Bytes(None, 0, 0, _rcutils.rcutils_get_default_allocator())
-        self._info = create_string_buffer(_INFO.size)
+        self.info = create_string_buffer(_INFO.size)
         self.buffer = byref(self._bytes)
 
     def take(self, subscription: int, *, large: bool) -> Taken | None:
         """Return the next message of ``rcl_subscription_t *``, or None; ``large`` releases the GIL (`LARGE`)."""
         take = (_rcl if large else _rcl_held).rcl_take_serialized_message
-        code = take(subscription, self.buffer, self._info, None)
+        code = take(subscription, self.buffer, self.info, None)
         if code != RET_OK:
             reset_error()
             if code == RET_TAKE_FAILED:
                 return None
             raise RclError("rcl_take_serialized_message", code)
-        source_ns, _, sequence, _, _, gid, _ = _INFO.unpack(self._info)
+        return self.taken()
+
+    def taken(self) -> Taken:
+        """Return the last message with its info."""
+        source_ns, _, sequence, _, _, gid, _ = _INFO.unpack(self.info)
         return Taken(self.payload(), gid if self._resolve is None else self._resolve(gid), source_ns, sequence)
 
     def payload(self) -> bytes:
@@ -185,6 +190,11 @@ def _publish_by_ctypes(_function: int, publisher: int, payload: bytes, large: in
 
 
 _publish = _publish_by_ctypes if taking is None else taking.publish
+
+
+def serialized(payload: bytes) -> Any:
+    """Return a reference to the ``rmw_serialized_message_t`` of CDR bytes, which must outlive the call."""
+    return byref(_Content(payload, len(payload), len(payload)))
 
 
 def reader_count(publisher: int) -> int:

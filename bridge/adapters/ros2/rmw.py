@@ -1,4 +1,4 @@
-"""Calls of rmw_fastrtps that rcl does not offer, through ctypes, above all subscriptions of any DDS topic.
+"""Calls of rmw that rcl does not offer, through ctypes, above all publishers and subscriptions of any DDS topic.
 
 rcl adds a slash to every name, so it cannot subscribe to ``rr/lampReply``, the topic on which a service replies.
 Structures as in Jazzy's rmw/types.h and rmw/qos_profiles.h.
@@ -24,7 +24,10 @@ from ctypes import (
 from functools import cache
 from typing import Any, Self
 
+from typing_extensions import override
+
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.environment import LIBRARY, on_cyclone
 from bridge.messages.errors import MessageTypeError
 
 _KEEP_LAST, _RELIABLE, _VOLATILE = 1, 1, 2
@@ -45,8 +48,8 @@ class _QosProfile(Structure):
 
 @cache
 def _library() -> tuple[CDLL, CDLL]:
-    """Return rcl and rmw_fastrtps; raises `OSError`, or `AttributeError` for another rmw."""
-    of_rcl, rmw = CDLL("librcl.so"), CDLL("librmw_fastrtps_cpp.so")
+    """Return rcl and the worker's rmw; raises `OSError`, or `AttributeError` for another rmw."""
+    of_rcl, rmw = CDLL("librcl.so"), CDLL(LIBRARY if on_cyclone() else "librmw_fastrtps_cpp.so")
     for handle in (of_rcl.rcl_node_get_rmw_handle, of_rcl.rcl_publisher_get_rmw_handle):
         handle.restype, handle.argtypes = c_void_p, [c_void_p]
     signatures: tuple[tuple[Any, Any, list[Any]], ...] = (
@@ -56,10 +59,20 @@ def _library() -> tuple[CDLL, CDLL]:
         (rmw.rmw_subscription_set_on_new_message_callback, c_int32, [c_void_p, c_void_p, c_void_p]),
         (rmw.rmw_subscription_count_matched_publishers, c_int32, [c_void_p, POINTER(c_size_t)]),
         (rmw.rmw_take_serialized_message, c_int32, [c_void_p, c_void_p, POINTER(c_bool), c_void_p]),
+        (rmw.rmw_take_serialized_message_with_info, c_int32, [c_void_p, c_void_p, POINTER(c_bool), c_void_p, c_void_p]),
+        (rmw.rmw_create_publisher, c_void_p, [c_void_p, c_void_p, c_char_p, c_void_p, c_void_p]),
+        (rmw.rmw_publish_serialized_message, c_int32, [c_void_p, c_void_p, c_void_p]),
+        (rmw.rmw_destroy_publisher, c_int32, [c_void_p, c_void_p]),
     )
     for function, result, arguments in signatures:
         function.restype, function.argtypes = result, arguments
     return of_rcl, rmw
+
+
+class _Publisher(Structure):
+    """The beginning of ``rmw_publisher_t``."""
+
+    _fields_ = [("implementation", c_char_p), ("data", c_void_p)]
 
 
 class _Gid(Structure):
@@ -78,6 +91,50 @@ def publisher_gid(publisher: int) -> bytes:
     return bytes(gid.data)
 
 
+def _service_qos(depth: int) -> _QosProfile:
+    return _QosProfile(_KEEP_LAST, depth, _RELIABLE, _VOLATILE, avoid_ros_namespace_conventions=True)
+
+
+class RmwPublisher:
+    """A reliable, volatile writer of a DDS topic.
+
+    Raises `MessageTypeError` if the middleware refuses it.
+
+    Args:
+        node: the address of the ``rcl_node_t``.
+        support: the address of the type support of the topic's messages.
+        topic: the name of the DDS topic.
+        depth: number of messages in its history.
+
+    Attributes:
+        gid: its GID.
+        data: the address of what the middleware keeps for it.
+    """
+
+    def __init__(self, node: int, support: int, topic: str, depth: int) -> None:
+        of_rcl, self._rmw = _library()
+        self._node = of_rcl.rcl_node_get_rmw_handle(node)
+        qos, options = _service_qos(depth), create_string_buffer(_OPTIONS_BYTES)
+        pointer = self._rmw.rmw_create_publisher(self._node, support, topic.encode(), byref(qos), options)
+        if not pointer:
+            rcl.reset_error()
+            raise MessageTypeError(f"ROS 2 does not accept a publisher of the DDS topic {topic}")
+        self._pointer = int(pointer)
+        gid = _Gid()
+        self._rmw.rmw_get_gid_for_publisher(self._pointer, byref(gid))
+        self.gid, self.data = bytes(gid.data), int(_Publisher.from_address(self._pointer).data)
+
+    def publish(self, payload: bytes) -> None:
+        """Publish CDR bytes; raises `RclError`."""
+        code = self._rmw.rmw_publish_serialized_message(self._pointer, rcl.serialized(payload), None)
+        if code != rcl.RET_OK:
+            raise rcl.RclError("rmw_publish_serialized_message", code)
+
+    def destroy(self) -> None:
+        """Destroy it; nothing may use it afterwards."""
+        self._rmw.rmw_destroy_publisher(self._node, self._pointer)
+
+
 class RmwSubscription:
     """A reliable, volatile reader of a DDS topic; ``pointer`` is its ``rmw_subscription_t *``.
 
@@ -94,7 +151,7 @@ class RmwSubscription:
     def __init__(self, node: int, support: int, topic: str, depth: int) -> None:
         of_rcl, self._rmw = _library()
         self._node = of_rcl.rcl_node_get_rmw_handle(node)
-        qos = _QosProfile(_KEEP_LAST, depth, _RELIABLE, _VOLATILE, avoid_ros_namespace_conventions=True)
+        qos = _service_qos(depth)
         options = create_string_buffer(_OPTIONS_BYTES)
         pointer = self._rmw.rmw_create_subscription(self._node, support, topic.encode(), byref(qos), options)
         if not pointer:
@@ -131,3 +188,34 @@ class RmwSubscription:
         if code != rcl.RET_OK:
             raise rcl.RclError("rmw_take_serialized_message", code)
         return taker.payload() if taken.value else None
+
+    def take_with_gid(self, taker: rcl.Taker) -> rcl.Taken | None:
+        """Return the next message, or None."""
+        taken = c_bool()
+        code = self._rmw.rmw_take_serialized_message_with_info(
+            self.pointer, taker.buffer, byref(taken), taker.info, None
+        )
+        if code != rcl.RET_OK:
+            raise rcl.RclError("rmw_take_serialized_message_with_info", code)
+        return taker.taken() if taken.value else None
+
+
+Topic = tuple[int, str]
+"""The address of the type support of a DDS topic's messages, and its name."""
+
+
+class RmwPair(RmwSubscription):
+    """A reader, and a writer in the other direction. The reader is discovered first."""
+
+    def __init__(self, node: int, reads: Topic, writes: Topic, depth: int) -> None:
+        super().__init__(node, *reads, depth)
+        try:
+            self.writer = RmwPublisher(node, *writes, depth)
+        except MessageTypeError:
+            super().destroy_when_not_in_use()
+            raise
+
+    @override
+    def destroy_when_not_in_use(self) -> None:
+        super().destroy_when_not_in_use()
+        self.writer.destroy()

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from typing_extensions import override
 
-from bridge.adapters.ros2.environment import CYCLONE, on_cyclone
+from bridge.adapters.ros2.environment import on_cyclone
 from bridge.adapters.ros2.rcl import Callbacks, is_compiled
 from bridge.adapters.ros2.releases import current
 from bridge.messages.errors import MessageTypeError
@@ -195,8 +195,6 @@ class MessageStructures(TypeStructures):
 
 Hashes = tuple[str, str]
 
-NOT_ON_CYCLONE = f"ROS 2 services and actions do not cross while ros2.rmw is {CYCLONE}"
-
 
 class _ServiceSupport(Structure):
     _fields_ = [("identifier", c_char_p), *_pointers(
@@ -211,17 +209,41 @@ class _ServiceMembers(Structure):
     _fields_ = [("namespace", c_char_p), ("name", c_char_p), *_pointers("request", "response", "event")]
 
 
-class ServiceStructures(TypeStructures):
-    """The structures of a service type."""
+class ServiceParts(TypeStructures):
+    """The structures of a service's requests and responses, as messages."""
 
     def __init__(
-        self, lender: Lender, lent: _ServiceSupport, callbacks: Callbacks, type_name: TypeName, part_hashes: Hashes
+        self, lender: Lender, type_name: TypeName, part_hashes: Hashes, callbacks: Callbacks | None = None
     ) -> None:
         super().__init__(type_name)
         self._request, self._response = (
             MessageStructures(lender, TypeName.parse(f"{type_name}_{part}", part_hash), callbacks)
             for part, part_hash in zip(("Request", "Response"), part_hashes, strict=True)
         )
+
+    @property
+    def request(self) -> int:
+        """The address of the type support of its requests."""
+        return self._request.pointer
+
+    @property
+    def response(self) -> int:
+        """The address of the type support of its responses."""
+        return self._response.pointer
+
+    @property
+    @override
+    def pointer(self) -> int:
+        return self.request
+
+
+class ServiceStructures(ServiceParts):
+    """The structures of a service type."""
+
+    def __init__(
+        self, lender: Lender, lent: _ServiceSupport, callbacks: Callbacks, type_name: TypeName, part_hashes: Hashes
+    ) -> None:
+        super().__init__(lender, type_name, part_hashes, callbacks)
         self._members = {
             FAST_DDS: self._make_members(type_name, "::", FAST_DDS),
             INTROSPECTION: self._make_members(type_name, "__", INTROSPECTION),
@@ -229,9 +251,9 @@ class ServiceStructures(TypeStructures):
         self._handles = {name: self._handle(lent, name) for name in (DISPATCH, FAST_DDS, INTROSPECTION)}
 
     @property
-    def response(self) -> int:
-        """The address of the type support of its responses."""
-        return self._response.pointer
+    @override
+    def pointer(self) -> int:
+        return self.handle(DISPATCH)
 
     def _make_members(self, type_name: TypeName, joint: str, implementation: bytes) -> _ServiceMembers:
         parts = [support.handle(implementation) for support in (self._request, self._response)]
@@ -276,19 +298,16 @@ class TypeSupports:
 
     def prepare_services(self) -> None:
         """Load the structures that all services share; raises `MessageTypeError` if services cannot be bridged."""
-        if on_cyclone():
-            raise MessageTypeError(
-                NOT_ON_CYCLONE, "remove ros2.rmw: on Fast DDS they cross, also to nodes on Cyclone DDS"
-            )
         with self._lock:
-            if self._for_services is None:
+            if self._for_services is None and not on_cyclone():
                 support = _ServiceSupport.from_address(lent("service", "srv__GetParameters"))
                 self._for_services = support, Callbacks()
 
     def service_class(self, type_name: str, type_hash: str, part_hashes: Hashes) -> Any:
         """Return a class that the inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
 
-        Its ``response_support`` is the address of the type support of the responses.
+        Its ``request_support`` and ``response_support`` are the addresses of their type supports. On Cyclone DDS it has
+        only these, for raw endpoints (`bridge.adapters.ros2.services.raw`).
         The type is ``package/srv/Name`` or ``package/action/Name_SendGoal``; DDS endpoints announce the
         ``part_hashes``, those of its request and its response.
         """
@@ -297,9 +316,13 @@ class TypeSupports:
             raw_class = self._classes.get((type_name, type_hash))
             if raw_class is None:
                 name = TypeName.parse(type_name, type_hash)
-                assert self._for_services is not None
-                structures = ServiceStructures(self._lender, *self._for_services, name, part_hashes)
-                raw_class = self._make(name, type_hash, structures, response_support=structures.response)
+                structures: ServiceParts | ServiceStructures
+                if self._for_services is None:
+                    structures = ServiceParts(self._lender, name, part_hashes)
+                else:
+                    structures = ServiceStructures(self._lender, *self._for_services, name, part_hashes)
+                supports = {"request_support": structures.request, "response_support": structures.response}
+                raw_class = self._make(name, type_hash, structures, **supports)
             return raw_class
 
     @cached_property

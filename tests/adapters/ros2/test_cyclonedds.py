@@ -12,9 +12,7 @@ import pytest
 
 from bridge.adapters.ros2.cyclonedds import settings
 from bridge.adapters.ros2.environment import worker_environment
-from bridge.adapters.ros2.types import TypeSupports
 from bridge.config.model import Config
-from bridge.messages.errors import MessageTypeError
 from tests.adapters.ros2.conftest import RunningEdge
 from tests.peers.ros2.network import has_rmw_cyclonedds, ros2_domain
 
@@ -43,12 +41,6 @@ def test_other_machines_are_found_on_all_interfaces_and_by_address() -> None:
 
 def test_a_users_own_settings_choose_the_interfaces() -> None:
     assert interfaces(settings(localhost_only=False, interfaces=[])) == {}
-
-
-def test_services_are_refused_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
-    with pytest.raises(MessageTypeError, match="services and actions do not cross"):
-        TypeSupports().prepare_services()
 
 
 @pytest.mark.skipif(not has_rmw_cyclonedds(), reason="rmw_cyclonedds_cpp is not installed (docs/sides/ros2.md)")

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.adapters.ros2 import filters, rcl
+from bridge.adapters.ros2.environment import on_cyclone
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.marks import Marks
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
@@ -141,7 +142,10 @@ class Ros2Graph:
 
     def obstacle(self, service: str, servers: Sequence[Endpoint], expected: str | None = None) -> Obstacle | None:
         """Return why these servers of a service cannot be called, by a client of the ``expected`` version; or None."""
-        obstacle = None if filters.is_available() else vendors.of_servers(service, servers)
+        if on_cyclone():
+            obstacle = vendors.on_cyclone_only(service, servers)
+        else:
+            obstacle = None if filters.is_available() else vendors.of_servers(service, servers)
         if obstacle is None and self._versions is not None:
             obstacle = self._versions.obstacle(service, vendors.called(servers), expected)
         return obstacle
@@ -154,6 +158,12 @@ class Ros2Graph:
         clients, versions = self._clients(service, request_topic(service)), self._versions
         known = (client for client in clients if versions is None or versions.is_resolved(client))
         return {bytes.fromhex(client.id)[:PREFIX_BYTES]: client.type_id for client in known}
+
+    def client_made_by(self, service: str, prefix: bytes) -> MadeBy:
+        """Return who created the client of a participant, by its GUID prefix; reads the graph."""
+        clients = self._others(service, Kind.CLIENT, self._participant.writers(request_topic(service), dds=True))
+        found = {client.made_by for gid, client in clients if gid[:PREFIX_BYTES] == prefix}
+        return found.pop() if len(found) == 1 else MadeBy.UNKNOWN
 
     def reply_readers(self, service: str) -> list[bytes]:
         """Return the GIDs of all readers of a service's replies; reads the graph."""

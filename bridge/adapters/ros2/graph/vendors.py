@@ -18,6 +18,10 @@ from bridge.messages.actions import split
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 CYCLONE = b"\x01\x10"
+SERVERS_ON_CYCLONE_ONLY = (
+    "it has a server on another DDS than Cyclone DDS, which cannot be called while ros2.rmw is rmw_cyclonedds_cpp"
+)
+CLIENTS_ON_CYCLONE_ONLY = "clients on another DDS than Cyclone DDS get no replies while ros2.rmw is rmw_cyclonedds_cpp"
 _CURE = "stop one of them, or rename one by a remapping of its node"
 _UNNAMED = "a node with an unknown name"
 
@@ -107,6 +111,18 @@ def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
         " not sent"
     )
     return Obstacle(reason, _CURE)
+
+
+def on_cyclone_only(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
+    """Return why a client on Cyclone DDS cannot call a service with these servers; None if it can."""
+    _, others = _servers(servers)
+    if not others:
+        return None
+    reason = (
+        f"{service} is served on another DDS than Cyclone DDS ({_nodes(others)}), and Midspan's own node is on Cyclone"
+        " DDS, which can neither send a request in the other's form nor match its reply, so it was not sent"
+    )
+    return Obstacle(reason, "remove ros2.rmw: on Fast DDS Midspan calls servers on both")
 
 
 def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:

@@ -12,12 +12,14 @@ from typing import Any, ClassVar
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.environment import on_cyclone
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
 from bridge.adapters.ros2.services.pacing import SentRequests
+from bridge.adapters.ros2.services.raw import RawClient, RawSender
 from bridge.adapters.ros2.services.sender import MATCH_POLL, RequestSender, refusal
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
 from bridge.routing.edge import EdgeCaller
@@ -48,19 +50,23 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
     def __init__(
         self, name: str, service_class: Any, context: Ros2Context, closed: Closed, type_id: str | None = None
     ) -> None:
-        super().__init__(name, service_class, context.participant.make_client(service_class, name, SERVICE), context)
+        super().__init__(name, service_class, _open(name, service_class, context), context)
         self._on_closed = closed
         self._waiting: deque[_PendingCall] = deque()
         self._sent: dict[int, _PendingCall] = {}
         self._requests = SentRequests()
-        support = service_class.response_support
-        self._sender = RequestSender(name, self.pointer, support, context, self._replied, type_id)
+        self._sender = self._new_sender(service_class, context, type_id)
         self._settling_until = 0.0
         self._ended: set[bytes] = set()
         self._matched = self._due = False
         self._update_ended()
         self._loop.add(self)
         self._prepare_cyclone()
+
+    def _new_sender(self, service_class: Any, context: Ros2Context, type_id: str | None) -> RequestSender:
+        if isinstance(self.handle, RawClient):
+            return RawSender(self.name, self.handle, context, type_id)
+        return RequestSender(self.name, self.pointer, service_class.response_support, context, self._replied, type_id)
 
     @override
     def call(self, request: bytes, done: Done) -> Abandon:
@@ -138,7 +144,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
                 self._fail_waiting(failed, CallError(f"{self.name} has no server on ROS 2"))
                 return 0.0
             if not self._matched:
-                self._matched = rcl.has_server(self._participant.pointer, self.pointer)
+                self._matched = self._sender.has_server()
                 if not self._matched and time.monotonic() < self._waiting[0].since + _MATCH_SECONDS:
                     return MATCH_POLL
             wait = self._requests.wait()
@@ -177,7 +183,11 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._waiting.clear()
 
     @override
-    def drain(self, _taker: rcl.Taker, limit: int) -> None:
+    def drain(self, taker: rcl.Taker, limit: int) -> None:
+        if isinstance(self.handle, RawClient):
+            for number, reply in self.handle.replies(taker, limit):
+                self._replied(number, reply)
+            return
         for _ in range(limit):
             taken = self._taker.response(self.pointer)
             if taken is None:
@@ -244,6 +254,12 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         for calling in ended:
             _end(calling, CallError(f"{self.name} is no longer bridged"))
         self._on_closed(self)
+
+
+def _open(name: str, service_class: Any, context: Ros2Context) -> Any:
+    if on_cyclone():
+        return RawClient(name, service_class, context.participant)
+    return context.participant.make_client(service_class, name, SERVICE)
 
 
 def _end(calling: _PendingCall, result: bytes | CallError) -> None:

@@ -13,7 +13,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Collection
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from typing_extensions import override
 
@@ -25,8 +25,8 @@ from bridge.adapters.ros2.rcl import ENCAPSULATION
 from bridge.adapters.ros2.services.endpoint import Ros2Context
 from bridge.adapters.ros2.services.matching import MatchCounter
 
-_HEADER = struct.Struct("<8sq")
-_BODY = len(ENCAPSULATION) + _HEADER.size
+HEADER = struct.Struct("<8sq")
+_BODY = len(ENCAPSULATION) + HEADER.size
 _PADDING = 3
 """Bits of the encapsulation's last byte that count the padding bytes at the end (DDS-XTypes 1.3, 7.6.3.1.2)."""
 
@@ -68,17 +68,13 @@ class CycloneCalls(EndpointReader):
     """
 
     def __init__(self, name: str, response_support: int, context: Ros2Context, replied: Replied) -> None:
-        self._reader = context.participant.make_reply_reader(response_support, name)
+        self._reader = context.participant.make_raw_reader(response_support, reply_topic(name))
         super().__init__(context.participant, self._reader)
         self._topic, self._graph, self._heartbeats = request_topic(name), context.graph, context.heartbeats
         self._replied = replied
         self._id = os.urandom(8)
         self._number = FIRST_NUMBER
         self._matched, self._prepared = (0, frozenset[bytes]()), 0.0
-
-    @override
-    def wake(self, waker: rcl.Waker | None) -> None:
-        self._reader.wake(waker)
 
     def wait(self, poll: float, servers: Collection[bytes], last: int) -> float:
         """Return the seconds until a request may be sent, 0 for now; ``poll`` while no server has matched.
@@ -94,7 +90,7 @@ class CycloneCalls(EndpointReader):
     def wrap(self, request: bytes) -> tuple[int, bytes]:
         """Return a request's number, and its payload with a header."""
         self._number += 1
-        return self._number, wrap(_HEADER.pack(self._id, self._number), request)
+        return self._number, wrap(HEADER.pack(self._id, self._number), request)
 
     @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
@@ -105,9 +101,25 @@ class CycloneCalls(EndpointReader):
             framed = unwrap(payload)
             if framed is None:
                 continue
-            client, number = _HEADER.unpack(framed.header)
+            client, number = HEADER.unpack(framed.header)
             if client == self._id:  # DDS delivers each reply to all clients of a name
                 self._replied(number, framed.payload)
+
+
+class Reach(Protocol):
+    """Whether replies reach a service's clients on Cyclone DDS."""
+
+    def reaches(self, gid: bytes) -> bool:
+        """Return whether the client with this request writer can receive, as far as can be known."""
+
+    def written(self) -> None:
+        """Count a reply."""
+
+    def retain(self, gids: set[bytes]) -> None:
+        """Remove all clients except these."""
+
+    def discard(self, gid: bytes) -> None:
+        """Remove one client."""
 
 
 class ReplyReach:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import partial
 
 from bridge.adapters.ros2 import rcl
@@ -14,7 +14,7 @@ from bridge.adapters.ros2.services.endpoint import Ros2Context
 from bridge.adapters.ros2.services.matching import MatchCounter
 from bridge.hub.endpoints.calls import CallError, UnsentCallError
 from bridge.messages.errors import MessageTypeError
-from bridge.routing.edge import MadeBy, Obstacle
+from bridge.routing.edge import Endpoint, MadeBy, Obstacle
 
 MATCH_POLL = 0.01
 """Seconds between two checks whether a server has matched."""
@@ -52,23 +52,38 @@ class RequestSender:
         self._cyclone: CycloneCalls | None = None
         self._written = 0
 
+    def has_server(self) -> bool:
+        """Return whether the client and a server have discovered each other."""
+        return rcl.has_server(self._context.participant.pointer, self._pointer)
+
     def obstacle(self) -> CallError | None:
         """Return why the matched servers cannot be called; the graph is read only after a change."""
-        snapshot = self._context.graph.snapshot
-        known = snapshot.obstacles.get(self._name)
+        known = self._known_obstacle()
         if known is not None:
-            return refusal(known)
-        matched, present = self._matches.total(), snapshot.servers.get(self._name, frozenset())
+            return known
+        present = self._context.graph.snapshot.servers.get(self._name, frozenset())
+        matched = self._matches.total()
         if matched is None or (matched, present) != self._verified:
             servers = self._context.graph.servers(self._name)
-            obstacle = self._context.graph.obstacle(self._name, servers, self._type_id)
-            if obstacle is not None:
-                return refusal(obstacle)
-            if not any(server.made_by is MadeBy.NATIVE for server in servers):  # it has just left
-                return CallError(f"{self._name} has no server on ROS 2")
+            refused = self._refused(servers)
+            if refused is not None:
+                return refused
             self._verified, self._on_cyclone = (matched, present), vendors.are_cyclone(servers)
             if self._filter is not None:
                 self._filter.restrict(only=self._on_cyclone)
+        return None
+
+    def _known_obstacle(self) -> CallError | None:
+        known = self._context.graph.snapshot.obstacles.get(self._name)
+        return None if known is None else refusal(known)
+
+    def _refused(self, servers: Sequence[Endpoint]) -> CallError | None:
+        """Return why these servers cannot be called; None if they can."""
+        obstacle = self._context.graph.obstacle(self._name, servers, self._type_id)
+        if obstacle is not None:
+            return refusal(obstacle)
+        if not any(server.made_by is MadeBy.NATIVE for server in servers):  # it has just left
+            return CallError(f"{self._name} has no server on ROS 2")
         return None
 
     @property

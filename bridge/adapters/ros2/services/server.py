@@ -12,15 +12,17 @@ from typing import Any, ClassVar
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.environment import on_cyclone
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION, RequestId
 from bridge.adapters.ros2.services import cyclone
-from bridge.adapters.ros2.services.cyclone import ReplyReach
+from bridge.adapters.ros2.services.cyclone import Reach, ReplyReach
 from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
 from bridge.adapters.ros2.services.matching import MatchCounter
 from bridge.adapters.ros2.services.pacing import ClientReplies
+from bridge.adapters.ros2.services.raw import RawReach, RawServer
 from bridge.hub.endpoints.calls import Abandon, Call, CallError
 from bridge.messages.errors import MessageError, MessageTypeError
 from bridge.messages.transcode.conversion import Convert
@@ -36,6 +38,8 @@ result of a goal that was accepted just before.
 _CLOSED = "{} is no longer bridged"
 _MOST_CLIENTS = 1000
 _LOG_SECONDS = 10.0
+_ORIGIN_SECONDS, _ORIGIN_TRIES = 0.05, 100
+"""A client's origin is known once its participant has announced its nodes, which takes milliseconds."""
 _NO_REPLY = "ROS 2 has no error replies, so its client keeps waiting"
 
 _log = logging.getLogger(__name__)
@@ -72,39 +76,73 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self, name: str, service_class: Any, call: Call, refusal: Refusal | None, replaced: Callable[[], bool],
         context: Ros2Context, closed: Closed, converters: ClientConverters = lambda _hash: (same, same),
     ) -> None:  # fmt: skip
-        super().__init__(name, service_class, context.participant.make_server(service_class, name, SERVICE), context)
+        super().__init__(name, service_class, _open(name, service_class, context), context)
         self._call, self._refusal, self._replaced, self._on_closed = call, refusal, replaced, closed
         self._pending: dict[RequestId, _PendingRequest] = {}
         self._clients: dict[bytes, ClientReplies] = {}
+        self._native: set[bytes] = set()
         self._converters, self._client_types = converters, dict[bytes, str]()
-        self._reach = ReplyReach(name, MatchCounter(self.pointer, self.kind), context)
+        self._reach: Reach
+        if isinstance(self.handle, RawServer):
+            self._reach = RawReach(self.handle)
+        else:
+            self._reach = ReplyReach(name, MatchCounter(self.pointer, self.kind), context)
         self._logged = self._replied = float("-inf")
         self._alive = threading.Lock()
         self._destroyed = False
         self._loop.add(self)
 
     @override
-    def drain(self, _taker: rcl.Taker, limit: int) -> None:
+    def drain(self, taker: rcl.Taker, limit: int) -> None:
         """Begin a call for each request of a native client."""
         for _ in range(limit):
-            taken = self._taker.request(self.pointer)
-            # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
-            if taken is None or self._participant.marks.made_by(taken[0].gid) is MadeBy.MIDSPAN:
+            raw = isinstance(self.handle, RawServer)
+            taken = self.handle.request(taker) if raw else self._taker.request(self.pointer)
+            if taken is None:
+                if raw:
+                    return
                 continue
-            request, payload = taken
-            header = b""
-            if vendors.is_cyclone(request.gid):
-                framed = cyclone.unwrap(payload)
-                if framed is None:
-                    self._log_failure("the request is not little-endian CDR with Cyclone DDS's header", _NO_REPLY)
-                    continue
-                header, payload = framed
-            try:
-                payload = self._for_client(request.gid)[0](payload)
-            except MessageError as err:
-                self._log_failure(str(err), _NO_REPLY)
-                continue
-            self._begin(_PendingRequest(request, header), payload, limit)
+            self._accept(*taken, limit)
+
+    def _accept(self, request: RequestId, payload: bytes, backlog: int, tries: int = 0) -> None:
+        # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
+        made_by = self._client_made_by(request.gid)
+        if made_by is MadeBy.MIDSPAN:
+            return
+        if made_by is MadeBy.UNKNOWN:
+            if tries < _ORIGIN_TRIES:
+                self._later.after(_ORIGIN_SECONDS, partial(self._accept, request, payload, backlog, tries + 1))
+            else:
+                self._log_failure("the origin of its client has not become known", _NO_REPLY)
+            return
+        header = b""
+        if vendors.is_cyclone(request.gid):
+            framed = cyclone.unwrap(payload)
+            if framed is None:
+                self._log_failure("the request is not little-endian CDR with Cyclone DDS's header", _NO_REPLY)
+                return
+            header, payload = framed
+        elif isinstance(self.handle, RawServer):
+            self._log_failure(vendors.CLIENTS_ON_CYCLONE_ONLY, _NO_REPLY)
+            return
+        try:
+            payload = self._for_client(request.gid)[0](payload)
+        except MessageError as err:
+            self._log_failure(str(err), _NO_REPLY)
+            return
+        self._begin(_PendingRequest(request, header), payload, backlog)
+
+    def _client_made_by(self, gid: bytes) -> MadeBy:
+        """Return who created a client; reads the graph unless it is known."""
+        made_by, prefix = self._participant.marks.made_by(gid), gid[:PREFIX_BYTES]
+        if made_by is not MadeBy.UNKNOWN or prefix in self._native:
+            return MadeBy.NATIVE if made_by is MadeBy.UNKNOWN else made_by
+        made_by = self._graph.client_made_by(self.name, prefix)
+        if made_by is MadeBy.NATIVE:
+            if len(self._native) >= _MOST_CLIENTS:
+                self._native.clear()
+            self._native.add(prefix)
+        return made_by
 
     def _for_client(self, gid: bytes) -> tuple[Convert, Convert]:
         """Return the converters for a client; raises `MessageTypeError` if its version of the type is unknown."""
@@ -196,13 +234,19 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             if of_cyclone and not self._reach.reaches(request.gid):
                 return False
             try:
-                reached = rcl.send_response(self.pointer, request, payload)
+                reached = self._send(request, payload)
             except rcl.RclError as err:
                 _log.warning("%s: a reply could not be sent: %s", self.name, err)
                 return True
             if of_cyclone:
                 self._reach.written()
             return reached
+
+    def _send(self, request: RequestId, payload: bytes) -> bool:
+        if isinstance(self.handle, RawServer):
+            self.handle.reply(payload)
+            return True
+        return rcl.send_response(self.pointer, request, payload)
 
     def refit(self) -> None:
         """Abandon the calls whose clients have left the graph."""
@@ -267,3 +311,9 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         with self._alive:
             self._destroyed = True
             super().destroy()
+
+
+def _open(name: str, service_class: Any, context: Ros2Context) -> Any:
+    if on_cyclone():
+        return RawServer(name, service_class, context.participant)
+    return context.participant.make_server(service_class, name, SERVICE)

@@ -187,7 +187,7 @@ class ClassReader(EndpointReader):
     @property
     @override
     def taken_from(self) -> int:
-        return self.pointer
+        return self.pointer if self._participant.resolve is None else 0
 
     @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
