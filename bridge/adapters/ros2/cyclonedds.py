@@ -34,6 +34,7 @@ from bridge.adapters.ros2.graph.interfaces import ipv4_addresses
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.graph.spdp import PARTICIPANTS
 from bridge.config.model import Config
+from bridge.messages.errors import MessageTypeError
 
 URI = "CYCLONEDDS_URI"
 _LOOPBACK = "127.0.0.1"
@@ -100,7 +101,8 @@ _BATCH = 64
 _DEPARTED = 1000
 """Number of participants, writers or readers that are remembered after they left: their last messages may wait."""
 _GUID_BYTES = 16
-_MOST_MATCHED = 1000
+_MATCHED = 64
+"""Room for the readers that a writer has matched; it grows as needed."""
 
 
 class _Info(Structure):
@@ -156,7 +158,7 @@ class _Endpoints:
 
 
 class Discovery:
-    """The participants and writers that this process's participant has discovered; thread-safe.
+    """The participants and endpoints that this process's participant has discovered; thread-safe.
 
     Raises `RuntimeError` if the process has no participant on the domain, or several.
 
@@ -205,25 +207,28 @@ class Discovery:
         """Return the GUID of the writer that rmw_cyclonedds_cpp calls by this GID; b"" before it is discovered."""
         return self._guid(self._writers, int.from_bytes(handle[:8], "little"))
 
-    def matched_readers(self, data: int, gid: bytes) -> frozenset[bytes]:
-        """Return the GUIDs of the readers that a writer has matched; b"" for one that is not discovered.
+    def entity(self, data: int, gid: bytes) -> int:
+        """Return the entity of a publisher's writer, which is the first member of rmw_cyclonedds_cpp's structure.
 
-        Raises `RuntimeError` if rmw_cyclonedds_cpp keeps a writer in another form: an entity of Cyclone DDS first.
+        Raises `MessageTypeError` if this rmw_cyclonedds_cpp has another structure (``CddsEntity`` in its rmw_node.cpp).
 
         Args:
-            data: the address of what rmw_cyclonedds_cpp keeps for it.
-            gid: the GID that rmw_cyclonedds_cpp gives it.
+            data: the address of the structure (``rmw_publisher_t.data``).
+            gid: the GID that rmw_cyclonedds_cpp reports: the instance handle of the writer.
         """
-        writer = c_int32.from_address(data).value
-        handle = c_uint64()
+        writer, handle = c_int32.from_address(data).value, c_uint64()
         if self._dds.dds_get_instance_handle(writer, byref(handle)) or handle.value.to_bytes(8, "little") != gid[:8]:
-            raise RuntimeError("this rmw_cyclonedds_cpp keeps its writers in an unknown form")
-        handles = (c_uint64 * _MOST_MATCHED)()
-        count = self._check(
-            "dds_get_matched_subscriptions", self._dds.dds_get_matched_subscriptions(writer, handles, _MOST_MATCHED)
-        )
-        if count > _MOST_MATCHED:
-            raise RuntimeError(f"more than {_MOST_MATCHED} readers have matched one writer")
+            raise MessageTypeError(
+                "ROS 2 services do not cross: this version of rmw_cyclonedds_cpp is unknown", "remove ros2.rmw"
+            )
+        return writer
+
+    def matched_readers(self, writer: int) -> frozenset[bytes]:
+        """Return the GUIDs of the readers that a writer has matched, by its `entity`; b"" for an unknown one."""
+        call, room, count = self._dds.dds_get_matched_subscriptions, 0, _MATCHED
+        while count > room:
+            room, handles = count, (c_uint64 * count)()
+            count = self._check("dds_get_matched_subscriptions", call(writer, handles, room))
         return frozenset(self._guid(self._readers, handle) for handle in handles[:count])
 
     def _guid(self, endpoints: _Endpoints, handle: int) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,28 +14,26 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.environment import CYCLONE, domain
+from bridge.adapters.ros2.context import Ros2Context
+from bridge.adapters.ros2.dds.choice import dds_of
+from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.filters import VersionFilter
-from bridge.adapters.ros2.filters import is_available as can_separate
-from bridge.adapters.ros2.graph import middlewares, neighbors, spdp, vendors
+from bridge.adapters.ros2.graph import middlewares, neighbors, spdp
 from bridge.adapters.ros2.graph.announcements import Announcements
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
 from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
 from bridge.adapters.ros2.graph.neighbors import ProcessWatch
-from bridge.adapters.ros2.graph.origins import Origins, new_prefix, participant_number
+from bridge.adapters.ros2.graph.origins import Origins
 from bridge.adapters.ros2.graph.presence import TYPE, PresenceTopic
-from bridge.adapters.ros2.joining import join
 from bridge.adapters.ros2.loop import QueueReadLoop, WaitSetReadLoop
 from bridge.adapters.ros2.participant import mismatch
 from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.services.caller import Ros2Caller
-from bridge.adapters.ros2.services.endpoint import Ros2Context
 from bridge.adapters.ros2.services.server import Ros2Server
 from bridge.adapters.ros2.topics.publisher import Ros2Publisher
 from bridge.adapters.ros2.topics.subscription import Ros2Subscription
 from bridge.adapters.ros2.topics.versioned import VersionedPublisher
-from bridge.adapters.ros2.types import TypeSupports
 from bridge.adapters.ros2.versions import EndpointVersions, Notes
 from bridge.adapters.side_edge import SideEdge
 from bridge.concurrency import DelayedCalls
@@ -82,7 +80,8 @@ class Ros2Edge(SideEdge):
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         super().__init__(config, registry)
         self._state = state
-        self._types, self._versions = TypeSupports(), EndpointVersions(registry)
+        self._dds, self._versions = dds_of(config), EndpointVersions(registry)
+        self._types = self._dds.types
         self._lock = threading.Lock()
         self._ends: set[Ros2Subscription | Ros2Publisher | VersionedPublisher | Ros2Caller | Ros2Server] = set()
         self._prefix = b""
@@ -101,7 +100,7 @@ class Ros2Edge(SideEdge):
         if removed:
             _log.info("removed %d shared-memory segments of dead ROS 2 processes", removed)
         number, later = domain(self._config, os.environ), DelayedCalls("midspan-ros2-later")
-        participant, self._prefix, segment = join(self._config, self._state, self._config.ros2.node)
+        participant, self._prefix, segment = self._dds.join(self._state, self._config.ros2.node)
         if segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
             major = current().fast_dds_major
             self._neighbors = neighbors.MemoryNeighbors(self._prefix, major, number, self._leave_shared_memory, later)
@@ -111,49 +110,28 @@ class Ros2Edge(SideEdge):
             self._types.prepare_services()
         except MessageTypeError as err:
             _log.warning("%s; %s", err, err.cure)
-        loop = QueueReadLoop(participant) if rcl.is_compiled() else WaitSetReadLoop(participant)
+        loop = QueueReadLoop(participant.resolve) if rcl.is_compiled() else WaitSetReadLoop(participant)
         loop.start()
-        graph = Ros2Graph(participant, self._prefix, self._changed, self._versions)
+        graph = Ros2Graph(participant, self._prefix, self._changed, self._dds.obstacle, self._versions)
         send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
         heartbeats = Heartbeats(send_all, later)
-        self._context = Ros2Context(participant, loop, graph, ProcessWatch(self._prefix), later, heartbeats)
+        self._context = Ros2Context(participant, loop, graph, ProcessWatch(self._prefix), later, heartbeats, self._dds)
 
         def seen() -> frozenset[bytes]:
             return graph.snapshot.participants
 
         self._origins = Origins(self._prefix, self._state / "ros2", seen, listener.graph_changed, later)
         self._announcements = Announcements(
-            self._prefix, number, seen, partial(self._refresh_discovery, ()), later,
+            self._prefix, number, seen, partial(self._dds.refresh, self._prefix, ()), later,
             localhost_only=self._localhost_only,
         )  # fmt: skip
-        self._refresh_discovery(self._origins.predecessors, self._announcements.port)
-        if not self._on_cyclone:
-            self._clean_ports(self._origins.past)
+        self._dds.refresh(self._prefix, self._origins.predecessors, self._announcements.port)
+        self._dds.clean(self._prefix, self._origins.past)
         graph.start()
-        self._prepare_readers(graph.snapshot)
+        self._dds.follow(heartbeats, graph.snapshot.endpoints)
         string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
         past, changed = self._origins.past, listener.presence_changed
         self._presence = PresenceTopic(participant, loop, string, seen, past, changed)
-
-    def _refresh_discovery(self, dead: Sequence[bytes], also: int = 0) -> None:
-        """Dispose this daemon's dead predecessors, and prompt all participants to announce themselves.
-
-        ``also`` is a further port for their responses.
-        """
-        if self._on_cyclone:  # which receives before it announces itself, and responds to others' announcements
-            return
-        number, pseudo = domain(self._config, os.environ), new_prefix(rcl.host_prefix())
-        prompt = [spdp.announcement(pseudo, number, participant_number(self._prefix), also), spdp.disposal(pseudo)]
-        spdp.send_all([*map(spdp.disposal, dead), *prompt], number, localhost_only=self._localhost_only)
-
-    @property
-    def _on_cyclone(self) -> bool:
-        return self._config.ros2.rmw == CYCLONE
-
-    def _prepare_readers(self, snapshot: GraphSnapshot) -> None:
-        """Follow the readers on Cyclone DDS; its own writers send them what they need."""
-        if self._context is not None and not self._on_cyclone:
-            self._context.heartbeats.follow(snapshot.endpoints)
 
     @property
     def _localhost_only(self) -> bool:
@@ -165,14 +143,9 @@ class Ros2Edge(SideEdge):
         elif self._listener is not None:
             self._listener.edge_failed(f"{text}: restarting")
 
-    def _clean_ports(self, past: Iterable[bytes]) -> None:
-        """Remove the shared-memory ports of dead predecessors, except those with this participant's number."""
-        numbers = {participant_number(prefix) for prefix in past} - {participant_number(self._prefix)}
-        of_domain = domain(self._config, os.environ)
-        neighbors.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
-
     def _changed(self, snapshot: GraphSnapshot) -> None:
-        self._prepare_readers(snapshot)
+        if self._context is not None:
+            self._dds.follow(self._context.heartbeats, snapshot.endpoints)
         if self._neighbors is not None:
             self._neighbors.follow(snapshot.participants)
         with self._lock:
@@ -277,7 +250,7 @@ class Ros2Edge(SideEdge):
         context = self._started()
         self._check_one_type(topic, side_type.name)
         others = self._versions.others(side_type.name, side_type.type_id)
-        if others and can_separate() and qos.reliability is Reliability.RELIABLE:
+        if others and self._dds.separates_versions() and qos.reliability is Reliability.RELIABLE:
             versioned = self._kept(self._versioned(topic, side_type, qos, others))
             versioned.refit()
             return versioned
@@ -412,12 +385,9 @@ class Ros2Edge(SideEdge):
         context, announcements = self._context, self._announcements
         if context is None or announcements is None:
             return {}
-        snapshot, details = context.graph.snapshot, dict[str, Any]()
-        cyclone = vendors.report(snapshot.endpoints)
-        if cyclone and not self._on_cyclone:
-            details["cyclone"] = cyclone
+        snapshot = context.graph.snapshot
         groups = middlewares.groups(snapshot.endpoints, snapshot.participants, announcements.versions())
-        return details | {"middlewares": groups}
+        return self._dds.details(snapshot.endpoints) | {"middlewares": groups}
 
     @override
     def version_notes(self) -> Notes:
@@ -425,7 +395,7 @@ class Ros2Edge(SideEdge):
             separated = {end.topic for end in self._ends if isinstance(end, VersionedPublisher)}
         endpoints = self.endpoints()
         notes = {key: list(texts) for key, texts in self._versions.notes(endpoints, separated).items()}
-        for name, text in ({} if self._on_cyclone else vendors.notes(endpoints)).items():
+        for name, text in self._dds.notes(endpoints).items():
             notes.setdefault(("service", "in", name), []).append(text)
         return notes
 
@@ -440,10 +410,10 @@ class Ros2Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return warnings of QoS, of other versions of Fast DDS, of names on two kinds of DDS, and of new addresses."""
+        """Return warnings of QoS, of other versions of Fast DDS, of nodes on another DDS, and of new addresses."""
         offers: dict[str, set[Qos]] = {}
         advertised: dict[str, str] = {}
-        separated: set[str] = set()
+        separated, served = set[str](), set[str]()
         with self._lock:
             for end in self._ends:
                 if isinstance(end, Ros2Publisher | VersionedPublisher):
@@ -451,8 +421,9 @@ class Ros2Edge(SideEdge):
                     advertised[end.topic] = end.type_name
                 if isinstance(end, VersionedPublisher):
                     separated.add(end.topic)
-        cyclone = {} if self._on_cyclone else vendors.report(self.endpoints())
-        warnings = [text] if cyclone and (text := vendors.warning(cyclone)) else []
+                if isinstance(end, Ros2Server):
+                    served.add(end.name)
+        warnings = self._dds.warnings(self.endpoints(), served)
         warnings += self._over_udp() + self._versions.warnings(self.endpoints(), advertised, separated)
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         for endpoint in self.endpoints():

@@ -14,13 +14,13 @@ from bridge.config.model import Config
 
 _SYSTEM = Path("/opt/ros")
 RMW = "RMW_IMPLEMENTATION"
-CYCLONE = "rmw_cyclonedds_cpp"
+FAST_DDS, CYCLONE = "rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"
 LIBRARY = f"lib{CYCLONE}.so"
 # the profile, or CYCLONEDDS_URI, sets the range; ROS 2's setting would add transports
 _RANGE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
 SWITCHES: Mapping[str, dict[str, str]] = {
-    "rmw_fastrtps_cpp": {
-        RMW: "rmw_fastrtps_cpp",
+    FAST_DDS: {
+        RMW: FAST_DDS,
         "SKIP_DEFAULT_XML": "1",
         # with ROS_DISCOVERY_SERVER: a plain client of a discovery server learns only of endpoints that match its own
         "ROS_SUPER_CLIENT": "TRUE",
@@ -53,8 +53,8 @@ def available(config: Config) -> str:
         return f"the ROS 2 in {prefix} is none of {names()}; {_CURE}. {_REACHED}"
     if config.ros2.rmw == CYCLONE:
         return _without_cyclone(prefix, release)
-    if not (_site(prefix) / "rmw_fastrtps_cpp").is_dir() and not _sourced(os.environ):
-        return f"rclpy is installed without Fast DDS (rmw_fastrtps_cpp); {_CURE}"
+    if not (_site(prefix) / FAST_DDS).is_dir() and not _sourced(os.environ):
+        return f"rclpy is installed without Fast DDS ({FAST_DDS}); {_CURE}"
     return security.trouble(os.environ, wheels=uses_wheels(os.environ))
 
 
@@ -78,11 +78,6 @@ def _cyclone_library(prefix: Path, environ: Mapping[str, str]) -> Path | None:
     """Return rmw_cyclonedds_cpp's library of an installation, or of another sourced prefix."""
     folders = (f for p in (prefix, *_prefixes(environ)) for f in (p / "lib", *p.glob("lib/*-linux-gnu")))
     return next((folder / LIBRARY for folder in folders if (folder / LIBRARY).is_file()), None)
-
-
-def on_cyclone(environ: Mapping[str, str] = os.environ) -> bool:
-    """Return whether this process is a worker on Cyclone DDS."""
-    return environ.get(RMW) == CYCLONE
 
 
 def uses_wheels(environ: Mapping[str, str]) -> bool:

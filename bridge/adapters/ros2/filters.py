@@ -12,7 +12,6 @@ from ctypes import CDLL, addressof, c_char, c_void_p, cast
 from functools import cache
 
 from bridge.adapters.ros2 import rmw
-from bridge.adapters.ros2.environment import on_cyclone
 from bridge.adapters.ros2.releases import current
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.releases import NO_HASH
@@ -28,7 +27,7 @@ _HASH_PREFIX = "RIHS01_"
 @cache
 def is_available() -> bool:
     """Return whether writers can be restricted: the extension is compiled, and this Fast DDS has the functions."""
-    if reader_filter is None or on_cyclone():
+    if reader_filter is None:
         return False
     try:
         table, *functions = current().writer_filter

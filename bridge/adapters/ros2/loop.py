@@ -11,13 +11,13 @@ import logging
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any
 
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.participant import Participant
-from bridge.adapters.ros2.rmw import RmwSubscription
 from bridge.hub.lane.joining import Joining
 
 TAKES_PER_TURN = 32
@@ -27,13 +27,11 @@ _log = logging.getLogger(__name__)
 
 
 class EndpointReader(ABC):
-    """An endpoint that the loop serves; its ``kind`` is subscription, client or service.
+    """An endpoint that the loop serves: a subscription, unless a class overrides `wake`.
 
     It holds rclpy's inner object (``handle``) until `destroy`, so that its ``pointer`` (``rcl_subscription_t *``, or
     that of its kind) stays valid whichever thread closes it.
     """
-
-    kind: ClassVar[str] = "subscription"
 
     def __init__(self, participant: Participant, handle: Any) -> None:
         self._participant, self.handle = participant, handle
@@ -47,10 +45,7 @@ class EndpointReader(ABC):
 
     def wake(self, waker: rcl.Waker | None) -> None:
         """Report new messages to a waker; None stops that before returning."""
-        if isinstance(self.handle, RmwSubscription):
-            self.handle.wake(waker)
-        else:
-            rcl.wake(self.kind, self.pointer, waker)
+        rcl.wake("subscription", self.pointer, waker)
 
     @abstractmethod
     def drain(self, taker: rcl.Taker, limit: int) -> None:
@@ -67,10 +62,14 @@ class EndpointReader(ABC):
 
 
 class ReadLoop(ABC):
-    """A thread, and the readers that it serves."""
+    """A thread, and the readers that it serves.
 
-    def __init__(self, participant: Participant) -> None:
-        self._participant = participant
+    Args:
+        resolve: of its `bridge.adapters.ros2.rcl.Taker`.
+    """
+
+    def __init__(self, resolve: Callable[[bytes], bytes] | None = None) -> None:
+        self._resolve = resolve
         self._readers: dict[int, EndpointReader] = {}
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="midspan-ros2-take", daemon=True)
@@ -96,7 +95,7 @@ class ReadLoop(ABC):
         self._close()
 
     def _run(self) -> None:
-        taker = rcl.Taker(self._participant.resolve)
+        taker = rcl.Taker(self._resolve)
         try:
             self._serve_all(taker)
         finally:
@@ -122,11 +121,9 @@ class QueueReadLoop(ReadLoop):
     another endpoint.
     """
 
-    def __init__(self, participant: Participant) -> None:
-        super().__init__(participant)
+    def __init__(self, resolve: Callable[[bytes], bytes] | None = None) -> None:
+        super().__init__(resolve)
         self._queue = rcl.new_queue()
-        # Cyclone DDS may report several messages at once
-        self._least = 0 if participant.resolve is None else TAKES_PER_TURN
         self._leaving: deque[EndpointReader] = deque()
 
     @override
@@ -158,7 +155,7 @@ class QueueReadLoop(ReadLoop):
                 try:
                     if payload is None:
                         joining.flush()
-                        reader.drain(taker, max(number, self._least))
+                        reader.drain(taker, number)
                         continue
                     if len(payload) >= large:
                         joining.flush()
@@ -184,7 +181,8 @@ class WaitSetReadLoop(ReadLoop):
     """Waits in rcl's wait set; subscriptions are keyed by their pointers."""
 
     def __init__(self, participant: Participant) -> None:
-        super().__init__(participant)
+        super().__init__(participant.resolve)
+        self._participant = participant
         self._guard = participant.make_guard_condition()
         self._changes: deque[tuple[EndpointReader, bool]] = deque()
 

@@ -11,18 +11,17 @@ import os
 import re
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile
 
 from bridge.adapters.ros2 import security
-from bridge.adapters.ros2.cyclonedds import Discovery
-from bridge.adapters.ros2.environment import CYCLONE, RMW, on_cyclone
-from bridge.adapters.ros2.graph.marks import ENCLAVE, EnclaveMarks, Marks, NodeMarks
+from bridge.adapters.ros2.environment import FAST_DDS, RMW
+from bridge.adapters.ros2.graph.marks import ENCLAVE, Marks, NodeMarks
 from bridge.adapters.ros2.releases import current
-from bridge.adapters.ros2.rmw import RmwPublisher, RmwSubscription
+from bridge.adapters.ros2.rmw import RmwSubscription
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
 from bridge.messages.errors import MessageTypeError
 
@@ -47,11 +46,14 @@ def _explained(topic: str, message_class: Any) -> Iterator[None]:
 class Participant:
     """A node without default endpoints; endpoints can be created and destroyed from any thread.
 
+    Raises `RuntimeError` if rclpy uses another middleware than ``rmw``.
+
     Attributes:
         marks: who created the endpoints on the network.
         resolve: returns a publisher's GID for that in a message; None if they are the same.
     """
 
+    rmw: ClassVar[str] = FAST_DDS
     marks: Marks
     resolve: Callable[[bytes], bytes] | None = None
 
@@ -63,29 +65,12 @@ class Participant:
         self._context.init(args=arguments, initialize_logging=False, domain_id=domain)
         self._check_rmw()
         self._node = _rclpy.Node(name, "", self._context.handle, [], False, False, *current().node_arguments)
-        self._discovery = Discovery(domain) if on_cyclone() else None
-        if self._discovery is None:
-            self.marks = NodeMarks(self._enclaves)
-        else:
-            self.marks = EnclaveMarks(self._discovery.enclave)
-            self.resolve = self._discovery.writer
+        self.marks = NodeMarks(self._enclaves)
 
-    @staticmethod
-    def _check_rmw() -> None:
-        """Raise `RuntimeError` if rclpy uses another middleware than the configuration names."""
+    def _check_rmw(self) -> None:
         used = _rclpy.rclpy_get_rmw_implementation_identifier()
-        if (used == CYCLONE) is not on_cyclone():
+        if used != self.rmw:
             raise RuntimeError(f"rclpy uses {used}, although {RMW} is {os.environ.get(RMW)}; check the sourced ROS 2")
-
-    def matched_readers(self, writer: RmwPublisher) -> frozenset[bytes]:
-        """Return the GUIDs of the readers that a raw writer has matched, on Cyclone DDS."""
-        assert self._discovery is not None
-        return self._discovery.matched_readers(writer.data, writer.gid)
-
-    @property
-    def prefix(self) -> bytes | None:
-        """The GUID prefix that Cyclone DDS chose; None on Fast DDS, whose profile sets it."""
-        return None if self._discovery is None else self._discovery.prefix
 
     def _enclaves(self) -> Mapping[str, set[str]]:
         """Return the enclaves of all nodes by full name."""
@@ -152,10 +137,6 @@ class Participant:
         """Create a reader of a service's requests or replies; ``support`` is the address of their type support."""
         with self._lock:
             return RmwSubscription(self.pointer, support, dds_topic, SERVICE.depth)
-
-    def creating(self) -> threading.Lock:
-        """Return the lock to hold while an endpoint is created."""
-        return self._lock
 
     def make_server(self, service_class: Any, service: str, qos: Qos) -> Any:
         """Create a server; its ``pointer`` is ``rcl_service_t *``."""

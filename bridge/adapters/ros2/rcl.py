@@ -160,10 +160,11 @@ class Taker:
             if code == RET_TAKE_FAILED:
                 return None
             raise RclError("rcl_take_serialized_message", code)
-        return self.taken()
+        source_ns, _, sequence, _, _, gid, _ = _INFO.unpack(self.info)
+        return Taken(self.payload(), gid if self._resolve is None else self._resolve(gid), source_ns, sequence)
 
     def taken(self) -> Taken:
-        """Return the last message with its info."""
+        """Return the last message, taken with `info` (`take` does the same without a further call)."""
         source_ns, _, sequence, _, _, gid, _ = _INFO.unpack(self.info)
         return Taken(self.payload(), gid if self._resolve is None else self._resolve(gid), source_ns, sequence)
 

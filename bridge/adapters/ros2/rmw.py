@@ -6,6 +6,7 @@ Structures as in Jazzy's rmw/types.h and rmw/qos_profiles.h.
 
 from __future__ import annotations
 
+import os
 from ctypes import (
     CDLL,
     POINTER,
@@ -24,10 +25,8 @@ from ctypes import (
 from functools import cache
 from typing import Any, Self
 
-from typing_extensions import override
-
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.environment import LIBRARY, on_cyclone
+from bridge.adapters.ros2.environment import FAST_DDS, RMW
 from bridge.messages.errors import MessageTypeError
 
 _KEEP_LAST, _RELIABLE, _VOLATILE = 1, 1, 2
@@ -49,7 +48,7 @@ class _QosProfile(Structure):
 @cache
 def _library() -> tuple[CDLL, CDLL]:
     """Return rcl and the worker's rmw; raises `OSError`, or `AttributeError` for another rmw."""
-    of_rcl, rmw = CDLL("librcl.so"), CDLL(LIBRARY if on_cyclone() else "librmw_fastrtps_cpp.so")
+    of_rcl, rmw = CDLL("librcl.so"), CDLL(f"lib{os.environ.get(RMW, FAST_DDS)}.so")
     for handle in (of_rcl.rcl_node_get_rmw_handle, of_rcl.rcl_publisher_get_rmw_handle):
         handle.restype, handle.argtypes = c_void_p, [c_void_p]
     signatures: tuple[tuple[Any, Any, list[Any]], ...] = (
@@ -202,20 +201,3 @@ class RmwSubscription:
 
 Topic = tuple[int, str]
 """The address of the type support of a DDS topic's messages, and its name."""
-
-
-class RmwPair(RmwSubscription):
-    """A reader, and a writer in the other direction. The reader is discovered first."""
-
-    def __init__(self, node: int, reads: Topic, writes: Topic, depth: int) -> None:
-        super().__init__(node, *reads, depth)
-        try:
-            self.writer = RmwPublisher(node, *writes, depth)
-        except MessageTypeError:
-            super().destroy_when_not_in_use()
-            raise
-
-    @override
-    def destroy_when_not_in_use(self) -> None:
-        super().destroy_when_not_in_use()
-        self.writer.destroy()

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple, TypeVar
 
 from typing_extensions import override
 
-from bridge.adapters.ros2.environment import on_cyclone
-from bridge.adapters.ros2.rcl import Callbacks, is_compiled
+from bridge.adapters.ros2.rcl import NOT_COMPILED, Callbacks, is_compiled
 from bridge.adapters.ros2.releases import current
+from bridge.kernels import CURE
 from bridge.messages.errors import MessageTypeError
 
 _NAME = re.compile(r"^([A-Za-z][A-Za-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)$")
@@ -274,7 +274,7 @@ class ServiceStructures(ServiceParts):
 
 
 class TypeSupports:
-    """Classes for raw use with rclpy, one per type name and hash, cached for the life of the process."""
+    """Classes for raw use with rclpy on Fast DDS, one per type name and hash, cached for the life of the process."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -291,23 +291,29 @@ class TypeSupports:
                 # rclpy reads these from the metaclass; the four functions convert message objects, which raw use never
                 # has.
                 converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
-                serializers = Callbacks() if is_compiled() and not on_cyclone() else None
-                structures = MessageStructures(self._lender, name, serializers)
+                structures = MessageStructures(self._lender, name, self._serializers())
                 raw_class = self._make(name, type_hash, structures, **dict.fromkeys(converters, True))
             return raw_class
+
+    def _serializers(self) -> Callbacks | None:
+        """Return the functions that copy the bytes of large messages; None without a compiler."""
+        return Callbacks() if is_compiled() else None
 
     def prepare_services(self) -> None:
         """Load the structures that all services share; raises `MessageTypeError` if services cannot be bridged."""
         with self._lock:
-            if self._for_services is None and not on_cyclone():
+            if self._for_services is None:
                 support = _ServiceSupport.from_address(lent("service", "srv__GetParameters"))
                 self._for_services = support, Callbacks()
+
+    def _service_structures(self, name: TypeName, part_hashes: Hashes) -> ServiceParts:
+        assert self._for_services is not None
+        return ServiceStructures(self._lender, *self._for_services, name, part_hashes)
 
     def service_class(self, type_name: str, type_hash: str, part_hashes: Hashes) -> Any:
         """Return a class that the inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
 
-        Its ``request_support`` and ``response_support`` are the addresses of their type supports. On Cyclone DDS it has
-        only these, for raw endpoints (`bridge.adapters.ros2.services.raw`).
+        Its ``request_support`` and ``response_support`` are the addresses of the type supports of its two messages.
         The type is ``package/srv/Name`` or ``package/action/Name_SendGoal``; DDS endpoints announce the
         ``part_hashes``, those of its request and its response.
         """
@@ -316,11 +322,7 @@ class TypeSupports:
             raw_class = self._classes.get((type_name, type_hash))
             if raw_class is None:
                 name = TypeName.parse(type_name, type_hash)
-                structures: ServiceParts | ServiceStructures
-                if self._for_services is None:
-                    structures = ServiceParts(self._lender, name, part_hashes)
-                else:
-                    structures = ServiceStructures(self._lender, *self._for_services, name, part_hashes)
+                structures = self._service_structures(name, part_hashes)
                 supports = {"request_support": structures.request, "response_support": structures.response}
                 raw_class = self._make(name, type_hash, structures, **supports)
             return raw_class
@@ -334,3 +336,23 @@ class TypeSupports:
         meta = type("RawType", (type,), {"_TYPE_SUPPORT": make_capsule(structures.pointer), **more})
         raw_class = self._classes[str(name), type_hash] = meta(name.name, (), {"__slots__": (), "type_name": str(name)})
         return raw_class
+
+
+class RawTypeSupports(TypeSupports):
+    """Classes for Cyclone DDS, whose rmw takes no serializers from the type support.
+
+    A service class has only the type supports of its two messages, for `bridge.adapters.ros2.services.raw`.
+    """
+
+    @override
+    def _serializers(self) -> None:
+        return None
+
+    @override
+    def prepare_services(self) -> None:
+        if not is_compiled():  # rcl's wait set, which serves subscriptions then, accepts no endpoints of rmw
+            raise MessageTypeError(NOT_COMPILED, CURE)
+
+    @override
+    def _service_structures(self, name: TypeName, part_hashes: Hashes) -> ServiceParts:
+        return ServiceParts(self._lender, name, part_hashes)

@@ -128,7 +128,7 @@ def check_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
     if reason := available(config):
         raise LookError(reason)
     env = worker_kinds({})["ros2"].child_environment(config, environ)
-    command = [sys.executable, "-m", "bridge.adapters.ros2.graph.graph"]
+    command = [sys.executable, "-m", "bridge.adapters.ros2.graph.reading"]
     try:
         done = subprocess.run(
             command, input=config.model_dump_json(by_alias=True), env=env, capture_output=True, encoding="utf-8",

@@ -47,7 +47,7 @@ def test_a_users_own_settings_choose_the_interfaces() -> None:
 def test_a_midspan_on_cyclone_dds_recognizes_one_on_fast_dds(edge: RunningEdge) -> None:
     config = Config.model_validate({"ros2": {"domain": ros2_domain(), "rmw": "rmw_cyclonedds_cpp"}})
     done = subprocess.run(
-        [sys.executable, "-m", "bridge.adapters.ros2.graph.graph"],
+        [sys.executable, "-m", "bridge.adapters.ros2.graph.reading"],
         input=config.model_dump_json(by_alias=True),
         env=worker_environment(config, os.environ),
         capture_output=True,

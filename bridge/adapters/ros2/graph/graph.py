@@ -6,26 +6,19 @@ topics with two endpoints each, and pauses ten times as long.
 
 from __future__ import annotations
 
-import contextlib
-import json
 import logging
-import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
-from bridge.adapters.ros2 import filters, rcl
-from bridge.adapters.ros2.environment import on_cyclone
+from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.marks import Marks
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import Participant, from_rclpy, reply_topic, request_topic, service_type
 from bridge.adapters.ros2.versions import EndpointVersions
-from bridge.config.model import Config
 from bridge.messages.actions import TOPICS, part_name
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
@@ -63,14 +56,19 @@ class GraphSnapshot:
     obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
 
 
+VendorObstacle = Callable[[str, Sequence[Endpoint]], Obstacle | None]
+"""Returns why a client on the worker's DDS cannot call a service with these servers; None if it can."""
+
+
 class Ros2Graph:
     """Follows the graph; `snapshot` is its latest state."""
 
     def __init__(
         self, participant: Participant, own_prefix: bytes, changed: Callable[[GraphSnapshot], None],
-        versions: EndpointVersions | None = None,
+        obstacle: VendorObstacle, versions: EndpointVersions | None = None,
     ) -> None:  # fmt: skip
         self._participant, self._own, self._changed, self._versions = participant, own_prefix, changed, versions
+        self._vendor_obstacle = obstacle
         self.snapshot = GraphSnapshot()
         self._closed = vendors.ClosedEndpoints()
         self._guard = participant.make_guard_condition()
@@ -142,10 +140,7 @@ class Ros2Graph:
 
     def obstacle(self, service: str, servers: Sequence[Endpoint], expected: str | None = None) -> Obstacle | None:
         """Return why these servers of a service cannot be called, by a client of the ``expected`` version; or None."""
-        if on_cyclone():
-            obstacle = vendors.on_cyclone_only(service, servers)
-        else:
-            obstacle = None if filters.is_available() else vendors.of_servers(service, servers)
+        obstacle = self._vendor_obstacle(service, servers)
         if obstacle is None and self._versions is not None:
             obstacle = self._versions.obstacle(service, vendors.called(servers), expected)
         return obstacle
@@ -160,7 +155,7 @@ class Ros2Graph:
         return {bytes.fromhex(client.id)[:PREFIX_BYTES]: client.type_id for client in known}
 
     def client_made_by(self, service: str, prefix: bytes) -> MadeBy:
-        """Return who created the client of a participant, by its GUID prefix; reads the graph."""
+        """Return who created a participant, by its GUID prefix and its client of a service; reads the graph."""
         clients = self._others(service, Kind.CLIENT, self._participant.writers(request_topic(service), dds=True))
         found = {client.made_by for gid, client in clients if gid[:PREFIX_BYTES] == prefix}
         return found.pop() if len(found) == 1 else MadeBy.UNKNOWN
@@ -295,35 +290,3 @@ def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any], marks
 def _type_hash(info: Mapping[str, Any]) -> str:
     type_hash = info["topic_type_hash"]
     return f"RIHS01_{bytes(type_hash['value']).hex()}" if type_hash["version"] == 1 else ""
-
-
-# -- one snapshot, for programs that must not load rclpy ---------------------------------------------------------------
-# Run as ``python -m bridge.adapters.ros2.graph.graph`` in a ros2 worker's environment, with the configuration as JSON
-# on standard input. It joins with a marked participant, so that a running bridge ignores it.
-
-SECONDS = 4.0
-"""Seconds of discovery. Most participants respond to the first announcement at once, but a stock one may be discovered
-only by its next periodic announcement, up to 3 s later (observed with Fast DDS 2.14.5)."""
-
-
-def read_graph(config: Config, state: Path, seconds: float) -> dict[str, Any]:
-    """Return the other ``midspans`` (GUID prefixes in hex), and the ``nodes`` with visible endpoints."""
-    from bridge.adapters.ros2.joining import join
-
-    participant, prefix, _ = join(config, state, "midspan_doctor")
-    with contextlib.ExitStack() as stack:
-        stack.callback(participant.close)
-        graph = Ros2Graph(participant, prefix, lambda _snapshot: None)
-        stack.callback(graph.stop)
-        time.sleep(seconds)
-        snapshot = graph.read()
-    return {
-        "midspans": sorted(p.hex() for p in snapshot.participants if participant.marks.made_by(p) is MadeBy.MIDSPAN),
-        "nodes": sorted({endpoint.node for endpoint in snapshot.endpoints}),
-    }
-
-
-if __name__ == "__main__":
-    with tempfile.TemporaryDirectory(prefix="midspan-look-") as folder:
-        document = read_graph(Config.model_validate_json(sys.stdin.buffer.read()), Path(folder), SECONDS)
-    print(json.dumps(document))  # noqa: T201  the result

@@ -18,11 +18,11 @@ from bridge.messages.actions import split
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 CYCLONE = b"\x01\x10"
-SERVERS_ON_CYCLONE_ONLY = (
-    "it has a server on another DDS than Cyclone DDS, which cannot be called while ros2.rmw is rmw_cyclonedds_cpp"
+CLIENT_NOT_ON_CYCLONE = (
+    "its client is on another DDS than Cyclone DDS, which gets no replies while ros2.rmw is rmw_cyclonedds_cpp"
 )
-CLIENTS_ON_CYCLONE_ONLY = "clients on another DDS than Cyclone DDS get no replies while ros2.rmw is rmw_cyclonedds_cpp"
 _CURE = "stop one of them, or rename one by a remapping of its node"
+_CURE_ON_CYCLONE = "remove ros2.rmw (on Fast DDS Midspan reaches services of both), or run these nodes on Cyclone DDS"
 _UNNAMED = "a node with an unknown name"
 
 _OF_EACH_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
@@ -113,16 +113,19 @@ def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
     return Obstacle(reason, _CURE)
 
 
-def on_cyclone_only(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
+def not_on_cyclone(service: str, servers: Iterable[Endpoint] = ()) -> Obstacle:
+    """Return why a client on Cyclone DDS cannot call a service that these servers on another DDS have, too."""
+    reason = (
+        f"{service} is served on another DDS than Cyclone DDS ({_nodes(servers) or _UNNAMED}): Midspan, which is on"
+        " Cyclone DDS, can neither send a request in the other's form nor match its reply, so it was not sent"
+    )
+    return Obstacle(reason, _CURE_ON_CYCLONE)
+
+
+def of_servers_not_on_cyclone(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
     """Return why a client on Cyclone DDS cannot call a service with these servers; None if it can."""
     _, others = _servers(servers)
-    if not others:
-        return None
-    reason = (
-        f"{service} is served on another DDS than Cyclone DDS ({_nodes(others)}), and Midspan's own node is on Cyclone"
-        " DDS, which can neither send a request in the other's form nor match its reply, so it was not sent"
-    )
-    return Obstacle(reason, "remove ros2.rmw: on Fast DDS Midspan calls servers on both")
+    return not_on_cyclone(service, others) if others else None
 
 
 def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
@@ -149,6 +152,48 @@ def warning(cyclone: dict[str, Any]) -> str:
         return ""
     names = ", ".join(cyclone["both"])
     return f"{names}: served on Cyclone DDS and on another DDS, so the servers on Cyclone DDS are not called; {_CURE}"
+
+
+def _served_elsewhere(endpoints: Iterable[Endpoint]) -> list[Endpoint]:
+    """Return the native servers on another DDS than Cyclone DDS."""
+    return _servers(end for end in endpoints if end.kind is Kind.SERVER)[1]
+
+
+def report_on_cyclone(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
+    """Return what a worker on Cyclone DDS reports: the ``nodes`` on it, and what it cannot call.
+
+    ``foreign`` are the nodes on another DDS that have servers, ``uncallable`` the services and actions of these nodes,
+    without the services that every node has.
+    """
+    servers = _served_elsewhere(endpoints)
+    names = {split(end.topic)[0] or end.topic for end in servers if not end.type.startswith(_OF_EACH_NODE)}
+    return {
+        "nodes": sorted({end.node or _UNNAMED for end in endpoints if _is_cyclone_endpoint(end)}),
+        "both": [],
+        "foreign": sorted({end.node or _UNNAMED for end in servers}),
+        "uncallable": sorted(names),
+    }
+
+
+def warnings_on_cyclone(endpoints: Collection[Endpoint], served: Collection[str]) -> list[str]:
+    """Return the warnings of a worker on Cyclone DDS about nodes on another DDS.
+
+    Args:
+        endpoints: those of the graph.
+        served: the services that the worker serves.
+    """
+    warnings: list[str] = []
+    names = report_on_cyclone(endpoints)["uncallable"]
+    if names:
+        text = "served on another DDS than Cyclone DDS, so they cannot be called"
+        warnings.append(f"{', '.join(names)}: {text}; {_CURE_ON_CYCLONE}")
+    clients = [end for end in endpoints if end.kind is Kind.CLIENT and end.topic in served]
+    _, others = _servers(clients)
+    if others:
+        names = sorted({split(end.topic)[0] or end.topic for end in others})
+        text = f"{_nodes(others)} on another DDS than Cyclone DDS may call them, but gets no replies"
+        warnings.append(f"{', '.join(names)}: {text}; {_CURE_ON_CYCLONE}")
+    return warnings
 
 
 def _nodes(endpoints: Iterable[Endpoint]) -> str:

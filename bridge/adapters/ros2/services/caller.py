@@ -7,20 +7,19 @@ import logging
 import time
 from collections import deque
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.environment import on_cyclone
+from bridge.adapters.ros2.context import Closed, Ros2Context
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION
-from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
+from bridge.adapters.ros2.services.endpoint import ServiceEndpoint
 from bridge.adapters.ros2.services.pacing import SentRequests
-from bridge.adapters.ros2.services.raw import RawClient, RawSender
-from bridge.adapters.ros2.services.sender import MATCH_POLL, RequestSender, refusal
+from bridge.adapters.ros2.services.sender import MATCH_POLL, refusal
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
 from bridge.routing.edge import EdgeCaller
 
@@ -43,30 +42,24 @@ class _PendingCall:
 
 
 class Ros2Caller(ServiceEndpoint, EdgeCaller):
-    """An rcl client. DDS delivers a request to every server of the name; the first reply counts."""
-
-    kind: ClassVar[str] = "client"
+    """A client. DDS delivers a request to every server of the name; the first reply counts."""
 
     def __init__(
         self, name: str, service_class: Any, context: Ros2Context, closed: Closed, type_id: str | None = None
     ) -> None:
-        super().__init__(name, service_class, _open(name, service_class, context), context)
+        self._port = context.dds.open_client(name, service_class, context, self._replied, type_id)
+        super().__init__(name, service_class, self._port, context)
         self._on_closed = closed
         self._waiting: deque[_PendingCall] = deque()
         self._sent: dict[int, _PendingCall] = {}
         self._requests = SentRequests()
-        self._sender = self._new_sender(service_class, context, type_id)
+        self._sender = self._port.sender
         self._settling_until = 0.0
         self._ended: set[bytes] = set()
         self._matched = self._due = False
         self._update_ended()
         self._loop.add(self)
         self._prepare_cyclone()
-
-    def _new_sender(self, service_class: Any, context: Ros2Context, type_id: str | None) -> RequestSender:
-        if isinstance(self.handle, RawClient):
-            return RawSender(self.name, self.handle, context, type_id)
-        return RequestSender(self.name, self.pointer, service_class.response_support, context, self._replied, type_id)
 
     @override
     def call(self, request: bytes, done: Done) -> Abandon:
@@ -184,16 +177,8 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
-        if isinstance(self.handle, RawClient):
-            for number, reply in self.handle.replies(taker, limit):
-                self._replied(number, reply)
-            return
-        for _ in range(limit):
-            taken = self._taker.response(self.pointer)
-            if taken is None:
-                continue  # a reply to another client: DDS delivers each to all clients of a name
-            request, payload = taken
-            self._replied(request.number, payload)
+        for number, reply in self._port.replies(taker, limit):
+            self._replied(number, reply)
 
     def _replied(self, number: int, payload: bytes) -> None:
         with self._lock:
@@ -254,12 +239,6 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         for calling in ended:
             _end(calling, CallError(f"{self.name} is no longer bridged"))
         self._on_closed(self)
-
-
-def _open(name: str, service_class: Any, context: Ros2Context) -> Any:
-    if on_cyclone():
-        return RawClient(name, service_class, context.participant)
-    return context.participant.make_client(service_class, name, SERVICE)
 
 
 def _end(calling: _PendingCall, result: bytes | CallError) -> None:

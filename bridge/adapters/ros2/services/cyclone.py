@@ -12,18 +12,19 @@ import os
 import struct
 import threading
 import time
-from collections.abc import Callable, Collection
-from typing import NamedTuple, Protocol
+from collections.abc import Collection
 
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.context import Replied, Ros2Context
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.loop import EndpointReader
 from bridge.adapters.ros2.participant import reply_topic, request_topic
 from bridge.adapters.ros2.rcl import ENCAPSULATION
-from bridge.adapters.ros2.services.endpoint import Ros2Context
 from bridge.adapters.ros2.services.matching import MatchCounter
+from bridge.adapters.ros2.services.port import Framed
+from bridge.messages.errors import MessageTypeError
 
 HEADER = struct.Struct("<8sq")
 _BODY = len(ENCAPSULATION) + HEADER.size
@@ -37,13 +38,6 @@ _PATIENCE_SECONDS = 1.0
 """Seconds after which a reply is sent although not all readers of its topic have matched."""
 
 
-class Framed(NamedTuple):
-    """A payload without its header: ``header`` is 16 bytes, ``payload`` is CDR."""
-
-    header: bytes
-    payload: bytes
-
-
 def unwrap(payload: bytes) -> Framed | None:
     """Separate the header from a request or a reply; return None unless it is little-endian CDR with a header."""
     if payload[:2] != ENCAPSULATION[:2] or len(payload) < _BODY:
@@ -52,13 +46,17 @@ def unwrap(payload: bytes) -> Framed | None:
     return Framed(payload[len(ENCAPSULATION) : _BODY], ENCAPSULATION + payload[_BODY : max(end, _BODY)])
 
 
+def unwrap_request(payload: bytes) -> Framed:
+    """Separate the header from a request; raises `MessageTypeError` unless it is little-endian CDR with a header."""
+    framed = unwrap(payload)
+    if framed is None:
+        raise MessageTypeError("the request is not little-endian CDR with Cyclone DDS's header")
+    return framed
+
+
 def wrap(header: bytes, payload: bytes) -> bytes:
     """Return a request or a reply with its header."""
     return ENCAPSULATION + header + payload[len(ENCAPSULATION) :]
-
-
-Replied = Callable[[int, bytes], None]
-"""Called with the number of a request, and its reply as CDR."""
 
 
 class CycloneCalls(EndpointReader):
@@ -75,6 +73,10 @@ class CycloneCalls(EndpointReader):
         self._id = os.urandom(8)
         self._number = FIRST_NUMBER
         self._matched, self._prepared = (0, frozenset[bytes]()), 0.0
+
+    @override
+    def wake(self, waker: rcl.Waker | None) -> None:
+        self._reader.wake(waker)
 
     def wait(self, poll: float, servers: Collection[bytes], last: int) -> float:
         """Return the seconds until a request may be sent, 0 for now; ``poll`` while no server has matched.
@@ -104,22 +106,6 @@ class CycloneCalls(EndpointReader):
             client, number = HEADER.unpack(framed.header)
             if client == self._id:  # DDS delivers each reply to all clients of a name
                 self._replied(number, framed.payload)
-
-
-class Reach(Protocol):
-    """Whether replies reach a service's clients on Cyclone DDS."""
-
-    def reaches(self, gid: bytes) -> bool:
-        """Return whether the client with this request writer can receive, as far as can be known."""
-
-    def written(self) -> None:
-        """Count a reply."""
-
-    def retain(self, gids: set[bytes]) -> None:
-        """Remove all clients except these."""
-
-    def discard(self, gid: bytes) -> None:
-        """Remove one client."""
 
 
 class ReplyReach:

@@ -1,59 +1,43 @@
-"""The base of clients and servers: rclpy's object, and a watch on the peers' processes."""
+"""The base of clients and servers: their DDS endpoints, and a watch on the peers' processes."""
 
 from __future__ import annotations
 
 import threading
 from abc import abstractmethod
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Collection
 from typing import Any
 
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.graph.graph import Ros2Graph
-from bridge.adapters.ros2.graph.heartbeats import Heartbeats
-from bridge.adapters.ros2.graph.neighbors import ProcessWatch
+from bridge.adapters.ros2.context import Ros2Context
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
-from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
-from bridge.adapters.ros2.participant import Participant
-from bridge.concurrency import DelayedCalls
+from bridge.adapters.ros2.loop import EndpointReader
+from bridge.adapters.ros2.services.port import ServicePort
 
 _CHECK_SECONDS = 0.5
 """Seconds between two checks whether a peer's process has ended: DDS notices that only when its lease expires."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ros2Context:
-    """The shared state of the edge's endpoints."""
-
-    participant: Participant
-    loop: ReadLoop
-    graph: Ros2Graph
-    processes: ProcessWatch
-    later: DelayedCalls
-    heartbeats: Heartbeats
-
-
-Closed = Callable[[Any], None]
-"""Called with an endpoint that has closed."""
-
-
 class ServiceEndpoint(EndpointReader):
     """A client or a server. While calls are pending it checks whether the peers' processes are alive."""
 
-    def __init__(self, name: str, service_class: Any, handle: Any, context: Ros2Context) -> None:
-        super().__init__(context.participant, handle)
+    def __init__(self, name: str, service_class: Any, port: ServicePort, context: Ros2Context) -> None:
+        super().__init__(context.participant, port.handle)
+        self._service_port = port
         self.name, self.type_name = name, str(service_class.type_name)
         self._loop, self._graph = context.loop, context.graph
         self._later, self._processes = context.later, context.processes
-        self._taker = rcl.CallTaker()
         self._lock = threading.Lock()
         self._checking = self._closed = False
 
     @override
+    def wake(self, waker: rcl.Waker | None) -> None:
+        self._service_port.wake(waker)
+
+    @override
     def destroy(self) -> None:
-        self._taker.close()
+        self._service_port.close()
         super().destroy()
 
     def _ended_among(self, gids: Collection[bytes]) -> set[bytes]:

@@ -9,102 +9,75 @@ called, and such clients get no replies.
 from __future__ import annotations
 
 import os
+import threading
 import time
-from collections.abc import Collection, Iterator
-from typing import Any
+from collections.abc import Callable, Collection, Iterator
+from typing import Protocol
 
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.context import Ros2Context
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.heartbeats import MATCH_SECONDS
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
-from bridge.adapters.ros2.participant import SERVICE, Participant, reply_topic, request_topic
-from bridge.adapters.ros2.rmw import RmwPair
-from bridge.adapters.ros2.services.cyclone import HEADER, unwrap, wrap
-from bridge.adapters.ros2.services.endpoint import Ros2Context
-from bridge.adapters.ros2.services.sender import MATCH_POLL, RequestSender
-from bridge.hub.endpoints.calls import CallError, UnsentCallError
+from bridge.adapters.ros2.services.cyclone import HEADER, unwrap, unwrap_request, wrap
+from bridge.adapters.ros2.services.port import ClientPort, Framed, RequestSender, ServerPort
+from bridge.adapters.ros2.services.sender import MATCH_POLL, known_obstacle, refusal, refused_by
+from bridge.hub.endpoints.calls import CallError
+from bridge.messages.errors import MessageTypeError
 from bridge.routing.edge import MadeBy
 
 
-class RawClient(RmwPair):
+class Pair(Protocol):
+    """A reader, and a writer in the other direction: `bridge.adapters.ros2.dds.cyclone.CyclonePair`."""
+
+    def wake(self, waker: rcl.Waker | None) -> None:
+        """Report new messages to a waker; None stops that before returning."""
+
+    def take(self, taker: rcl.Taker) -> bytes | None:
+        """Return the next message as CDR, or None."""
+
+    def take_with_gid(self, taker: rcl.Taker) -> rcl.Taken | None:
+        """Return the next message with the GUID of its writer, or None."""
+
+    def publish(self, payload: bytes) -> None:
+        """Publish CDR bytes; raises `RclError`."""
+
+    def matched(self) -> int:
+        """Return the number of writers that the reader has matched."""
+
+    def matched_readers(self) -> frozenset[bytes]:
+        """Return the GUIDs of the readers that the writer has matched; b"" for an unknown one."""
+
+
+class RawClient(ClientPort):
     """The writer of a client's requests, and the reader of its replies."""
 
-    def __init__(self, name: str, service_class: Any, participant: Participant) -> None:
-        replies = service_class.response_support, reply_topic(name)
-        requests = service_class.request_support, request_topic(name)
-        with participant.creating():
-            super().__init__(participant.pointer, replies, requests, SERVICE.depth)
+    def __init__(self, name: str, pair: Pair, context: Ros2Context, type_id: str | None) -> None:
+        self.handle = self._pair = pair
         self._id = os.urandom(8)
-        self._number = 0
+        self.sender = RawSender(name, pair, self._id, context, type_id)
 
-    def send(self, request: bytes) -> int:
-        """Send a request; return its number. Raises `RclError`."""
-        self._number += 1
-        self.writer.publish(wrap(HEADER.pack(self._id, self._number), request))
-        return self._number
+    @override
+    def wake(self, waker: rcl.Waker | None) -> None:
+        self._pair.wake(waker)
 
+    @override
     def replies(self, taker: rcl.Taker, limit: int) -> Iterator[tuple[int, bytes]]:
-        """Yield replies with the numbers of their requests; DDS delivers each reply to all clients of a name."""
         for _ in range(limit):
-            payload = self.take(taker)
+            payload = self._pair.take(taker)
             if payload is None:
                 return
             framed = unwrap(payload)
             if framed is not None:
                 client, number = HEADER.unpack(framed.header)
-                if client == self._id:
+                if client == self._id:  # DDS delivers each reply to all clients of a name
                     yield number, framed.payload
 
-
-class RawServer(RmwPair):
-    """The reader of a server's requests, and the writer of its replies."""
-
-    def __init__(self, name: str, service_class: Any, participant: Participant) -> None:
-        requests = service_class.request_support, request_topic(name)
-        replies = service_class.response_support, reply_topic(name)
-        with participant.creating():
-            super().__init__(participant.pointer, requests, replies, SERVICE.depth)
-        self._participant = participant
-
-    def request(self, taker: rcl.Taker) -> tuple[rcl.RequestId, bytes] | None:
-        """Return the next request with its header; the number in its id is that of the header, if it has one."""
-        taken = self.take_with_gid(taker)
-        if taken is None:
-            return None
-        framed = unwrap(taken.payload)
-        number = HEADER.unpack(framed.header)[1] if framed is not None else 0
-        return rcl.RequestId(taken.gid, number), taken.payload
-
-    def reply(self, payload: bytes) -> None:
-        """Send a reply with its header; raises `RclError`."""
-        self.writer.publish(payload)
-
-    def reaches(self, client: bytes) -> bool:
-        """Return whether the replies' writer has matched a reader of a client's participant."""
-        matched = self._participant.matched_readers(self.writer)
-        return any(reader[:PREFIX_BYTES] == client[:PREFIX_BYTES] for reader in matched)
-
-
-class RawReach:
-    """A `bridge.adapters.ros2.services.cyclone.Reach`: Cyclone DDS reports which readers a writer has matched."""
-
-    def __init__(self, server: RawServer) -> None:
-        self._server = server
-
-    def reaches(self, gid: bytes) -> bool:
-        """Return whether a client's reader has matched."""
-        return self._server.reaches(gid)
-
-    def written(self) -> None:
-        """Do nothing: replies are not counted."""
-
-    def retain(self, gids: set[bytes]) -> None:
-        """Do nothing: each reply asks again."""
-
-    def discard(self, gid: bytes) -> None:
-        """Do nothing: each reply asks again."""
+    @override
+    def close(self) -> None:
+        """Do nothing: the handle has all."""
 
 
 class RawSender(RequestSender):
@@ -113,51 +86,49 @@ class RawSender(RequestSender):
     DDS delivers a request to all of them, and one on another DDS would execute it with wrong values.
     """
 
-    def __init__(self, name: str, client: RawClient, context: Ros2Context, type_id: str | None) -> None:
-        self._name, self._client, self._context, self._type_id = name, client, context, type_id
-        self._participant = context.participant
-        self._verified_servers: tuple[frozenset[bytes], frozenset[bytes]] | None = None
+    def __init__(self, name: str, pair: Pair, client: bytes, context: Ros2Context, type_id: str | None) -> None:
+        self._name, self._pair, self._id, self._context, self._type_id = name, pair, client, context, type_id
+        self._number = 0
+        self._verified: tuple[frozenset[bytes], frozenset[bytes]] | None = None
         self._first_matched: dict[bytes, float] = {}
 
-    def _matched(self) -> frozenset[bytes]:
-        return self._participant.matched_readers(self._client.writer)
-
-    def _native(self) -> frozenset[bytes]:
-        made_by = self._participant.marks.made_by
-        return frozenset(gid for gid in self._matched() if made_by(gid) is not MadeBy.MIDSPAN)
+    def _servers(self) -> frozenset[bytes]:
+        """Return the GUIDs of the native servers that have matched."""
+        made_by = self._context.participant.marks.made_by
+        return frozenset(gid for gid in self._pair.matched_readers() if made_by(gid) is not MadeBy.MIDSPAN)
 
     @override
     def has_server(self) -> bool:
-        return bool(self._native()) and self._client.matched() > 0
+        return bool(self._servers()) and self._pair.matched() > 0
 
     @override
     def obstacle(self) -> CallError | None:
-        known = self._known_obstacle()
+        known = known_obstacle(self._context, self._name)
         if known is not None:
             return known
-        native = self._native()
-        if not all(map(vendors.is_cyclone, native)):  # the graph may list it later
-            return UnsentCallError(f"{self._name}: {vendors.SERVERS_ON_CYCLONE_ONLY}")
+        matched = self._servers()
+        if not all(map(vendors.is_cyclone, matched)):  # the graph may list it later
+            return refusal(vendors.not_on_cyclone(self._name))
         present = self._context.graph.snapshot.servers.get(self._name, frozenset())
-        if (native, present) != self._verified_servers:
-            refused = self._refused(self._context.graph.servers(self._name))
+        if (matched, present) != self._verified:
+            refused = refused_by(self._context.graph.servers(self._name), self._context, self._name, self._type_id)
             if refused is not None:
                 return refused
-            self._verified_servers = native, present
+            self._verified = matched, present
         return None
 
     @property
     @override
     def outdated(self) -> bool:
-        return self._verified_servers is None or self._native() != self._verified_servers[0]
+        return self._verified is None or self._servers() != self._verified[0]
 
     @override
     def prepare(self, servers: Collection[bytes]) -> float:
         """Return the seconds until the servers have matched the reader of the replies, which DDS does not report."""
-        now, native = time.monotonic(), self._native()
-        if not native:
+        now, matched = time.monotonic(), self._servers()
+        if not matched:
             return MATCH_POLL
-        self._first_matched = {gid: self._first_matched.get(gid, now) for gid in native}
+        self._first_matched = {gid: self._first_matched.get(gid, now) for gid in matched}
         return max(0.0, max(self._first_matched.values()) + MATCH_SECONDS - now)
 
     @override
@@ -166,8 +137,80 @@ class RawSender(RequestSender):
 
     @override
     def send(self, request: bytes) -> int:
-        return self._client.send(request)
+        self._number += 1
+        self._pair.publish(wrap(HEADER.pack(self._id, self._number), request))
+        return self._number
 
     @override
     def close(self) -> None:
         """Do nothing: the client's own reader receives the replies."""
+
+
+ReplyReaders = Callable[[], list[bytes]]
+"""Returns the GIDs of all readers of a service's replies; reads the graph."""
+
+
+class RawServer(ServerPort):
+    """The reader of a server's requests, and the writer of its replies."""
+
+    def __init__(self, pair: Pair, reply_readers: ReplyReaders) -> None:
+        self.handle = self._pair = pair
+        self._reply_readers = reply_readers
+        self._lock = threading.Lock()
+        self._reached: set[bytes] = set()
+
+    @override
+    def wake(self, waker: rcl.Waker | None) -> None:
+        self._pair.wake(waker)
+
+    @override
+    def requests(self, taker: rcl.Taker, limit: int) -> Iterator[tuple[rcl.RequestId, bytes]]:
+        """Take and yield up to ``limit`` requests; the number of a request is that of its header, if it has one."""
+        for _ in range(limit):
+            taken = self._pair.take_with_gid(taker)
+            if taken is None:
+                return
+            framed = unwrap(taken.payload)
+            number = 0 if framed is None else HEADER.unpack(framed.header)[1]
+            yield rcl.RequestId(taken.gid, number), taken.payload
+
+    @override
+    def unwrap(self, request: rcl.RequestId, payload: bytes) -> Framed:
+        if not vendors.is_cyclone(request.gid):
+            raise MessageTypeError(vendors.CLIENT_NOT_ON_CYCLONE)
+        return unwrap_request(payload)
+
+    @override
+    def send(self, request: rcl.RequestId, payload: bytes) -> bool:
+        if not self._reaches(request.gid):
+            return False
+        self._pair.publish(payload)
+        return True
+
+    def _reaches(self, client: bytes) -> bool:
+        """Return whether the writer of the replies has matched all readers of replies in the client's participant.
+
+        Which of several is the client's own, DDS does not report.
+        """
+        with self._lock:
+            if client in self._reached:
+                return True
+            own = {gid for gid in self._reply_readers() if gid[:PREFIX_BYTES] == client[:PREFIX_BYTES]}
+            if not own or not own <= self._pair.matched_readers():
+                return False
+            self._reached.add(client)
+            return True
+
+    @override
+    def retain(self, clients: set[bytes]) -> None:
+        with self._lock:
+            self._reached &= clients
+
+    @override
+    def discard(self, client: bytes) -> None:
+        with self._lock:
+            self._reached.discard(client)
+
+    @override
+    def close(self) -> None:
+        """Do nothing: the handle has all."""

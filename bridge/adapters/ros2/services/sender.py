@@ -1,17 +1,20 @@
-"""The sending half of a client: requests in the form that the servers need."""
+"""The sending half of a client on Fast DDS: requests in the form that the servers need."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from functools import partial
 
+from typing_extensions import override
+
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.context import Replied, Ros2Context
 from bridge.adapters.ros2.filters import VendorFilter, is_available
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.participant import request_topic
-from bridge.adapters.ros2.services.cyclone import CycloneCalls, Replied
-from bridge.adapters.ros2.services.endpoint import Ros2Context
+from bridge.adapters.ros2.services.cyclone import CycloneCalls
 from bridge.adapters.ros2.services.matching import MatchCounter
+from bridge.adapters.ros2.services.port import RequestSender
 from bridge.hub.endpoints.calls import CallError, UnsentCallError
 from bridge.messages.errors import MessageTypeError
 from bridge.routing.edge import Endpoint, MadeBy, Obstacle
@@ -20,8 +23,8 @@ MATCH_POLL = 0.01
 """Seconds between two checks whether a server has matched."""
 
 
-class RequestSender:
-    """Sends the requests of one client. Not thread-safe: the client's lock is held.
+class FastSender(RequestSender):
+    """Sends the requests of one client on Fast DDS.
 
     Servers on Cyclone DDS get requests in another form, and their replies arrive at a separate reader. The form
     is decided from the graph before each request, unless no server has matched or left since the last one. A filter
@@ -52,20 +55,20 @@ class RequestSender:
         self._cyclone: CycloneCalls | None = None
         self._written = 0
 
+    @override
     def has_server(self) -> bool:
-        """Return whether the client and a server have discovered each other."""
         return rcl.has_server(self._context.participant.pointer, self._pointer)
 
+    @override
     def obstacle(self) -> CallError | None:
-        """Return why the matched servers cannot be called; the graph is read only after a change."""
-        known = self._known_obstacle()
+        known = known_obstacle(self._context, self._name)
         if known is not None:
             return known
         present = self._context.graph.snapshot.servers.get(self._name, frozenset())
         matched = self._matches.total()
         if matched is None or (matched, present) != self._verified:
             servers = self._context.graph.servers(self._name)
-            refused = self._refused(servers)
+            refused = refused_by(servers, self._context, self._name, self._type_id)
             if refused is not None:
                 return refused
             self._verified, self._on_cyclone = (matched, present), vendors.are_cyclone(servers)
@@ -73,37 +76,22 @@ class RequestSender:
                 self._filter.restrict(only=self._on_cyclone)
         return None
 
-    def _known_obstacle(self) -> CallError | None:
-        known = self._context.graph.snapshot.obstacles.get(self._name)
-        return None if known is None else refusal(known)
-
-    def _refused(self, servers: Sequence[Endpoint]) -> CallError | None:
-        """Return why these servers cannot be called; None if they can."""
-        obstacle = self._context.graph.obstacle(self._name, servers, self._type_id)
-        if obstacle is not None:
-            return refusal(obstacle)
-        if not any(server.made_by is MadeBy.NATIVE for server in servers):  # it has just left
-            return CallError(f"{self._name} has no server on ROS 2")
-        return None
-
     @property
+    @override
     def outdated(self) -> bool:
         """Whether another server has matched since `obstacle`, which may need another form."""
         return self._matches.total() not in (None, self._verified[0])
 
+    @override
     def wait(self, servers: Collection[bytes]) -> float:
-        """Return the seconds until a request may be sent to these servers; raises `UnsentCallError`."""
         return self.prepare(servers) if self._on_cyclone else 0.0
 
+    @override
     def prepare(self, servers: Collection[bytes]) -> float:
-        """Prepare servers on Cyclone DDS for requests; return the seconds until they are, 0 once they are.
-
-        Raises `UnsentCallError` if they cannot be called.
-        """
         return self._calls().wait(MATCH_POLL, servers, self._written)
 
+    @override
     def send(self, request: bytes) -> int:
-        """Send a request; return its number. Raises `RclError`."""
         if not self._on_cyclone:
             self._written = rcl.send_request(self._pointer, request)
             return self._written
@@ -120,10 +108,29 @@ class RequestSender:
             self._context.loop.add(self._cyclone)
         return self._cyclone
 
+    @override
     def close(self) -> None:
         """Stop receiving replies of servers on Cyclone DDS."""
         if self._cyclone is not None:
             self._context.loop.remove(self._cyclone)
+
+
+def known_obstacle(context: Ros2Context, service: str) -> CallError | None:
+    """Return why the servers of the last snapshot cannot be called; None if they can."""
+    known = context.graph.snapshot.obstacles.get(service)
+    return None if known is None else refusal(known)
+
+
+def refused_by(
+    servers: Sequence[Endpoint], context: Ros2Context, service: str, type_id: str | None
+) -> CallError | None:
+    """Return why these servers cannot be called by a client of a version; None if they can."""
+    obstacle = context.graph.obstacle(service, servers, type_id)
+    if obstacle is not None:
+        return refusal(obstacle)
+    if not any(server.made_by is MadeBy.NATIVE for server in servers):  # it has just left
+        return CallError(f"{service} has no server on ROS 2")
+    return None
 
 
 def refusal(obstacle: Obstacle) -> UnsentCallError:

@@ -7,22 +7,18 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.environment import on_cyclone
-from bridge.adapters.ros2.graph import vendors
+from bridge.adapters.ros2.context import Closed, Ros2Context
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
-from bridge.adapters.ros2.participant import SERVICE
 from bridge.adapters.ros2.rcl import ENCAPSULATION, RequestId
 from bridge.adapters.ros2.services import cyclone
-from bridge.adapters.ros2.services.cyclone import Reach, ReplyReach
-from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context, ServiceEndpoint
-from bridge.adapters.ros2.services.matching import MatchCounter
+from bridge.adapters.ros2.services.endpoint import ServiceEndpoint
+from bridge.adapters.ros2.services.held import HeldRequests
 from bridge.adapters.ros2.services.pacing import ClientReplies
-from bridge.adapters.ros2.services.raw import RawReach, RawServer
 from bridge.hub.endpoints.calls import Abandon, Call, CallError
 from bridge.messages.errors import MessageError, MessageTypeError
 from bridge.messages.transcode.conversion import Convert
@@ -38,8 +34,6 @@ result of a goal that was accepted just before.
 _CLOSED = "{} is no longer bridged"
 _MOST_CLIENTS = 1000
 _LOG_SECONDS = 10.0
-_ORIGIN_SECONDS, _ORIGIN_TRIES = 0.05, 100
-"""A client's origin is known once its participant has announced its nodes, which takes milliseconds."""
 _NO_REPLY = "ROS 2 has no error replies, so its client keeps waiting"
 
 _log = logging.getLogger(__name__)
@@ -63,30 +57,24 @@ class _PendingRequest:
 
 
 class Ros2Server(ServiceEndpoint, EdgeServer):
-    """An rcl service.
+    """A server.
 
     DDS has no error replies. A client whose call failed gets the rejecting response of the service's type
     (``refusal``), or no reply if the type has none; the reason is logged. ``replaced`` returns whether another server
     of the name is open, which gets the requests that arrive after `close`.
     """
 
-    kind: ClassVar[str] = "service"
-
     def __init__(
         self, name: str, service_class: Any, call: Call, refusal: Refusal | None, replaced: Callable[[], bool],
         context: Ros2Context, closed: Closed, converters: ClientConverters = lambda _hash: (same, same),
     ) -> None:  # fmt: skip
-        super().__init__(name, service_class, _open(name, service_class, context), context)
+        self._port = context.dds.open_server(name, service_class, context)
+        super().__init__(name, service_class, self._port, context)
         self._call, self._refusal, self._replaced, self._on_closed = call, refusal, replaced, closed
         self._pending: dict[RequestId, _PendingRequest] = {}
         self._clients: dict[bytes, ClientReplies] = {}
-        self._native: set[bytes] = set()
         self._converters, self._client_types = converters, dict[bytes, str]()
-        self._reach: Reach
-        if isinstance(self.handle, RawServer):
-            self._reach = RawReach(self.handle)
-        else:
-            self._reach = ReplyReach(name, MatchCounter(self.pointer, self.kind), context)
+        self._held = HeldRequests(name, context, self._accept, self._log_failure)
         self._logged = self._replied = float("-inf")
         self._alive = threading.Lock()
         self._destroyed = False
@@ -95,54 +83,22 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
     @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
         """Begin a call for each request of a native client."""
-        for _ in range(limit):
-            raw = isinstance(self.handle, RawServer)
-            taken = self.handle.request(taker) if raw else self._taker.request(self.pointer)
-            if taken is None:
-                if raw:
-                    return
-                continue
-            self._accept(*taken, limit)
+        for request, payload in self._port.requests(taker, limit):
+            made_by = self._held.made_by(request.gid)
+            if made_by is MadeBy.NATIVE:
+                self._accept(request, payload, limit)
+            elif made_by is MadeBy.UNKNOWN:
+                self._held.hold(request, payload, limit)
+            # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
 
-    def _accept(self, request: RequestId, payload: bytes, backlog: int, tries: int = 0) -> None:
-        # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
-        made_by = self._client_made_by(request.gid)
-        if made_by is MadeBy.MIDSPAN:
-            return
-        if made_by is MadeBy.UNKNOWN:
-            if tries < _ORIGIN_TRIES:
-                self._later.after(_ORIGIN_SECONDS, partial(self._accept, request, payload, backlog, tries + 1))
-            else:
-                self._log_failure("the origin of its client has not become known", _NO_REPLY)
-            return
-        header = b""
-        if vendors.is_cyclone(request.gid):
-            framed = cyclone.unwrap(payload)
-            if framed is None:
-                self._log_failure("the request is not little-endian CDR with Cyclone DDS's header", _NO_REPLY)
-                return
-            header, payload = framed
-        elif isinstance(self.handle, RawServer):
-            self._log_failure(vendors.CLIENTS_ON_CYCLONE_ONLY, _NO_REPLY)
-            return
+    def _accept(self, request: RequestId, payload: bytes, backlog: int) -> None:
         try:
+            header, payload = self._port.unwrap(request, payload)
             payload = self._for_client(request.gid)[0](payload)
         except MessageError as err:
-            self._log_failure(str(err), _NO_REPLY)
+            self._log_failure(str(err))
             return
         self._begin(_PendingRequest(request, header), payload, backlog)
-
-    def _client_made_by(self, gid: bytes) -> MadeBy:
-        """Return who created a client; reads the graph unless it is known."""
-        made_by, prefix = self._participant.marks.made_by(gid), gid[:PREFIX_BYTES]
-        if made_by is not MadeBy.UNKNOWN or prefix in self._native:
-            return MadeBy.NATIVE if made_by is MadeBy.UNKNOWN else made_by
-        made_by = self._graph.client_made_by(self.name, prefix)
-        if made_by is MadeBy.NATIVE:
-            if len(self._native) >= _MOST_CLIENTS:
-                self._native.clear()
-            self._native.add(prefix)
-        return made_by
 
     def _for_client(self, gid: bytes) -> tuple[Convert, Convert]:
         """Return the converters for a client; raises `MessageTypeError` if its version of the type is unknown."""
@@ -199,7 +155,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         try:
             result = self._for_client(pending.id.gid)[1](result)
         except MessageError as err:
-            self._log_failure(str(err), _NO_REPLY)
+            self._log_failure(str(err))
             client.unanswered()
             return
         self._replied = time.monotonic()
@@ -210,7 +166,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         if client is None:
             if len(self._clients) >= _MOST_CLIENTS:
                 self._clients = {gid: entry for gid, entry in self._clients.items() if entry.busy}
-                self._reach.retain(set(self._clients))
+                self._port.retain(set(self._clients))
             client = self._clients[gid] = ClientReplies(self._write, self._later)
             self._later.after(0.0, partial(self._processes.has_ended, gid[:PREFIX_BYTES]))
         return client
@@ -220,7 +176,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self._log_failure(reason, _NO_REPLY if response is None else "its client received a rejection")
         return response
 
-    def _log_failure(self, reason: str, outcome: str) -> None:
+    def _log_failure(self, reason: str, outcome: str = _NO_REPLY) -> None:
         if time.monotonic() - self._logged > _LOG_SECONDS:
             self._logged = time.monotonic()
             _log.warning("a call of %s failed: %s; %s", self.name, reason, outcome)
@@ -230,23 +186,11 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         with self._alive:
             if self._destroyed:
                 return True
-            of_cyclone = vendors.is_cyclone(request.gid)
-            if of_cyclone and not self._reach.reaches(request.gid):
-                return False
             try:
-                reached = self._send(request, payload)
+                return self._port.send(request, payload)
             except rcl.RclError as err:
                 _log.warning("%s: a reply could not be sent: %s", self.name, err)
                 return True
-            if of_cyclone:
-                self._reach.written()
-            return reached
-
-    def _send(self, request: RequestId, payload: bytes) -> bool:
-        if isinstance(self.handle, RawServer):
-            self.handle.reply(payload)
-            return True
-        return rcl.send_response(self.pointer, request, payload)
 
     def refit(self) -> None:
         """Abandon the calls whose clients have left the graph."""
@@ -268,7 +212,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
                 return
             pending.left, abandon = True, pending.abandon
             self._clients.pop(pending.id.gid, None)
-            self._reach.discard(pending.id.gid)
+            self._port.discard(pending.id.gid)
         if abandon is not None:
             abandon()
 
@@ -311,9 +255,3 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         with self._alive:
             self._destroyed = True
             super().destroy()
-
-
-def _open(name: str, service_class: Any, context: Ros2Context) -> Any:
-    if on_cyclone():
-        return RawServer(name, service_class, context.participant)
-    return context.participant.make_server(service_class, name, SERVICE)

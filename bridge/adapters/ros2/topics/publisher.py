@@ -9,10 +9,10 @@ from functools import partial
 from typing import Any
 
 from bridge.adapters.ros2 import rcl, rmw
+from bridge.adapters.ros2.context import Closed, Ros2Context
 from bridge.adapters.ros2.filters import VersionFilter
 from bridge.adapters.ros2.graph.heartbeats import MATCH_SECONDS, Heartbeats
 from bridge.adapters.ros2.participant import Participant
-from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context
 from bridge.hub.wire.qos import Qos
 from bridge.messages.transcode.conversion import Convert
 

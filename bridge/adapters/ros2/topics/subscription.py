@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.context import Closed, Ros2Context
 from bridge.adapters.ros2.loop import EndpointReader
 from bridge.adapters.ros2.participant import Participant
-from bridge.adapters.ros2.services.endpoint import Closed, Ros2Context
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing.edge import Deliver, Endpoint, MadeBy
 
@@ -187,7 +187,8 @@ class ClassReader(EndpointReader):
     @property
     @override
     def taken_from(self) -> int:
-        return self.pointer if self._participant.resolve is None else 0
+        resolves = self._participant.resolve is not None  # which only the loop's `Taker` does
+        return 0 if resolves else self.pointer
 
     @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:

@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 
-from bridge.adapters.ros2.services.endpoint import Closed
+from bridge.adapters.ros2.context import Closed
 from bridge.adapters.ros2.topics.publisher import Ros2Publisher
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import Convert

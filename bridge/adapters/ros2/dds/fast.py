@@ -1,0 +1,87 @@
+"""A worker on Fast DDS (rmw_fastrtps_cpp), the default."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from typing_extensions import override
+
+from bridge.adapters.ros2 import filters, rcl
+from bridge.adapters.ros2.context import Dds, Joined, Replied, Ros2Context
+from bridge.adapters.ros2.environment import domain
+from bridge.adapters.ros2.graph import neighbors, spdp, vendors
+from bridge.adapters.ros2.graph.heartbeats import Heartbeats
+from bridge.adapters.ros2.graph.origins import new_prefix, participant_number
+from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.profile import use_profile
+from bridge.adapters.ros2.services.fast import FastClient, FastServer
+from bridge.adapters.ros2.services.port import ClientPort, ServerPort
+from bridge.adapters.ros2.types import TypeSupports
+from bridge.config.model import Config
+from bridge.routing.edge import Endpoint, Obstacle
+
+
+class FastDds(Dds):
+    """Fast DDS: services go through rcl, and calls reach servers on Cyclone DDS, too."""
+
+    def __init__(self, config: Config) -> None:
+        self._config, self._domain = config, domain(config, os.environ)
+        self._localhost_only = config.ros2.localhost_only and config.ros2.profile is None
+        self.types = TypeSupports()
+
+    @override
+    def join(self, state: Path, node: str) -> Joined:
+        profile = use_profile(self._config, state)
+        return Joined(Participant(node, self._domain), profile.prefix, profile.segment)
+
+    @override
+    def separates_versions(self) -> bool:
+        return filters.is_available()
+
+    @override
+    def obstacle(self, service: str, servers: Sequence[Endpoint]) -> Obstacle | None:
+        return None if filters.is_available() else vendors.of_servers(service, servers)
+
+    @override
+    def open_client(
+        self, name: str, service_class: Any, context: Ros2Context, replied: Replied, type_id: str | None
+    ) -> ClientPort:
+        return FastClient(name, service_class, context, replied, type_id)
+
+    @override
+    def open_server(self, name: str, service_class: Any, context: Ros2Context) -> ServerPort:
+        return FastServer(name, service_class, context)
+
+    @override
+    def follow(self, heartbeats: Heartbeats, endpoints: Iterable[Endpoint]) -> None:
+        heartbeats.follow(endpoints)
+
+    @override
+    def refresh(self, prefix: bytes, dead: Sequence[bytes], also: int) -> None:
+        pseudo = new_prefix(rcl.host_prefix())
+        prompt = [spdp.announcement(pseudo, self._domain, participant_number(prefix), also), spdp.disposal(pseudo)]
+        spdp.send_all([*map(spdp.disposal, dead), *prompt], self._domain, localhost_only=self._localhost_only)
+
+    @override
+    def clean(self, prefix: bytes, past: Iterable[bytes]) -> None:
+        """Remove the shared-memory ports of dead participants, except those with this participant's number."""
+        numbers = set(map(participant_number, past)) - {participant_number(prefix)}
+        neighbors.clean_ports(port for number in numbers for port in spdp.unicast_ports(self._domain, number))
+
+    @override
+    def details(self, endpoints: Collection[Endpoint]) -> dict[str, Any]:
+        cyclone = vendors.report(endpoints)
+        return {"cyclone": cyclone} if cyclone else {}
+
+    @override
+    def notes(self, endpoints: Iterable[Endpoint]) -> Mapping[str, str]:
+        return vendors.notes(endpoints)
+
+    @override
+    def warnings(self, endpoints: Collection[Endpoint], served: Collection[str]) -> list[str]:
+        cyclone = vendors.report(endpoints)
+        text = vendors.warning(cyclone) if cyclone else ""
+        return [text] if text else []

@@ -1,0 +1,1 @@
+"""Tests of `bridge.adapters.ros2.dds`."""
