@@ -4,12 +4,13 @@ Payloads are CDR in hex, with their encapsulation header, so the program needs n
 rmw_cyclonedds_cpp, its readers accept payloads of any size, and requests and replies carry 16 bytes after the
 encapsulation header: the client's id and the number of the request (rmw_cyclonedds_cpp, serdata.hpp).
 
-Commands: ``advertise`` topic, type, type_hash ("": none) -> id; ``advertise_raw`` the same with names as in DDS;
-``subscribe`` topic, type -> id; ``publish`` id, payload; ``wait`` id, count, seconds -> payloads; ``serve`` service,
-type, reply -> id; ``requests`` id -> payloads of all requests as received;
-``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply ("" without one);
-``act`` action, type, result -> id: three services and two topics; each goal is accepted, ``result`` is the reply to
-requests for its result, and a request to cancel is rejected. The argument is the participant's user data.
+Commands: ``advertise`` topic, type, type_hash ("": none), latched -> id; ``advertise_raw`` the same with names as in
+DDS; ``subscribe`` topic, type -> id; ``publish`` id, payload; ``matched`` id -> count of a publisher's readers;
+``wait`` id, count, seconds -> payloads; ``serve`` service, type, reply -> id; ``requests`` id -> payloads of all
+requests as received; ``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply
+("" without one); ``act`` action, type, result -> id: three services and two topics; each goal is accepted, ``result``
+is the reply to requests for its result, and a request to cancel is rejected. The argument is the participant's user
+data.
 Types are spelled ``package/Name`` for topics and services alike, ``package/action/Name_Feedback`` for parts of actions.
 """
 # ruff: noqa: A002  # parameters are named as in the commands
@@ -166,9 +167,10 @@ class Peer(Commands):
             self._topics[name] = Topic(self.participant, name, raw_type(type_))
         return self._topics[name]
 
-    def advertise(self, topic: str, type: str, type_hash: str = "") -> dict[str, Any]:
-        hashed = Qos(Policy.Userdata(f"typehash={type_hash};".encode()), base=RELIABLE)
-        return self.add(Writer(self, f"rt{topic}", dds_type(type, "msg"), hashed if type_hash else RELIABLE))
+    def advertise(self, topic: str, type: str, type_hash: str = "", latched: bool = False) -> dict[str, Any]:
+        qos = LATCHED if latched else RELIABLE
+        hashed = Qos(Policy.Userdata(f"typehash={type_hash};".encode()), base=qos)
+        return self.add(Writer(self, f"rt{topic}", dds_type(type, "msg"), hashed if type_hash else qos))
 
     def advertise_raw(self, topic: str, type: str, latched: bool = False) -> dict[str, Any]:
         return self.add(Writer(self, topic, type, LATCHED if latched else RELIABLE))
@@ -182,6 +184,9 @@ class Peer(Commands):
 
     def gid(self, id: int) -> dict[str, Any]:
         return {"gid": self.parts[id].end.guid.hex}
+
+    def matched(self, id: int) -> dict[str, Any]:
+        return {"count": self.parts[id].matched()}
 
     def wait(self, id: int, count: int, seconds: float) -> dict[str, Any]:
         return {"payloads": [payload.hex() for payload in self.parts[id].record.wait(count, seconds)]}

@@ -142,16 +142,16 @@ class Ros2Subscription:
         if self._participant.marks.made_by(gid) is MadeBy.MIDSPAN:
             return None
         publisher = self._graph.find(self.topic, gid)
-        if publisher is not None and publisher.made_by is MadeBy.MIDSPAN:
-            return None
-        if publisher is None or publisher.made_by is MadeBy.UNKNOWN:  # the engine holds the message until it is known
+        if publisher is None:  # the engine holds the message until it is known
             return _Source(gid.hex(), reader_class)
-        if not self._accepts(publisher):
+        if publisher.made_by is MadeBy.MIDSPAN or not self._accepts(publisher):
             return None
         known = {**self._graph.publishers(self.topic), gid: publisher}
         source = _Source(gid.hex(), self._class_of(publisher, known.values()))
-        with self._lock:
-            self._sources[gid] = source
+        # While its origin is unknown, the engine holds the message, or the latched reader receives it later.
+        if publisher.made_by is MadeBy.NATIVE:
+            with self._lock:
+                self._sources[gid] = source
         return source
 
     def failed(self, source: str) -> None:

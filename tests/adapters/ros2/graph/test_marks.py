@@ -9,6 +9,7 @@ import pytest
 
 from bridge.adapters.ros2.graph.marks import ENCLAVE, EnclaveMarks, NodeMarks
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, new_prefix
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.routing.edge import Endpoint, Kind, MadeBy
 from tests.adapters.ros2.conftest import RunningEdge, string
 from tests.peers.ros2.cyclone import CyclonePeer
@@ -74,18 +75,19 @@ def other_midspan() -> Iterator[CyclonePeer]:
     peer.stop()
 
 
-def graph_message(writer: bytes) -> bytes:
-    """Return the ``rmw_dds_common/msg/ParticipantEntitiesInfo`` of the node ``/midspan`` with one writer."""
-    node = struct.pack("<II2sxxI8s", 1, 2, b"/", 8, b"midspan") + struct.pack("<II", 0, 1)
+GRAPH = "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
+
+
+def graph_message(writer: bytes, name: bytes = b"midspan") -> bytes:
+    """Return the ``rmw_dds_common/msg/ParticipantEntitiesInfo`` of a node with one writer; its name has 7 letters."""
+    node = struct.pack("<II2sxxI8s", 1, 2, b"/", 8, name) + struct.pack("<II", 0, 1)
     return b"\0\1\0\0" + writer[:PREFIX_BYTES] + b"\x00\x00\x01\xc1" + node + writer
 
 
 def test_a_midspan_on_cyclone_dds_is_never_bridged(edge: RunningEdge, other_midspan: CyclonePeer) -> None:
     """The edge is on Fast DDS; the message that precedes the node's announcement has no known source, either."""
     inbox = edge.subscribe("/guard", "std_msgs/msg/String")
-    graph = other_midspan.advertise_raw(
-        "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", latched=True
-    )
+    graph = other_midspan.advertise_raw(*GRAPH, latched=True)
     publisher = other_midspan.ask("advertise", topic="/guard", type="std_msgs/String", type_hash=HASH)["id"]
 
     def listed() -> list[Endpoint]:
@@ -108,3 +110,32 @@ def test_a_midspan_on_cyclone_dds_is_never_bridged(edge: RunningEdge, other_mids
     finally:
         native.stop()
     assert "loop" not in inbox.texts()
+
+
+def test_a_latched_message_of_an_unknown_origin_arrives_once(edge: RunningEdge) -> None:
+    """The volatile reader receives it before the origin is known, the latched reader, which is created then, again."""
+    native, other = CyclonePeer(user_data="enclave=/;"), CyclonePeer()
+    try:
+        other.advertise("/held", "std_msgs/String")  # no hash: known at once, and volatile
+        until(lambda: [e for e in edge.edge.endpoints() if e.topic == "/held"], "its publisher is known")
+        inbox = edge.subscribe("/held", "std_msgs/msg/String", Qos(durability=Durability.TRANSIENT_LOCAL))
+        graph = native.advertise_raw(*GRAPH, latched=True)
+        publisher = native.advertise("/held", "std_msgs/String", type_hash=HASH, latched=True)
+
+        def origins() -> list[MadeBy]:
+            ends = [e for e in edge.edge.endpoints() if e.topic == "/held" and e.kind is Kind.PUBLISHER]
+            return sorted((end.made_by for end in ends), key=lambda made_by: made_by is MadeBy.NATIVE)
+
+        until(lambda: origins() == [MadeBy.UNKNOWN, MadeBy.NATIVE], "its origin is unknown")
+        until(lambda: native.ask("matched", id=publisher)["count"], "the volatile reader has matched")
+        native.put(publisher, string("first"))
+        gid = bytes.fromhex(native.ask("gid", id=publisher)["gid"])
+        native.put(graph, graph_message(gid, b"scanner"))
+        until(lambda: origins() == [MadeBy.NATIVE] * 2, "its origin is known")
+        until(lambda: "first" in inbox.texts(), "the first message arrives")
+        native.put(publisher, string("second"))
+        until(lambda: "second" in inbox.texts(), "the second message arrives")
+    finally:
+        native.stop()
+        other.stop()
+    assert inbox.texts() == ["first", "second"]
