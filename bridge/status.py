@@ -186,10 +186,19 @@ class LaneStatus(Part):
 
 
 class CycloneNodes(Part):
-    """ROS 2 nodes on Cyclone DDS, and services and actions that are served both by them and by nodes on another DDS."""
+    """ROS 2 nodes on Cyclone DDS and on others.
+
+    Attributes:
+        nodes: those on Cyclone DDS.
+        both: the services and actions that both they and nodes on another DDS serve.
+        foreign: of a worker on Cyclone DDS: the nodes on another DDS that serve anything.
+        uncallable: their services and actions, which this worker cannot call; not those that every node has.
+    """
 
     nodes: list[Text] = []
     both: list[Text] = []
+    foreign: list[Text] = []
+    uncallable: list[Text] = []
 
 
 class Middleware(Part):

@@ -41,6 +41,9 @@ def test_report_of_another_version(report: object) -> None:
 
 def test_without_such_nodes() -> None:
     assert only(cyclone.check_nodes(around(hub=hub(WORKER)))).result is Result.OK
+    report = {"nodes": [], "both": [], "foreign": ["/lamp"], "uncallable": ["/lamp"]}
+    finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
+    assert (finding.result, finding.seen) == (Result.OK, "no node uses Cyclone DDS")
 
 
 def test_without_a_worker() -> None:

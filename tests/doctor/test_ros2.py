@@ -134,6 +134,54 @@ def test_the_middleware_of_the_environment_is_checked(rmw: str, result: Result) 
     assert only(ros2.check_rmw(around(environ={"RMW_IMPLEMENTATION": rmw}))).result is result
 
 
+ON_CYCLONE = {"ros2": {"rmw": "rmw_cyclonedds_cpp"}}
+
+
+def test_a_side_on_fast_dds_needs_no_check_of_cyclone_dds() -> None:
+    assert only(ros2.check_cyclone(around())).result is Result.SKIP
+    off = {"ros2": {"rmw": "rmw_cyclonedds_cpp", "enabled": False}}
+    assert only(ros2.check_cyclone(around(off))).result is Result.SKIP
+
+
+def test_the_library_of_cyclone_dds_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros2, "available", lambda _config: "librmw_cyclonedds_cpp.so is not in the ROS 2 in /opt; it")
+    finding = only(ros2.check_cyclone(around(ON_CYCLONE)))
+    assert finding.result is Result.FAIL
+    assert "the ROS 2 side stays off: librmw_cyclonedds_cpp.so is not in the ROS 2 in /opt" in finding.seen
+
+
+@pytest.mark.parametrize(
+    ("foreign", "uncallable", "result", "words"),
+    [
+        (
+            ["/arm", "/lamp"],
+            ["/go", "/lamp"],
+            Result.WARN,
+            "services (/go, /lamp), actions and parameters of /arm, /lamp",
+        ),
+        (["/quiet"], [], Result.WARN, "services, actions and parameters of /quiet cannot be called"),
+        ([], [], Result.OK, "no discovered node serves on another DDS"),
+    ],
+)
+def test_nodes_whose_services_cannot_be_called(
+    foreign: list[str], uncallable: list[str], result: Result, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros2, "available", lambda _config: "")
+    report = {"nodes": [], "both": [], "foreign": foreign, "uncallable": uncallable}
+    view = hub({"worker": "ros2", "side": "ros2", "cyclone": report})
+    finding = only(ros2.check_cyclone(around(ON_CYCLONE, hub=view)))
+    assert finding.result is result
+    assert words in finding.seen
+    assert result is Result.OK or "remove ros2.rmw" in finding.cure
+
+
+def test_without_a_worker_only_the_library_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros2, "available", lambda _config: "")
+    finding = only(ros2.check_cyclone(around(ON_CYCLONE, hub=hub())))
+    assert finding.result is Result.OK
+    assert "the worker does not answer" in finding.seen
+
+
 @needs(ROS2)
 def test_other_bridges_on_dds(tmp_path: Path) -> None:
     domain = ros2_domain()

@@ -15,7 +15,8 @@ def check_nodes(context: CheckContext) -> Findings:
     documents = context.hub.of_side("ros2")
     if context.hub.error or not documents:
         return skip("no worker of the ROS 2 side answers")
-    findings = [_finding(document.daemon, document.cyclone) for document in documents if document.cyclone is not None]
+    reports = ((document.daemon, document.cyclone) for document in documents)
+    findings = [_finding(daemon, cyclone) for daemon, cyclone in reports if cyclone is not None and cyclone.nodes]
     return findings or ok("no node uses Cyclone DDS")
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import psutil
 
-from bridge.adapters.ros2.environment import STATIC_PEERS, available, domain
+from bridge.adapters.ros2.environment import CYCLONE, STATIC_PEERS, available, domain
 from bridge.adapters.ros2.security import ENABLE, is_enabled
 from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, skip, warn
 from bridge.doctor.context import CheckContext, environment_of
+from bridge.text import listed
 
 _KNOWN_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds", "rmw_zenoh_cpp")
 
@@ -56,6 +57,29 @@ def check_rmw(context: CheckContext) -> Findings:
         cure = "nothing to do for topics; only Fast DDS (rmw_fastrtps_cpp) on both ends is tested"
         return warn(f"RMW_IMPLEMENTATION is {name}: not Midspan's DDS; large messages use UDP", cure)
     return fail(f"RMW_IMPLEMENTATION is {name}, which is not a ROS 2 middleware", "unset it")
+
+
+def check_cyclone(context: CheckContext) -> Findings:
+    """Check what a ROS 2 side on Cyclone DDS (``ros2.rmw``) needs, and which nodes' services it cannot call."""
+    if context.config.ros2.enabled is False or context.config.ros2.rmw != CYCLONE:
+        return skip(f"ros2.rmw is not {CYCLONE}, or ros2.enabled is false")
+    lacking = available(context.config)
+    if lacking:
+        return fail(f"the ROS 2 side stays off: {lacking}")
+    workers = context.hub.of_side("ros2", context.config.name)
+    if not workers:
+        return ok(f"{CYCLONE} is installed; the worker does not answer, so the nodes on another DDS are unknown")
+    findings = [
+        warn(_uncallable(cyclone.foreign, cyclone.uncallable), "remove ros2.rmw, or run these nodes on Cyclone DDS")
+        for worker in workers
+        if (cyclone := worker.cyclone) is not None and cyclone.foreign
+    ]
+    return findings or ok(f"{CYCLONE} is installed, and no discovered node serves on another DDS")
+
+
+def _uncallable(nodes: list[str], services: list[str]) -> str:
+    named = f" ({listed(services)})" if services else ""
+    return f"services{named}, actions and parameters of {listed(nodes)} cannot be called: they are not on Cyclone DDS"
 
 
 def _daemons_domain(context: CheckContext) -> tuple[int, str]:
@@ -157,5 +181,6 @@ CHECKS = (
     Check("ros2-packages", "ROS 2 on this machine", check_packages),
     Check("ros2-environment", "this shell's ROS 2 against the daemon's", check_environment),
     Check("ros2-rmw", "the ROS 2 middleware of this shell", check_rmw),
+    Check("ros2-cyclone", "a ROS 2 side on Cyclone DDS", check_cyclone),
 )
 """The doctor's checks of this side."""
