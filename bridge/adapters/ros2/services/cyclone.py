@@ -34,7 +34,7 @@ _PADDING = 3
 FIRST_NUMBER = 1 << 40
 """Beyond the numbers of requests to servers on Fast DDS, which count from 1."""
 
-_PATIENCE_SECONDS = 1.0
+PATIENCE_SECONDS = 1.0
 """Seconds after which a reply is sent although not all readers of its topic have matched."""
 
 
@@ -133,7 +133,7 @@ class ReplyReach:
             now, matched = time.monotonic(), self._matches.current()
             first = self._tried.setdefault(gid, now)
             few = matched is not None and matched < len(readers)
-            if first == now or (few and now - first < _PATIENCE_SECONDS):
+            if first == now or (few and now - first < PATIENCE_SECONDS):
                 writer = self._graph.own_writer(reply_topic(self._service))
                 if writer is not None:
                     self._heartbeats.prepare(writer, self._written, [gid])

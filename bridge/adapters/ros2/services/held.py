@@ -81,12 +81,12 @@ class HeldRequests:
         with self._lock:
             held, self._held = self._held, deque()
         unknown: deque[_Held] = deque()
-        for one in held:
-            made_by = self.made_by(one.request.gid)
+        for entry in held:
+            made_by = self.made_by(entry.request.gid)
             if made_by is MadeBy.NATIVE:
-                self._accept(one.request, one.payload, one.backlog)
-            elif made_by is MadeBy.UNKNOWN and time.monotonic() < one.since + PATIENCE_SECONDS:
-                unknown.append(one)
+                self._accept(entry.request, entry.payload, entry.backlog)
+            elif made_by is MadeBy.UNKNOWN and time.monotonic() < entry.since + PATIENCE_SECONDS:
+                unknown.append(entry)
             elif made_by is MadeBy.UNKNOWN:
                 self._failed(_UNKNOWN)
         if unknown:

@@ -21,7 +21,7 @@ from bridge.adapters.ros2.context import Ros2Context
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.graph.heartbeats import MATCH_SECONDS
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
-from bridge.adapters.ros2.services.cyclone import HEADER, unwrap, unwrap_request, wrap
+from bridge.adapters.ros2.services.cyclone import HEADER, PATIENCE_SECONDS, unwrap, unwrap_request, wrap
 from bridge.adapters.ros2.services.port import ClientPort, Framed, RequestSender, ServerPort
 from bridge.adapters.ros2.services.sender import MATCH_POLL, known_obstacle, refusal, refused_by
 from bridge.hub.endpoints.calls import CallError
@@ -158,6 +158,7 @@ class RawServer(ServerPort):
         self._reply_readers = reply_readers
         self._lock = threading.Lock()
         self._reached: set[bytes] = set()
+        self._tried: dict[bytes, float] = {}
 
     @override
     def wake(self, waker: rcl.Waker | None) -> None:
@@ -190,14 +191,17 @@ class RawServer(ServerPort):
     def _reaches(self, client: bytes) -> bool:
         """Return whether the writer of the replies has matched all readers of replies in the client's participant.
 
-        Which of several is the client's own, DDS does not report.
+        Which of several is the client's own, DDS does not report. After `PATIENCE_SECONDS` one suffices.
         """
         with self._lock:
             if client in self._reached:
                 return True
             own = {gid for gid in self._reply_readers() if gid[:PREFIX_BYTES] == client[:PREFIX_BYTES]}
-            if not own or not own <= self._pair.matched_readers():
+            matched, now = own & self._pair.matched_readers(), time.monotonic()
+            late = now >= self._tried.setdefault(client, now) + PATIENCE_SECONDS
+            if not matched or (matched != own and not late):
                 return False
+            del self._tried[client]
             self._reached.add(client)
             return True
 
@@ -205,11 +209,13 @@ class RawServer(ServerPort):
     def retain(self, clients: set[bytes]) -> None:
         with self._lock:
             self._reached &= clients
+            self._tried = {gid: since for gid, since in self._tried.items() if gid in clients}
 
     @override
     def discard(self, client: bytes) -> None:
         with self._lock:
             self._reached.discard(client)
+            self._tried.pop(client, None)
 
     @override
     def close(self) -> None:

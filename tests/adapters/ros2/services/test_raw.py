@@ -15,7 +15,7 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph.heartbeats import MATCH_SECONDS
 from bridge.adapters.ros2.rcl import RequestId, Taken
 from bridge.adapters.ros2.services import raw
-from bridge.adapters.ros2.services.cyclone import HEADER, unwrap, wrap
+from bridge.adapters.ros2.services.cyclone import HEADER, PATIENCE_SECONDS, unwrap, wrap
 from bridge.adapters.ros2.services.raw import RawClient, RawServer
 from bridge.hub.endpoints.calls import UnsentCallError
 from bridge.messages.errors import MessageTypeError
@@ -204,6 +204,18 @@ def test_a_reply_waits_for_all_readers_of_its_client(pair: Pair) -> None:
     assert pair.sent == [REQUEST] * 2
     serving.discard(ON_CYCLONE)
     assert not serving.send(request, REQUEST)
+
+
+def test_a_reader_that_never_matches_delays_replies_only(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(raw, "time", SimpleNamespace(monotonic=lambda: now))
+    first, second = ON_CYCLONE[:-1] + b"\3", ON_CYCLONE[:-1] + b"\4"
+    serving, request = server(pair, first, second), RequestId(ON_CYCLONE, 1)
+    assert not serving.send(request, REQUEST)
+    now += PATIENCE_SECONDS
+    assert not serving.send(request, REQUEST)
+    pair.readers = frozenset({first})
+    assert serving.send(request, REQUEST)
 
 
 def test_an_undiscovered_client_is_unreachable(pair: Pair) -> None:

@@ -120,6 +120,6 @@ def test_a_writer_that_fast_dds_does_not_filter_is_refused(edge: RunningEdge, mo
 
 
 def test_without_the_extension_there_is_no_filter(monkeypatch: pytest.MonkeyPatch, edge: RunningEdge) -> None:
-    monkeypatch.setattr("bridge.adapters.ros2.edge.can_separate", lambda: False)
+    monkeypatch.setattr("bridge.adapters.ros2.filters.is_available", lambda: False)
     publisher = edge.edge.advertise("/ranges", edge.type(RANGE), Qos())
     assert not isinstance(publisher, VersionedPublisher)
