@@ -203,6 +203,16 @@ def on_cyclone(site: Site) -> tuple[RmwSide, WorkerProcess]:
     return far, worker
 
 
+def test_the_call_of_a_client_that_leaves_is_abandoned(site: Site, on_cyclone: tuple[RmwSide, WorkerProcess]) -> None:
+    far, _ = on_cyclone
+    serving = far.serve("/far", SET, held=True)
+    leaving = site.program(CYCLONE, "leaving")
+    leaving.ask("call", service="/far", type=SET, request={"data": True})
+    assert serving.requests(1) == [{"data": True}]
+    leaving.stop()
+    until(lambda: serving.abandoned == 1, "its call is abandoned", 30)
+
+
 def test_actions(site: Site, on_cyclone: tuple[RmwSide, WorkerProcess]) -> None:
     """Goals of the hub at a program, and of a program at the hub: feedback, result and cancel."""
     far, _ = on_cyclone
