@@ -247,6 +247,9 @@ def test_parameters(deployment: Deployment) -> None:
     deployment.run()
     ros1_parameters_appear_on_a_node(ros1, node)
     node_parameters_appear_in_ros1(ros1, node)
+    shared = {item["ros1"]: item["shared"] for item in deployment.worker("ros1")["parameters"]}
+    assert shared["/robot"] == 5
+    assert shared["/nav/controller"] >= 4
 
 
 def test_a_server_on_fast_dds_is_refused(site: Site, on_cyclone: tuple[RmwSide, WorkerProcess]) -> None:
