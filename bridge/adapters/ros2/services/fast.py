@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 from typing_extensions import override
 
@@ -46,6 +47,8 @@ class FastClient(ClientPort):
 
 class FastServer(ServerPort):
     """An rcl service. Raises `MessageTypeError` if the middleware refuses it."""
+
+    listed_after: ClassVar[float] = math.inf  # a request may arrive before its client is discovered
 
     def __init__(self, name: str, service_class: Any, context: Ros2Context) -> None:
         self.handle = context.participant.make_server(service_class, name, SERVICE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from bridge.adapters.ros2 import rcl
 from bridge.hub.endpoints.calls import CallError
@@ -82,7 +82,13 @@ class ClientPort(ServicePort):
 
 
 class ServerPort(ServicePort):
-    """The endpoints of a server."""
+    """The endpoints of a server.
+
+    Attributes:
+        listed_after: seconds after its request from which the graph lists a client, unless it has left.
+    """
+
+    listed_after: ClassVar[float]
 
     @abstractmethod
     def requests(self, taker: rcl.Taker, limit: int) -> Iterator[tuple[rcl.RequestId, bytes]]:

@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from typing_extensions import override
 
@@ -152,6 +152,8 @@ ReplyReaders = Callable[[], list[bytes]]
 
 class RawServer(ServerPort):
     """The reader of a server's requests, and the writer of its replies."""
+
+    listed_after: ClassVar[float] = 1.0  # Cyclone DDS has discovered it before, and the graph follows in milliseconds
 
     def __init__(self, pair: Pair, reply_readers: ReplyReaders) -> None:
         self.handle = self._pair = pair

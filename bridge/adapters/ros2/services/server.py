@@ -46,12 +46,16 @@ ClientConverters = Callable[[str], tuple[Convert, Convert] | None]
 
 
 class _PendingRequest:
-    """A request that has no reply yet; ``header`` is the one of Cyclone DDS's form, b"" in Fast DDS's."""
+    """A request that has no reply yet.
 
-    __slots__ = ("abandon", "header", "id", "left", "seen")
+    ``header`` is the one of Cyclone DDS's form, b"" in Fast DDS's. From ``listed`` on (monotonic clock) the graph lists
+    the client unless it has left.
+    """
 
-    def __init__(self, request: RequestId, header: bytes) -> None:
-        self.id, self.header = request, header
+    __slots__ = ("abandon", "header", "id", "left", "listed", "seen")
+
+    def __init__(self, request: RequestId, header: bytes, listed: float) -> None:
+        self.id, self.header, self.listed = request, header, listed
         self.abandon: Abandon | None = None
         self.seen = self.left = False
 
@@ -98,7 +102,8 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         except MessageError as err:
             self._log_failure(str(err))
             return
-        self._begin(_PendingRequest(request, header), payload, backlog)
+        listed = time.monotonic() + self._port.listed_after
+        self._begin(_PendingRequest(request, header, listed), payload, backlog)
 
     def _for_client(self, gid: bytes) -> tuple[Convert, Convert]:
         """Return the converters for a client; raises `MessageTypeError` if its version of the type is unknown."""
@@ -199,11 +204,11 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         if not waiting:
             return
         clients = self._graph.clients(self.name)
-        ended = self._ended_among(clients)
+        ended, now = self._ended_among(clients), time.monotonic()
         for pending in waiting:
             if pending.id.gid in clients and pending.id.gid[:PREFIX_BYTES] not in ended:
                 pending.seen = True
-            elif pending.seen or pending.id.gid[:PREFIX_BYTES] in ended:
+            elif pending.seen or pending.id.gid[:PREFIX_BYTES] in ended or now > pending.listed:
                 self._abandon(pending)
 
     def _abandon(self, pending: _PendingRequest) -> None:
