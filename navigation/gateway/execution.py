@@ -302,8 +302,7 @@ class Execution:
                 drive.due = time.monotonic() + RETRY_SECONDS
                 drive.machine.on(DriveEvent.RESUMED_CONTACT)
             else:
-                # a controller may still execute a forgotten goal
-                drive.released = link.state.reported and not drive.forgotten
+                drive.released = link.state.reported and not drive.forgotten  # a forgotten one may still be executed
                 drive.machine.on(DriveEvent.RETRY)
                 self._send(drive, None)
 

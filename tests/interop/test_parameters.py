@@ -35,8 +35,8 @@ def test_parameters_are_shared_in_both_directions(deployment: Deployment) -> Non
     ros2.ask("declare", parameters=declared | ambiguous, unset={"late": "DOUBLE"})
     deployment.run()
 
-    ros1_parameters_appear_on_a_node(ros1, ros2)
-    node_parameters_appear_in_ros1(ros1, ros2)
+    assert_ros1_parameters_appear_on_a_node(ros1, ros2)
+    assert_node_parameters_appear_in_ros1(ros1, ros2)
     _unusual_names_are_reported(deployment, ros1, ros2)
     parameters = {item["ros1"]: item["shared"] for item in deployment.worker("ros1")["parameters"]}
     assert parameters["/robot"] == 5
@@ -50,7 +50,7 @@ def test_parameters_are_shared_in_both_directions(deployment: Deployment) -> Non
     assert ros1.ask("get_param", name="/robot/speed")["value"] == 2.5
 
 
-def ros1_parameters_appear_on_a_node(ros1: Peer, ros2: Peer) -> None:
+def assert_ros1_parameters_appear_on_a_node(ros1: Peer, ros2: Peer) -> None:
     """ROS 1 owns the parameters: a ROS 2 program discovers their node, reads and sets them, and receives events."""
     node = "/ns/robot_parameters"
     names = ["speed", "name", "limits.turn", "ranges"]
@@ -79,7 +79,7 @@ def _changed(event: dict[str, Any], node: str, name: str) -> bool:
     return event["node"] == node and any(item["name"] == name for item in event["changed_parameters"])
 
 
-def node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
+def assert_node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
     """A ROS 2 node owns the parameters: rospy reads and sets them, and the node can reject and change values."""
 
     def in_ros1(name: str) -> Any:

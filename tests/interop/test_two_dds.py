@@ -22,8 +22,8 @@ from tests.contract.side import WorkerProcess
 from tests.interop.test_parameters import (
     PROGRAM,
     RULES,
-    node_parameters_appear_in_ros1,
-    ros1_parameters_appear_on_a_node,
+    assert_node_parameters_appear_in_ros1,
+    assert_ros1_parameters_appear_on_a_node,
 )
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.hub.actions import HubActions
@@ -245,8 +245,8 @@ def test_parameters(deployment: Deployment) -> None:
     node = deployment.keep(Peer(PROGRAM, ros2_python(), ros2_environment(on_cyclone=True), "controller_server"))
     node.ask("declare", parameters={"FollowPath.speed": 0.5, "mode": "slow", "tries": 3, "weights": [1.0, 2.0]})
     deployment.run()
-    ros1_parameters_appear_on_a_node(ros1, node)
-    node_parameters_appear_in_ros1(ros1, node)
+    assert_ros1_parameters_appear_on_a_node(ros1, node)
+    assert_node_parameters_appear_in_ros1(ros1, node)
     shared = {item["ros1"]: item["shared"] for item in deployment.worker("ros1")["parameters"]}
     assert shared["/robot"] == 5
     assert shared["/nav/controller"] >= 4
