@@ -21,6 +21,7 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -44,6 +45,7 @@ KERNEL_TESTS = (
 """The tests of all modules in `bridge.kernels` (tests/arm64/test_program.py)."""
 
 RESULTS = [sys.executable, "-m", "tests.arm64.results"]
+_HERE = OUTPUT / "results-here.json"
 _PACKAGES = ("bridge", "navigation", "sim", "yarp_compat")
 """The packages in the wheel; the copy of this checkout lacks them, so that tests import the installed packages."""
 
@@ -144,14 +146,17 @@ def install(place: Place, own: Sequence[Path], log: Path) -> str:
     return f"{version}, {len(files)} wheels"
 
 
+def results_here() -> None:
+    """Compute the kernels' results on this machine, for `compare`; raises `RuntimeError`."""
+    done = subprocess.run([*RESULTS, str(_HERE)], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"the kernels fail on this machine: {done.stderr[-300:]}")
+
+
 def compare(place: Place, log: Path) -> str:
     """Compare the kernels' results in a release with those of this machine."""
-    here = OUTPUT / "results-here.json"
-    done = subprocess.run([*RESULTS, str(here)], cwd=ROOT, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"on this machine: {done.stderr[-300:]}")
     place.run(log, ["python", "-m", "tests.arm64.results", "results.json"])
-    ours, theirs = (json.loads(file.read_text(encoding="utf-8")) for file in (here, place.copy / "results.json"))
+    ours, theirs = (json.loads(file.read_text(encoding="utf-8")) for file in (_HERE, place.copy / "results.json"))
     different = differences(ours, theirs)
     log.write_text("\n".join(different) + "\n", encoding="utf-8")
     if different:
@@ -191,10 +196,12 @@ def main() -> int:
     OUTPUT.mkdir(parents=True, exist_ok=True)
     try:
         own = wheels(args.folder.absolute())
+        results_here()
     except RuntimeError as err:
         sys.exit(f"arm64: {err}")
     places = [Place(name) for name in args.release]
-    passed = [run(place, own) for place in places]
+    with ThreadPoolExecutor(len(places)) as pool:  # most steps of a release use one core
+        passed = list(pool.map(lambda place: run(place, own), places))
     for place in places:
         sys.stdout.write(f"{TITLES[place.name]} on arm64\n")
         sys.stdout.writelines(f"  {title:<8} {result}\n" for title, result in place.table.items())
