@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,178 +12,24 @@ import numpy as np
 import pytest
 
 from bridge import kernels
-from bridge.clock import SYSTEM
-from bridge.hub.session import Hub
-from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
-from bridge.messages.registry import Registry
 from bridge.messages.velocities import TWIST, TWIST_STAMPED
-from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, MAP, ValueKind
 from navigation.constraints import Constraints
-from navigation.frames import FramesError
-from navigation.maps.grid import to_grid
-from navigation.planner_module import PlannerModule
-from navigation.pose import Pose
-from navigation.status import Fault, PlanError, State
-from sim.laser import reference
+from navigation.status import Fault, State
+from tests.navigation.robot_goto.deployed import PLANNER, Goto, pose_of
 from tests.navigation.robot_goto.test_obstacles import surface
 from tests.navigation.uncompiled import uncompiled
-from tests.peers.navigation.served import STATUS, Program, Served
+from tests.peers.navigation.served import STATUS
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
-from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationMapTypeEnum, NavigationStatusEnum
-from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapflag import MapFlag
-from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
 from yarp_compat.naming import connections
 from yarp_compat.pythonic import Client, Reader, Writer
-from yarp_compat.sig.vec2d import Vec2D
 from yarp_compat.sig.vector import Vector
-
-PLANNER = "/planner/robot_goto"
-TICK, TIMEOUT = 0.02, 0.3
-WALLS = np.array([[-3.0, -3, 3, -3], [3.0, -3, 3, 3], [3.0, 3, -3, 3], [-3.0, 3, -3, -3]])
-BEAMS = 180
-
-
-class Robot(Program):
-    """A holonomic robot with a laser, and a client of RobotGoto."""
-
-    def __init__(self, hub: Hub, registry: Registry) -> None:
-        super().__init__(hub, registry, PLANNER)
-        self.sees = self.knows = True
-        self.cloud: dict[str, Any] | None = None
-        self.commands: list[tuple[float, float, float]] = []
-        self._until, self._ticked, self._ticks = 0.0, 0.0, 0
-        self._tf = self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
-        self._scan = self.node.publisher("/scan", "sensor_msgs/msg/LaserScan")
-        self._points = self.node.publisher("/points", "sensor_msgs/msg/PointCloud2")
-        latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-        self._localized, self._reason = (
-            self.node.publisher(f"/localization/{name}", "std_msgs/msg/String", latched)
-            for name in ("status", "reason")
-        )
-        self._commanded = self.node.subscription("/cmd_vel", TWIST, self._command)
-        self.stand(0.0, 0.0, 0.0)
-        self.beat(TICK, self._tick)
-
-    def stand(self, x: float, y: float, yaw: float) -> None:
-        self.x, self.y, self.yaw = x, y, yaw
-        self._velocity = (0.0, 0.0, 0.0)
-
-    def subscribe_to(self, type_name: str) -> None:
-        """Subscribe to velocities of another type, on the robot's thread."""
-        self.node.release(self._commanded)
-        self._commanded = self.node.subscription("/cmd_vel", type_name, self._command)
-
-    def localized(self, status: str, reason: str = "") -> None:
-        self._localized.publish({"data": status})
-        self._reason.publish({"data": reason})
-
-    def _command(self, message: dict[str, Any]) -> None:
-        twist = message.get("twist", message)
-        linear, angular = twist["linear"], twist["angular"]
-        self._velocity = (linear["x"], linear["y"], angular["z"])
-        self._until = time.monotonic() + TIMEOUT
-        self.commands.append(self._velocity)
-
-    def _tick(self) -> None:
-        now = time.monotonic()
-        passed, self._ticked = max(0.0, min(now, self._until) - self._ticked), now  # a busy machine skips ticks
-        vx, vy, turn = self._velocity
-        self.yaw += turn * passed
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
-        self.x, self.y = self.x + (c * vx - s * vy) * passed, self.y + (s * vx + c * vy) * passed
-        stamp = SYSTEM.stamp()
-        # the odometry frame is elsewhere on the map
-        frames = [("map", "odom", 5.0, 0.0, 0.0)] if self.knows else []
-        frames += [("odom", "base_link", self.x - 5.0, self.y, self.yaw)]
-        self._tf.publish({"transforms": [_transform(stamp, *frame) for frame in frames]})
-        self._ticks += 1
-        if self._ticks % 8 == 0 and self.cloud is not None:
-            self._points.publish({"header": {"stamp": stamp, "frame_id": "base_link"}, **self.cloud})
-        if self._ticks % 4 == 0 and self.sees:
-            angles = -math.pi + np.arange(BEAMS) * 2 * math.pi / BEAMS
-            ranges = reference(WALLS, np.zeros((0, 3)), (self.x, self.y, self.yaw), angles, 20.0)
-            self._scan.publish({
-                "header": {"stamp": stamp, "frame_id": "base_link"},
-                "angle_min": -math.pi, "angle_max": math.pi, "angle_increment": 2 * math.pi / BEAMS,
-                "range_min": 0.1, "range_max": 20.0, "ranges": ranges.astype(np.float32),
-            })  # fmt: skip
-
-
-def _transform(stamp: Any, parent: str, child: str, x: float, y: float, yaw: float) -> dict[str, Any]:
-    turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
-    transform = {"translation": {"x": x, "y": y, "z": 0.0}, "rotation": turn}
-    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": transform}
-
-
-class Goto(Served):
-    """A running RobotGoto."""
-
-    def __init__(self, folder: Path, **more: Any) -> None:
-        super().__init__(folder, "robot_goto")
-        self.robot = Robot(self.far.hub, self.far.registry)
-        section = {
-            "enabled": True,
-            "max_lin_speed": 1.0,
-            "max_ang_speed": 180.0,
-            "max_lin_acc": 5.0,
-            "max_ang_acc": 1000.0,
-            "lin_speed_gain": 2.0,
-            "ang_speed_gain": 3.0,
-            "goal_tolerance_lin": 0.1,
-            "goal_tolerance_ang": 5.0,
-            "max_waiting_time": 30.0,
-            "laser_timeout": 1.5,  # on a loaded machine scans are late
-            **more,
-        }
-        self.worker.start(self.config(modules={"robot_goto": section}))
-
-    @property
-    def state(self) -> str:
-        return str(self.module.driver.status.state.value)
-
-    def close(self) -> None:
-        self.robot.close()
-        super().close()
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Goto]:
-    with Goto(tmp_path_factory.mktemp("goto"), keep_out_map="store") as goto:
-        yield goto
-
-
-def pose_of(module: PlannerModule) -> Pose | None:
-    with contextlib.suppress(FramesError):
-        return module.pose()
-    return None
-
-
-@pytest.fixture
-def place(running: Goto) -> Goto:
-    """The idle RobotGoto, with its robot in the center of the room."""
-    robot, module = running.robot, running.module
-    robot.sees = robot.knows = True
-    running.host.loop.call(lambda: module.stop_driving("the test begins"))
-    running.host.loop.call(module.driver.reset)
-    robot.loop.call(lambda: robot.stand(0.0, 0.0, 0.0))
-
-    begun = module.now()
-
-    def ready() -> bool:
-        pose, scanned = pose_of(module), module.driver.grid.scanned
-        stands = pose is not None and abs(pose.x) < 1e-6
-        # the jump of the robot's pose clears the grid: wait for a later scan
-        return stands and scanned is not None and scanned > begun + 0.3 and module.health().state == "running"
-
-    until(ready, "the robot is in the center and its laser works", 30)
-    robot.commands.clear()
-    return running
 
 
 def test_a_hub_goal_is_reached_and_commands_end(place: Goto) -> None:
@@ -413,102 +257,6 @@ def test_halt_ends_every_goal(place: Goto) -> None:
     assert place.far.hub.ask("halt", {}, worker="robot_goto", timeout=20.0)[0].value == {"halted": True}
     assert sent.end()[1]["error_msg"] == "halted"
     assert place.state == "idle"
-
-
-def clear_store(place: Goto) -> None:
-    """Delete the maps and areas, and the choice of the current map, which outlasts its map."""
-    for kind in (BEHAVIOR, AREA, MAP, CURRENT):
-        place.host.store.clear(kind)
-    until(lambda: "no current map" in place.module.status()["keep_out"], "no map is used", 20)
-    until(lambda: place.module.health().state == "running", "the robot may drive", 20)
-
-
-def free(name: str) -> MapGrid2D:
-    """Return a map of the room without obstacles."""
-    return MapGrid2D.of(np.zeros((120, 120), np.uint8), name=name, resolution=0.05, origin=(-3.0, -3.0, 0.0))
-
-
-def aborted_by(place: Goto, kind: ValueKind[Any], name: str, damaged: bytes) -> str:
-    """Damage a value of the store while the robot drives on the map; return the error that ends its goal."""
-    store, robot = place.host.store, place.robot
-    store.put(MAP, "room", free("room"))
-    store.use_map("room")
-    until(lambda: place.module.status()["keep_out"] == "known", "the map is used", 20)
-    sent = robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
-    until(lambda: robot.x > 0.05, "the robot drives", 30)
-    store.replica.write({(kind.name, name): (damaged, kind.encoding)})
-    status, result = sent.end()
-    assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.NO_MAP)
-    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
-    return str(result["error_msg"])
-
-
-def test_keep_out_areas_of_the_stores_map_are_obstacles(place: Goto) -> None:
-    store, module = place.host.store, place.module
-    ahead = Map2DArea("room", [Vec2D(1.0, -0.5), Vec2D(1.4, -0.5), Vec2D(1.4, 0.5), Vec2D(1.0, 0.5)])
-
-    def blocked() -> bool:
-        grid = place.host.loop.call(module.local_map)
-        column, row = grid.cells_at((1.02, 0.0))
-        return bool(grid.flags[row, column] == MapFlag.WALL)
-
-    try:
-        store.put(AREA, "ahead", ahead)
-        store.put(BEHAVIOR, "ahead", AreaBehavior(keep_out=True))
-        store.put(MAP, "room", free("room"))
-        assert "no current map" in module.status()["keep_out"]
-        assert not blocked()
-        store.use_map("room")
-        until(blocked, "the area is an obstacle", 20)
-        assert module.status()["keep_out"] == "known"
-        store.delete(BEHAVIOR, "ahead")
-        until(lambda: not blocked(), "the area is free", 20)
-    finally:
-        clear_store(place)
-
-
-def test_a_robot_stands_on_a_map_with_an_area_that_cannot_be_read(place: Goto) -> None:
-    store, robot, module = place.host.store, place.robot, place.module
-    broken = b'{"map": "room", "points": [[1, "a"]], "description": "keep_out"}'
-    try:
-        error = aborted_by(place, AREA, "ahead", broken)
-        for text in (error, robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
-            assert "robots keep out of the map 'room'" in text
-            assert "remove --kind area ahead" in text
-        with pytest.raises(PlanError, match="keep out of the map"):
-            place.host.loop.call(lambda: module.approach(0.0, 0.1, 1.0))
-        store.put(AREA, "ahead", Map2DArea("room", [Vec2D(2, 2), Vec2D(2.5, 2), Vec2D(2.5, 2.5)], "max_speed=fast"))
-        until(lambda: module.health().state == "running", "the area can be read", 20)
-        document = place.far.hub.ask("status", {}, worker="robot_goto", timeout=20.0)[0].value
-        assert any("robots keep out of the area 'ahead'" in text for text in document["warnings"])
-        assert len(module.driver.keep_out.near(0.3, Pose(1.0, 1.0, 0.0), Pose(1.0, 1.0, 0.0)))
-    finally:
-        clear_store(place)
-
-
-def test_a_robot_stands_if_the_map_cannot_be_read(place: Goto) -> None:
-    """Its keep-out cells are unknown, and those of an earlier map may not be the same."""
-    robot, module = place.robot, place.module
-    try:
-        error = aborted_by(place, MAP, "room", b"damaged")
-        for text in (error, robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
-            assert "robots keep out of an unknown map: map 'room'" in text
-        assert "map 'room'" in module.status()["keep_out"]
-    finally:
-        clear_store(place)
-
-
-def test_a_robot_stands_until_the_map_of_a_topic_arrives(tmp_path: Path) -> None:
-    with Goto(tmp_path, keep_out_map="/floor") as place:
-        robot, module = place.robot, place.module
-        result = robot.send(1.0, 0.0).end()[1]
-        assert result["error_code"] == Fault.NO_MAP
-        for text in (result["error_msg"], module.health().text):
-            assert text == "robots keep out of an unknown map: waiting for a map on /floor"
-        floor = place.far.advertise("/floor", "nav_msgs/OccupancyGrid", latched=True)
-        place.far.publish(floor, to_grid(free("floor")))
-        until(lambda: module.health().state == "running", "the robot may drive", 30)
-        assert robot.send(1.0, 0.0).end()[0] is GoalState.SUCCEEDED
 
 
 def seen(*heights: float) -> dict[str, Any]:
