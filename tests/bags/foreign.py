@@ -48,7 +48,7 @@ def foreign_mcap(path: Path, *topics: Recorded, encoding: str = "cdr") -> Path:
 
 
 def humble_db3(path: Path, *topics: Recorded) -> Path:
-    """A SQLite file like those of rosbag2 in Foxy and Humble, without definitions and hashes."""
+    """Write an SQLite file like those of rosbag2 in Foxy and Humble, without definitions and hashes."""
     file = sqlite3.connect(path)
     with file:
         file.execute(_TOPICS)

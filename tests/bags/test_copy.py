@@ -139,7 +139,7 @@ def test_a_type_without_counterpart_is_named_or_left_out(registry: Registry, tmp
     done = copied(source, tmp_path / "b.bag", registry, skip_unknown=True)
     assert (done.messages, list(done.unknown)) == (1, ["/odd"])
     assert [name for name, *_ in raw_of(tmp_path / "b.bag")] == ["/known"]
-    assert copied(source, tmp_path / "c.db3", registry).messages == 2  # CDR is copied without knowing the type
+    assert copied(source, tmp_path / "c.db3", registry).messages == 2  # CDR can be copied even if the type is unknown
 
 
 def test_a_message_that_is_not_of_its_type_is_named_or_left_out(registry: Registry, tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def test_a_file_that_cannot_be_opened_loses_only_its_messages(
         assert "run_1.mcap" in str(bag.trouble)
         assert words in str(bag.trouble)
         messages_: list[BagMessage] = []
-        with pytest.raises(BagError, match=r"run_1\.mcap"):  # playback continues up to the broken file
+        with pytest.raises(BagError, match=r"run_1\.mcap"):  # raised after all messages of the other files
             messages_.extend(bag.messages())
         assert len(messages_) == 42
         for refused in (

@@ -91,7 +91,7 @@ def test_each_ros1_definition_without_md5_is_read_by_itself(kind: Kind, newer: R
         types_ = {m.topic.name: (m.topic.definition, m.data.removeprefix(CDR)) for m in bag.messages()}
     if kind == "bag":
         assert types_ == {"/a": (OLD_DRIVE, data), "/b": (NEW_DRIVE, data)}
-    else:  # both types become the installed one
+    else:  # both topics get the installed definition
         swapped = struct.pack("<ff", 0.25, 1.5)
         assert types_ == {"/a": (NEW_DRIVE, swapped), "/b": (NEW_DRIVE, data)}
 
@@ -109,7 +109,7 @@ def test_parts_of_an_action_keep_definition_and_hash(tmp_path: Path) -> None:
         "MSG: my_robot/action/Go_Feedback\nint32 done\n"
     )
     type_hash = Registry().learn_ros2(name, text)
-    # some MCAP writers leave the kind ("msg") out of type names
+    # some MCAP writers leave the kind (here "action") out of type names
     stored = text.replace("/action/", "/")
     for number, metadata in enumerate(({"topic_type_hash": type_hash}, {})):
         recorded = Recorded("/go/_action/feedback", name, stored, [], metadata)

@@ -13,7 +13,7 @@ START = 1_700_000_000 * NS
 
 
 class Clock:
-    """A monotonic clock on which only waits take time; each wait takes ``over`` too long."""
+    """A monotonic clock on which only waits take time; each wait takes ``over`` seconds too long."""
 
     def __init__(self, over: float = 0.0) -> None:
         self.seconds, self.over = 5000.0, over

@@ -65,7 +65,7 @@ def port_of(path: Path) -> int:
 
 
 def plain(path: Path) -> socket.socket:
-    """Connect without a key, as any user of the machine can."""
+    """Connect without the secret, as any user of the machine can."""
     return socket.create_connection(("127.0.0.1", port_of(path)), 5.0)
 
 

@@ -191,7 +191,7 @@ def test_the_command_line_finds_the_state_of_a_service(
 
 
 def test_two_daemons_share_the_state_folder_and_the_hub(tmp_path: Path) -> None:
-    """Two instances of the template units do this; one router serves both, and the other is on standby."""
+    """Two instances of the template units do this; one router serves both, and the other router is on standby."""
     robots = [RobotDaemon(tmp_path / name, navigation={}, modules={}, state=None) for name in folders(tmp_path)]
     try:
         for robot, name in zip(robots, ("one", "two"), strict=True):

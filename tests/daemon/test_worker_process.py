@@ -359,7 +359,7 @@ def test_the_router_stores_its_log_for_the_next_daemon(daemon: Daemon) -> None:
     first.popen.kill()
     first.popen.wait()
     daemon.order("router", "unanswered")
-    until(lambda: daemon.events("router", "unanswered"), "the worker has a log line while no daemon runs")
+    until(lambda: daemon.events("router", "unanswered"), "the router logs a line while no daemon runs")
     second = daemon.start()
     daemon.expect_output(second, "router: the worker's loop does not respond: the engine does not respond")
     daemon.order("router")
@@ -421,5 +421,7 @@ def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.Mo
 
     worker_main.WorkerLoop(Reporting(texts), commands, report).run(Config())
     first, second, third = (later - earlier for earlier, later in itertools.pairwise(at))
-    assert max(first, second) < 4.0, "a new text is reported at once"
-    assert third > 3.5, "a repeated text is reported after the interval, which begins before the report is written"
+    assert max(first, second) < 4.0, "after a new text, the next report follows soon"
+    assert third > 3.5, (
+        "after a repeated text, the next report waits for the quiet interval, which begins before the report is written"
+    )

@@ -149,7 +149,7 @@ class _Rig:
         assert self.worker.phase is phase
 
     def cause(self, event: WorkerEvent) -> None:
-        """Cause an event by a change of the configuration, the machine or the process."""
+        """Cause an event through the configuration, the machine or the process."""
         worker = self.worker
         self.kind.on, self.kind.lacks = "auto", ""
         match event:

@@ -12,12 +12,12 @@ from bridge.status import StatusDocument, read_status
 
 
 def around(config: dict[str, Any] | None = None, environ: dict[str, str] | None = None, **more: Any) -> CheckContext:
-    """Return surroundings whose environment contains only the given variables."""
+    """Return a context whose environment contains only the given variables."""
     return CheckContext(Config.model_validate({"name": "robot1", **(config or {})}), environ=environ or {}, **more)
 
 
 def hub(*documents: dict[str, Any], **more: Any) -> HubSnapshot:
-    """Return a hub with these workers."""
+    """Return a snapshot of a hub with these status documents."""
     return HubSnapshot(documents=[document(d) for d in documents], **more)
 
 

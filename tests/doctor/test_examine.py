@@ -47,7 +47,7 @@ def test_outcomes_are_in_the_order_of_the_items() -> None:
 
     def work(item: int) -> int:
         if item == 0:
-            assert first.wait(40)  # the hanging check ends last
+            assert first.wait(40)  # item 0 ends last
         elif item == 9:
             first.set()
         return item * 2

@@ -151,7 +151,7 @@ def test_holders_of_a_shared_file(tmp_path: Path, proc: Path) -> None:
 
 def test_files_of_dead_processes_in_shared_memory_are_reported(tmp_path: Path) -> None:
     place = around(shm=tmp_path, proc=PROC)
-    shm_file(tmp_path, "fastrtps_port7410", sharedmemory.LITTER_BYTES * 2)  # taken over, so not litter
+    shm_file(tmp_path, "fastrtps_port7410", sharedmemory.LITTER_BYTES * 2)  # no litter: Fast DDS reuses dead ports
     assert only(sharedmemory.check_litter(place)).result is Result.OK
     segment = shm_file(tmp_path, SEGMENT, sharedmemory.LITTER_BYTES)
     shm_file(tmp_path, "12345.zenoh", 4096)
@@ -182,7 +182,7 @@ def test_another_users_fast_dds(tmp_path: Path, transport: str, result: Result) 
     os.chown(tmp_path / SEGMENT_3, 65534, -1)
     with locked(kilted, fcntl.LOCK_EX):
         assert only(sharedmemory.check_users(place)).result is result, "no worker is known"
-        with locked(mine, fcntl.LOCK_EX):  # Fast DDS 2, which does not use shared memory of other users
+        with locked(mine, fcntl.LOCK_EX):  # Fast DDS 2, which does not use the memory of Fast DDS 3
             assert only(sharedmemory.check_users(place)).result is Result.OK
 
 

@@ -197,7 +197,7 @@ def test_other_bridges_on_dds(tmp_path: Path) -> None:
         peer.advertise("/chatter", "std_msgs/String")
 
         def seen() -> bridges.DdsView | None:
-            """Return the findings; on a busy machine, a check may fail or end before everything is discovered."""
+            """Return the view if it is complete; on a busy machine, a check may fail or end too early."""
             try:
                 view = bridges.check_dds(config, os.environ)
             except bridges.LookError:

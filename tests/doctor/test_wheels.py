@@ -57,7 +57,7 @@ def test_a_newer_python_lacks_dart(requirements: list[str]) -> None:
     [
         ("auto", "no rclpy", Result.WARN),
         (True, "no rclpy", Result.FAIL),
-        ("auto", "", Result.OK),  # in an installation
+        ("auto", "", Result.OK),  # with an installed ROS 2
         (False, "no rclpy", Result.OK),
     ],
 )

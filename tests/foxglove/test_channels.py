@@ -171,9 +171,8 @@ def test_invalid_frames_of_a_client_affect_no_other(desk: Desk) -> None:
         bad.until(lambda: sum(entry["op"] == "status" for entry in bad.texts) > 8, "the client receives the errors")
         publisher.put(cdr("well"))
         assert app.received("/said")[0][1] == bad.received("/said")[0][1] == cdr("well")
-        with contextlib.suppress(
-            websockets.ConnectionClosed
-        ):  # the client is disconnected while it sends, or afterwards
+        # the client is disconnected while it sends, or afterwards
+        with contextlib.suppress(websockets.ConnectionClosed):
             bad.socket.send(b"\x01" + bytes(20 << 20))
         with pytest.raises(websockets.ConnectionClosed):
             bad.read_until_cut()

@@ -234,7 +234,7 @@ def test_a_client_that_reads_nothing_is_disconnected_and_does_not_delay_others(
     secret = cdr("x" * 500_000)
     with desk.app() as app, desk.app(max_queue=1, close_timeout=0.1) as deaf:
         deaf.subscribe("/flood")
-        # a client that no longer reads does not subscribe twice
+        # wait, because a client that no longer reads does not repeat a refused subscription
         deaf.until(publisher.matched, "the topic is subscribed")
         app.subscribe("/flood")
         app.sync()

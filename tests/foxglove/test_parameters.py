@@ -112,7 +112,7 @@ def test_parameters_of_all_nodes_are_returned_on_request(desk: Desk) -> None:
         node.values["count"] = ParameterValue(ParameterType.INTEGER, 4)
         until(lambda: read_parameters(app, "/ns/base.count")["/ns/base.count"]["value"] == 4, "the change is read", 10)
         node.close()
-        until(lambda: not read_parameters(app), "the parameter is removed", 10)
+        until(lambda: not read_parameters(app), "the node's parameters are removed", 10)
 
 
 def test_nodes_are_queried_only_while_clients_request(desk: Desk) -> None:

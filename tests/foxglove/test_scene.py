@@ -170,6 +170,6 @@ def test_the_store_is_polled_only_while_a_client_watches(
         assert not clients, "no client watches yet"
         number = app.subscribe(SCENE)
         app.until(lambda: app.messages[SCENE], "a scene arrives")
-        app.until(lambda: len(clients) > 3, "the scene is polled repeatedly")
+        app.until(lambda: len(clients) > 3, "the store is polled repeatedly")
         app.unsubscribe(number)
         until(is_idle, "polling has stopped")

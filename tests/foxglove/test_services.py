@@ -56,7 +56,7 @@ def test_a_call_receives_its_reply(driven: Desk, codec: CallCodec) -> None:
         call = app.call("/light", codec.request({"data": True}))
         reply = app.until(lambda: app.replies.get(call), "the reply arrives")
         assert codec.response_value(reply) == {"success": True, "message": "on"}
-        until(lambda: not driven.far.hub.graph.clients("/light"), "the server's client is withdrawn")
+        until(lambda: not driven.far.hub.graph.clients("/light"), "the Foxglove server withdraws its client")
 
 
 def test_failed_calls_are_reported(driven: Desk, codec: CallCodec, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -208,7 +208,7 @@ def test_publishes_only_with_subscribers_and_at_once_on_a_change(
     monkeypatch.setattr(diagnostics, "PERIOD", 60.0)
     count = len(publishing.far.wait(subscription, 1, 0.0))
     assert len(publishing.far.wait(subscription, count + 1, 10.0)) == count + 1, (
-        "only the message that was already due arrives"
+        "the message that was already due arrives"
     )
     publishing.daemon_document = {
         "pid": 1,

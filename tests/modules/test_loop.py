@@ -116,7 +116,7 @@ def use_processor(seconds: float) -> None:
 
 
 def hung(loop: EventLoop) -> str:
-    """Return the reason once the loop is reported as hanging."""
+    """Return how the loop is reported as hanging, "" if it is not."""
     try:
         loop.computes()
     except TimeoutError as err:

@@ -34,9 +34,8 @@ def test_each_rejected_or_aborted_goal_keeps_the_ring(tmp_path: Path, monkeypatc
                     read(max(folder_.parent.glob("*.mcap"))).metadata["midspan.end"]["trigger"] for folder_ in folders
                 ]
 
-            rig.gateway.link.presence.unreachable_at = (
-                0.0  # the planner has been available for a while, so a rejection counts
-            )
+            # the planner has been available for a while, so a rejection counts
+            rig.gateway.link.presence.unreachable_at = 0.0
             for count in (1, 2):
                 rig.planner.rejects = 1
                 status, reason = ClientGoal(rig.client, pose(1.0)).end()

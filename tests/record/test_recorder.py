@@ -132,7 +132,7 @@ def test_a_folders_metadata_has_the_qos_of_all_publishers(hubs: QuickHub, robot:
         ends = [robot.publisher("/said"), Robot(hub).publisher("/said", LATCHED)]
         with recording(hubs, tmp_path, BagFolder(tmp_path / "run")) as recorded:
             recorded.recorder.begin()
-            until(lambda: all(end.matched() for end in ends), "both topics are subscribed")
+            until(lambda: all(end.matched() for end in ends), "both publishers have a subscriber")
             for end in ends:
                 end.put(robot.text("hi"))
             await_written(recorded, 2)
@@ -237,7 +237,7 @@ def test_topics_that_are_not_bridged_are_requested_from_their_worker(hubs: Quick
         with recording(hubs, tmp_path, Files(tmp_path / "one", split=False), **section) as recorded:
             recorded.recorder.begin()
             await_written(recorded, 1)
-            until(lambda: requests, "the definition is requested")
+            until(lambda: requests, "the topic is requested")
     assert set(requests) == {"/arm/home"}
     contents = read(tmp_path / "one.mcap")
     assert contents.texts("/arm/home") == ["at home"]

@@ -197,7 +197,7 @@ def test_the_successor_takes_over_and_keeps(world: World, hubs: str, known_gone:
         world.add(f"A2/{network}", network, hubs[0], skew=-3600 * NS)
     world.run(5)
     assert all("B/" in path[2] and "A2/" not in path[2] for path in world.paths()), (
-        "no message is returned to the network that it came from"
+        "the successor keeps its claims, although those of the newcomer look older"
     )
 
 
@@ -250,7 +250,7 @@ def test_only_records_received_after_a_suspension_count() -> None:
     assert not turn(1.0, standby(0))
     assert turn(1.2, standby(1))
     election.lapse(5.0)
-    assert not turn(5.0, standby(2)), "the worker may have taken over since this record"
+    assert not turn(5.0, standby(2)), "b may have taken over since it sent this record"
     assert turn(5.2, standby(3))
 
 
@@ -300,9 +300,7 @@ def test_nothing_is_bridged_while_it_is_unknown_whether_hubs_are_joined() -> Non
     assert "share this hub" in election.outcome.waiting
     assert turn(2.0, HubView(frozenset("ab"))) == (False, "A")
     assert turn(2.0 + CUT / 2, HubView()) == (False, "A"), "a link may fail and be restored"
-    assert turn(2.0 + CUT, HubView()) == (True, ""), (
-        "the worker is on another hub now, whose programs no other worker serves"
-    )
+    assert turn(2.0 + CUT, HubView()) == (True, ""), "the hubs are separate now, and no other worker serves this one"
 
 
 def test_joined_hubs_agree_on_one_active_daemon(world: World) -> None:

@@ -47,7 +47,7 @@ def test_busy_loop_is_not_a_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
             assert edge.looked.wait(40)
             for _ in range(5):
                 before = len(beats)
-                until(lambda before=before: len(beats) > before, "the loop sends a heartbeat")
+                until(lambda before=before: len(beats) > before, "the stall detector beats")
         finally:
             edge.go_on.set()
             engine.stop()

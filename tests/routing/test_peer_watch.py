@@ -69,7 +69,7 @@ def test_suspended_worker_waits_for_its_hub_before_it_judges_another(
     world.now += 10.0
     world.b_holds, world.linked = True, False
     world.run(2.0)
-    assert not world.watch.outcome.active, "b may be on our hub, because the link to it is not restored yet"
+    assert not world.watch.outcome.active, "b may be on our hub, although the link to it is not restored yet"
     world.linked = True
     world.run(3.0)
     assert world.watch.outcome.standing_by == "B"

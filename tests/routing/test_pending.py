@@ -312,7 +312,7 @@ def test_held_message_crosses_once_though_a_new_subscription_receives_it_again(h
     latched.put(line("2"))
     until(lambda: len(route.held.latched) == 2, "both messages are held")
     route.update([volatile, endpoint], [])
-    # the next message replaces the first one in the publisher's cache
+    # wait, because the next message replaces the first one in the publisher's cache
     until(lambda: len(hub_route.received) >= 2, "the held messages are bridged")
     latched.put(line("3"))
     hub_route.expect("1", "2", "3")

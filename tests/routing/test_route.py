@@ -342,7 +342,7 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
     policy = RoutePolicy(allowed=True, why="", name=topic, rate=0.001, priority=priority)
     key, conversion = RouteKey(topic, STRING, type_.type_id), Conversion(type_, type_, None)
     volatile, latching = Qos(), Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-    other = latching if not latched else volatile  # another publisher does not change the rate
+    other = latching if not latched else volatile  # another publisher does not change whether the rate applies
     with HubNetwork() as hubs, Hub.open(hubs.settings("rates")) as hub:
         idle, lease = Dispatcher("idle"), Lease()
         lease.extend(math.inf)

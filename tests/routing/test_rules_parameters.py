@@ -74,7 +74,7 @@ def test_shared_parameters_do_not_leave_as_services_to_a_side_without_parameters
         ("ros2", "ros2", True),
         ("zenoh_ros2dds", "ros2", True),
         ("ros1", "ros1", True),
-        (NATIVE, "ros1", False),  # the rule shares the parameters of another side's node
+        (NATIVE, "ros1", False),  # the rule shares the ROS 1 node's parameters, not those of the native node
     ],
 )
 def test_shared_parameters_leave_to_a_side_with_parameters(

@@ -25,7 +25,7 @@ def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.Monke
 
 
 def ages(clock: ProcessClock, gate: stall.AgeGate, offset: float, count: int = 20) -> list[float]:
-    """Return the ages of messages that a source with a different clock sends at 20 Hz and that arrive at once."""
+    """Return the ages of messages that arrive without delay, at 20 Hz, from a source with another clock."""
     seconds = []
     for _ in range(count):
         clock.now += 0.05
@@ -116,7 +116,7 @@ def test_pulse_pauses_without_readers_and_resumes_at_once(monkeypatch: pytest.Mo
     quick = stall_detector.pause
     stall_detector.start()
     try:
-        until(lambda: stall_detector.pause > quick, "the detector checks less often")
+        until(lambda: stall_detector.pause > quick, "the detector beats less often")
         assert stall_detector.pause < 0.3, "a longer wait would count as a standstill"
         monkeypatch.setattr(stall, "_REST_SECONDS", 1000.0)
         stall_detector.stood_still(0.5)

@@ -201,7 +201,9 @@ def test_form_that_no_node_of_the_side_subscribes_to_has_no_route(side: Side) ->
     """On ROS 1, it would become the topic's type, and the type of the base would no longer be known."""
     side.base(CMD_VEL, STAMPED)
     side.program(TWIST)
-    until(lambda: [decision for decision in side.engine.decisions() if decision.refused], "the topic is refused")
+    until(
+        lambda: [decision for decision in side.engine.decisions() if decision.refused], "the program's type is refused"
+    )
     assert side.engine.routes() == []
     side.program(STAMPED)
     until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's type has a route")

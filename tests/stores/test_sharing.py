@@ -206,7 +206,7 @@ def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplo
 
         session.put("midspan/store/0/location/door", b'{"map": "m1", "x": 4}')
         until(
-            lambda: first_store.store.get(LOCATION, "door") == Map2DLocation("m1", 4.0), "the change is merged", SECONDS
+            lambda: first_store.store.get(LOCATION, "door") == Map2DLocation("m1", 4.0), "the value is merged", SECONDS
         )
         session.delete("midspan/store/0/location/kitchen")
         until(lambda: names(first_store) == ["door"], "the value is deleted", SECONDS)
@@ -408,7 +408,7 @@ def test_a_replica_of_another_major_version_is_not_merged(
         for name, wire in (("strange", "2.0"), ("later", "1.7")):
             attached = json.dumps({**version, "wire": wire, "more": 1}).encode()
             session.put(f"midspan/store/0/location/{name}", b"{}", attachment=attached)
-        until(lambda: names(first_store), "a store of a later minor version is merged", SECONDS)
+        until(lambda: names(first_store), "the value of a later minor version is merged", SECONDS)
         assert names(first_store) == ["later"]
         assert "location/strange is not merged: it uses version 2.0" in caplog.text
         assert first_store.hub is not None

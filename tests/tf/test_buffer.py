@@ -109,7 +109,7 @@ def test_stamps_are_compared_with_the_clock() -> None:
     assert "amcl" in buffer.last_refused[FrameRefusal.TIME_SCALE]
     assert "use_sim_time" in buffer.last_refused[FrameRefusal.TIME_SCALE]
     assert buffer.lookup_transform("map", "odom").stamp == now + 2 * S
-    now = 5 * S  # a node with /clock receives a stamp of the system clock
+    now = 5 * S  # a buffer on simulated time receives a stamp of the system clock
     assert refusal(START) is FrameRefusal.TIME_SCALE
 
 

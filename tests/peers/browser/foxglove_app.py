@@ -96,7 +96,7 @@ class App:
         """Read until ``done`` returns something true."""
         end = time.monotonic() + seconds
         while not (result := done()):
-            assert time.monotonic() < end, f"{what} did not arrive within {seconds:g} s; received: {self.texts[-5:]}"
+            assert time.monotonic() < end, f"{what}: not within {seconds:g} s; received: {self.texts[-5:]}"
             self.read()
         return result
 
