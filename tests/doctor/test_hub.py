@@ -208,7 +208,7 @@ def test_a_map_server_of_ros_beside_map2d_server() -> None:
     # refused by the ros1 worker beside a real map_server (navigation 1.17.3), which serves both
     def refused(service: str, *, reason: str = "") -> list[dict[str, Any]]:
         entry = {"kind": "service", "topic": service, "hub_topic": service, "type": "nav_msgs/srv/GetMap"}
-        refusal = reason or f"/map_server already serves {service} there"
+        refusal = reason or f"/map_server serves {service} there already"
         ours = reason or f"map2d_server serves {service} on the hub already"
         return [{**entry, "direction": "out", "reason": refusal}, {**entry, "direction": "in", "reason": ours}]
 
