@@ -225,7 +225,7 @@ class SocketChannel(WorkerChannel):
     def spawn(self, kind: WorkerKind, config: Config, env: Mapping[str, str], lock: Lock) -> None:
         """Start a worker; `poll` connects to it as soon as its socket exists."""
         with contextlib.suppress(OSError):
-            self._path.unlink(missing_ok=True)  # left by a dead predecessor: its port may be in use
+            self._path.unlink(missing_ok=True)  # left by a dead predecessor: another program may have its port now
         with self._open_output() as output, _unnamed_file() as first:
             first.write(protocol.encode_command(protocol.NewConfig(config)))
             first.seek(0)

@@ -71,7 +71,7 @@ class LatchedState:
             self._drop(key)
 
     def all(self) -> Iterator[RecordedMessage]:
-        """Yield all stored messages in the order of time; drop messages of publishers that left the hub."""
+        """Yield all stored messages, oldest first; drop messages of publishers that left the hub."""
         present = {endpoint.gid for endpoint in self._graph.publishers()}
         self._plain &= present
         for key in [key for key in self._stored if key[1] not in present]:

@@ -90,7 +90,7 @@ class Counters:
                 self.failed(where())
 
     def failed(self, error: str) -> bool:
-        """Store an error; return whether to log it now, because it is new or did not occur for a minute.
+        """Store an error; return whether to log it now, because it is new or has not occurred for a minute.
 
         Errors that differ only in numbers count as the same. At most one error per second is logged.
         """

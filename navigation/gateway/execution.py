@@ -302,7 +302,7 @@ class Execution:
                 drive.due = time.monotonic() + RETRY_SECONDS
                 drive.machine.on(DriveEvent.RESUMED_CONTACT)
             else:
-                drive.released = link.state.reported and not drive.forgotten  # a forgotten one may still be executed
+                drive.released = link.state.reported and not drive.forgotten  # a forgotten goal may still be executed
                 drive.machine.on(DriveEvent.RETRY)
                 self._send(drive, None)
 

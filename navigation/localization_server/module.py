@@ -248,7 +248,7 @@ class LocalizationServer(Module):
 
 
 class LocalizationDevice:
-    """YARP's methods, called on connections' threads and executed on the module's. Covariances are in m and rad."""
+    """YARP's methods, called on connections' threads and executed on the module's. Covariances as in ROS: m, rad."""
 
     def __init__(self, server: LocalizationServer, calls: Calls) -> None:
         self._server, self._call = server, calls.do

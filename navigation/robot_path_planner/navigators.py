@@ -89,7 +89,7 @@ class ActionNavigator:
             goal.cancel()
 
     def brake(self) -> Callable[[], None]:
-        """Return a function that cancels the current goal and no later one, on any thread; `cancel` has to follow."""
+        """Return a function that cancels only the current goal. Both may run on any thread; `cancel` has to follow."""
         goal = self._goal
         return lambda: goal.cancel() if goal is not None and goal.active else None
 

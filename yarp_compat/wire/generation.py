@@ -132,7 +132,7 @@ class Findings:
         self._lock = threading.Lock()
 
     def get(self, peer: str, link: PeerAddress = _NOWHERE) -> ReleaseFinding | None:
-        """Return the finding on a client, or if it is not sure, a sure one on another device of its process."""
+        """Return the finding on a client; if it is missing or not sure, prefer a sure one of its process."""
         with self._lock:
             known = self._known.get(_key(peer, link))
             if known is not None and known[1].sure:

@@ -202,7 +202,7 @@ class EndpointVersions:
                 f"{service} is served with different versions of {type_name} ({found}): DDS delivers each request to"
                 " all servers, and some would decode it wrongly, so it was not sent"
             )
-            return Obstacle(reason, "stop one of them, or rename one by a remapping of its node")
+            return Obstacle(reason, "stop one of them, or rename one with a remapping of its node")
         return None
 
     def _of_server(self, server: Endpoint) -> str | None:

@@ -37,7 +37,7 @@ def register(verbs: Any) -> None:
         "Opens a port and prints the Bottles that it receives, one per line, until Ctrl-C.", hub=False,
     )  # fmt: skip
     read.add_argument("port", help="name of the port to open ('...': the name server chooses one)")
-    read.add_argument("source", nargs="?", help="the port to read from; without it, connect other ports")
+    read.add_argument("source", nargs="?", help="the port to read from; default: none, so that other ports can connect")
     read.add_argument("--carrier", default="", help="carrier of the connection: tcp (default), fast_tcp, udp, ...")
     read.add_argument("--count", type=int, metavar="N", help="exit after N messages")
     read.add_argument("--envelope", action="store_true", help="print its envelope (stamp) before each message")

@@ -230,7 +230,7 @@ def _distrust(name: str, context: CheckContext) -> list[Finding]:
     """Return a warning for each daemon that accepts no commands from this machine."""
     return [
         warn(
-            f"{document.daemon} accepts no commands, goals and service calls from this machine",
+            f"{document.daemon} accepts no commands, goals or service calls from this machine",
             f"if that is not intended, name {name!r} in hub.open.trusted there",
         )
         for document in context.hub.documents

@@ -107,7 +107,7 @@ def test_a_robot_in_an_unknown_part_of_the_map_has_not_explored_all(exploring: E
     exploring.publish(grid)
     outcome = exploring.run(lambda: None)
     assert outcome.code == 1
-    assert outcome.out.startswith("failing: no path can begin at the robot: "), outcome
+    assert outcome.out.startswith("failing: no path can begin at the robot's position: "), outcome
     assert not exploring.rig.planner.goals
 
 

@@ -191,7 +191,7 @@ def test_points_of_each_type_come_back_as_they_were(kind: pointcloud.PointType) 
     ("change", "words"),
     [
         ({"width": 100_000_000}, "row_step: 16 bytes cannot hold 100000000 points"),
-        ({"height": 100_000_000}, "data: 16 bytes, where 100000000 rows"),
+        ({"height": 100_000_000}, "data: 16 bytes, but 100000000 rows"),
         ({"point_step": 0}, "fields.x"),
         ({"fields": [_field("x", 4_294_967_295)]}, "fields.x.offset: byte 4294967295"),
         ({"fields": [_field("x", 0, 9)]}, "fields.x.datatype: 9"),

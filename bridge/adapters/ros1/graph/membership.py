@@ -88,7 +88,7 @@ class Membership:
             (self.simulated,) = (bool(v) for v in self._client.calls([("getParam", (self._node.name, SIM_TIME))]))
 
     def _free_name(self, state: MasterState, dead: set[str]) -> str:
-        """Return this node's name, or a variant if a live node, which the master would shut down, has the name."""
+        """Return this node's name, or a variant if a live node has it: the master would shut that node down."""
         first = self._node.name
         second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
         for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):

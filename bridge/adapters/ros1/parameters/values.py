@@ -114,7 +114,7 @@ def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> Paramete
     """Convert a value of ROS 1's parameter server for a ROS 2 node; raises `UnrepresentableError`.
 
     ``like`` is the type of the node's parameter. To match it, an integer becomes a double, and a double with an integer
-    value an integer, because `rosparam set` does not distinguish them. An empty list matches any type of lists.
+    value an integer, because `rosparam set` does not distinguish them. An empty list matches any list type.
     """
     if isinstance(value, xmlrpc.client.Binary):
         return ParameterValue(ParameterType.BYTE_ARRAY, value.data)

@@ -21,7 +21,7 @@ CYCLONE = b"\x01\x10"
 CLIENT_NOT_ON_CYCLONE = (
     "its client is on another DDS than Cyclone DDS, which gets no replies while ros2.rmw is rmw_cyclonedds_cpp"
 )
-_CURE = "stop one of them, or rename one by a remapping of its node"
+_CURE = "stop one of them, or rename one with a remapping of its node"
 _CURE_ON_CYCLONE = "remove ros2.rmw (on Fast DDS Midspan reaches services of both), or run these nodes on Cyclone DDS"
 _UNNAMED = "a node with an unknown name"
 
