@@ -18,7 +18,7 @@ from bridge.config.problems import problems
 
 
 class SimError(RuntimeError):
-    """A simulator error; the text names the fact, its location and the remedy."""
+    """A simulator error; the text names the fact, its place and the cure."""
 
 
 _PACKAGE = "dartpy"

@@ -130,7 +130,7 @@ def _either_form(node: Any, name: str = "") -> Any:
 
 
 def example() -> str:
-    """Return a file with all keys at their defaults, each with its description."""
+    """Return a file with all keys at their defaults, each with its description; it loads to the defaults."""
     head = [
         "# Midspan's configuration: every key with its default. All keys are optional.",
         "# 'midspan config check FILE' checks a file; 'midspan config schema' is for editors.",

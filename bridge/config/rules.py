@@ -78,7 +78,7 @@ def _lifecycle_rules(of: str, planner: Planner) -> Iterator[MadeRule]:
 
 
 def _rules_of_poses(section: NavigationSection) -> Iterator[MadeRule]:
-    """Yield the rules of the gateway's `NavigateThroughPoses`, which ROS 2 has next to its entry point, ROS 1 not."""
+    """Yield the rules of the gateway's `NavigateThroughPoses`, next to ROS 2's entry point; ROS 1 has none."""
     door = section.doors.ros2
     name = through_poses(door) if door else ""
     owners = (planner.name for planner in section.others.values() if planner.side == "ros2" and name in planner.motion)

@@ -229,9 +229,8 @@ class Front:
         address = str(writer.get_extra_info("peername")[0])
         try:
             async with asyncio.timeout(HEAD_SECONDS):
-                head = await reader.readuntil(
-                    b"\r\n\r\n"
-                )  # also before a refusal, whose response might be lost otherwise
+                # also before a refusal, whose response might be lost otherwise
+                head = await reader.readuntil(b"\r\n\r\n")
             request = RequestHead.read(head)
             visitor = Visitor(self._guard.grant(request, address), address)
             await self._join(request, visitor, reader, writer)

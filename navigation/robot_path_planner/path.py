@@ -79,7 +79,7 @@ def cut(places: Places, meters: float) -> Places:
     return np.concatenate((places[:number], [end]))
 
 
-_STUCK = 2  # walls this many cells from the start do not matter: localization is not more accurate
+_STUCK = 2  # walls up to this many cells from the start do not matter: localization is not more accurate
 _STEPS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 
 
@@ -374,7 +374,8 @@ class DriveTask:
     def can_skip(self, ground: Ground, clutter: Clutter, pose: Pose, *, waits: bool) -> bool:
         """Whether to drive on to the next waypoint, because this one is near or blocked and the next is straight on.
 
-        ``waits`` is whether the robot waits for an obstacle. The line to it must be free, and have the same limits.
+        ``waits`` is whether the robot waits for an obstacle. The line to the next waypoint must be free, and have the
+        same limits.
         """
         if self.last or self.waypoint.waits_for_obstacles:
             return False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class WireError(ValueError):
-    """Raised for bytes that are not a valid YARP message, or values that cannot be encoded; the text names them."""
+    """Bytes are not a valid YARP message, or values cannot be encoded; the message names the value and position."""
 
 
 class Incomplete(WireError):  # noqa: N818 - not necessarily an error: more bytes may arrive

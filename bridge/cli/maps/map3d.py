@@ -72,7 +72,7 @@ def layer(name: str, value: Map3D, height: float) -> MapGrid2D:
     tree, edge = value.tree(), value.resolution
     keys, sizes = tree.keys().astype(np.int64), tree.edges()
     low = keys[:, 2]
-    wanted = math.floor(min(max(height / edge + 1e-9, -MIDDLE - 1), MIDDLE)) + MIDDLE  # + 1e-9: 0.3 / 0.1 is 3
+    wanted = math.floor(min(max(height / edge + 1e-9, -MIDDLE - 1), MIDDLE)) + MIDDLE  # + 1e-9, as 0.3 / 0.1 is 2.99...
     cut = (low <= wanted) & (wanted < low + sizes)
     if not cut.any():
         ends = [f"{(end - MIDDLE) * edge:g}" for end in (low.min(), (low + sizes).max())] if len(low) else ["none"]
