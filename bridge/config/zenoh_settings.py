@@ -26,10 +26,10 @@ _ROUTERS: tuple[KeyPath, ...] = (("hub", "router_zenoh"), ("hub", "open", "zenoh
 _LOCAL: KeyPath = ("hub", "router_zenoh")
 
 _MOST = 20
-"""Problems that are reported of one zenoh configuration, at most."""
+"""Maximum number of problems that are reported for one zenoh configuration."""
 
 _DEEPEST = 100
-"""Nested brackets that are allowed in a JSON5 file; zenoh's parser needs stack space for each."""
+"""Maximum depth of nested brackets in a JSON5 file; zenoh's parser needs stack space for each."""
 
 _LEGACY: tuple[KeyPath, ...] = (("routing", "peer"), ("routing", "router", "peers_failover_brokering"))
 """Keys of zenoh before 1.10 that the parser still accepts but ignores; files for rmw_zenoh contain them."""

@@ -140,10 +140,7 @@ class Channels:
         key = topic.key
         definition = self._topics.definitions.find(key.type_name, key.type_hash)
         if definition is None:
-            self._refused[key], self._undefined = (
-                "its definition is unknown, and has been requested from the workers",
-                True,
-            )
+            self._refused[key], self._undefined = "its definition is unknown, and is requested from the workers", True
             return
         self._refused.pop(key, None)
         about = {"side": ", ".join(topic.sides), "latched": str(topic.latched).lower(), "hash": key.type_hash}

@@ -305,7 +305,7 @@ class Edge(ABC):
         return {}
 
     def version_notes(self) -> Mapping[tuple[str, str, str], Sequence[str]]:
-        """Return what the messages of nodes lose that use other versions of types.
+        """Return what the messages of nodes with other versions of types lose.
 
         The keys are ``topic`` or ``service``, the direction as in decisions, and the name on the side.
         """

@@ -243,5 +243,5 @@ def test_topics_without_definition_are_tried_again() -> None:
     channels.refresh()
     channels.tick()
     (refused,) = channels.status()["refused"]
-    assert refused["reason"] == "its definition is unknown, and has been requested from the workers"
+    assert refused["reason"] == "its definition is unknown, and is requested from the workers"
     assert topics.refreshed == 2

@@ -40,7 +40,7 @@ def register(verbs: Any) -> None:
     read.add_argument("source", nargs="?", help="the port to read from; default: none, so that other ports can connect")
     read.add_argument("--carrier", default="", help="carrier of the connection: tcp (default), fast_tcp, udp, ...")
     read.add_argument("--count", type=int, metavar="N", help="exit after N messages")
-    read.add_argument("--envelope", action="store_true", help="print its envelope (stamp) before each message")
+    read.add_argument("--envelope", action="store_true", help="print each message's envelope (its stamp) before it")
     read.add_argument("--json", action="store_true", help="print one JSON object per line: from, envelope, text")
     write = add_verb(
         verbs, "write", _ended_by_signals(_write), "write lines as Bottles",

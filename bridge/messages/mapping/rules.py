@@ -77,9 +77,8 @@ BUILT_IN = (
     MappingRule("tf", "tf2_msgs", "tfMessage", "TFMessage", "msg", {"": {"transforms": "transforms"}}),
     MappingRule("rosgraph_msgs", "rcl_interfaces", "Log", "Log", "msg", _LOG_FIELDS),
     MappingRule("grid_map_msgs", "grid_map_msgs", "GridMap", "GridMap", "msg", _GRID_MAP_FIELDS),
-    MappingRule(
-        "roscpp_tutorials", "example_interfaces", "TwoInts", "AddTwoInts", "srv"
-    ),  # example_interfaces' own rule
+    # example_interfaces' own rule
+    MappingRule("roscpp_tutorials", "example_interfaces", "TwoInts", "AddTwoInts", "srv"),
     MappingRule("move_base_msgs", "nav2_msgs", "MoveBase", "NavigateToPose", "action", _MOVE_BASE_FIELDS),
 )
 
@@ -97,7 +96,7 @@ class Rules:
                 self._fields.setdefault(_part_names(rule, part), FieldRule(fields, rule.origin))
 
     def ros2_names(self, ros1_name: str, kind: str = "msg") -> list[str]:
-        """Return ROS 2 names that a ROS 1 message, service (``srv``) or ``action`` may have, the likeliest first."""
+        """Return the likely ROS 2 names for a ROS 1 message, service (``srv``) or ``action``, the likeliest first."""
         package, name = ros1_name.split("/")
         ruled = [
             f"{rule.ros2_package}/{kind}/{rule.ros2 or name}"
@@ -107,7 +106,7 @@ class Rules:
         return list(dict.fromkeys([*ruled, *ros2_candidates(ros1_name, kind)]))
 
     def ros1_names(self, ros2_name: str) -> list[str]:
-        """Return ROS 1 names that a ROS 2 message, service or action may have, the likeliest first."""
+        """Return the likely ROS 1 names for a ROS 2 message, service or action, the likeliest first."""
         return list(
             dict.fromkeys(
                 [*_ruled_ros1(ros2_name, self._given), *ros1_candidates(ros2_name), *_ruled_ros1(ros2_name, BUILT_IN)]
