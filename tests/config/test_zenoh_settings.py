@@ -148,7 +148,7 @@ def test_what_zenohs_parser_accepts_and_a_session_cannot_use(text: str, lines: l
     [
         (
             "zenoh: {zenoh: {plugins: {ros2dds: {namespace: /bot, domain: 5, allow: {publishers: ['.*']}}}}}",
-            ["'zenoh: {dialects: [{dialect: ros2dds, namespace: /bot}]}'", "'ros2: {domain: 5}'", "for its allow rules with 'from: zenoh_ros2dds'"],
+            ["'zenoh: {dialects: [{dialect: ros2dds, namespace: /bot}]}'", "'ros2: {domain: 5}'", "and replace its allow by rules with 'from: zenoh_ros2dds'"],
         ),
         (
             "hub: {zenoh: {plugins: {ros1: {bridge_namespace: bot, ros_master_uri: 'http://robot:11311'}}}}",

@@ -195,9 +195,9 @@ def test_points_of_each_type_come_back_as_they_were(kind: pointcloud.PointType) 
         ({"point_step": 0}, "fields.x"),
         ({"fields": [_field("x", 4_294_967_295)]}, "fields.x.offset: byte 4294967295"),
         ({"fields": [_field("x", 0, 9)]}, "fields.x.datatype: 9"),
-        ({"fields": [_field("ring", 0)]}, "of the fields ring"),
+        ({"fields": [_field("ring", 0)]}, "for the fields ring"),
         ({"fields": [{**_field("x", 0), "count": 2}]}, "fields.x.count: a point has one x, not 2"),
-        ({"width": 0, "row_step": 0, "fields": []}, "of the fields none"),
+        ({"width": 0, "row_step": 0, "fields": []}, "for the fields none"),
     ],
 )
 def test_a_bad_cloud_is_refused_by_the_name_of_its_field(change: dict[str, Any], words: str) -> None:
