@@ -175,7 +175,7 @@ def test_elements_without_bytes_do_not_run_for_ever():
     convert = registry.ros1_to_hub("my_msgs/Voids").convert
     assert convert is not None
     assert convert(struct.pack("<I", 3)) == b"\0\1\0\0\3\0\0\0\0\0\0"
-    with pytest.raises(ConversionError, match="empty elements"):
+    with pytest.raises(ConversionError, match="elements without content"):
         convert(struct.pack("<I", 0xFFFFFFFF))
 
 

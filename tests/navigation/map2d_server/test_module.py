@@ -348,7 +348,7 @@ def test_explain_shows_the_protocol_of_a_client(
         assert main(["explain", "/map2D_nws_yarp/rpc", "--config", str(file)]) == 0
     output = capsys.readouterr().out
     assert "its calls are answered as YARP 3.12 does (it asked for the protocol's version in YARP 3's format" in output
-    assert "has decided nothing" not in output
+    assert "has no decision on it" not in output
 
 
 def message_info(grid: MapGrid2D) -> dict[str, Any]:
