@@ -81,7 +81,7 @@ def test_nodes_are_started_and_reported_without_a_drive(rig: Nav2Rig, midspan: M
     assert (startup.code, startup.out) == (0, f"{MANAGER}: all its nodes are active\n"), startup
     rig.until_inactive()
     assert "not active" not in midspan("nav", "status").out
-    assert "active already" in midspan("nav", "startup").out
+    assert "already active" in midspan("nav", "startup").out
 
     assert midspan("nav", "deactivate").code == 0
     rig.until_inactive(**dict.fromkeys(SERVERS, "inactive"))

@@ -238,5 +238,5 @@ def test_malicious_maps_are_rejected(changes: dict[str, Any], reason: str) -> No
         MapGrid2D.from_bytes(binary.encode(fields(**changes), Profile.YARP4), Profile.YARP4)
     grid = MapGrid2D()
     grid.setMapName("x" * 255)
-    with pytest.raises(WireError, match="up to 254 bytes"):
+    with pytest.raises(WireError, match="at most 254 bytes"):
         grid.to_bytes()
