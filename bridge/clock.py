@@ -62,7 +62,7 @@ class SystemClock:
     Args:
         wall: returns the time of a clock in ns, by default this machine's.
         steady: returns the time of a clock in ns that is never set.
-        poll: seconds between two comparisons; with 0 there is no thread, and the owner calls `check`.
+        poll: seconds between two comparisons; with 0 no thread is started, and the owner calls `check`.
     """
 
     def __init__(

@@ -25,7 +25,7 @@ def keep_memory() -> None:
     """Let glibc reuse the memory of large messages; call it before the process starts threads.
 
     By default, glibc returns each block of 128 kB or more to the system, so every large message causes page faults: an
-    image of 6 MB took up to 9.6 ms from ROS 1 to ROS 2 instead of 5.2 ms (benchmarks/topic_latency.py). Without the
+    image of 6 MB needed up to 9.6 ms from ROS 1 to ROS 2 instead of 5.2 ms (benchmarks/topic_latency.py). Without the
     pad, the heaps of threads would still be returned.
     """
     _mallopt((_MMAP_THRESHOLD, _LARGEST), (_TRIM_THRESHOLD, _KEPT), (_TOP_PAD, _PAD))

@@ -21,7 +21,7 @@ def key_name(name: str, info: FieldInfo) -> str:
 
 
 def model_of(annotation: Any) -> type[BaseModel] | None:
-    """Return the section model inside an annotation (``Rule`` in ``tuple[Rule, ...]``), None if there is none."""
+    """Return the section model inside an annotation (``Rule`` in ``tuple[Rule, ...]``), or None."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     if typing.get_origin(annotation) in {tuple, list, typing.Union, types.UnionType}:

@@ -143,7 +143,7 @@ class Hold:
     then keep more room around that place for a while, so that the robot takes another way, or waits as for an obstacle.
 
     Attributes:
-        since: when the robot was stopped at this place for the first time, seconds.
+        since: when the robot was stopped at this place for the first time, seconds; infinite once it has left.
     """
 
     def __init__(self) -> None:
@@ -153,6 +153,8 @@ class Hold:
 
     def add(self, now: float, moved: Pose, *, refused: bool) -> bool:
         """Add a step: whether the check refused to drive on; return whether it has done so for too long."""
+        if self._place is not None and self._place.distance(moved) > _HELD_AGAIN:
+            self.since = math.inf
         if not refused:
             self._began = None
             return False
@@ -160,7 +162,7 @@ class Hold:
             self._began = now
         if now - self._began < _HELD:
             return False
-        if self._place is None or self._place.distance(moved) > _HELD_AGAIN:
+        if math.isinf(self.since):
             self._place, self.since = moved, self._began
         self._began, self._ended = None, now + _NARROW_FOR
         return True

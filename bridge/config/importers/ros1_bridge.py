@@ -1,4 +1,4 @@
-"""Converts a parameter file of ros1_bridge's parameter_bridge into a configuration.
+"""Converts a parameter file for ros1_bridge (parameter_bridge) into a configuration.
 
 The file is one for ``rosparam load``: lists ``topics``, ``services_1_to_2`` and ``services_2_to_1``. The meaning of the
 keys is taken from ros1_bridge's README and ``src/parameter_bridge.cpp`` (https://github.com/ros2/ros1_bridge, master of

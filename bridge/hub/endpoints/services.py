@@ -226,7 +226,7 @@ class HubClient(CallClient):
     """Calls one service on the hub; created by `bridge.hub.session.Hub.client`. Safe to use from any thread.
 
     If several servers reply, the first reply is used. Servers that announce another type hash are called only while
-    there is no server with the client's hash.
+    no server has the client's hash.
 
     Attributes:
         gid: the client's 16-byte id in its requests.

@@ -67,3 +67,11 @@ def test_a_robot_that_is_held_again_at_the_same_place_has_waited_since_the_first
     assert held(hold, 80.0, 1.1, HERE._replace(x=2.0))
     assert hold.since == 80.0
     assert hold.narrow(82.0) == HERE._replace(x=2.0)
+
+
+def test_a_robot_that_left_and_returned_has_not_waited_meanwhile():
+    hold = Hold()
+    assert held(hold, 10.0, 1.0)
+    held(hold, 11.1, 60.0, HERE._replace(x=5.0), refused=False)
+    assert held(hold, 80.0, 1.1)
+    assert hold.since == 80.0

@@ -31,7 +31,7 @@ _BINARY, _TIME = "\0binary", "\0time"
 
 
 def load(file: Path, api: MasterApi) -> bool:
-    """Restore a master's state; return False if there is no valid file. An invalid file is reported and renamed."""
+    """Restore a master's state; return whether a valid file existed. An invalid file is reported and renamed."""
     try:
         text = file.read_text(encoding="utf-8")
     except FileNotFoundError:

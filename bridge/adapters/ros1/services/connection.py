@@ -181,7 +181,7 @@ class ServiceConnection(PolledConnection):
             self._advance()
 
     def read_ahead(self) -> None:
-        """Buffer what the peer sends during a call, so that the end of the connection behind that data is noticed."""
+        """Buffer what the peer sends during a call, so that the end of the connection after that data is noticed."""
         data = self._available(partial(receive_now, self._sock), _MAX_AHEAD - len(self._ahead), "left")
         if not data:
             return
@@ -192,7 +192,7 @@ class ServiceConnection(PolledConnection):
             self.ready()
 
     def _available(self, receive: Callable[[int], bytes], count: int, at_end: str) -> bytes:
-        """Return available data; b"" if there is none yet, or if the connection has ended, which is handled here."""
+        """Return available data; b"" if nothing has arrived, or if the connection has ended, which is handled here."""
         try:
             data = receive(count)
         except BlockingIOError:
