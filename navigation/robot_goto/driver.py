@@ -31,7 +31,7 @@ from navigation.status import Fault, PlannerStatus
 COAST = 0.3  # seconds for which the robot continues past a waypoint until its next goal
 RETREAT_SPEED = 0.2
 MAX_RETREAT = 2.0
-_FACING = 0.1  # rad/s up to which a robot that does not drive does not turn to its path either
+_FACING = 0.1  # rad/s; a robot that turns more slowly already faces its path
 _DOES_NOT_FOLLOW = "the base does not follow its commands: check its emergency stop and its odometry"
 
 

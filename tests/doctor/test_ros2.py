@@ -175,11 +175,14 @@ def test_nodes_whose_services_cannot_be_called(
     assert result is Result.OK or "remove ros2.rmw" in finding.cure
 
 
-def test_without_a_worker_only_the_library_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("documents", [[], [{"worker": "ros2", "side": "ros2"}]], ids=["no worker", "no report yet"])
+def test_without_a_report_only_the_library_is_checked(
+    documents: list[dict[str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(ros2, "available", lambda _config: "")
-    finding = only(ros2.check_cyclone(around(ON_CYCLONE, hub=hub())))
+    finding = only(ros2.check_cyclone(around(ON_CYCLONE, hub=hub(*documents))))
     assert finding.result is Result.OK
-    assert "the worker does not answer" in finding.seen
+    assert "the worker does not report" in finding.seen
 
 
 @needs(ROS2)

@@ -67,12 +67,13 @@ def check_cyclone(context: CheckContext) -> Findings:
     if lacking:
         return fail(f"the ROS 2 side stays off: {lacking}")
     workers = context.hub.of_side("ros2", context.config.name)
-    if not workers:
-        return ok(f"{CYCLONE} is installed; the worker does not answer, so the nodes on another DDS are unknown")
+    reports = [worker.cyclone for worker in workers if worker.cyclone is not None]
+    if not reports:
+        return ok(f"{CYCLONE} is installed; the worker does not report, so the nodes on another DDS are unknown")
     findings = [
-        warn(_uncallable(cyclone.foreign, cyclone.uncallable), "remove ros2.rmw, or run these nodes on Cyclone DDS")
-        for worker in workers
-        if (cyclone := worker.cyclone) is not None and cyclone.foreign
+        warn(_uncallable(report.foreign, report.uncallable), "remove ros2.rmw, or run these nodes on Cyclone DDS")
+        for report in reports
+        if report.foreign
     ]
     return findings or ok(f"{CYCLONE} is installed, and no discovered node serves on another DDS")
 
