@@ -17,7 +17,7 @@ import hypothesis
 import psutil
 import pytest
 
-from tests.support import forks, missing, tiers, time_limit, turns
+from tests.support import forks, missing, release, tiers, time_limit, turns
 from tests.support.process import outputs
 
 _REAL = (
@@ -65,6 +65,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # a plugin, because pytest does not call this file's hooks for a folder whose own conftest cannot be imported
     config.pluginmanager.register(missing)
     config.pluginmanager.register(time_limit)
+    config.pluginmanager.register(release)
     turns.pytest_configure(config)
     # no time limits per example or for their generation: the machine may be busy
     hypothesis.settings.register_profile(

@@ -34,5 +34,7 @@ class RmwSide(HubSide):
 
     def close(self) -> None:
         """Leave the hub."""
-        self.node.close()
-        super().close()
+        try:
+            self.node.close()
+        finally:
+            super().close()

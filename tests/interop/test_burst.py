@@ -110,7 +110,7 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
         make: dict[str, Callable[[], Any]] = {
             "ros1": deployment.ros1,
             "ros2": deployment.ros2,
-            "zenoh": deployment.zenoh,
+            "zenoh": deployment.rmw,
             "yarp": lambda: deployment.keep(YarpProgram(names, "/burst", Definitions((CUSTOM_FOLDER,)))),
         }
         transforms = Transforms(deployment)

@@ -103,9 +103,13 @@ class Peer(Process):
 
 
 def stop_all(things: Sequence[Any]) -> None:
-    """Stop programs, workers and sessions, last one first; programs exit concurrently, because rospy's are slow."""
+    """Stop programs, workers and sessions, last one first; programs exit concurrently, because rospy's are slow.
+
+    An error does not keep the others running.
+    """
     for thing in things:
         if isinstance(thing, Peer):
             thing.end()
-    for thing in reversed(things):
-        thing.stop()
+    with contextlib.ExitStack() as stack:
+        for thing in things:
+            stack.callback(thing.stop)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -18,7 +19,7 @@ from tests.contract.rmwside import RmwSide
 from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES, PEER_FOLDERS
 from tests.peers.daemon.midspan import MidspanDaemon
 from tests.peers.daemon.routers import end_router
-from tests.peers.hub.network import SDK_PROGRAM
+from tests.peers.hub.network import RMW_PEER, ROOT, SDK_PROGRAM
 from tests.peers.peer import Peer, stop_all
 from tests.peers.ros1.network import EMBEDDED, RosMaster
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
@@ -130,6 +131,14 @@ class Deployment(MidspanDaemon):
         self._open.append(_Closer(side))
         return side
 
+    def rmw(self) -> Peer:
+        """Start an rmw_zenoh node in a separate process, with topics only."""
+        env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "PYTHONPATH": str(ROOT)}
+        name = self._name("zenoh")
+        peer = Peer(RMW_PEER, Path(sys.executable), env, self.endpoint, str(self.settings(name).domain), name)
+        self._open.append(peer)
+        return peer
+
     def sdk(self) -> Peer:
         """Start a zenoh-ros2-sdk program, which shares no code with Midspan."""
         env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "HOME": "/nonexistent"}
@@ -170,13 +179,18 @@ class Deployment(MidspanDaemon):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
-        stop_all(self._open)
-        if self.daemon is not None:
-            if kind is not None:
-                print(self.daemon.output()[-8000:])
-            self.daemon.stop()
-            end_router(self.folder / "state")
-        self.master.close()
+        with contextlib.ExitStack() as stack:
+            stack.callback(self.master.close)
+            stack.callback(self._stop_daemon, show=kind is not None)
+            stack.callback(stop_all, self._open)
+
+    def _stop_daemon(self, *, show: bool) -> None:
+        if self.daemon is None:
+            return
+        if show:
+            print(self.daemon.output()[-8000:])
+        self.daemon.stop()
+        end_router(self.folder / "state")
 
 
 class _Closer:

@@ -23,6 +23,7 @@ from tests.support.wait import until
 
 ROUTER_PROGRAM = Path(__file__).with_name("router.py")
 PEER_PROGRAM = Path(__file__).with_name("peer.py")
+RMW_PEER = Path(__file__).parents[1] / "zenoh" / "rmw_peer.py"
 RMW_PROGRAM = Path(__file__).parents[1] / "zenoh" / "rmw_node.py"
 SDK_PROGRAM = Path(__file__).parents[1] / "zenoh" / "sdk_peer.py"
 ROOT = Path(__file__).parents[3]
