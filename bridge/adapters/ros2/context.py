@@ -13,6 +13,7 @@ from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.neighbors import ProcessWatch
 from bridge.adapters.ros2.loop import ReadLoop
 from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.services.held import HeldRequests
 from bridge.adapters.ros2.services.port import ClientPort, ServerPort
 from bridge.adapters.ros2.types import TypeSupports
 from bridge.concurrency import DelayedCalls
@@ -108,3 +109,4 @@ class Ros2Context:
     later: DelayedCalls
     heartbeats: Heartbeats
     dds: Dds
+    held: HeldRequests

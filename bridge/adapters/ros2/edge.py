@@ -30,6 +30,7 @@ from bridge.adapters.ros2.loop import QueueReadLoop, WaitSetReadLoop
 from bridge.adapters.ros2.participant import mismatch
 from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.services.caller import Ros2Caller
+from bridge.adapters.ros2.services.held import HeldRequests
 from bridge.adapters.ros2.services.server import Ros2Server
 from bridge.adapters.ros2.topics.publisher import Ros2Publisher
 from bridge.adapters.ros2.topics.subscription import Ros2Subscription
@@ -115,7 +116,9 @@ class Ros2Edge(SideEdge):
         graph = Ros2Graph(participant, self._prefix, self._changed, self._dds.obstacle, self._versions)
         send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
         heartbeats = Heartbeats(send_all, later)
-        self._context = Ros2Context(participant, loop, graph, ProcessWatch(self._prefix), later, heartbeats, self._dds)
+        held = HeldRequests(graph, later, participant.marks.made_by)
+        processes = ProcessWatch(self._prefix)
+        self._context = Ros2Context(participant, loop, graph, processes, later, heartbeats, self._dds, held)
 
         def seen() -> frozenset[bytes]:
             return graph.snapshot.participants

@@ -6,11 +6,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
-from bridge.adapters.ros2.context import Ros2Context
+from bridge.adapters.ros2.graph.graph import Ros2Graph
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.rcl import RequestId
+from bridge.concurrency import DelayedCalls
 from bridge.routing.edge import MadeBy
 
 RETRY_SECONDS = 0.05
@@ -22,7 +23,20 @@ _MOST_NATIVE = 1000
 _UNKNOWN = "the origin of its client is still unknown"
 
 
+class Server(Protocol):
+    """A server that receives requests of native clients."""
+
+    name: str
+
+    def execute(self, request: RequestId, payload: bytes, backlog: int) -> None:
+        """Begin a call for a request; up to ``backlog`` more may still be taken."""
+
+    def drop(self, reason: str) -> None:
+        """Report a request that is not executed."""
+
+
 class _Held(NamedTuple):
+    server: Server
     request: RequestId
     payload: bytes
     backlog: int
@@ -30,27 +44,36 @@ class _Held(NamedTuple):
 
 
 class HeldRequests:
-    """Decides who created the clients of a service, and holds requests until that is known; thread-safe.
+    """Decides who created the clients of all servers, and holds their requests until that is known; thread-safe.
+
+    The requests of one participant are executed in the order in which they were read, also those to several servers: a
+    cancel request must not overtake the goal that it cancels.
 
     Args:
-        service: its name.
-        context: the edge's shared state.
-        accept: called with a request of a native client, its payload and its backlog.
-        failed: called with the reason why a request is dropped.
+        graph: the ROS 2 graph.
+        later: makes delayed calls.
+        made_by: returns who created an endpoint with a GID, according to the marks of its participant.
     """
 
-    def __init__(
-        self, service: str, context: Ros2Context, accept: Callable[[RequestId, bytes, int], None],
-        failed: Callable[[str], None],
-    ) -> None:  # fmt: skip
-        self._service, self._graph, self._later = service, context.graph, context.later
-        self._made_by = context.participant.marks.made_by
-        self._accept, self._failed = accept, failed
+    def __init__(self, graph: Ros2Graph, later: DelayedCalls, made_by: Callable[[bytes], MadeBy]) -> None:
+        self._graph, self._later, self._made_by = graph, later, made_by
         self._lock = threading.Lock()
-        self._held: deque[_Held] = deque()
+        self._held: dict[bytes, deque[_Held]] = {}  # by the GUID prefix of the client's participant
         self._native: set[bytes] = set()
 
-    def made_by(self, gid: bytes) -> MadeBy:
+    def receive(self, server: Server, request: RequestId, payload: bytes, backlog: int) -> None:
+        """Let a server execute a request of a native client; hold it if its client is unknown or has an earlier one held."""
+        if request.gid[:PREFIX_BYTES] in self._held:
+            made_by = MadeBy.UNKNOWN
+        else:
+            made_by = self._created_by(server.name, request.gid)
+        if made_by is MadeBy.NATIVE:
+            server.execute(request, payload, backlog)
+        elif made_by is MadeBy.UNKNOWN:
+            self._hold(_Held(server, request, payload, backlog, time.monotonic()))
+        # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
+
+    def _created_by(self, service: str, gid: bytes) -> MadeBy:
         """Return who created a client; reads the graph if its participant is unknown."""
         made_by = self._made_by(gid)
         if made_by is not MadeBy.UNKNOWN:
@@ -58,7 +81,7 @@ class HeldRequests:
         prefix = gid[:PREFIX_BYTES]
         if prefix in self._native:
             return MadeBy.NATIVE
-        made_by = self._graph.client_made_by(self._service, prefix)
+        made_by = self._graph.client_made_by(service, prefix)
         if made_by is MadeBy.NATIVE:  # without type hashes, which the marks do not remember
             with self._lock:
                 if len(self._native) >= _MOST_NATIVE:
@@ -66,30 +89,37 @@ class HeldRequests:
                 self._native.add(prefix)
         return made_by
 
-    def hold(self, request: RequestId, payload: bytes, backlog: int) -> None:
-        """Hold a request of an unknown client, for up to `PATIENCE_SECONDS`."""
+    def _hold(self, entry: _Held) -> None:
         with self._lock:
-            full = len(self._held) >= MOST_HELD
+            full = sum(map(len, self._held.values())) >= MOST_HELD
             if not full:
-                self._held.append(_Held(request, payload, backlog, time.monotonic()))
+                self._held.setdefault(entry.request.gid[:PREFIX_BYTES], deque()).append(entry)
         if full:
-            self._failed(f"{_UNKNOWN}, and {MOST_HELD} requests already wait for that")
+            entry.server.drop(f"{_UNKNOWN}, and {MOST_HELD} requests already wait for that")
         else:
             self._later.after(RETRY_SECONDS, self._retry, once=True)
 
     def _retry(self) -> None:
-        with self._lock:
-            held, self._held = self._held, deque()
-        unknown: deque[_Held] = deque()
-        for entry in held:
-            made_by = self.made_by(entry.request.gid)
-            if made_by is MadeBy.NATIVE:
-                self._accept(entry.request, entry.payload, entry.backlog)
-            elif made_by is MadeBy.UNKNOWN and time.monotonic() < entry.since + PATIENCE_SECONDS:
-                unknown.append(entry)
-            elif made_by is MadeBy.UNKNOWN:
-                self._failed(_UNKNOWN)
-        if unknown:
-            with self._lock:
-                self._held.extendleft(reversed(unknown))
+        for prefix in tuple(self._held):
+            self._release(prefix)
+        if self._held:
             self._later.after(RETRY_SECONDS, self._retry, once=True)
+
+    def _release(self, prefix: bytes) -> None:
+        """Execute a participant's requests, until none is left or its origin is still unknown."""
+        while True:
+            with self._lock:
+                queue = self._held[prefix]
+                if not queue:
+                    del self._held[prefix]  # only now, so that newer requests do not overtake the last one
+                    return
+                entry = queue[0]
+            made_by = self._created_by(entry.server.name, entry.request.gid)
+            if made_by is MadeBy.UNKNOWN and time.monotonic() < entry.since + PATIENCE_SECONDS:
+                return
+            with self._lock:
+                queue.popleft()
+            if made_by is MadeBy.NATIVE:
+                entry.server.execute(entry.request, entry.payload, entry.backlog)
+            elif made_by is MadeBy.UNKNOWN:
+                entry.server.drop(_UNKNOWN)

@@ -17,13 +17,12 @@ from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.rcl import ENCAPSULATION, RequestId
 from bridge.adapters.ros2.services import cyclone
 from bridge.adapters.ros2.services.endpoint import ServiceEndpoint
-from bridge.adapters.ros2.services.held import HeldRequests
 from bridge.adapters.ros2.services.pacing import ClientReplies
 from bridge.hub.endpoints.calls import Abandon, Call, CallError
 from bridge.messages.errors import MessageError, MessageTypeError
 from bridge.messages.transcode.conversion import Convert
 from bridge.messages.unchanged import same
-from bridge.routing.edge import EdgeServer, MadeBy
+from bridge.routing.edge import EdgeServer
 
 _LINGER = 1.0
 """Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply. One
@@ -78,7 +77,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self._pending: dict[RequestId, _PendingRequest] = {}
         self._clients: dict[bytes, ClientReplies] = {}
         self._converters, self._client_types = converters, dict[bytes, str]()
-        self._held = HeldRequests(name, context, self._accept, self._log_failure)
+        self._held = context.held
         self._logged = self._replied = float("-inf")
         self._alive = threading.Lock()
         self._destroyed = False
@@ -88,19 +87,15 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
     def drain(self, taker: rcl.Taker, limit: int) -> None:
         """Begin a call for each request of a native client."""
         for request, payload in self._port.requests(taker, limit):
-            made_by = self._held.made_by(request.gid)
-            if made_by is MadeBy.NATIVE:
-                self._accept(request, payload, limit)
-            elif made_by is MadeBy.UNKNOWN:
-                self._held.hold(request, payload, limit)
-            # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
+            self._held.receive(self, request, payload, limit)
 
-    def _accept(self, request: RequestId, payload: bytes, backlog: int) -> None:
+    def execute(self, request: RequestId, payload: bytes, backlog: int) -> None:
+        """Begin a call for a request; up to ``backlog`` more may still be taken."""
         try:
             header, payload = self._port.unwrap(request, payload)
             payload = self._for_client(request.gid)[0](payload)
         except MessageError as err:
-            self._log_failure(str(err))
+            self.drop(str(err))
             return
         listed = time.monotonic() + self._port.listed_after
         self._begin(_PendingRequest(request, header, listed), payload, backlog)
@@ -180,6 +175,10 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         response = self._refusal() if self._refusal is not None else None
         self._log_failure(reason, _NO_REPLY if response is None else "its client received a rejection")
         return response
+
+    def drop(self, reason: str) -> None:
+        """Report a request that is not executed."""
+        self._log_failure(reason)
 
     def _log_failure(self, reason: str, outcome: str = _NO_REPLY) -> None:
         if time.monotonic() - self._logged > _LOG_SECONDS:
