@@ -62,7 +62,7 @@ class HeldRequests:
         self._native: set[bytes] = set()
 
     def receive(self, server: Server, request: RequestId, payload: bytes, backlog: int) -> None:
-        """Let a server execute a request of a native client; hold it if its client is unknown or has an earlier one held."""
+        """Let a server execute a request of a native client; hold one of an unknown client, and all that follow it."""
         if request.gid[:PREFIX_BYTES] in self._held:
             made_by = MadeBy.UNKNOWN
         else:
