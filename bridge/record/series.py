@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import time
 from pathlib import Path
@@ -24,6 +25,7 @@ RETRY_SECONDS = 5.0
 """Seconds until a new file is tried after one failed."""
 
 _DEFINITION_SECONDS = 2.5
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class FileSeries:
@@ -185,5 +187,6 @@ class FileSeries:
         self.trouble = f"{where}: {err.strerror or err}"
         self._retry = time.monotonic() + RETRY_SECONDS
         if first:
-            _log.error("recording stopped: %s; it continues in a new file when there is space", self.trouble)
+            continues = "when there is space" if err.errno in _FULL else "as soon as one can be written"
+            _log.error("recording stopped: %s; it continues in a new file %s", self.trouble, continues)
         self.close()

@@ -245,7 +245,11 @@ def test_topics_that_are_not_bridged_are_requested_from_their_worker(hubs: Quick
 
 
 def test_a_folder_that_cannot_be_created_is_reported_and_retried(
-    hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hubs: QuickHub,
+    robot: Robot,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.setattr(record_series, "RETRY_SECONDS", 0.1)
     place = tmp_path / "place"
@@ -256,6 +260,7 @@ def test_a_folder_that_cannot_be_created_is_reported_and_retried(
         with pytest.raises(OSError, match=r"exists|directory"):
             recorded.recorder.begin()
         assert recorded.recorder.status()["state"] == "blocked"
+        assert "it continues in a new file as soon as one can be written" in caplog.text
         place.unlink()
         until(lambda: not recorded.recorder.status()["error"], "the recorder continues")
         until(chat.matched, "the topic is subscribed")
@@ -275,7 +280,11 @@ def test_a_file_that_cannot_be_written_is_named_and_removed(tmp_path: Path, monk
 
 
 def test_a_full_disk_stops_recording_until_space_is_free(
-    hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hubs: QuickHub,
+    robot: Robot,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     free = [100 << 20]
     monkeypatch.setattr(record_file, "room", lambda _: free[0])
@@ -292,6 +301,7 @@ def test_a_full_disk_stops_recording_until_space_is_free(
         status = until(lambda: (now := recorded.recorder.status())["error"] and now, "the recorder stops")
         assert status["state"] == "blocked"
         assert "only 1 MB are free" in status["error"]
+        assert "it continues in a new file when there is space" in caplog.text
         until(lambda: read(tmp_path / "one.mcap").whole, "the file is closed")
         assert read(tmp_path / "one.mcap").texts("/said") == ["before", "last"]
         chat.put(robot.text("lost"))
