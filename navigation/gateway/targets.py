@@ -100,7 +100,7 @@ class StoredPlaces:
 
     @property
     def store(self) -> Store | None:
-        """The store; None if it is switched off or cannot be used."""
+        """The store; None if it is disabled or cannot be used."""
         try:
             return self._host.store
         except StoreError:
@@ -112,18 +112,24 @@ class StoredPlaces:
         return "" if self.store is None else self.store.current_map()
 
     def find(self, name: str) -> Target:
-        """Return a location's pose, or a point in an area with any heading; raises `LookupError` with the names."""
-        store = self.store
-        if store is None:
-            raise LookupError("the store of locations is switched off; switch on `store`")
+        """Return a location's pose, or a point in an area, with a theta of NaN.
+
+        Raises `LookupError` if the name is unknown, the area is invalid, or the store is disabled or cannot be used.
+        """
+        try:
+            store = self._host.store
+        except StoreError as err:
+            raise LookupError(f"stored places are unavailable: {err}") from None
         location = store.get(LOCATION, name)
         if location is not None:
             return self.target(location)
         area = store.get(AREA, name)
-        middle = None if area is None else area.getCentroid()
-        if area is None or middle is None:
+        if area is None:
             known = ", ".join([*store.names(LOCATION), *store.names(AREA)][:20]) or "none"
             raise LookupError(f"unknown location or area {name!r}; known: {known}")
+        middle = area.getCentroid()
+        if middle is None:
+            raise LookupError(f"area {name!r} is invalid; it must have a map and at least three points")
         inside = middle if area.contains(middle.x, middle.y) else area.getRandomLocation() or middle
         inside.theta = _ANY
         return self.target(inside)
@@ -139,10 +145,14 @@ class StoredPlaces:
         return Target(Pose(place.x, place.y, math.radians(place.theta)), frame)
 
     def known(self, place: Map2DLocation) -> Target:
-        """Return a goal at a place; raises `LookupError` if the store has maps, but not the map of the place."""
+        """Return a goal at a place.
+
+        Raises `LookupError` if a map is in use, the place is on another map, and the store does not have that map.
+        """
         target, store = self.target(place), self.store
         if target.frame != self._frame and store is not None and target.frame not in (maps := store.names(MAP)):
-            raise LookupError(f"the store does not have the place's map {target.frame}, but {', '.join(maps[:20])}")
+            stored = ", ".join(maps[:20]) or "none"
+            raise LookupError(f"the place is on map {target.frame!r}, which is not stored; stored maps: {stored}")
         return target
 
     def location(self, message: Mapping[str, Any] | Target) -> Map2DLocation:
