@@ -121,7 +121,8 @@ def _read(package: str, path: str, text: str) -> InterfaceFile:
     form = forms[folder]
     if bare.count("---") != form.parts - 1:
         raise BuildError(
-            f"{bare.count('---')} lines '---', but a .{suffix} has {form.parts - 1}", where=f"{package}/{path}"
+            f"the number of lines '---' is {bare.count('---')}; a .{suffix} file must have {form.parts - 1}",
+            where=f"{package}/{path}",
         )
     # programs of ROS 2 that read the installed text, such as `ros2 interface show`, accept no other separator
     text = _SEPARATOR.sub("---", text)

@@ -55,7 +55,10 @@ class OccupancyMap:
 
     def __init__(self, rows: int, columns: int, resolution: float, origin: Corner) -> None:
         if rows <= 0 or columns <= 0 or not resolution > 0.0:
-            raise ValueError(f"a map must have cells of a size above 0, not {rows} x {columns} of {resolution} m")
+            raise ValueError(
+                f"a map must have rows, columns and a resolution above 0, not {rows} rows, {columns} columns and "
+                f"{resolution} m"
+            )
         self.resolution, self.origin = resolution, origin
         self.odds: Odds = np.zeros((rows, columns), np.float32)
         self.marks = np.zeros((rows, columns), np.uint8)
@@ -135,9 +138,11 @@ def _insert(
     cython.declare(change=cython.float, changed=cython.float)
     touched: cython.longlong = 0
     if marks.shape[0] != rows or marks.shape[1] != columns or ends.shape[0] < beams or ends.shape[1] != 2:
-        raise ValueError("marks must have the map's shape, and ends the number of beams")
-    if not (isfinite(direction + first + step) and resolution > 0.0):
+        raise ValueError("marks must have the map's shape, and ends two columns and a row for each beam")
+    if not isfinite(direction + first + step):
         raise ValueError(f"a scan's angles must be finite, not {direction}, {first} and {step}")
+    if not resolution > 0.0:
+        raise ValueError(f"the map's resolution must be above 0, not {resolution}")
     with cython.nogil:
         column: cython.longlong = _cell(x, columns)
         row: cython.longlong = _cell(y, rows)

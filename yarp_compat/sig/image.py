@@ -348,7 +348,10 @@ def _parse(source: ElementReader) -> tuple[int, int, int, int, memoryview]:
     if constants != (0, 4, VOCAB32, _MAT, VOCAB32, LIST | INT32, 5, BLOB):
         raise WireError(f"no image at byte {at}")
     if min(size, quantum, width, height) < 0 or size != length:
-        raise WireError(f"invalid image of {width} x {height} pixels, quantum {quantum}, {size} or {length} bytes")
+        raise WireError(
+            f"invalid image of {width} x {height} pixels: quantum {quantum}, {size} bytes in the header, {length} in "
+            "the blob"
+        )
     try:
         form = format_of(code) if code or size else None
     except ValueError as error:

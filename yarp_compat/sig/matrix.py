@@ -100,7 +100,11 @@ class Matrix(Comparable, Portable):
 
     def _without(self, axis: int, first: int, count: int) -> Self:
         if first < 0 or count < 0 or first + count > self._values.shape[axis]:
-            raise IndexError(f"cannot remove {count} from {first} on of {self.rows()} rows and {self.cols()} columns")
+            what = "columns" if axis else "rows"
+            raise IndexError(
+                f"cannot remove {count} {what} from index {first} on: the matrix has {self.rows()} rows and "
+                f"{self.cols()} columns"
+            )
         self._values = np.delete(self._values, slice(first, first + count), axis)
         return type(self)(self._values)
 

@@ -50,7 +50,7 @@ def parse(head: bytes) -> PageRequest:
         headers[name.strip().lower()] = value.strip()
     length = headers.get("content-length", "0")
     if not length.isascii() or not length.isdigit() or int(length[:10]) > LONGEST_BODY:
-        raise WireError(f"a form of {length[:20]!r} bytes; the limit is {LONGEST_BODY}")
+        raise WireError(f"invalid Content-Length {length[:20]!r}: it must be a number up to {LONGEST_BODY}")
     origin = headers.get("origin", "")
     foreign = bool(origin) and not origin.endswith("//" + headers.get("host", ""))
     foreign = foreign or headers.get("sec-fetch-site") == "cross-site"

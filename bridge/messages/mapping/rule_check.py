@@ -65,7 +65,8 @@ def _errors(rule: VersionRule, versions: TypeVersions) -> Iterator[MessageTypeEr
         applied = [(kind1, kind2) for kind1, kind2 in kinds if kind1 is not None and kind2 is not None]
         if not applied:
             yield MessageTypeError(
-                f"{rule.origin}: no version of {rule.older} with {path1} has a counterpart with {path2}", _FOLDERS
+                f"{rule.origin}: only one known version of {rule.older} has {path1} or {path2}, and it has both",
+                _FOLDERS,
             )
         for kind1, kind2 in dict.fromkeys(applied):
             if not fits_by_rule(kind1, kind2, VersionRules()) and (reason := obstacle(kind1, kind2)):
@@ -89,9 +90,10 @@ def _missing(rule: VersionRule, name: str, path: str, schemas: list[Schema]) -> 
 
 
 def _contradiction(first: VersionRule, second: VersionRule, versions: TypeVersions) -> Iterator[MessageTypeError]:
-    """Yield an error for each contradiction of two entries about the same versions.
+    """Yield an error for each contradiction between two rules for the same pair of types.
 
-    They contradict each other if they give a field different counterparts or default values.
+    Rules contradict each other if they give a field, or a part of it, different counterparts in a pair of known
+    versions, or a field different defaults.
     """
     for old1, new1 in first.fields.items():
         for old2, new2 in second.fields.items():
@@ -121,7 +123,9 @@ def _wrong_defaults(rule: VersionRule, rules: VersionRules, versions: TypeVersio
         try:
             MessageWriter(target).message({})
         except ConversionError as err:
-            yield MessageTypeError(f"{rule.origin}: the default does not fit: {err}", "write a value of its type")
+            yield MessageTypeError(
+                f"{rule.origin}: the default does not fit: {err}", "write a default of the field's type"
+            )
             return
 
 

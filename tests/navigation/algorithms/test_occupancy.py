@@ -93,7 +93,7 @@ def test_poses_that_are_not_finite_are_rejected(grid: OccupancyMap) -> None:
 
 @pytest.mark.parametrize(("rows", "resolution"), [(0, 0.05), (10, 0.0), (10, math.nan)])
 def test_invalid_maps_are_rejected(rows: int, resolution: float) -> None:
-    with pytest.raises(ValueError, match="a map must have cells"):
+    with pytest.raises(ValueError, match="a map must have rows, columns and a resolution above 0"):
         OccupancyMap(rows, 10, resolution, (0.0, 0.0))
 
 

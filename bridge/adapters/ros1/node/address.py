@@ -58,7 +58,7 @@ def _check(given: str, name: str) -> None:
     elif name == "ROS_HOSTNAME" and ":" in given and not _is_ipv6(given):
         trouble = "it must not contain a port"
     elif name == "ROS_IP" and not _is_address(given):
-        trouble = "it is not an IPv4 or IPv6 address without a port"
+        trouble = "it must be an IPv4 or IPv6 address, without a port"
     if trouble:
         _log.warning("%s is %r: %s; ROS 1 nodes cannot connect to this one", name, given, trouble)
 

@@ -82,7 +82,7 @@ def test_an_ipv6_address_is_in_brackets_in_a_uri() -> None:
         ("ROS_HOSTNAME", "robot:11311", "port"),
         ("ROS_IP", "http://10.0.0.7", "protocol"),
         ("ROS_IP", "10.0.0.7:1234", "port"),
-        ("ROS_IP", "robot", "not an IPv4"),
+        ("ROS_IP", "robot", "must be an IPv4 or IPv6 address"),
     ],
 )
 def test_an_unusable_value_is_logged(caplog: pytest.LogCaptureFixture, name: str, value: str, reason: str) -> None:
