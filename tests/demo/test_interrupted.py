@@ -1,4 +1,4 @@
-"""Ctrl-C ends the demo within 3 s at any moment, and leaves nothing."""
+"""Ctrl-C at any moment ends the demo within 3 s, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ pytestmark = [
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """Return a folder for the demo's temporary files; pytest's own path would be too long for it."""
+    """Yield a folder with a short path.
+
+    In pytest's own folder, the names of the daemon's sockets would be too long, so the demo would use /tmp instead.
+    """
     with tempfile.TemporaryDirectory(prefix="midspan-t-") as name:
         yield Path(name)
 
@@ -41,7 +44,7 @@ def runs(folder: Path, *parts: str) -> bool:
 
 
 def memory(folder: Path) -> set[Path]:
-    """Return files in shared memory used by the demo's processes, except LTTng's, which persist for the user."""
+    """Return the demo processes' files in shared memory, except LTTng's, which the user's processes share and keep."""
     runs_in = [folder_ for folder_ in folder.iterdir() if folder_.name.startswith("midspan-demo-")]
     used = {file for run in runs_in for pid in left.marked(run) for file in left.used_by(pid)}
     return {file for file in used if not file.name.startswith("lttng-")}
@@ -72,7 +75,7 @@ MOMENTS = {
 
 
 @pytest.mark.parametrize("moment", MOMENTS)
-def test_ctrl_c_ends_the_demo_in_time_and_leaves_nothing(folder: Path, moment: str) -> None:
+def test_ctrl_c_ends_the_demo_in_time_and_leaves_nothing_behind(folder: Path, moment: str) -> None:
     output = folder / "words.txt"
     with output.open("w") as out:
         demo = start(folder, "--stay", what="rooms", out=out)
@@ -87,7 +90,7 @@ def test_ctrl_c_ends_the_demo_in_time_and_leaves_nothing(folder: Path, moment: s
 
 
 @pytest.mark.parametrize("seconds", [0.5, 1.5, 2.5, 4.0])
-def test_ctrl_c_at_any_second_of_the_start_ends_it_in_time(folder: Path, seconds: float) -> None:
+def test_ctrl_c_during_the_start_ends_the_demo_in_time(folder: Path, seconds: float) -> None:
     demo = start(folder, "--stay")
     try:
         time.sleep(seconds)
@@ -97,7 +100,7 @@ def test_ctrl_c_at_any_second_of_the_start_ends_it_in_time(folder: Path, seconds
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_other_signals_end_it_in_time(folder: Path, number: signal.Signals) -> None:
+def test_other_signals_end_the_demo_in_time(folder: Path, number: signal.Signals) -> None:
     demo = start(folder, "--stay")
     try:
         until(lambda: runs(folder, "bridge.demo.topics_demo.robot"), "the robot runs", 120.0)

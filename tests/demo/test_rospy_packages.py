@@ -32,7 +32,7 @@ def on(packages: Path) -> Config:
     return Config(ros1=Ros1Section(packages=packages))
 
 
-def test_only_ros1_packages_are_linked(tmp_path: Path, packages: Path) -> None:
+def test_only_ros1_packages_and_missing_helpers_are_linked(tmp_path: Path, packages: Path) -> None:
     env = program_environment(on(packages), {"PYTHONPATH": "/work"}, tmp_path / "links")
     assert env["PYTHONPATH"].split(os.pathsep) == [str(tmp_path / "links"), "/work"]
     assert {p.name for p in (tmp_path / "links").iterdir()} == {

@@ -50,7 +50,8 @@ def test_a_package_without_definitions_is_refused() -> None:
         read_package("my_msgs", {})
 
 
-def test_names_are_spelled_in_full_and_comments_dropped() -> None:
+def test_type_names_get_their_package_and_comments_are_replaced() -> None:
+    # the comment on the constant keeps rosidl's parser from merging equal constants of two parts
     text = "# hi\n  Other[<=2]   others # mine\nstd_msgs/msg/Header header\nstring<=4 s 'x'\nint8 A=1\n"
     (definition,) = read_package("my_msgs", {"msg/A.msg": text})
     assert definition.bare.splitlines() == [
@@ -67,7 +68,7 @@ def test_names_are_spelled_in_full_and_comments_dropped() -> None:
     assert definition.text == text
 
 
-def test_services_and_actions_need_what_is_generated_for_them() -> None:
+def test_services_and_actions_need_the_packages_of_their_implicit_fields() -> None:
     service, action = read_package("my_msgs", {"srv/A.srv": "int8 a\n---\nint8 a", "action/A.action": "---\n---"})[::-1]
     assert service.needs == {"builtin_interfaces", "service_msgs"}
     assert action.needs >= {"action_msgs", "unique_identifier_msgs"}

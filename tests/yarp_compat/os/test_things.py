@@ -30,7 +30,7 @@ def test_received_message_is_decoded_on_demand() -> None:
     assert things.asBottle() is None
 
 
-def test_objects_to_write() -> None:
+def test_an_object_is_returned_only_as_its_own_type() -> None:
     things, image = yarp.Things(), yarp.ImageRgb()
     things.setPortWriter(image)
     assert things.getPortWriter() is image
