@@ -13,17 +13,19 @@ from bridge.tf.transform import Transform
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 MOST_POINTS = 4_000_000
-"""Larger clouds are rejected: a scanner with 128 lines and a 4-megapixel depth camera have fewer points."""
+"""Larger clouds are rejected: a lidar with 128 channels and a 3-megapixel depth camera have fewer points."""
 
 FARTHEST = 1e9
-"""Coordinates of this many meters or more are not points: some sensors report the largest float32 for "no echo"."""
+"""Points with a coordinate of this many meters or more are left out: some sensors report "no echo" as the largest
+float32."""
 
 Points = NDArray[np.float32]
 
 
 def read_points(message: Mapping[str, Any], most: int = MOST_POINTS) -> Points:
-    """Return the points of a ``PointCloud2``, (n, 3) meters in its frame, without coordinates of `FARTHEST` or more.
+    """Return the points of a ``PointCloud2``, (n, 3) meters in its frame.
 
+    Points that have a coordinate of NaN, or of `FARTHEST` or more, are left out.
     Raises `CloudError` if the cloud has more than ``most`` points, or its data does not match its description.
     """
     width, height = int(message["width"]), int(message["height"])
@@ -42,7 +44,7 @@ def read_points(message: Mapping[str, Any], most: int = MOST_POINTS) -> Points:
 
 
 def placed(points: Points, at: Transform) -> Points:
-    """Transform points (n, 3) into another frame; `at` is the pose of the points' frame in it."""
+    """Transform points (n, 3) into another frame; `at` is the pose of the points' frame in that frame."""
     x, y, z, w = at.rotation
     turned = np.array([
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

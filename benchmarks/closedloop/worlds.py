@@ -38,7 +38,7 @@ LEAST, TALL = 0.05, 1.3
 
 
 def hidden(world: FloorWorld) -> list[Piece]:
-    """Return the fixed obstacles that a robot's map lacks: boards, steps, and drops in the floor."""
+    """Return the fixed obstacles that a robot's map lacks: table tops, shelves, low boxes, and drops in the floor."""
     fixed = [piece for piece in world.pieces[: world.first_leaf] if piece.above < TALL and piece.top > LEAST]
     drops = [Piece("", *d.at, 0.0, *d.size, d.depth, above=-d.depth) for d in world.floor.drops]
     return [piece for piece in fixed if not piece.above <= export.SEEN < piece.top] + drops
@@ -75,7 +75,7 @@ class World:
 
     @property
     def hides(self) -> bool:
-        """Whether the floor has obstacles that a laser does not see."""
+        """Whether the floor has tables, of which a laser sees only the legs, or drops."""
         floor = self.plan.floors[self.plan.first]
         return bool(floor.tables or floor.drops)
 

@@ -1,7 +1,7 @@
-"""Counts unique messages by tickets that contain a number and a time. Standard library only.
+"""Counts received, lost, repeated and reordered messages by their tickets. Standard library only.
 
-A ticket is a number below 2**53, so that it fits any field: the message's number modulo 2**16, and its time of sending,
-CLOCK_MONOTONIC in microseconds modulo 2**36, which is 19 hours.
+A ticket consists of the message's number modulo 2**16, and its time of sending: CLOCK_MONOTONIC in microseconds modulo
+2**36, which is 19 hours. It is a number below 2**52, which a float64 and 16 hexadecimal digits represent exactly.
 """
 
 from __future__ import annotations
@@ -75,5 +75,8 @@ QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
 def behind(sent: int, last: int | None) -> int:
-    """Return how many of ``sent`` messages (numbered from 0) follow ``last``, the last one received."""
+    """Return how many of ``sent`` messages, numbered from 0, follow ``last``, the number of the last one received.
+
+    Numbers are modulo 2**16. The result is 0 if no message was sent, or none was received.
+    """
     return 0 if last is None or not sent else (sent - 1 - last) % _NUMBERS

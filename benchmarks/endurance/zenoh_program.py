@@ -18,7 +18,7 @@ from bridge.messages.registry import Registry
 
 
 class ZenohProgram(Program):
-    """One session."""
+    """A program that is a node on the hub, with its own zenoh session."""
 
     def __init__(self, router: str, domain: int) -> None:
         super().__init__()
@@ -32,7 +32,7 @@ class ZenohProgram(Program):
 
     @override
     def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
-        # ``heard`` runs on zenoh's receiving thread, so that a slow one blocks its link
+        # ``heard`` runs on zenoh's receiving thread, so that a program with a slow callback (``pause``) blocks its link
         type_hash = self._registry.ros2(type_).type_id
         subscription = self._hub.subscription(
             topic, type_, type_hash, _qos(latched=latched), lambda sample: heard(sample.data())

@@ -1,4 +1,7 @@
-"""The ROS 1 program: ros1.py FRAMES. It runs on the system's Python."""
+"""The ROS 1 program of `benchmarks.frames_load`: ``ros1.py COUNT``, the number of frames per tick.
+
+It runs on the system's Python.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +64,11 @@ class Program:
         return {}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
-        """Join late ``count`` times; return in how many attempts all frames arrived, and the time of the slowest."""
+        """Subscribe to ``/tf_static`` as a late joiner, ``count`` times.
+
+        Each attempt ends when all frames have arrived, or after ``seconds``. Return the number of attempts in which all
+        frames arrived, and the duration of the slowest attempt.
+        """
         whole, slowest = 0, 0.0
         for _ in range(count):
             left, done = set(frames), threading.Event()

@@ -1,4 +1,4 @@
-"""The ROS 2 program: ros2.py FRAMES."""
+"""The ROS 2 program of `benchmarks.frames_load`: ``ros2.py COUNT``, the number of frames per tick."""
 
 from __future__ import annotations
 
@@ -70,7 +70,11 @@ class Program:
         return {}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
-        """Join late ``count`` times; return in how many attempts all frames arrived, and the time of the slowest."""
+        """Subscribe to ``/tf_static`` as a late joiner, ``count`` times, each with a new node.
+
+        Each attempt ends when all frames have arrived, or after ``seconds``. Return the number of attempts in which all
+        frames arrived, and the duration of the slowest attempt.
+        """
         whole, slowest = 0, 0.0
         for number in range(count):
             left = set(frames)

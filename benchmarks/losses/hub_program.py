@@ -26,7 +26,7 @@ _STREAM = Qos(Reliability.RELIABLE, Durability.VOLATILE, depth=100)
 
 
 class HubProgram(Program):
-    """One session."""
+    """A program that is a node on the hub, with its own zenoh session."""
 
     def __init__(self, name: str, router: str, domain: int) -> None:
         super().__init__(name)
@@ -46,7 +46,7 @@ class HubProgram(Program):
     def publish(self, kind: str, sent: float, number: int) -> None:
         if kind == "large":
             self._publishers[kind].put(_string(MEGABYTE))
-        elif kind != "clock":  # only ROS 1 has a clock here
+        elif kind != "clock":  # only the ROS 1 program publishes /clock
             more = 3 if kind == "cmd_vel" else 0
             self._publishers[kind].put(CDR + struct.pack(f"<{3 + more}d", sent, number, *[0.0] * (1 + more)))
 

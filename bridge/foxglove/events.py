@@ -1,6 +1,7 @@
-"""Passes clients' requests from the SDK's threads to the worker's; the state is bounded by what clients have open.
+"""Passes clients' requests from the SDK's threads to the worker's thread.
 
-The SDK calls its ``ServerListener`` on the threads that also send, so these methods must not block.
+The state is bounded: the channels of each client, and the number and the bytes of waiting messages. The SDK calls its
+``ServerListener`` on the threads that also send, so these methods must not block.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ MOST_ADVERTISED = 100
 """Maximum number of channels of one client; further ones are ignored."""
 MOST_WAITING = 256
 MOST_BYTES = 64 << 20
-"""Limits of clients' messages that wait for the worker's thread, and of their bytes; the oldest are dropped."""
+"""Limits on the number and the bytes of all clients' messages that wait for the worker's thread.
+
+Beyond them the oldest are dropped; a single message may have more bytes.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +132,10 @@ class Events(ServerListener):
 
     @override
     def on_client_advertise(self, client: Client, channel: ClientChannel) -> None:
-        """Record that a client will publish, or identify the client by the front's mark."""
+        """Record that a client will publish.
+
+        On the channel `MARK`, instead identify the client by the topic: a secret from `bridge.foxglove.front`.
+        """
         if channel.id == MARK:
             self._visitors.identify(client.id, channel.topic)
             return

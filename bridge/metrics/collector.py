@@ -43,7 +43,13 @@ _MODULE_STATES = ("running", "waiting", "standby", "stopped")
 
 
 class StoreContent(Part):
-    """The number of the store's values by kind, and its sharing; ``limits`` apply to ``keys`` and ``bytes``."""
+    """What the store reports about its replica.
+
+    Attributes:
+        keys: number of values by kind.
+        limits: the most values of all kinds together (``keys``), and the most bytes (``bytes``).
+        others: the stores that share the values.
+    """
 
     keys: dict[Text, Int] = Field(default={})
     bytes: Int | None = None
@@ -56,7 +62,7 @@ class StoreContent(Part):
 
 
 class StoreKeys(Part):
-    """The store's own keys in its status document, read with `Part.other`."""
+    """The part of the store's status document that other documents do not have, read with `Part.other`."""
 
     store: StoreContent = StoreContent()
 
@@ -74,7 +80,7 @@ class MidspanCollector(Collector):
         self._routes = RouteMetrics(most_routes)
 
     def describe(self) -> Iterable[Metric]:
-        """Return nothing, because the library would query all workers only to get the names."""
+        """Return nothing; without this method, the library would query all workers only to get the names."""
         return ()
 
     @override

@@ -1,4 +1,4 @@
-"""The connection of processes that publish metrics and diagnostics to the hub: a client of the hub's router."""
+"""The connection to the hub for processes that publish metrics and diagnostics: a zenoh client of the hub's router."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CONNECT_SECONDS = 0.5
 class HubLink:
     """A node that joins the hub once the router is reachable; zenoh reconnects it afterwards.
 
-    The node has no links to the workers and no local transport, so queries to workers go through the router.
+    The node is a zenoh client without a local transport, so its queries to workers go through the router.
 
     Args:
         worker: the name under which the node responds to queries.
@@ -39,7 +39,7 @@ class HubLink:
 
     @property
     def trouble(self) -> str:
-        """Why the node is missing; "" if it exists."""
+        """Why the last `join` failed; "" if it succeeded, or was not called yet."""
         return self._error
 
     def join(self) -> Hub | None:

@@ -1,9 +1,10 @@
-"""Maps from laser scans, as the log odds of each cell of being occupied.
+"""Occupancy grid maps from laser scans; each cell has the log odds that it is occupied.
 
 A beam makes the cells that it passes more likely free, and the one in which it ends more likely occupied (Moravec and
 Elfes, "High Resolution Maps from Wide Angle Sonar", ICRA 1985; Thrun, Burgard, Fox, "Probabilistic Robotics", table
-9.2). Each cell counts once per scan, a hit outweighs passing beams, and a beam frees cells only as far as its neighbors
-reach, so that walls seen at a glancing angle stay: in an apartment, 98 % of the visible walls instead of 87 %.
+9.2). A scan changes each cell at most once: as hit if any beam ends in it, otherwise as passed. A beam frees cells only
+as far as the shorter of its two neighboring beams reaches, so that walls seen at a glancing angle are not erased: in an
+apartment, the map has 98 % of the visible walls, without this rule 87 %.
 """
 
 from __future__ import annotations
@@ -27,9 +28,10 @@ HIT, PASS = 0.85, -0.4
 """Added to a cell's log odds: probabilities of 0.7 and 0.4."""
 
 LEAST, MOST = -4.0, 4.0
-"""Log odds are limited to these values, so that about ten scans override a changed cell."""
+"""Log odds are limited to these values, so that the map follows changes: a free cell counts as occupied after 6 hits,
+an occupied one as free after 14 passes."""
 
-# the same for C, in the map's type, so that many cells are changed at once
+# the same as C floats, the type of the map, so that the compiler can vectorize the loop over the cells
 _HIT = cython.declare(cython.float, HIT)
 _PASS = cython.declare(cython.float, PASS)
 _LEAST = cython.declare(cython.float, LEAST)
@@ -122,10 +124,12 @@ def _insert(
     farthest: cython.double,
     resolution: cython.double,
 ) -> int:
-    """Mark the cells that each beam passes (1) and hits (2), then change marked cells' odds once; lengths in cells.
+    """Mark the cells that each beam passes (1) and hits (2), then change the log odds of each marked cell once.
 
-    A beam marks one cell per column that it crosses, or per row if it is steep. It marks cells only as far as its
-    neighbors reach, since a beam along a wall would otherwise free the cells between their hits.
+    ``x`` and ``y`` are in cells from the map's corner, ``ranges``, ``farthest`` and ``resolution`` in meters.
+    A beam marks one cell per column that it crosses, or per row if it is steep. Except for its end, it marks cells only
+    as far as the shorter of its two neighboring beams reaches: along a wall, a beam passes through the cells between
+    the hits of other beams, and would free them.
     """
     rows: cython.longlong = odds.shape[0]
     columns: cython.longlong = odds.shape[1]
@@ -201,7 +205,8 @@ def _insert(
                         marks[at, cython.cast(cython.longlong, place)] = 1
         for hit in range(hits):
             marks[ends[hit, 0], ends[hit, 1]] = 2
-        # a line's ends are in their cells, not at the centers, so it marks at most one cell beyond them
+        # beams start and end anywhere in a cell, but are evaluated at the centers of columns or rows, so they mark at
+        # most one cell outside of the rectangle around their ends
         low = max(left - 1, 0)
         high = min(right + 2, columns)
         for at in range(max(bottom - 1, 0), min(top + 2, rows)):

@@ -34,8 +34,9 @@ class Target:
     def goal(self, planner: str, robot: Pose | None) -> dict[str, Any]:
         """Return the goal for a planner, with a stamp of 0, because two machines' clocks may differ.
 
-        Midspan's constraints are for hosted planners, names of behavior trees for all others. "Any heading" becomes the
-        heading of the direct path from the robot, if the robot's pose is known.
+        A hosted planner gets Midspan's constraints, any other planner the name of a behavior tree; a text of the other
+        kind is dropped. A theta of NaN becomes the direction from the robot to the target, or 0 if the robot's pose is
+        unknown; a hosted planner without constraints then also gets the constraint that the heading does not matter.
         """
         ours, tree = planner in OURS, self.tree
         if tree.startswith(PREFIX) != ours:
@@ -67,7 +68,7 @@ def target_of(message: Mapping[str, Any], tree: str = "") -> Target:
     frame = str(message["header"]["frame_id"]).lstrip("/")
     position, orientation = message["pose"]["position"], message["pose"]["orientation"]
     if not frame:
-        raise TargetError("the goal's frame is empty; on the map it is 'map'")
+        raise TargetError("the goal's frame is empty; for a goal on the map, set the map's frame, by default 'map'")
     if not all(map(math.isfinite, (*position.values(), *orientation.values()))):
         raise TargetError("the goal's pose is not finite")
     try:
@@ -91,8 +92,8 @@ _ANY = math.nan
 class StoredPlaces:
     """The store's places as goals.
 
-    ``waits`` returns whether the planner drives to places on any map by the map's name, and waits until a map is in
-    use.
+    ``waits`` returns whether the current planner accepts goals whose frame is the name of a stored map, and does not
+    drive before a map is in use.
     """
 
     def __init__(self, host: Host, frame: str, waits: Callable[[], bool] = lambda: False) -> None:
@@ -137,7 +138,8 @@ class StoredPlaces:
     def target(self, place: Map2DLocation) -> Target:
         """Return a goal at a place; if the place is on another map, the goal's frame is that map's name.
 
-        Without a map in use, the goal keeps the name of the place's map for a planner that waits for a map.
+        If no map is in use, the frame is the name of the place's map only if the planner waits for a map (``waits``)
+        and the store has that map; otherwise it is the map's frame.
         """
         known = self.current or (self._waits() and self.store is not None and place.map_id in self.store.names(MAP))
         elsewhere = place.map_id and known and place.map_id not in (self.current, self._frame)

@@ -1,4 +1,7 @@
-"""The published JSON Schema, against which `peers.browser.page.TestPage` checks the messages of all other tests."""
+"""The published JSON Schema of the console's protocol.
+
+In the other tests, `tests.peers.browser.page.TestPage` checks each message and reply of the console against its models.
+"""
 
 from __future__ import annotations
 

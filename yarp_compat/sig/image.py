@@ -1,12 +1,12 @@
 """Images (`yarp/sig/Image.h`): rows of pixels, each row padded to a multiple of the quantum (8 bytes by default).
 
 On the wire (`yarp/sig/ImageNetworkHeader.h`): ``[mat] [code] (depth size quantum width height) {rows}``. Before 4.0
-the upper half of the quantum stated whether the top row comes first: 3.4 to 3.9 write and interpret 0 as yes, 3.10 to
-3.12 always write 1 and ignore it (measured on 3.12.3), 4.0 has only the quantum. So this module writes 0, and ignores
-1.
+the upper 16 bits of the quantum were a flag for the order of the rows: 3.4 to 3.9 write 0 for "top row first", and
+interpret it so; 3.10 to 3.12 always write 1, and ignore the received flag (measured on 3.12.3); 4.0 has no flag. So
+this module writes 0, and ignores 1.
 
 `Image.numpy` shares the image's memory. A received image shares the message's memory; an image that wraps an array
-(`Image.setExternal`) copies received pixels into that array, if their size is the same.
+(`Image.setExternal`) copies a received image into that array if both have the same size and pixel code.
 """
 
 from __future__ import annotations
@@ -88,12 +88,12 @@ class Raster:
     getRawImageSize = getter("_memory.nbytes", int, "The size of all rows in bytes.")
 
     def getRow(self, row: int) -> memoryview:
-        """Return one row of the image's memory as bytes."""
+        """Return the bytes of one row's pixels, without the padding, as a view."""
         self._check(0, row)
         return self._memory[row * self._row : row * self._row + self._width * self.getPixelSize()]
 
     def getRowArray(self) -> tuple[memoryview, ...]:
-        """Return all rows of the image's memory as bytes."""
+        """Return `getRow` of all rows."""
         return tuple(map(self.getRow, range(self._height)))
 
     def getPixelAddress(self, x: int, y: int) -> int:
@@ -106,7 +106,7 @@ class Raster:
         return True
 
     def setTopIsLowIndex(self, flag: bool) -> None:
-        """Accept the top row first; raises `ValueError` for the other order, which is not supported."""
+        """Do nothing for True, since the top row is always the first; raises `ValueError` for False."""
         if not flag:
             raise ValueError("images must have the top row first; flip them with image.numpy()[::-1]")
 
@@ -136,7 +136,7 @@ class Raster:
         Rows are padded to the quantum, or not at all if the memory has exactly the size of rows without padding.
         Received images of the same size and pixel code are copied into this memory.
         """
-        held = data.numpy() if isinstance(data, VectorOf) else data  # as in scripts for YARP's bindings
+        held = data.numpy() if isinstance(data, VectorOf) else data  # scripts for YARP's bindings pass a Vector
         view = held.data if isinstance(held, np.ndarray) else memoryview(held)
         if not view.c_contiguous:
             raise ValueError("the memory of an image must be contiguous; use numpy.ascontiguousarray")
@@ -205,7 +205,7 @@ _MAT = int.from_bytes(b"mat\0", "little")
 
 
 class Image(Raster, Comparable, Portable):
-    """The base of images. Use the class for the pixels, such as `ImageRgb`, or `FlexImage` for pixels of any type."""
+    """The base class of images. Use the class for the pixels, such as `ImageRgb`, or `FlexImage` for any pixels."""
 
     TYPE = "yarp/image"
 
@@ -247,7 +247,11 @@ class Image(Raster, Comparable, Portable):
         self.numpy()[y, x] = tuple(value) if hasattr(value, "__iter__") else value
 
     def copy(self, other: Image, width: int | None = None, height: int | None = None) -> bool:
-        """Copy another image, converted to this class's pixels and scaled by nearest neighbor; raises `ValueError`."""
+        """Copy another image, converted to this image's pixel code; raises `ValueError` if that is not possible.
+
+        With ``width`` and ``height``, the copy is scaled to that size by nearest neighbor. An image that has no pixel
+        code yet gets the other's.
+        """
         if not self._code:
             self._code, self._quantum = other.getPixelCode(), other.getQuantum()
         pixels = convert(other.numpy(), other.getPixelCode(), self._code)
@@ -374,7 +378,7 @@ class FlexImage(Image):
         self._code = code
 
     def setPixelSize(self, size: int) -> None:
-        """Set the pixel size in bytes; a new size makes the pixel code minus this size, which means unknown pixels."""
+        """Set the pixel size in bytes; if it changes, the pixel code becomes ``-size``: pixels of an unknown kind."""
         if size != self.getPixelSize():
             self.setPixelCode(-size)
 

@@ -1,4 +1,4 @@
-"""Matrices of doubles (`yarp/sig/Matrix.h`): ``(rows cols (values row by row))``; rotations as quaternions.
+"""Quaternions, and matrices of doubles (`yarp/sig/Matrix.h`), on the wire ``(rows cols (values row by row))``.
 
 C++ YARP refuses to read a matrix without elements, and a C++ client hangs if a reply contains such a matrix: do not
 send them in replies. This module reads them. A quaternion (`yarp/math/Quaternion.h`) has w first on the wire, last in
@@ -24,7 +24,7 @@ _FLOAT64 = np.dtype("<f8")
 
 
 class Matrix(Comparable, Portable):
-    """A matrix, created by the numbers of rows and columns, or from an array or lists of rows."""
+    """A matrix, created from numbers of rows and columns, a 2-D array, or a list of rows; a flat list is one row."""
 
     def __init__(self, rows: int | ArrayLike = 0, cols: int = 0) -> None:
         if isinstance(rows, int):
@@ -34,7 +34,11 @@ class Matrix(Comparable, Portable):
         self._values = given.reshape(given.shape if given.ndim == 2 else (1, -1))
 
     def numpy(self) -> NDArray[Any]:
-        """Return the elements (rows, cols), a view of the memory until the size changes; read-only if it is."""
+        """Return the elements (rows, cols) as a view of the current memory, read-only if the memory is.
+
+        The matrix gets new memory when its size changes, from `eye`, from a received message, and from the first write
+        to read-only memory.
+        """
         return self._values
 
     def data(self) -> NDArray[Any]:
@@ -273,7 +277,8 @@ class Quaternion(Portable):
     def fromRotationMatrix(self, R: Matrix | ArrayLike) -> None:
         """Set the rotation from a matrix (3, 3) or larger.
 
-        As in YARP, w is positive if the trace is; otherwise the largest of x, y and z is.
+        As in YARP, w is positive if the trace is positive; otherwise the one of x, y and z with the largest absolute
+        value is positive.
         """
         r = np.asarray(R, float)
         trace = r[0, 0] + r[1, 1] + r[2, 2]

@@ -22,8 +22,13 @@ _ALWAYS = "Connection: close\r\nX-Content-Type-Options: nosniff\r\n"
 class PageRequest:
     """A browser's request.
 
-    ``target`` is the address as sent, ``path`` its path without the slash, ``query`` its fields and those of a form; a
-    body of ``length`` bytes follows; ``foreign``: the request comes from another site's page.
+    Attributes:
+        target: the request target as sent.
+        path: the target's path, decoded, without the leading slash; empty for ``/data=...``, ``/req=...`` and
+            ``/admin=...``, which YARP's pages contain: their value is in ``query``.
+        query: the target's fields; after `with_form` also those of the form.
+        length: size of the body that follows, in bytes.
+        foreign: whether the request comes from another site's page.
     """
 
     target: str
@@ -33,7 +38,7 @@ class PageRequest:
     foreign: bool
 
     def with_form(self, body: bytes) -> PageRequest:
-        """Return the request with the fields of a form."""
+        """Return the request, with the fields of a form in ``query``."""
         fields = {**self.query, **_fields(body.decode(errors="replace"))}
         return PageRequest(self.target, self.path, fields, 0, self.foreign)
 
@@ -105,7 +110,11 @@ _LINKS = (("/", "connections"), ("/data=help", "help"), ("/r", "read"))
 
 
 def page(name: str, lines: Sequence[str], names: PortContact | None = None) -> bytes:
-    """Return a page about a port: links, a form for a message, and lines, in which ports' addresses become links."""
+    """Return a page about a port: links, a form for a message, and ``lines``.
+
+    In lines that are registrations of tcp ports, the port's name becomes a link. ``names`` is the address of the name
+    server, to which the link "All ports" leads.
+    """
     body = "\n".join(_linked(line) for line in lines)
     title = _escaped(name)
     known = [(f"http://{names.host}:{names.port}/data=list", "All ports")] if names else []
@@ -130,7 +139,11 @@ def _linked(line: str) -> str:
 
 
 def as_json(values: Sequence[Any], outer: str = "auto") -> bytes:
-    """Convert a Bottle to JSON by YARP's rules: lists of (key value), optionally after a word, become objects."""
+    """Convert a Bottle to JSON by YARP's rules: a list of (key value) pairs becomes an object.
+
+    A word before the pairs becomes the object's ``type``. A single pair without a word stays an array. ``outer`` is the
+    form of the outermost list: ``dict``, ``list`` or ``auto``.
+    """
     return json.dumps(_plain(values, outer), default=str).encode()
 
 
@@ -147,7 +160,10 @@ def _plain(value: Any, outer: str = "auto") -> Any:
 
 
 def _struct(values: Sequence[Any], outer: str) -> Any:
-    """Convert a list to an object if it begins with ``dict`` or looks like one, else to an array."""
+    """Convert a list to an object (``dict``) or an array (``list``): its first word selects the form, else ``outer``.
+
+    ``auto`` selects an object if the list has at least two elements, which are pairs except for a first word.
+    """
     first = values[0] if values and isinstance(values[0], str) else ""
     if first in ("list", "dict"):
         outer, values, first = first, values[1:], ""

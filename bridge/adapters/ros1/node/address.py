@@ -1,9 +1,9 @@
 """The address of this machine's ROS 1 nodes, from ``ROS_HOSTNAME``, ``ROS_IP`` and ``ROS_IPV6``.
 
 The rules are those of rosgraph (https://wiki.ros.org/ROS/NetworkSetup, https://wiki.ros.org/ROS/EnvironmentVariables):
-``ROS_HOSTNAME`` has precedence over ``ROS_IP``. Without both, the address is the machine's name or, if that is a
-loopback name, the first address of a network interface. A node with a loopback address listens only there, any other
-node on all interfaces.
+``ROS_HOSTNAME`` has precedence over ``ROS_IP``. If neither is set, the address is the machine's name or, if that is a
+loopback name, the first address of a network interface, preferably not a loopback one. A node for which a loopback
+address is set listens only there, any other node on all interfaces.
 """
 
 from __future__ import annotations
@@ -93,7 +93,10 @@ def _machine(*, ipv6: bool) -> str:
 
 
 def _interfaces(*, ipv6: bool) -> Iterator[str]:
-    """Yield the network interfaces' addresses, IPv6 first if used, without link-local ones, which need an interface."""
+    """Yield the network interfaces' addresses, IPv6 first if ``ipv6``.
+
+    IPv6 link-local addresses are left out, because they are valid only with the name of an interface.
+    """
     families = (socket.AF_INET6, socket.AF_INET) if ipv6 else (socket.AF_INET,)
     entries = [entry for interface in psutil.net_if_addrs().values() for entry in interface]
     for family in families:

@@ -1,4 +1,4 @@
-"""Clients of lasers, odometry, batteries and bases as devices, with servers of several releases."""
+"""The client devices of lasers, odometry, batteries and bases (`*_nwc_yarp`), with servers of several releases."""
 
 from __future__ import annotations
 
@@ -58,7 +58,10 @@ class Laser(Rangefinder2D):
 
 
 class OldLaser:
-    """Replies of a laser from before YARP 3.10, in vocabs (`IRangefinder2D.h`); introductions are rejected too."""
+    """Replies of a laser from before YARP 3.10, in vocabs (`IRangefinder2D.h`); all other requests fail.
+
+    Among those is ``getRemoteProtocolVersion``, with which clients of YARP 4 begin.
+    """
 
     def __init__(self) -> None:
         self.values: dict[str, tuple[float | str, ...]] = {
@@ -158,7 +161,7 @@ def test_odometry_is_received_and_reset(serve: Serve) -> None:
 
 
 class Battery(IBatteryMsgs):
-    """The RPC port of a battery since YARP 3.12."""
+    """The RPC port of a battery of YARP 3.12 and later."""
 
     def getBatteryInfoRPC(self) -> tuple[ReturnValue, str]:
         return OK, "lead"
