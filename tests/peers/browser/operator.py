@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver import Chrome
@@ -33,6 +33,14 @@ const canvas = document.querySelector("canvas");
 const [x, y] = [canvas.width / 2, canvas.height / 2 - 10 * devicePixelRatio];
 return [...canvas.getContext("2d").getImageData(x, y, 1, 1).data];
 """
+BUTTONS = """
+const [selector, text] = arguments;
+return [...document.querySelectorAll(selector)].filter((button) => {
+  const names = [button.textContent, button.innerText, button.ariaLabel, button.title];
+  return button.checkVisibility() && names.some((name) => (name ?? "").trim() === text);
+});
+"""
+"""Finds the buttons that may have a text or name in one request; a page has dozens of buttons."""
 until = partial(wait.until, every=0.2)
 """Checks rarely, because each check is a request to the browser, and reading pixels costs as much as drawing them."""
 
@@ -54,10 +62,10 @@ class Operator:
         """Return the visible button with this text or name, within elements that match the selector ``within``."""
 
         def find() -> WebElement | None:
-            for element in self.chrome.find_elements(By.CSS_SELECTOR, f"{within} button"):
+            for element in self.chrome.execute_script(BUTTONS, f"{within} button", text):
                 with contextlib.suppress(StaleElementReferenceException):  # the list has been filled again
                     if text in (element.text, element.accessible_name) and element.is_displayed():
-                        return element
+                        return cast("WebElement", element)
             return None
 
         shown = until(find, f"the button is shown: {text!r}")

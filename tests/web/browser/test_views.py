@@ -17,22 +17,27 @@ from tests.web.conftest import Desk
 
 WINDOWS = ((1440, 760), (1536, 730), (1600, 789), (1440, 900), (1879, 1019), (1880, 920), (1920, 937), (2560, 1300))
 """Window sizes on common screens, and on both sides of the breakpoints in the styles of the Drive view."""
-_LESS = ("places", "topics", "frames", "system")
+_MAIN, _LESS = ("drive", "status"), ("places", "topics", "frames", "system")
 
 
-@pytest.mark.parametrize("width", [360, pytest.param(2560, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize(
-    "view", ["drive", "status", *(pytest.param(view, marks=pytest.mark.thorough) for view in _LESS)]
+    ("width", "views"),
+    [
+        (360, _MAIN),
+        pytest.param(360, _LESS, marks=pytest.mark.thorough),
+        pytest.param(2560, (*_MAIN, *_LESS), marks=pytest.mark.thorough),
+    ],
 )
-def test_every_view_fits_the_window(operator: Operator, view: str, width: int) -> None:
+def test_every_view_fits_the_window(operator: Operator, width: int, views: tuple[str, ...]) -> None:
     chrome = operator.chrome
     with viewport(chrome, width, 780):
-        operator.open(view)
-        wide = chrome.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
-        assert wide[0] <= wide[1], "nothing extends beyond the right side"
-        stop = chrome.find_element(By.ID, "stop")
-        assert stop.is_displayed(), "STOP is visible"
-        assert stop.location["x"] + stop.size["width"] <= width
+        for view in views:
+            operator.open(view)
+            wide = chrome.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+            assert wide[0] <= wide[1], f"nothing extends beyond the right side of {view}"
+            stop = chrome.find_element(By.ID, "stop")
+            assert stop.is_displayed(), f"STOP is visible in {view}"
+            assert stop.location["x"] + stop.size["width"] <= width, view
 
 
 SENDING = """
@@ -66,28 +71,32 @@ def places(watch: TestPage) -> Iterator[Callable[[int], None]]:
 
 
 @pytest.mark.parametrize(
-    ("width", "height"),
-    [(1366, 625), (1280, 757), *(pytest.param(*size, marks=pytest.mark.thorough) for size in WINDOWS)],
+    "sizes", [((1366, 625), (1280, 757)), pytest.param(WINDOWS, marks=pytest.mark.thorough)], ids=["small", "other"]
 )
 def test_the_goal_places_are_visible(
-    operator: Operator, places: Callable[[int], None], width: int, height: int
+    operator: Operator, places: Callable[[int], None], sizes: tuple[tuple[int, int], ...]
 ) -> None:
-    chrome = operator.chrome
     places(9)
-    with viewport(chrome, width, height):
-        operator.open("drive")
-        operator.choose("Send")
-        until(lambda: len(operator.texts(".places-list button")) == 9, "nine places are listed")
-        until(lambda: chrome.execute_script(SENDING).get("visible") == 9, "nine places are visible")
-        nine = chrome.execute_script(SENDING)
-        assert nine["content"] <= nine["panel"], "the panel does not scroll"
-        assert operator.button("End drive").is_displayed()
-        operator.choose("Manual")
-        assert operator.button("Turn left").is_displayed()
-        panel = chrome.execute_script(SENDING)
-        assert panel["content"] <= panel["panel"], (
-            "the panel does not scroll with the controls for manual driving either"
-        )
+    for width, height in sizes:
+        with viewport(operator.chrome, width, height):
+            assert_places_are_visible(operator, f"in {width}x{height}")
+
+
+def assert_places_are_visible(operator: Operator, where: str) -> None:
+    """Check that nine places and all controls are visible without scrolling."""
+    chrome = operator.chrome
+    operator.choose("Send")
+    until(lambda: len(operator.texts(".places-list button")) == 9, f"nine places are listed {where}")
+    until(lambda: chrome.execute_script(SENDING).get("visible") == 9, f"nine places are visible {where}")
+    nine = chrome.execute_script(SENDING)
+    assert nine["content"] <= nine["panel"], f"the panel does not scroll {where}"
+    assert operator.button("End drive").is_displayed()
+    operator.choose("Manual")
+    assert operator.button("Turn left").is_displayed()
+    panel = chrome.execute_script(SENDING)
+    assert panel["content"] <= panel["panel"], (
+        f"the panel does not scroll with the controls for manual driving either {where}"
+    )
 
 
 @pytest.mark.thorough
