@@ -44,6 +44,9 @@ _TIMED = (
 NOTICE = 0.6
 """Seconds for which a report may be outdated after the base starts moving for a goal that the planner lists later."""
 
+QUIET = 11.0
+"""Seconds without a goal or motion after which a run ends; after 10 s the gateway gives up a stop or a planner."""
+
 ENDED = frozenset((State.IDLE, State.PAUSED, State.ABORTED))
 
 
@@ -169,10 +172,13 @@ class World(PlannerSide):
             self.gateway.execution.pause()
             self._request("pause")
 
-    def resume(self) -> None:
+    def resume(self) -> bool:
+        """Resume a paused drive; return whether there is one."""
         gateway = self.gateway
-        if gateway is not None and gateway.drive is not None and gateway.drive.state.value in ("pausing", "paused"):
-            gateway.execution.resume()
+        if gateway is None or gateway.drive is None or gateway.drive.state.value not in ("pausing", "paused"):
+            return False
+        gateway.execution.resume()
+        return True
 
     def _request(self, service: str) -> None:
         assert self.gateway is not None
@@ -224,14 +230,28 @@ class World(PlannerSide):
     def finish(self) -> None:
         """Heal all faults, wait until the robot rests, and check that each goal has ended once."""
         self.heal()
-        for _ in range(2):
-            self.clock.run_to(self.clock.now + 25.0)
-            self.resume()
-        self.clock.run_to(self.clock.now + 25.0)
+        for _ in range(3):
+            self._run_until_quiet(25.0)
+            if not self.resume() and not self._is_busy():
+                break
         for goal in self.client_goals:
             expected = (0, 1) if goal.gateway_died else (1,)
             if len(goal.ends) not in expected:
                 raise ContradictionError(self.report(f"a goal ended {len(goal.ends)} times: {goal.ends}"))
+
+    def _run_until_quiet(self, seconds: float) -> None:
+        """Run for a time, or until nothing has happened for longer than any timeout of the gateway."""
+        end = self.clock.now + seconds
+        quiet_until = self.clock.now + QUIET
+        while self.clock.now < min(end, quiet_until):
+            self.clock.run_to(self.clock.now + 0.5)
+            if self._is_busy():
+                quiet_until = self.clock.now + QUIET
+
+    def _is_busy(self) -> bool:
+        """Return whether a goal has not ended, or the planner commands the base, or the base moves."""
+        ended = all(goal.ends or goal.gateway_died for goal in self.client_goals)
+        return not ended or bool(self._active()) or self.commanded or self.v > 0.0
 
 
 OPERATIONS = (
