@@ -21,9 +21,14 @@ def box(x, y, length=0.4, width=0.4, degrees=0.0):
 # goals
 
 
-@pytest.mark.parametrize("robot", ["r1", pytest.param("ikart_v1", marks=pytest.mark.thorough)])
 @pytest.mark.parametrize(
-    ("plan", "x", "y"), [("lab", 2.57, 1.19), ("lab", 3.35, 3.17), ("apartment", 4.4, 8.2)], ids=str
+    ("plan", "x", "y", "robot"),
+    [
+        ("lab", 2.57, 1.19, "r1"),
+        ("lab", 3.35, 3.17, "r1"),
+        ("apartment", 4.4, 8.2, "r1"),
+        pytest.param("lab", 3.35, 3.17, "ikart_v1", marks=pytest.mark.thorough),
+    ],
 )
 def test_goals_are_reached_without_a_collision(plan, x, y, robot):
     scene = Scene(plan, robot)
@@ -208,7 +213,7 @@ def test_an_early_goal_waits_for_sensors_and_pose(missing):
         scene.edit = lambda _ranges: None
     else:
         scene.known = False
-    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(5.0)
     assert not any(any(command) for _, command in scene.commands)
     assert scene.driver.status.state is State.PREPARING
@@ -220,7 +225,7 @@ def test_an_early_goal_waits_for_sensors_and_pose(missing):
 def test_an_early_goal_fails_with_advice_if_the_pose_stays_unknown():
     scene = Scene(max_waiting_time=3.0)
     scene.known = False
-    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.until(lambda: scene.driver.status.state.ended, 10)
     state, reason, fault = scene.driver.status
     assert (state, fault) == (State.FAILING, Fault.NOT_LOCALIZED)
@@ -229,7 +234,7 @@ def test_an_early_goal_fails_with_advice_if_the_pose_stays_unknown():
 
 def test_a_silent_laser_stops_the_robot_until_it_returns():
     scene = Scene()
-    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(3.0)
     scene.edit = lambda _ranges: None
     at = scene.pose
@@ -244,14 +249,19 @@ def test_a_silent_laser_stops_the_robot_until_it_returns():
     assert scene.driver.status.state is State.REACHED
 
 
-@pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize(
-    ("ranges", "cause"), [(None, "the laser is silent"), (math.nan, "the laser is blind"), (0.0, "the laser is blind")]
+    ("ranges", "cause", "known"),
+    [
+        (None, "the laser is silent", True),
+        (None, "the laser is silent", False),
+        (math.nan, "the laser is blind", False),
+        (0.0, "the laser is blind", True),
+    ],
 )
 def test_a_lost_laser_ends_the_goal_and_is_reported_as_the_cause(ranges, cause, known):
     """Also if localization, which needs the laser, is lost as well."""
     scene = Scene(max_waiting_time=3.0)
-    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(2.0)
     scene.edit = lambda scan: None if ranges is None else np.full_like(scan, ranges)
     scene.run(1.0)
@@ -268,7 +278,7 @@ def test_a_lost_laser_ends_the_goal_and_is_reported_as_the_cause(ranges, cause, 
 
 def test_scans_without_a_transform_are_reported():
     scene = Scene()
-    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(2.0)
     scene.edit, scene.driver.unplaced = lambda _ranges: None, "no frame 'laser'"
     scene.run(2.0)
@@ -285,7 +295,7 @@ def test_scans_without_a_transform_are_reported():
 @pytest.mark.parametrize("fault", ["emergency stop", "frozen odometry"])
 def test_a_base_that_does_not_follow_is_tried_again(fault):
     scene = Scene()
-    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(3.0)
     scene.fail(fault)
     begun = scene.pose
@@ -304,7 +314,7 @@ def test_a_base_that_does_not_follow_is_tried_again(fault):
 
 def test_a_base_that_never_follows_fails_the_goal():
     scene = Scene(max_waiting_time=6.0)
-    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(2.0)
     scene.fail("emergency stop")
     scene.until(lambda: scene.driver.status.state.ended, 20)
@@ -314,7 +324,7 @@ def test_a_base_that_never_follows_fails_the_goal():
 
 def test_a_lost_pose_stops_the_robot_until_it_is_known_again():
     scene = Scene()
-    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(3.0)
     scene.known = False
     scene.tick()
@@ -330,7 +340,7 @@ def test_space_without_valid_ranges_is_not_free():
     scene = Scene()
     scene.edit = lambda ranges: np.where(np.arange(len(ranges)) < 20, ranges, np.nan)  # the rear of the scan
     scene.driver.goal(Pose(2.0, 0.0, math.nan))
-    scene.run(20.0)
+    scene.run(6.0)
     assert scene.pose.distance(Pose(0.0, 0.0, 0.0)) < 0.02
     assert "cannot see" in scene.reasons
     scene.edit = lambda ranges: np.full_like(ranges, np.inf)  # no echo within its range means free
