@@ -74,23 +74,35 @@ ANY_OS = {
 """Tests of messages and calls, both ways, that `make test` also runs on a side without what Windows lacks."""
 
 
-def _lane_on_any_os(item: pytest.Item) -> bool:
-    """Return whether a test needs the lane on a side that cannot have one, because it has no Unix sockets."""
-    params = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
-    return bool(params.get("side") == "ros1_any_os" and params.get("lane"))
+VARIANTS = ("ros1_any_os", "ros1_embedded_master", "ros2_kilted", "ros2_cyclone")
+"""Sides that differ from ``ros1`` or ``ros2`` only in the operating system, the master, or the version of DDS."""
+
+OF_ANY_VARIANT = ("test_rules.py", "test_bad_input.py", "test_best_available.py")
+"""Files about decisions of the engine and policies of the hub, which variants of a side share."""
+
+
+def _is_shown_elsewhere(item: pytest.Item) -> bool:
+    """Return whether a test on a variant of a side would show nothing that the same test on the side does not."""
+    side, name = _param(item, "side"), getattr(item, "originalname", "")
+    if side == "ros1_any_os" and _param(item, "lane"):
+        return True  # it cannot have a lane, because it has no Unix sockets
+    if side == "ros1_embedded_master" and item.path.name == "test_latching.py" and name not in BASIC:
+        return True  # a master has no part in latching
+    return side in VARIANTS and item.path.name in OF_ANY_VARIANT
+
+
+def _param(item: pytest.Item, name: str) -> Any:
+    return item.callspec.params.get(name) if isinstance(item, pytest.Function) and hasattr(item, "callspec") else None
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests on all other sides as `thorough`."""
-    items[:] = [item for item in items if not _lane_on_any_os(item)]
+    """Remove tests that are shown elsewhere, and mark those on all other sides as `thorough`."""
+    folder = Path(__file__).parent
+    items[:] = [item for item in items if item.path.parent != folder or not _is_shown_elsewhere(item)]
     for item in items:
-        if (
-            item.path.parent == Path(__file__).parent
-            and isinstance(item, pytest.Function)
-            and hasattr(item, "callspec")
-        ):
-            side, turn = item.callspec.params.get("side"), zlib.crc32(item.originalname.encode())
+        if item.path.parent == folder and isinstance(item, pytest.Function) and hasattr(item, "callspec"):
+            side, turn = _param(item, "side"), zlib.crc32(item.originalname.encode())
             if side in APART or (side == "ros1_any_os" and item.originalname not in ANY_OS):
                 item.add_marker(pytest.mark.thorough)
             for sides in IN_TURN:

@@ -103,14 +103,13 @@ class WorkerProcess:
         any_os: bool = False,
     ) -> None:  # fmt: skip
         words = ["worker", side, "--supervised"]
+        imports = [*IMPORTS, f"bridge.adapters.{side}.edge"]
         if any_os:  # a worker without the features that Windows lacks
             env = as_on("windows", env)
             config.state.mkdir(parents=True, exist_ok=True)  # the daemon's task; the worker locks a file there
-            self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True)
-        else:
-            preloaded = "LD_PRELOAD" in env  # a fork of a process without it would not have it
-            imports = [] if preloaded else [*IMPORTS, f"bridge.adapters.{side}.edge"]
-            self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True, imports=imports)
+        elif "LD_PRELOAD" in env:  # a fork of a process without it would not have it
+            imports = []
+        self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True, imports=imports)
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
         until(lambda: self.beat()["state"] in states, f"{side} worker runs", 20, every=0)
 

@@ -40,8 +40,8 @@ DAEMON_AND_WORKERS = (*DAEMON, *WORKERS)
 COMMAND = (*DAEMON, "bridge.client.session", "bridge.hub.router", "bridge.messages.registry")
 """Imports of a command that queries a hub or a daemon, in addition to the command's own module."""
 
-_AT_START = ("PYTHON", "LD_", "_ROS_WHEELS", "MALLOC_", "GLIBC_", "MIDSPAN_")
-"""Prefixes of variables that Python, the linker or Midspan read at a start or import."""
+_AT_START = ("PYTHON", "LD_", "_ROS_WHEELS", "MALLOC_", "GLIBC_", "MIDSPAN_", "HIDDEN_OS")
+"""Prefixes of variables that Python, the linker, Midspan or `tests.support.other_os` read at a start or import."""
 
 _servers: dict[tuple[str, ...], Server] = {}
 _lock = threading.Lock()

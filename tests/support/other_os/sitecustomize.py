@@ -168,7 +168,10 @@ def named_encodings() -> None:
 
 def _calls_midspan(depth: int = 2) -> bool:
     """Return whether Midspan's code is calling, with only the standard library between it and this function."""
-    frame = sys._getframe(depth)
+    try:
+        frame = sys._getframe(depth)
+    except ValueError:  # Python itself opens its program
+        return False
     while frame is not None:
         name = frame.f_globals.get("__name__", "")
         if is_ours(frame.f_globals):
