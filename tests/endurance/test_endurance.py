@@ -23,6 +23,9 @@ ROUNDS = 4
 SPARE_THREADS = 8
 """Number of threads that the middlewares start only once."""
 
+SLOW_SECONDS = 3.0
+"""Duration of the stream beside the slow subscriber: 120 MB, which an unbounded queue would hold."""
+
 
 @pytest.fixture(scope="module")
 def deployment() -> Iterator[Deployment]:
@@ -87,7 +90,7 @@ def settled(deployment: Deployment, before: Census | None) -> Census:
 @pytest.mark.parametrize("side", SIDES)
 def test_a_slow_subscriber_uses_bounded_memory_and_does_not_delay_others(deployment: Deployment, side: str) -> None:
     """It reads one message per second of a 40 MB/s stream. Sides are tested one at a time: two cores carry only one."""
-    (slow,) = slow_consumer.measure(deployment, [side], rate=40.0, seconds=4.0, alone=1.0)
+    (slow,) = slow_consumer.measure(deployment, [side], rate=40.0, seconds=SLOW_SECONDS, alone=1.0)
     small, big = slow.beside[slow_consumer.SMALL], slow.beside[slow_consumer.BIG]
     assert slow.read < 15, "the slow subscriber is slow"
     assert small.sent > 100
