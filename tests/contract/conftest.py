@@ -74,8 +74,8 @@ ANY_OS = {
 """Tests of messages and calls, both ways, that `make test` also runs on a side without what Windows lacks."""
 
 
-VARIANTS = ("ros1_any_os", "ros1_embedded_master", "ros2_kilted", "ros2_cyclone")
-"""Sides that differ from ``ros1`` or ``ros2`` only in the operating system, the master, or the version of DDS."""
+VARIANTS = ("ros1_any_os", "ros1_embedded_master", "ros2_kilted")
+"""Sides that differ from ``ros1`` or ``ros2`` only in the operating system, the master, or the release of the peers."""
 
 OF_ANY_VARIANT = ("test_rules.py", "test_bad_input.py", "test_best_available.py")
 """Files about decisions of the engine and policies of the hub, which variants of a side share."""
