@@ -2,39 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import json
 import subprocess
 import sys
 
 import pytest
 
-_TELL = "; import sys; print(' '.join(sys.modules))"
-
-
-def loaded(code: str) -> set[str]:
-    """Return the modules that an interpreter has imported after running some code."""
-    completed = subprocess.run([sys.executable, "-P", "-c", code + _TELL], capture_output=True, text=True, check=True)
-    return set(completed.stdout.splitlines()[-1].split())
-
-
-def test_help_loads_none_of_the_libraries() -> None:
-    code = (
-        "from contextlib import suppress; from bridge.cli.main import main\n"
-        "with suppress(SystemExit): main(['--help'])\n0"
-    )
-    assert not loaded(code) & {"pydantic", "zenoh", "numpy", "rich", "yaml", "ruamel.yaml", "bridge.cli.client"}
-
-
-@pytest.mark.parametrize("verb", ["status", "topic", "service", "nav", "goto", "explain", "action", "top"])
-def test_daemon_verbs_load_no_message_types_at_start(verb: str) -> None:
-    modules = loaded(f"from bridge.cli.main import build_parser; build_parser([{verb!r}])")
-    others = {"numpy", "PIL", "ruamel.yaml", "sqlite3", "bridge.messages.registry", "bridge.messages.transcode"}
-    assert not modules & others
-
-
-def test_tf_verb_loads_no_conversions() -> None:
-    modules = loaded("from bridge.cli.main import build_parser; build_parser(['tf'])")
-    assert not modules & {"PIL", "ruamel.yaml", "bridge.messages.transcode", "bridge.routing.edge"}
-
+_VERBS = ("status", "topic", "service", "nav", "goto", "explain", "action", "top")
 
 _WORKERS = {
     "router": "bridge.hub.router",
@@ -48,6 +23,56 @@ _WORKERS = {
     "foxglove": "bridge.foxglove.worker",
 }
 
+_PROGRAMS = {
+    "help": (
+        "from contextlib import suppress; from bridge.cli.main import main\nwith suppress(SystemExit): main(['--help'])"
+    ),
+    "tf": "from bridge.cli.main import build_parser; build_parser(['tf'])",
+    "verbs": f"from bridge.cli.main import build_parser; [build_parser([verb]) for verb in {_VERBS}]",
+    # every worker reads the built-in rules, so importing yaml would slow down each start
+    "rules": "from bridge.messages.mapping.version_rules import built_in; assert len(built_in()) > 5",
+    **{f"worker {name}": f"import bridge.daemon.worker_main, {modules}" for name, modules in _WORKERS.items()},
+}
+
+_RUN_EACH = """
+import json, os, sys
+plain = json.loads(sys.argv[1])
+workers = {name: plain.pop(name) for name in list(plain) if name.startswith("worker ")}
+for name, code in [*plain.items(), ("", "import bridge.cli.daemon.run, bridge.daemon.worker_main"), *workers.items()]:
+    if not name:
+        exec(code)  # what all workers import
+    elif (child := os.fork()) == 0:
+        exec(code, {})
+        print("\\n" + json.dumps([name, list(sys.modules)]), flush=True)
+        os._exit(0)
+    elif os.waitpid(child, 0)[1]:
+        sys.exit(f"{name} failed")
+"""
+"""Runs each program in a fork of an interpreter that has imported nothing yet, or what all workers import."""
+
+
+@functools.cache
+def loaded() -> dict[str, set[str]]:
+    """Return the modules that an interpreter has imported after running each of the programs."""
+    command = [sys.executable, "-P", "-c", _RUN_EACH, json.dumps(_PROGRAMS)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith('["')]
+    return {name: set(modules) for name, modules in lines}
+
+
+def test_help_loads_none_of_the_libraries() -> None:
+    assert not loaded()["help"] & {"pydantic", "zenoh", "numpy", "rich", "yaml", "ruamel.yaml", "bridge.cli.client"}
+
+
+def test_daemon_verbs_load_no_message_types_at_start() -> None:
+    others = {"numpy", "PIL", "ruamel.yaml", "sqlite3", "bridge.messages.registry", "bridge.messages.transcode"}
+    assert not loaded()["verbs"] & others
+
+
+def test_tf_verb_loads_no_conversions() -> None:
+    assert not loaded()["tf"] & {"PIL", "ruamel.yaml", "bridge.messages.transcode", "bridge.routing.edge"}
+
 
 @pytest.mark.parametrize("worker", _WORKERS)
 def test_worker_loads_no_libraries_of_the_command_line_or_other_sides(worker: str) -> None:
@@ -60,11 +85,8 @@ def test_worker_loads_no_libraries_of_the_command_line_or_other_sides(worker: st
         others -= {"dartpy", "yaml"}  # the physics engine, and the reader of floor-plan files
     if worker == "router":
         others |= {"numpy", "bridge.messages.registry"}
-    modules = loaded(f"import bridge.cli.daemon.run, bridge.daemon.worker_main, {_WORKERS[worker]}") & others
-    assert not modules
+    assert not loaded()[f"worker {worker}"] & others
 
 
 def test_the_built_in_rules_need_no_yaml() -> None:
-    """Every worker reads the built-in rules, so importing yaml would slow down each start."""
-    code = "from bridge.messages.mapping.version_rules import built_in; assert len(built_in()) > 5"
-    assert "yaml" not in loaded(code)
+    assert "yaml" not in loaded()["rules"]
