@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Self
 
 HERE = Path(sysconfig.get_path("purelib"))
 """The folder of the libraries that are installed for the tests."""
@@ -23,9 +25,8 @@ class Installed:
     """
 
     def __init__(self, folder: Path, wheels: Sequence[Path], libraries: Sequence[str] | None = None) -> None:
-        self.folder = folder
+        self.folder, self.bin = folder, folder / "bin"
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
-        self.bin = folder / "bin"
         site = folder / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
         if libraries is None:
             (site / "libraries.pth").write_text(f"{HERE}\n", encoding="utf-8")
@@ -33,6 +34,12 @@ class Installed:
             for entry in HERE.glob(f"{name}*"):
                 (site / entry.name).symlink_to(entry)
         self.pip("install", "-q", "--no-index", "--no-deps", "--no-compile", *map(str, wheels))
+
+    def copy(self, folder: Path) -> Self:
+        """Return a copy in another folder. Its programs, except Python, are those of this environment."""
+        copy = type(self).__new__(type(self))
+        copy.folder, copy.bin = shutil.copytree(self.folder, folder, symlinks=True), folder / "bin"
+        return copy
 
     def environ(self) -> dict[str, str]:
         """The environment of its programs, without references to the checkout."""

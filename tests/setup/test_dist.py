@@ -87,6 +87,14 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Sequence[Path]:
     return dist.build(folder / "dist", folder / "work")
 
 
+@pytest.fixture(scope="module")
+def compiled(files: Sequence[Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Installed, Installed]:
+    """Return two equal environments with the compiled wheel: one to run, and one to uninstall from."""
+    folder = tmp_path_factory.mktemp("dist")
+    installed = Installed(folder / "big path", [only(files, COMPILED), only(files, COMPAT)])
+    return installed, installed.copy(folder / "both")
+
+
 def only(files: Sequence[Path], pattern: str) -> Path:
     (match,) = (file for file in files if file.match(pattern))
     return match
@@ -256,20 +264,20 @@ def required(requirements: Sequence[str], extra: str) -> list[str]:
     return names
 
 
-WITHOUT = "import sys; sys.modules.update(dict.fromkeys(('dartpy', 'rclpy', 'zenoh_ros2_sdk', 'starlette')))\n"
-"""A .pth file that hides the packages of the extra ``demo``."""
+WITHOUT = "import sys\n\nsys.modules.update(dict.fromkeys(('dartpy', 'rclpy', 'zenoh_ros2_sdk', 'starlette')))\n"
+"""A module that Python runs at its start, which hides the packages of the extra ``demo``."""
 
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_a_demo_without_its_extra_names_the_extra(files: Sequence[Path], tmp_path: Path) -> None:
-    environment = Installed(tmp_path / "plain", [only(files, COMPILED), only(files, COMPAT)])
-    (site,) = environment.folder.glob("lib/*/site-packages")
-    (site / "without.pth").write_text(WITHOUT, encoding="utf-8")
+def test_a_demo_without_its_extra_names_the_extra(compiled: tuple[Installed, Installed], tmp_path: Path) -> None:
+    installed, _ = compiled
+    (tmp_path / "sitecustomize.py").write_text(WITHOUT, encoding="utf-8")
+    environ = {**installed.environ(), "PYTHONPATH": str(tmp_path)}
     for demo in ("rooms", "topics"):
         done = subprocess.run(
-            [environment.bin / "midspan", "demo", demo],
-            cwd=environment.folder, env=environment.environ(), capture_output=True, text=True, timeout=120, check=False,
+            [installed.bin / "midspan", "demo", demo],
+            cwd=tmp_path, env=environ, capture_output=True, text=True, timeout=120, check=False,
         )  # fmt: skip
         assert done.returncode == 1
         assert "needs more than this machine has" in done.stderr
@@ -280,8 +288,13 @@ def test_a_demo_without_its_extra_names_the_extra(files: Sequence[Path], tmp_pat
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("wheel", [COMPILED, PURE])
-def test_midspan_runs_from_its_wheel(files: Sequence[Path], wheel: str, tmp_path: Path) -> None:
-    environment = Installed(tmp_path / "big path", [only(files, wheel), only(files, COMPAT)])
+def test_midspan_runs_from_its_wheel(
+    files: Sequence[Path], wheel: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    if wheel == COMPILED:
+        environment, _ = request.getfixturevalue("compiled")
+    else:
+        environment = Installed(tmp_path / "big path", [only(files, wheel), only(files, COMPAT)])
     place = "import bridge, sim, yarp_compat; print(bridge.__file__, sim.__file__, yarp_compat.__file__, sep='\\n')"
     assert all(line.startswith(str(environment.folder)) for line in environment.run("python", "-c", place).splitlines())
     assert environment.run("midspan", "--version") == f"midspan {dist.version()}\n"
@@ -369,9 +382,11 @@ def test_yarp_compat_needs_only_numpy(files: Sequence[Path], tmp_path: Path) -> 
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_uninstalling_one_distribution_leaves_the_other_complete(files: Sequence[Path], tmp_path: Path) -> None:
+def test_uninstalling_one_distribution_leaves_the_other_complete(
+    files: Sequence[Path], compiled: tuple[Installed, Installed]
+) -> None:
     assert not names(only(files, COMPILED)) & names(only(files, COMPAT))
-    environment = Installed(tmp_path / "both", [only(files, COMPILED), only(files, COMPAT)])
+    _, environment = compiled
     environment.pip("uninstall", "-q", "-y", "midspan")
     assert environment.run("python", "-c", "from yarp_compat import Bottle; print(Bottle('1 2').size())") == "2\n"
     left = [file.relative_to(environment.folder).parts for file in environment.folder.rglob("*") if file.is_file()]
