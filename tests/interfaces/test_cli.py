@@ -99,13 +99,12 @@ def test_an_empty_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.thorough
-def test_a_prefix_is_linked_into_the_virtual_environment(
-    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_prefix_is_linked_into_the_virtual_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    prefix = tmp_path / "prefix"  # its contents do not matter
     monkeypatch.setattr(sysconfig, "get_path", lambda _name: str(tmp_path))
-    file = link_into_venv(built)
+    file = link_into_venv(prefix)
     assert file is not None
     assert file.parent == tmp_path
-    assert file.read_text(encoding="utf-8") == f"{built / SITE}\n"
+    assert file.read_text(encoding="utf-8") == f"{prefix / SITE}\n"
     monkeypatch.setattr(sys, "base_prefix", sys.prefix)
-    assert link_into_venv(built) is None
+    assert link_into_venv(prefix) is None
