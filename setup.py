@@ -61,7 +61,8 @@ def _toolchain() -> bytes:
     command = shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
     version = subprocess.run([*command, "--version"], capture_output=True, check=False).stdout
     variables = [os.environ.get(name) for name in ("CFLAGS", "CPPFLAGS", "LDFLAGS", "LDSHARED")]
-    facts = (command, shutil.which(command[0]), version, variables, sys.version, sysconfig.get_platform())
+    python = sys.implementation.cache_tag  # the limited API is the same in each build of a Python version
+    facts = (command, shutil.which(command[0]), version, variables, python, sysconfig.get_platform())
     return repr(facts).encode() + Path(__file__).read_bytes()
 
 

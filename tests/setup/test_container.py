@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.setup.image import BUILT, Container, build, instructions, last
+from tests.setup.builds import PACKAGE
+from tests.setup.image import Container, build, instructions, last
 from tests.support.missing import DEBIAN, need
 from tests.support.wait import until
 
@@ -102,7 +103,7 @@ def test_the_image_is_healthy_with_a_read_only_root_and_an_unprivileged_user(con
         )
         assert refused.stdout.split() == ["10001", *"-----"]
         assert container.run("midspan", "doctor", "--only", "kernels").returncode == 0
-        assert list((root / "opt/midspan/interfaces/packages").glob(f"{BUILT}-*")), "the image has its own package"
+        assert list((root / "opt/midspan/interfaces/packages").glob(f"{PACKAGE}-*")), "the image has its own package"
         assert container.stop(20) == 0
         assert "Traceback" not in container.process.output()
         assert "Read-only file system" not in container.process.output()

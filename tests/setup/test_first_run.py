@@ -16,8 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.interfaces.cache import BuildCache, default_cache
-from tests.setup.image import BUILT
+from tests.setup.builds import copy_kernels, copy_packages
 from tests.support.process import Process
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,8 +38,6 @@ what a failed run left behind."""
 _CACHE = _FOLDER / "home" / "cache"
 _PACKAGES = _CACHE / "midspan" / "interfaces"
 _KERNELS = _CACHE / "kernels"
-_KERNEL = "sim.depth_kernel-"
-"""Beginning of the cached name of the kernel that is compiled."""
 
 
 @pytest.fixture
@@ -49,25 +46,10 @@ def clone() -> Path:
     folder = _FOLDER / "my robots" / "midspan"
     if not folder.exists():
         _copy(folder)
-        _cache_builds()
+        # to compile everything again takes two minutes of processor time, and shows nothing beyond the set-up of CI
+        if copy_kernels(_KERNELS):
+            copy_packages(_PACKAGES)
     return folder
-
-
-def _cache_builds() -> None:
-    """Fill the caches with what CI's set-up has compiled, except one kernel and one message package.
-
-    To compile everything again takes two minutes of processor time, and shows nothing beyond the set-up of CI.
-    """
-    kernels = os.environ.get("MIDSPAN_KERNEL_CACHE")
-    if not kernels:
-        return
-    for kernel in Path(kernels).iterdir():
-        if not kernel.name.startswith(_KERNEL):
-            _KERNELS.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(kernel, _KERNELS)
-    for package in BuildCache(default_cache()).packages():
-        if not package.name.startswith(BUILT):
-            shutil.copytree(package, _PACKAGES / "packages" / package.name, symlinks=True)
 
 
 def _copy(folder: Path) -> None:
