@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import _pytest.tmpdir
-import hypothesis  # noqa: F401  the test tools need what is hidden from the tested code
+import hypothesis  # the test tools need what is hidden from the tested code
+import pytest
 
 from tests.support.hidden import HIDE, LIBRARIES
 
 exec(LIBRARIES + HIDE, {"__name__": __name__})
 _pytest.tmpdir.get_user_id = lambda: None  # type: ignore[attr-defined]  # as on Windows
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure() -> None:
+    """Run few examples: more of them test the code's logic, which the tests do without this plugin."""
+    profile = hypothesis.settings.get_profile("midspan")
+    hypothesis.settings.register_profile("any_os", profile, max_examples=10)
+    hypothesis.settings.load_profile("any_os")
