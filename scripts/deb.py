@@ -215,7 +215,7 @@ def _write_packed(path: Path, text: str) -> None:
 
 
 def pack(
-    release: Release, root: Path, to: Path, version: str | None = None, *, arch: str = "amd64", quick: bool = False
+    release: Release, root: Path, to: Path, version: str | None = None, *, arch: str = "amd64", compression: str = "xz"
 ) -> Path:
     """Build the package from the files; return its path.
 
@@ -225,7 +225,7 @@ def pack(
         to: folder for the package.
         version: the version without the release's suffix; default: this checkout's version.
         arch: Debian's name of the processor.
-        quick: whether to skip compression.
+        compression: dpkg-deb's name of the compression; "none" and "gzip" are quick.
     """
     full = f"{version or dist.version()}{release.suffix}"
     _write_packed(root / "usr/share/doc/midspan/changelog.gz", _changelog(full))
@@ -248,8 +248,7 @@ def pack(
     _write(control / "control", text)
     to.mkdir(parents=True, exist_ok=True)
     package = to / f"midspan_{full}_{arch}.deb"
-    command = ["dpkg-deb", "--root-owner-group", *(["-Znone"] if quick else ["-Zxz"])]
-    dist.run([*command, "--build", str(root), str(package)], to)
+    dist.run(["dpkg-deb", "--root-owner-group", f"-Z{compression}", "--build", str(root), str(package)], to)
     return package
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -90,3 +92,12 @@ def test_worker_loads_no_libraries_of_the_command_line_or_other_sides(worker: st
 
 def test_the_built_in_rules_need_no_yaml() -> None:
     assert "yaml" not in loaded()["rules"]
+
+
+def test_no_program_imports_a_library_that_the_debian_package_does_not_compile() -> None:
+    """The services' user cannot write the bytecode, so each start would compile the library."""
+    postinst = (Path(__file__).parents[2] / "packaging/debian/postinst").read_text(encoding="utf-8")
+    excluded = re.search(r" -x '/\(([\w|?]+)\)/' ", postinst)
+    assert excluded
+    parts = re.compile(rf"(^|\.)({excluded[1]})(\.|$)")
+    assert sorted({name for modules in loaded().values() for name in modules if parts.search(name)}) == []

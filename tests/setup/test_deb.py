@@ -187,7 +187,7 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
     wheels = [*folder.glob("*/wheel/*.whl")]
     root = folder / "root"
     components = deb.stage(release, wheels, root)
-    first = deb.pack(release, root, folder / "packages", quick=True)
+    first = deb.pack(release, root, folder / "packages", compression="none")
     listed = json.loads(deb.write_sbom(first, components).read_text(encoding="utf-8"))["components"]
     # packages that setuptools vendors are left out
     files = root.glob("opt/midspan/lib/*/site-packages/*.dist-info/METADATA")
@@ -196,7 +196,7 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
     assert sorted(f"{part['name']} {part['version']}" for part in listed) == contained
     (module,) = root.glob("opt/midspan/lib/*/site-packages/bridge/__init__.py")
     module.write_text(dist.VERSION_LINE.sub(f'__version__ = "{NEXT}"', module.read_text()))
-    second = deb.pack(release, root, folder / "packages", NEXT, quick=True)
+    second = deb.pack(release, root, folder / "packages", NEXT, compression="none")
     for pattern in ("*", "lib/*", "share/*", "lib/*/site-packages/*"):
         for path in root.glob(f"opt/midspan/{pattern}"):
             if OWN.match(path.name):
@@ -205,7 +205,11 @@ def packages(release: deb.Release, folder: Path) -> list[Path]:
                 shutil.rmtree(path)
             elif pattern.startswith("lib/"):  # ROS 2's libraries
                 path.unlink()
-    return [first, second, deb.pack(release, root, folder / "own")]  # lintian rejects an uncompressed package
+    return [
+        first,
+        second,
+        deb.pack(release, root, folder / "own", compression="gzip"),
+    ]  # lintian rejects an uncompressed package
 
 
 @pytest.fixture(scope="module", params=RELEASES)
