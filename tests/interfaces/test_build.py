@@ -78,16 +78,27 @@ def test_two_programs_exchange_a_built_type(built: Path) -> None:
     assert message["parts"][0].items() >= part.items()
 
 
-@needs(COMPILER)
-def test_two_processes_build_once(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def tiny_outputs(cache: Path) -> list[list[str]]:
+    """Build a package in two processes at the same time, and return the lines that each prints."""
     code = f"from bridge.interfaces import build; print(build({TINY!r}, progress=print))"
-    env = os.environ | {"MIDSPAN_CACHE": str(tmp_path)}
+    env = os.environ | {"MIDSPAN_CACHE": str(cache)}
     builders = [
         subprocess.Popen([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True) for _ in range(2)
     ]
-    outputs = [builder.communicate(timeout=100)[0].splitlines() for builder in builders]
-    assert outputs[0][-1] == outputs[1][-1]
-    assert sum("building" in line for output in outputs for line in output) == 1
+    return [builder.communicate(timeout=100)[0].splitlines() for builder in builders]
+
+
+@pytest.fixture(scope="module")
+def tiny(tiny_outputs: list[list[str]]) -> Path:
+    """Return the prefix that the two processes built."""
+    return Path(tiny_outputs[0][-1])
+
+
+@needs(COMPILER)
+def test_two_processes_build_once(tiny_outputs: list[list[str]]) -> None:
+    assert tiny_outputs[0][-1] == tiny_outputs[1][-1]
+    assert sum("building" in line for output in tiny_outputs for line in output) == 1
 
 
 def test_no_compiler_is_named_with_its_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,22 +109,20 @@ def test_no_compiler_is_named_with_its_cure(tmp_path: Path, monkeypatch: pytest.
         build(TINY, tmp_path)
 
 
-def test_a_failed_build_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    left = build({}, tmp_path).parents[1] / "packages" / ".midspan_tiny_msgs"
+def test_a_failed_build_leaves_nothing_behind(tmp_path: Path, tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (built_before,) = members(tiny).values()
+    package = tmp_path / "packages" / built_before.name
     with monkeypatch.context() as patch:
         patch.setenv("CXX", "false")
         with pytest.raises(BuildError, match="false failed"):
             build(TINY, tmp_path)
     assert not list((tmp_path / "packages").iterdir())
     # as left by a process that is killed while it builds
-    name = build(TINY, tmp_path)
-    (package,) = members(name).values()
-    for folder in (package, name):
-        folder.rename(folder.with_name("gone-" + folder.name))
-    left.with_name(f".{package.name}-killed").mkdir()
-    assert build(TINY, tmp_path) == name
+    left = package.with_name(f".{package.name}-killed")
+    left.mkdir()
+    assert build(TINY, tmp_path).name == tiny.name
     assert package.is_dir()
-    assert not left.with_name(f".{package.name}-killed").exists()
+    assert not left.exists()
 
 
 def test_a_cache_that_cannot_be_written_is_named(tmp_path: Path) -> None:
@@ -146,8 +155,8 @@ def test_different_builds_of_one_package_do_not_mix(built: Path, cache: Path) ->
             use()
 
 
-def test_several_prefixes_merge(built: Path, cache: Path) -> None:
-    env = os.environ | environment([built, build(TINY, cache)])
+def test_several_prefixes_merge(built: Path, tiny: Path) -> None:
+    env = os.environ | environment([built, tiny])
     code = "import midspan_tiny_msgs.msg, midspan_whole_msgs.msg, tf2_msgs.msg, midspan_parts_msgs.srv"
     ended = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=100)
     assert ended.returncode == 0, ended.stderr
