@@ -126,7 +126,7 @@ def test_memory_that_may_not_be_locked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _which: (8 << 20, 8 << 20))
 
     class Libc:
-        def mlock(self, *_: Any) -> int:
+        def mlock2(self, *_: Any) -> int:
             return -1
 
     monkeypatch.setattr(ctypes, "CDLL", lambda *_args, **_more: Libc())

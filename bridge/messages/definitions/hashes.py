@@ -30,7 +30,12 @@ _BOUNDED_SEQUENCE_STEP = 96
 
 def md5_sum(*schemas: Schema) -> str:
     """Return the md5 of a ROS 1 type, in hex; that of a service covers its request and its response as one text."""
-    return _md5("".join(_md5_text(schema) for schema in schemas))
+    if len(schemas) != 1:
+        return _md5("".join(_md5_text(schema) for schema in schemas))
+    (schema,) = schemas
+    if "md5" not in schema.fingerprints:
+        schema.fingerprints["md5"] = _md5(_md5_text(schema))
+    return schema.fingerprints["md5"]
 
 
 def _md5_text(schema: Schema) -> str:
@@ -57,6 +62,12 @@ def _md5(text: str) -> str:
 
 def rihs01(schema: Schema) -> str:
     """Return the RIHS01 hash of a ROS 2 type, ``RIHS01_<64 hex>``."""
+    if "rihs01" not in schema.fingerprints:
+        schema.fingerprints["rihs01"] = _rihs01(schema)
+    return schema.fingerprints["rihs01"]
+
+
+def _rihs01(schema: Schema) -> str:
     nested = sorted(schema.nested_order())
     description = {
         "type_description": _describe(schema, schema.name),

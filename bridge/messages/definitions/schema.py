@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from typing_extensions import override
@@ -133,6 +133,8 @@ class Schema:
 
     root: Definition
     types: Mapping[str, Definition]  #: the root and all nested types by name
+    fingerprints: dict[str, str] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """The fingerprints that `bridge.messages.definitions.hashes` has computed, by function."""
 
     @property
     def name(self) -> str:

@@ -63,24 +63,30 @@ class DefinitionFolder:
     def __init__(self, root: Path, world: World) -> None:
         self.root = root
         self.world = world
+        self._path = str(root)
 
     def folders(self, package: str, kind: str) -> list[Path]:
         """Return the folders of this tree that hold the package's files of one kind (``msg``, ``srv``, ``action``)."""
-        wanted = [self.root / package / kind]
+        wanted = [f"{self._path}/{package}/{kind}"]  # text, because many lookups find nothing, and `Path` is slow
         if kind == "msg":
-            wanted.append(self.root / package)
+            wanted.append(f"{self._path}/{package}")
         for folder in self._renamed.get(package, ()):
-            wanted += [folder / kind, folder]
+            wanted += [f"{folder}/{kind}", str(folder)]
         if package in self._names:
-            wanted += [self.root / kind, self.root]
-        if package in self._parent_names and kind in (self.root.name, self.root.resolve().name):
-            wanted.append(self.root)
-        return [folder for folder in wanted if folder.is_dir()]
+            wanted += [f"{self._path}/{kind}", self._path]
+        if package in self._parent_names and kind in self._own_names:
+            wanted.append(self._path)
+        return [Path(folder) for folder in wanted if os.path.isdir(folder)]  # noqa: PTH112
 
     @cached_property
     def _names(self) -> set[str]:
         """The names of the package if the root is a package's own folder."""
         return {self.root.name, package_name(self.root)}
+
+    @cached_property
+    def _own_names(self) -> set[str]:
+        """The folder's name, and that of the folder that it links to."""
+        return {self.root.name, self.root.resolve().name}
 
     @cached_property
     def _parent_names(self) -> set[str]:
