@@ -18,7 +18,7 @@ _MAPPED = re.compile(rf"{_MEMORY}/\S+")
 _OWN = re.compile(r"\d+\.zenoh|fastrtps_[0-9a-f]{16}(_el)?")
 """zenoh's pools and Fast DDS's segments; their names are never reused."""
 _END_SECONDS = 0.5
-"""Seconds to wait for the end of killed processes, which keep their files until then."""
+"""Seconds to wait for the end of killed processes and of other uses of their files."""
 
 _LOCK = "_el"
 _PORT = re.compile(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_mutex)?")
@@ -53,11 +53,33 @@ def erase(folder: Path, ports: range) -> list[str]:
         time.sleep(0.02)
 
 
-def shared_memory(folder: Path, ports: range) -> tuple[set[Path], set[Path]]:
-    """Return a run's files in shared memory (Linux): those only it uses, and Fast DDS ports that others may use."""
-    used = {file for pid in marked(folder) for file in used_by(pid)}
-    own_files = {file for file in used if is_own(file.name, ports)}
-    return own_files, _shared_ports(used - own_files)
+class SharedMemory:
+    """A run's files in shared memory (Linux), which are known only while its processes use them."""
+
+    def __init__(self, folder: Path, ports: range) -> None:
+        self._folder, self._ports = folder, ports
+        self._own: set[Path] = set()
+        self._shared: set[Path] = set()
+        """Fast DDS ports that other programs may use, too."""
+
+    def note(self) -> None:
+        """Add the files that the run's processes use now."""
+        used = {file for pid in marked(self._folder) for file in used_by(pid)}
+        own_files = {file for file in used if is_own(file.name, self._ports)}
+        self._own, self._shared = self._own | own_files, self._shared | _shared_ports(used - own_files)
+
+    def remove(self) -> None:
+        """Remove the files once the processes have ended; may be called on any thread.
+
+        A zenoh session that another program opens meanwhile holds each of zenoh's files for a moment.
+        """
+        end = time.monotonic() + _END_SECONDS
+        while True:
+            remove_unused(self._own)
+            remove_unread(self._shared)
+            if time.monotonic() > end or not any(file.exists() for file in self._own):
+                return
+            time.sleep(0.02)
 
 
 def _shared_ports(files: set[Path]) -> set[Path]:
@@ -65,10 +87,10 @@ def _shared_ports(files: set[Path]) -> set[Path]:
 
 
 def remove_unused(files: set[Path]) -> list[Path]:
-    """Remove those files that still exist and are not used by a process; return them."""
+    """Remove those files that still exist and are not used by another process; return them."""
     unused = {file for file in files if file.exists()}
     if unused:
-        unused -= {file for pid in psutil.pids() for file in used_by(pid)}
+        unused -= {file for pid in psutil.pids() if pid != os.getpid() for file in used_by(pid)}
     for file in unused:
         file.unlink(missing_ok=True)
     return sorted(unused)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from bridge.demo.leftovers import erase, remove_unread, remove_unused, shared_memory
+from bridge.demo.leftovers import SharedMemory, erase
 from bridge.demo.processes import DemoChild, Program
 from bridge.demo.sandbox import Sandbox
 
@@ -38,7 +38,7 @@ class Shutdown:
     def __init__(self) -> None:
         self._interrupted_at: float | None = None
         self._held = 0
-        self._erase: Callable[[], Any] = lambda: None
+        self._erasers: list[Callable[[], Any]] = []
         self._old: dict[signal.Signals, Any] = {}
         self._old_wakeup = -1
 
@@ -74,8 +74,8 @@ class Shutdown:
         self._held += 1
 
     def guard(self, erase: Callable[[], Any]) -> None:
-        """Set the function that removes all leftovers if the main thread is too late; called on any thread."""
-        self._erase = erase
+        """Add a function that removes leftovers if the main thread is too late; called on any thread."""
+        self._erasers.append(erase)
 
     def check(self) -> None:
         """Raise `KeyboardInterrupt` if the demo was interrupted."""
@@ -119,8 +119,9 @@ class Shutdown:
             os.close(self._reads)
             return
         time.sleep(_EXIT_SECONDS)
-        with contextlib.suppress(Exception):
-            self._erase()
+        for erase_leftovers in self._erasers:
+            with contextlib.suppress(Exception):
+                erase_leftovers()
         if sys.stdout.isatty():
             os.write(1, b"\x1b[?25h\n")  # show the cursor, which a live table hides
         os._exit(INTERRUPTED)
@@ -138,7 +139,9 @@ Stage = tuple[Sequence[DemoChild | Program], float]
 def end_all(sandbox: Sandbox, shutdown: Shutdown, stages: Sequence[Stage]) -> None:
     """End the stages in sequence, or all at once after an interrupt; then kill what has not ended."""
     shutdown.ignore_signals()
-    memory, ports = shared_memory(sandbox.folder, sandbox.domain_ports)
+    memory = SharedMemory(sandbox.folder, sandbox.domain_ports)
+    memory.note()
+    shutdown.guard(memory.remove)
     every = [process for stage, _ in stages for process in stage]
     if shutdown.interrupted:
         stages = [(every, max((seconds for _, seconds in stages), default=0.0))]
@@ -151,13 +154,11 @@ def end_all(sandbox: Sandbox, shutdown: Shutdown, stages: Sequence[Stage]) -> No
             time.sleep(_POLL_SECONDS)
             if time.monotonic() > looked + _MEMORY_SECONDS:
                 looked = time.monotonic()
-                own_files, shared = shared_memory(sandbox.folder, sandbox.domain_ports)
-                memory, ports = memory | own_files, ports | shared
+                memory.note()
     left = erase(sandbox.folder, sandbox.domain_ports)
     if left and not shutdown.interrupted:
         _log.warning("these processes had to be killed: %s", ", ".join(left))
-    remove_unused(memory)
-    remove_unread(ports)
+    memory.remove()
     for process in every:
         if not shutdown.interrupted:
             process.close()  # to read the remaining output

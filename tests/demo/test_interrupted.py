@@ -68,7 +68,6 @@ MOMENTS = {
     "it sets up its folder": lambda folder, _words: any(folder.glob("midspan-demo-*")),
     "roscore starts": lambda folder, _words: runs(folder, "roscore"),
     "the daemon starts": lambda folder, _words: runs(folder, "bridge.cli.main"),
-    "workers start": lambda folder, _words: runs(folder, "worker ros2", "worker modules"),
     "a client starts": lambda folder, _words: runs(folder, "goto_location_yarp"),
     "the robot drives": lambda _folder, output: "status_moving" in output.read_text(),
 }
@@ -99,11 +98,13 @@ def test_ctrl_c_during_the_start_ends_the_demo_in_time(folder: Path, seconds: fl
         demo.kill()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_other_signals_end_the_demo_in_time(folder: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "program"), [(signal.SIGTERM, "bridge.demo.topics_demo.robot"), (signal.SIGHUP, "bridge.cli.main")]
+)
+def test_other_signals_end_the_demo_in_time(folder: Path, number: signal.Signals, program: str) -> None:
     demo = start(folder, "--stay")
     try:
-        until(lambda: runs(folder, "bridge.demo.topics_demo.robot"), "the robot runs", 120.0)
+        until(lambda: runs(folder, program), f"{program} runs", 120.0)
         assert_ends(demo, folder, number)
     finally:
         demo.kill()
@@ -113,6 +114,7 @@ STUCK = """
 import signal, sys, time
 from bridge.demo.shutdown import Shutdown
 with Shutdown() as ending:
+    ending.guard(lambda: 1 / 0)
     ending.guard(lambda: print("erased", flush=True))
     ending.ignore_signals()
     print("stuck", flush=True)

@@ -218,6 +218,30 @@ def test_an_unlocked_port_of_a_killed_participant_is_removed(tmp_path: Path) -> 
             file.unlink(missing_ok=True)
 
 
+def test_shared_memory_is_removed_although_the_demo_itself_still_uses_it(tmp_path: Path) -> None:
+    """A demo's own session may hold the memory of a worker for a moment after it was closed."""
+    file = Path("/dev/shm", f"{70_000 + os.getpid()}.zenoh")
+    memory = leftovers.SharedMemory(tmp_path, range(0))
+    try:
+        file.touch()
+        with subprocess.Popen(
+            [sys.executable, "-c", HOLDS, str(file)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=os.environ | {sandbox.MARK: str(tmp_path)},
+        ) as worker:
+            assert worker.stdout is not None
+            assert worker.stdout.readline() == b"held\n"
+            memory.note()
+            memory.remove()
+            assert file.exists(), "the worker still uses it"
+        with file.open("rb"):
+            memory.remove()
+        assert not file.exists()
+    finally:
+        file.unlink(missing_ok=True)
+
+
 def test_missing_software_is_reported_with_its_cure(tmp_path: Path) -> None:
     from bridge.config.model import Config
 
