@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,10 +11,10 @@ from typing import Any
 import pytest
 
 from bridge.hub.security.certificates import Authority
-from tests.peers.daemon.midspan import MIDSPAN
-from tests.support.forks import DAEMON_AND_WORKERS
+from tests.peers.daemon.midspan import MIDSPAN, verb_module
+from tests.support.forks import COMMAND, DAEMON_AND_WORKERS
 from tests.support.ports import free_port
-from tests.support.process import Process
+from tests.support.process import Process, run_forked
 from tests.support.wait import until
 
 OFF = {"enabled": False}
@@ -34,7 +33,7 @@ class Daemon:
 
     def midspan(self, *words: str) -> str:
         command = [*MIDSPAN, *words, "--config", str(self.file)]
-        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60).stdout
+        return run_forked(command, imports=[*COMMAND, verb_module(words[0])]).stdout
 
     def endpoint(self) -> dict[str, Any]:
         documents = json.loads(self.midspan("status", "--json") or "[]")
@@ -72,9 +71,14 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
             "refusal logged",
         )
         until(lambda: robot.lines(f"hub.open.listen {place}: a machine"), "the robot logs the refusal")
-        assert until(lambda: robot.endpoint().get("state") == "refused" and robot.endpoint(), "the robot's status")[
-            "cure"
-        ]
+        endpoint: dict[str, Any] = {}
+
+        def refused() -> bool:
+            endpoint.update(robot.endpoint())
+            return endpoint.get("state") == "refused"
+
+        until(refused, "the robot's status", every=0.2)
+        assert endpoint["cure"]
         assert operator.endpoint()["state"] == "refused"
         text = robot.midspan("status")
         assert f"hub.open.listen {place} refused for " in text
