@@ -28,17 +28,18 @@ class Program(Protocol):
         """Return odometry with this stamp or a later one."""
 
 
-def driven(program: Program, side: float, step: Callable[[], int]) -> Iterator[Pose]:
-    """Drive a square by odometry, and yield the odometry's pose at each corner.
+def driven(program: Program, side: float, step: Callable[[], int], sides: int = SIDES) -> Iterator[Pose]:
+    """Drive a square or its first sides by odometry, and yield the odometry's pose at each corner.
 
     Args:
         program: drives the robot.
         side: length of a side, meters.
         step: advances the simulation, and returns its time in nanoseconds.
+        sides: how many sides to drive.
     """
     now = step()
     start = program.pose(now)
-    for corner in range(SIDES):
+    for corner in range(sides):
         heading = start.theta + corner * math.pi / 2
         target = _ahead(start, corner, side)
         for goal in (target, None):
