@@ -1,5 +1,6 @@
 """`midspan doctor` reports only OK for each documented configuration, run with the middlewares and programs it names.
 
+``default.yaml`` changes no default (`tests.config.test_generated`), like the workers' sections of ``allow_list.yaml``.
 If a program is not started yet, doctor names it, and no check fails. One roscore and one ROS domain serve the whole
 file. Checks of the machine (compiler, shared memory, clock) are excluded: they do not depend on the configuration.
 """
@@ -205,7 +206,7 @@ Begin = Callable[[Config], Fresh]
 
 
 @pytest.mark.parametrize(
-    "name", ["default.yaml", "allow_list.yaml", "demo.yaml", "zenoh_dialects.yaml", "navigation.yaml", "tables.yaml"]
+    "name", ["allow_list.yaml", "demo.yaml", "zenoh_dialects.yaml", "navigation.yaml", "tables.yaml"]
 )
 def test_configurations_without_other_programs(fresh: Begin, name: str) -> None:
     fresh(from_file(name)).until_all_is_well()
