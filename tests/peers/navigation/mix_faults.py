@@ -36,6 +36,9 @@ UNCONFIRMED = "may still be moving"
 MAY_MOVE = "aborted, and may still be moving"
 """A reported end that does not claim that the robot stands."""
 
+UNOBSERVED = ""
+"""State between two polls of which the second returned another state."""
+
 _POLL = 0.05
 
 
@@ -139,6 +142,7 @@ class Watch:
     untrue: float = 0.0
     trouble: list[str] = field(default_factory=list)
     _read: int = 0
+    _asked: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.base = self.mix.base
@@ -164,12 +168,14 @@ class Watch:
         self._note(self.client, client.ended_at() if end else 0.0, end or client.seen())
 
     def _note(self, who: str, at: float, word: str, text: str = "") -> None:
-        texts = self.words.setdefault(who, [])
-        at = at or time.monotonic()
+        words, now = self.words.setdefault(who, []), time.monotonic()
         if who == "status":
-            self.texts.append((at, text or word))
-        if not texts or texts[-1][1] != word:
-            texts.append((max(at, self.began), word))
+            self.texts.append((at or now, text or word))
+        if not words or words[-1][1] != word:
+            if words and not at:  # on a busy machine, this poll may be late
+                words.append((max(self._asked[who], self.began), UNOBSERVED))
+            words.append((max(at or now, self.began), word))
+        self._asked[who] = now
 
     def until(self, condition: Callable[[], object], what: str, seconds: float = SECONDS) -> None:
         """Poll until a condition holds."""
