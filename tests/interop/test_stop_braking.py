@@ -18,15 +18,16 @@ thorough = pytest.mark.thorough
 
 
 @pytest.mark.parametrize(
-    "shared_mix",
+    ("shared_mix", "client"),
     [
-        pytest.param(CONTROLLER, id="the controller brakes"),
-        pytest.param(BASE, id="the base brakes", marks=thorough),
-        pytest.param(NO_ODOMETRY, id="without odometry", marks=thorough),
+        pytest.param(CONTROLLER, YARP, id="the controller brakes, YARP"),
+        pytest.param(CONTROLLER, ROS2, id="the controller brakes, ROS 2", marks=thorough),
+        pytest.param(BASE, ROS2, id="the base brakes, ROS 2", marks=thorough),
+        pytest.param(NO_ODOMETRY, YARP, id="without odometry, YARP", marks=thorough),
     ],
-    indirect=True,
+    indirect=["shared_mix"],
+    scope="module",
 )
-@pytest.mark.parametrize("client", [YARP, pytest.param(ROS2, marks=thorough)])
 def test_stop_while_it_brakes(mix: Mix, client: str) -> None:
     """bt_navigator reports its goal's end 50 ms after the cancel request, even if the robot still moves."""
     watch = drive_in(mix, client)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import pytest
 
-from tests.peers.daemon.deployment import Deployment
 from tests.peers.navigation.mix import MOVE_BASE, OWN, Mix
 from tests.peers.navigation.mix_clients import COMMAND, ROS1, ROS2, SECONDS, YARP, ZENOH, RosClient, ZenohClient
 from tests.peers.navigation.mix_faults import (
@@ -25,12 +24,14 @@ from tests.support.wait import until
 GATEWAY = (YARP, ROS2, ZENOH)
 """Clients whose goals the gateway executes. They reach the gateway's services even if ROS 1 is unreachable."""
 
+pytestmark = pytest.mark.parametrize(
+    "shared_mix", [pytest.param({"planner": MOVE_BASE}, id="move_base")], indirect=True
+)
 thorough = pytest.mark.thorough
 
 
-def drive(deployment: Deployment, client: str, **options: object) -> Watch:
+def drive(mix: Mix, client: str) -> Watch:
     """Let a client drive with move_base."""
-    mix = Mix.over(deployment, MOVE_BASE, **options)
     start_driving(mix, mix.clients[client])
     return Watch(mix, client, own=(MOVE_BASE, client) in OWN)
 
@@ -68,8 +69,8 @@ def assert_refused_or_stands(watch: Watch) -> None:
 
 @thorough
 @pytest.mark.parametrize("client", [ROS1, YARP, ROS2])
-def test_stop_while_the_master_is_dead(deployment: Deployment, client: str) -> None:
-    watch = drive(deployment, client)
+def test_stop_while_the_master_is_dead(mix: Mix, client: str) -> None:
+    watch = drive(mix, client)
     watch.mix.kill_master()
     wait(watch, 1.0)
     watch.ask("stop", [*GATEWAY, COMMAND])
@@ -86,8 +87,8 @@ def test_stop_while_the_master_is_dead(deployment: Deployment, client: str) -> N
 
 
 @thorough
-def test_halt_while_the_master_is_dead(deployment: Deployment) -> None:
-    watch = drive(deployment, ROS1)
+def test_halt_while_the_master_is_dead(mix: Mix) -> None:
+    watch = drive(mix, ROS1)
     watch.mix.kill_master()
     wait(watch, 0.5)
     halted = watch.mix.callers[COMMAND].ask("halt")
@@ -99,8 +100,7 @@ def test_halt_while_the_master_is_dead(deployment: Deployment) -> None:
 
 @thorough
 @pytest.mark.parametrize("client", [ROS1, ROS2])
-def test_a_goal_is_followed_while_the_master_is_dead(deployment: Deployment, client: str) -> None:
-    mix = Mix.over(deployment, MOVE_BASE)
+def test_a_goal_is_followed_while_the_master_is_dead(mix: Mix, client: str) -> None:
     mix.clients[client].goto(6.0)
     until(lambda: mix.base.moves and mix.state() == "moving", "the base moves", SECONDS)
     watch = Watch(mix, client, own=client == ROS1)
@@ -111,8 +111,8 @@ def test_a_goal_is_followed_while_the_master_is_dead(deployment: Deployment, cli
 
 
 @pytest.mark.parametrize("asks", [YARP, pytest.param(COMMAND, marks=thorough), pytest.param(ZENOH, marks=thorough)])
-def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: str) -> None:
-    watch = drive(deployment, YARP if asks == COMMAND else asks)
+def test_pause_after_the_ros1_worker_was_killed(mix: Mix, asks: str) -> None:
+    watch = drive(mix, YARP if asks == COMMAND else asks)
     kill_workers("ros1")(watch.mix)
     wait(watch, 0.3)
     watch.ask("pause", [asks])
@@ -128,9 +128,8 @@ def test_pause_after_the_ros1_worker_was_killed(deployment: Deployment, asks: st
 
 
 @pytest.mark.parametrize("client", [ZENOH, pytest.param(ROS2, marks=thorough)])
-def test_the_ros1_worker_is_killed_as_the_robot_starts(deployment: Deployment, client: str) -> None:
+def test_the_ros1_worker_is_killed_as_the_robot_starts(mix: Mix, client: str) -> None:
     """Odometry that ended before the robot moved does not prove that the robot stands."""
-    mix = Mix.over(deployment, MOVE_BASE)
     start_driving(mix, mix.clients[client], progress=1)
     watch = Watch(mix, client)
     kill_workers("ros1")(mix)
@@ -142,16 +141,15 @@ def test_the_ros1_worker_is_killed_as_the_robot_starts(deployment: Deployment, c
 
 @thorough
 @pytest.mark.parametrize("fault", ["planner hangs", "ros1 worker dies", "modules die", "ros1 and modules die"])
-def test_stop_of_the_planners_own_goal(deployment: Deployment, fault: str) -> None:
-    mix = Mix.over(deployment, MOVE_BASE)
+def test_stop_of_the_planners_own_goal(mix: Mix, fault: str) -> None:
     assert attempt(mix, replace(FAULTS[fault], stopped=True), ROS1, [], own=True) == "own"
 
 
 @thorough
 @pytest.mark.parametrize("client", [YARP, ROS1])
-def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client: str) -> None:
+def test_stop_after_ros1_and_modules_were_killed(mix: Mix, client: str) -> None:
     """Excludes clients of the gateway's action: their goals end with its server, even if the robot drives on."""
-    watch = drive(deployment, client)
+    watch = drive(mix, client)
     kill_workers("ros1", "gateway")(watch.mix)
     end = time.monotonic() + 40.0
     while time.monotonic() < end:
@@ -167,8 +165,8 @@ def test_stop_after_ros1_and_modules_were_killed(deployment: Deployment, client:
 
 
 @pytest.mark.parametrize("other", [YARP, pytest.param(ZENOH, marks=thorough)])
-def test_new_goal_after_the_ros1_worker_was_killed(deployment: Deployment, other: str) -> None:
-    watch = drive(deployment, ROS2)
+def test_new_goal_after_the_ros1_worker_was_killed(mix: Mix, other: str) -> None:
+    watch = drive(mix, ROS2)
     first = watch.mix.clients[ROS2]
     assert isinstance(first, RosClient)
     watch.client = ""  # the first goal is canceled for the new one, and the robot may keep driving meanwhile

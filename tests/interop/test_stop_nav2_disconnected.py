@@ -21,18 +21,23 @@ thorough = pytest.mark.thorough
 
 
 @pytest.mark.parametrize(
-    "shared_mix", [pytest.param(MISSING, id="102"), pytest.param(TOLERANT, id="202", marks=thorough)], indirect=True
+    ("shared_mix", "client"),
+    [
+        pytest.param(MISSING, ZENOH, id="102, zenoh"),
+        pytest.param(MISSING, ROS1, marks=thorough, id="102, ROS 1"),
+        pytest.param(TOLERANT, YARP, marks=thorough, id="202, YARP"),
+    ],
+    indirect=["shared_mix"],
+    scope="module",
 )
-@pytest.mark.parametrize("client", [ZENOH, *(pytest.param(name, marks=thorough) for name in (YARP, ROS1))])
 def test_the_ros2_worker_is_killed_and_transforms_are_missing(mix: Mix, client: str) -> None:
     assert_continues(drive_in(mix, client))
 
 
 @thorough
 @pytest.mark.parametrize("shared_mix", [pytest.param(PATIENT, id="patient")], indirect=True)
-@pytest.mark.parametrize("client", [YARP, ZENOH])
-def test_the_ros2_worker_is_killed(mix: Mix, client: str) -> None:
-    assert_continues(drive_in(mix, client))
+def test_the_ros2_worker_is_killed(mix: Mix) -> None:
+    assert_continues(drive_in(mix, YARP))
 
 
 def assert_continues(watch: Watch) -> None:

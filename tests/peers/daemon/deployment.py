@@ -74,7 +74,7 @@ class Deployment(MidspanDaemon):
     def run(self) -> None:
         """Start the daemon; return when all its workers have joined."""
         super().run()
-        until(self.joined, f"the workers of {self._sides} have joined", 40, every=0.05)
+        until(self.joined, f"the workers of {self._sides} have joined", 40, every=0.2)
         self._own = len(self._open)
 
     def joined(self) -> bool:

@@ -7,6 +7,7 @@ robot without mass, so that the tests are fast. move_base and Nav2 are stand-ins
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Self
 
@@ -96,7 +97,8 @@ class Mix:
         self.kind = planner
         self._bases: dict[str, Base] = {}
         self._pids: dict[str, int] = {}
-        self._masterless = False
+        self._kills: Counter[str] = Counter()
+        self.masterless = False
         self._list: Subscription | None = None
         self.listed: dict[bytes, GoalState] = {}
         self.statuses: list[tuple[float, dict[str, Any]]] = []
@@ -119,7 +121,7 @@ class Mix:
     def _sections(self, planner: str) -> dict[str, Any]:
         place = f"{self._names.host}:{self._names.port}"
         return {
-            "yarp": {"nameserver": "embedded", "address": place, "poll": 0.1},
+            "yarp": {"nameserver": "embedded", "address": place, "poll": 0.3},
             "navigation": {"planner": IDS[planner], "map": "/map", **self._navigation},
             "store": {"enabled": True},
             "modules": {
@@ -176,7 +178,7 @@ class Mix:
         self.deployment.configure(**self._sections(planner))
         self.deployment.hang_up()
         self._follow(IDS[planner])
-        until(lambda: self._chosen(planner), f"{planner} is the planner", SECONDS, 0.1)
+        until(lambda: self._chosen(planner), f"{planner} is the planner", SECONDS, 0.2)
 
     def _chosen(self, planner: str) -> bool:
         workers = {worker.get("worker"): worker for worker in self.deployment.status()}
@@ -192,7 +194,7 @@ class Mix:
 
     def recover(self) -> None:
         """Restart the planner without goals after a failed fault test."""
-        if self._masterless:
+        if self.masterless:
             self.restart_ros1()
             return
         self.planner.stop(0)
@@ -201,7 +203,7 @@ class Mix:
     def kill_master(self) -> None:
         """Kill roscore."""
         self.deployment.master.kill()
-        self._masterless = True
+        self.masterless = True
 
     def restart(self) -> None:
         """Restart move_base. The ROS master still lists the dead node, so only the output shows that it is up again."""
@@ -214,10 +216,18 @@ class Mix:
         until(self.planner.ready, "bt_navigator is up again", SECONDS)
         self.listed = {}
 
+    def repair(self) -> None:
+        """Restart roscore and Nav2's servers if a test has killed them, and wait until all workers are back."""
+        if self.masterless:
+            self.restart_ros1()
+        if self.kind == NAV2 and self.planner.restart_killed():
+            self.listed = {}
+        until(self.back, "all workers are back", SECONDS, every=0.1)
+
     def restart_ros1(self) -> None:
         """Restart roscore and all nodes, because rospy registers a node only once."""
         self.deployment.master.start()
-        self._masterless = False
+        self.masterless = False
         self.planner.stop(0)
         self._bases.pop(MOVE_BASE).stop(0)
         client = self.clients[ROS1]
@@ -241,7 +251,13 @@ class Mix:
     def pid(self, worker: str) -> int:
         """Return the process ID of a worker that will be killed; `back` waits for all workers that are running now."""
         self._pids |= self._processes()
+        self._kills[worker] += 1
         return self._pids[worker]
+
+    @property
+    def kills(self) -> int:
+        """Return how often the most killed worker was killed."""
+        return max(self._kills.values(), default=0)
 
     def _processes(self) -> dict[str, int]:
         return {str(worker.get("worker")): int(worker["pid"]) for worker in self.deployment.status() if "pid" in worker}

@@ -13,6 +13,7 @@ from typing import Self
 from tests.peers.ros1.network import ROS1_PYTHON
 from tests.peers.ros2.network import ros2_environment, ros2_python
 from tests.support.process import Process
+from tests.support.wait import until
 
 PEERS = Path(__file__).parents[1]
 
@@ -122,7 +123,9 @@ class Nav2:
             self.start(name)
 
     def start(self, name: str) -> None:
-        """Start one of the servers."""
+        """Start one of the servers, in place of one that was killed."""
+        if name in self.servers:
+            self.servers[name].stop(0)
         self.servers[name] = Process([ros2_python(), *self._commands[name]], self._env)
 
     def ready(self) -> bool:
@@ -133,6 +136,14 @@ class Nav2:
         """Kill one of the servers."""
         self.servers[name].signal(signal.SIGKILL)
         self.servers[name].popen.wait()
+
+    def restart_killed(self) -> bool:
+        """Restart the servers that were killed, and wait until they are up; return whether there were any."""
+        killed = [name for name, server in self.servers.items() if server.popen.poll() is not None]
+        for name in killed:
+            self.start(name)
+        until(self.ready, "Nav2 is up again", 40.0)
+        return bool(killed)
 
     def give_up(self) -> None:
         """Make bt_navigator abort its goal, as after a late acknowledgment, while controller_server keeps driving."""

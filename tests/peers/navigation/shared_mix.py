@@ -1,4 +1,4 @@
-"""A mix that several tests share because they leave its daemon and planner running."""
+"""A mix that several tests share because they leave its daemon running."""
 
 from __future__ import annotations
 
@@ -12,9 +12,15 @@ from tests.peers.navigation.mix import NAV2, Mix
 from tests.peers.navigation.mix_clients import SECONDS
 from tests.support.wait import until
 
+MOST_KILLS = 4
+"""Kills of one worker in a daemon's life. Each doubles the pause before the next start, which is 0.2 s at first."""
+
 
 class SharedMix:
-    """A daemon and a planner for tests that leave both running; after a failed test, the next test starts new ones.
+    """A daemon and a planner for several tests.
+
+    Tests may kill workers, roscore and Nav2's servers. After a failed test or too many kills, the next test starts a
+    new daemon and planner.
 
     Args:
         folders: creates the daemon's folder.
@@ -28,13 +34,24 @@ class SharedMix:
         self._mix: Mix | None = None
 
     def at_rest(self) -> Mix:
-        """Return the mix once no robot or goal is active."""
+        """Return the mix once all its programs run, and no robot or goal is active."""
+        if self._mix is not None and self._mix.kills >= MOST_KILLS:
+            self.close()
+        try:
+            return self._at_rest()
+        except BaseException:
+            self.close()
+            raise
+
+    def _at_rest(self) -> Mix:
         if self._mix is None:
             deployment = self._stack.enter_context(Deployment(self._folders.mktemp("shared")))
             self._mix = Mix.over(deployment, self._planner, **self._options)
         mix = self._mix
+        mix.repair()
+        rest = ("", "idle", "aborted", "goal_reached")
         until(
-            lambda: not mix.driving() and mix.state() in ("", "idle", "aborted") and not mix.base.moves,
+            lambda: not mix.driving() and mix.state() in rest and not mix.base.moves,
             "no goal is active and the base stands",
             SECONDS,
         )

@@ -70,6 +70,7 @@ class Following:
     def connect(self) -> None:
         """Wait until controller_server responds: a server that is visible may not have discovered its client yet."""
         self.client.wait_for_server()
+        print("sees controller_server", flush=True)
         while not self.send(Path(), 1.0):
             pass
 
@@ -136,6 +137,7 @@ class Navigator(Node):
         """Accept goals once transforms arrive and controller_server responds."""
         if self.transforms is not None and self.following is not None:
             self.transforms.wait()
+            print("has transforms", flush=True)  # a failed test shows how far the start came
             self.following.connect()
         self.server = ActionServer(
             self,
