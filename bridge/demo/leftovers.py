@@ -71,7 +71,7 @@ class SharedMemory:
     def remove(self) -> None:
         """Remove the files once the processes have ended; may be called on any thread.
 
-        A zenoh session that another program opens meanwhile holds each of zenoh's files for a moment.
+        Another program's zenoh session holds all of these files for a moment when it opens.
         """
         end = time.monotonic() + _END_SECONDS
         while True:

@@ -47,6 +47,9 @@ from yarp_compat.naming.config import Address
 SPEED, PATIENCE = 2.0, 0.5
 """Of the stand-ins: speed in m/s, and seconds until an unreachable goal is aborted."""
 
+MOST_KILLS = 4
+"""Kills of one worker, which pauses 0.2 s before its first restart, for several drives with one daemon."""
+
 QUICK = {
     "max_lin_speed": SPEED,
     "max_lin_acc": 20.0,
@@ -217,11 +220,9 @@ class Mix:
         self.listed = {}
 
     def repair(self) -> None:
-        """Restart roscore and Nav2's servers if a test has killed them, and wait until all workers are back."""
+        """Restart roscore if a test has killed it, and wait until all workers are back."""
         if self.masterless:
             self.restart_ros1()
-        if self.kind == NAV2 and self.planner.restart_killed():
-            self.listed = {}
         until(self.back, "all workers are back", SECONDS, every=0.1)
 
     def restart_ros1(self) -> None:
@@ -255,9 +256,14 @@ class Mix:
         return self._pids[worker]
 
     @property
-    def kills(self) -> int:
-        """Return how often the most killed worker was killed."""
-        return max(self._kills.values(), default=0)
+    def worn(self) -> bool:
+        """Return whether kills would influence further drives.
+
+        A client may still wait for a reply of the killed gateway, or know only the killed server of Nav2. Each kill of
+        another worker doubles the pause before its next start.
+        """
+        kills = max(self._kills.values(), default=0)
+        return bool(self._kills["gateway"]) or kills >= MOST_KILLS or (self.kind == NAV2 and self.planner.killed)
 
     def _processes(self) -> dict[str, int]:
         return {str(worker.get("worker")): int(worker["pid"]) for worker in self.deployment.status() if "pid" in worker}

@@ -13,7 +13,6 @@ from typing import Self
 from tests.peers.ros1.network import ROS1_PYTHON
 from tests.peers.ros2.network import ros2_environment, ros2_python
 from tests.support.process import Process
-from tests.support.wait import until
 
 PEERS = Path(__file__).parents[1]
 
@@ -119,6 +118,7 @@ class Nav2:
             "behavior_server": [servers, "behavior_server", str(speed)],
         }
         self.servers: dict[str, Process] = {}
+        self.killed = False
         for name in self._commands:
             self.start(name)
 
@@ -134,16 +134,9 @@ class Nav2:
 
     def kill(self, name: str) -> None:
         """Kill one of the servers."""
+        self.killed = True
         self.servers[name].signal(signal.SIGKILL)
         self.servers[name].popen.wait()
-
-    def restart_killed(self) -> bool:
-        """Restart the servers that were killed, and wait until they are up; return whether there were any."""
-        killed = [name for name, server in self.servers.items() if server.popen.poll() is not None]
-        for name in killed:
-            self.start(name)
-        until(self.ready, "Nav2 is up again", 40.0)
-        return bool(killed)
 
     def give_up(self) -> None:
         """Make bt_navigator abort its goal, as after a late acknowledgment, while controller_server keeps driving."""

@@ -12,15 +12,12 @@ from tests.peers.navigation.mix import NAV2, Mix
 from tests.peers.navigation.mix_clients import SECONDS
 from tests.support.wait import until
 
-MOST_KILLS = 4
-"""Kills of one worker in a daemon's life. Each doubles the pause before the next start, which is 0.2 s at first."""
-
 
 class SharedMix:
     """A daemon and a planner for several tests.
 
-    Tests may kill workers, roscore and Nav2's servers. After a failed test or too many kills, the next test starts a
-    new daemon and planner.
+    Tests may kill workers, roscore and Nav2's servers. After a failed test, or kills that would influence the next
+    test, that test starts a new daemon and planner.
 
     Args:
         folders: creates the daemon's folder.
@@ -35,7 +32,7 @@ class SharedMix:
 
     def at_rest(self) -> Mix:
         """Return the mix once all its programs run, and no robot or goal is active."""
-        if self._mix is not None and self._mix.kills >= MOST_KILLS:
+        if self._mix is not None and self._mix.worn:
             self.close()
         try:
             return self._at_rest()
