@@ -91,7 +91,7 @@ class Host:
         """The store of maps and locations, which all modules of the process share, opened at first use.
 
         A module must withdraw its own watches when it stops.
-        Raises `StoreError` if it is switched off, or its file cannot be used.
+        Raises `StoreError` if it is disabled, or its file or the hub cannot be used.
         """
         if self._shared is None:
             raise StoreError("this process has no store")

@@ -5,6 +5,7 @@ It is opened on first use.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 from collections.abc import Callable
@@ -130,14 +131,17 @@ class StoreService:
 
     @property
     def store(self) -> Store:
-        """The store; raises `StoreError` if it is disabled or its file is unusable, `HubError` without the hub."""
+        """The store, opened at first use; raises `StoreError` if it is disabled, or its file or the hub is unusable."""
         with self._lock:
             if self._open is None:
                 if self._closed:
                     raise StoreError("the store is closed")
                 if self._config.store.enabled is False:
                     raise StoreError("the store is disabled (store.enabled)")
-                self._open = self._opened()
+                try:
+                    self._open = self._opened()
+                except HubError as err:
+                    raise StoreError(f"the store cannot join the hub: {err}") from err
             return self._open[0]
 
     def trouble(self) -> str:
@@ -145,7 +149,7 @@ class StoreService:
         if self._config.store.enabled is True:
             try:
                 _ = self.store
-            except (StoreError, HubError) as err:
+            except StoreError as err:
                 return str(err)
         return ""
 
@@ -165,14 +169,14 @@ class StoreService:
         section = config.store
         limits = StoreLimits(section.keys, section.megabytes << 20, section.deleted, section.deleted_days)
         replica = Replica(worker_folder(config) / f"{self._name}.sqlite", config.name, limits)
-        try:
+        with contextlib.ExitStack() as undo:
+            undo.callback(replica.close)
             store = Store(replica)
             import_at_start(store, section)
             hub = self._join(f"midspan_{self._name.replace('-', '_')}", self._name)
+            undo.callback(hub.close)
             share = StoreSync(replica, hub.keyspace(prefix(config.hub.domain)), hub.zid)
-        except BaseException:
-            replica.close()
-            raise
+            undo.pop_all()
         hub.serve("status", lambda _params: self._status(store, share, hub))
         return store, share, hub
 

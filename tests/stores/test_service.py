@@ -11,11 +11,14 @@ import pytest
 from bridge.config.model import Config
 from bridge.config.sections.section import Section
 from bridge.daemon.workers import worker_kinds
+from bridge.hub.errors import HubError
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.shared import Shared
 from bridge.modules.worker import ModulesWorker
+from bridge.stores.entry import StoreError
 from bridge.stores.kinds import LOCATION
+from bridge.stores.service import StoreService
 from tests.peers.hub.modules import Place
 from tests.stores.test_store import KITCHEN
 from tests.support.wait import until
@@ -106,3 +109,40 @@ def test_a_module_in_a_separate_process_has_its_own_replica(place: Place) -> Non
         "store.sqlite",
         "store-keeper.sqlite",
     }
+
+
+class Node:
+    """A node whose keyspace cannot be used at first."""
+
+    def __init__(self) -> None:
+        self.closed = False
+
+    def keyspace(self, _prefix: str) -> Any:
+        raise HubError("the router has left")
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_store_that_cannot_join_the_hub_is_unavailable_and_opened_later(place: Place) -> None:
+    node = Node()
+    nodes: list[Any] = [HubError("no router at tcp/127.0.0.1:1"), node]
+
+    daemon = Shared(place.config())
+
+    def join(name: str, worker: str) -> Any:
+        first = nodes.pop(0) if nodes else daemon.join(name, worker)
+        if isinstance(first, HubError):
+            raise first
+        return first
+
+    service = StoreService(place.config(), "", join)
+    for reason in ("no router", "the router has left"):
+        with pytest.raises(StoreError, match=f"the store cannot join the hub: {reason}"):
+            _ = service.store
+    assert node.closed
+    try:
+        service.store.put(LOCATION, "kitchen", KITCHEN)
+    finally:
+        service.close()
+        daemon.close()
