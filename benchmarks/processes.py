@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import benchmarks
 from bridge.demo import sandbox
-from bridge.demo.leftovers import erase, marked, remove_unused, shared_memory
+from bridge.demo.leftovers import SharedMemory, erase, marked
 from bridge.demo.processes import DemoChild, guarded
 from bridge.demo.sandbox import Sandbox
 
@@ -32,8 +32,8 @@ class Processes:
 
     def __init__(self, config: Mapping[str, Any], template: Path | None = None, *, yarp: bool = False) -> None:
         self._children: dict[str, DemoChild] = {}
-        self._memory: set[Path] = set()
         self.place = place = Sandbox(template, config, yarp=yarp)
+        self._memory = SharedMemory(place.folder, place.domain_ports)
         try:
             (place.system_path / "benchmarks").symlink_to(Path(benchmarks.__path__[0]))
             self._ros1 = place.ros1_environment()
@@ -116,11 +116,11 @@ class Processes:
 
     def remember_memory(self) -> set[Path]:
         """Return the files in shared memory that processes of this run use, or used at an earlier call."""
-        self._memory |= shared_memory(self.place.folder, self.place.domain_ports)[0]
-        return self._memory
+        self._memory.note()
+        return self._memory.own
 
     def close(self) -> None:
-        self.remember_memory()
+        self._memory.note()
         last = ("daemon", "roscore")
         groups = [[name for name in self._children if name not in last], *([name] for name in last)]
         for group in groups:
@@ -130,7 +130,7 @@ class Processes:
             for child in children:
                 child.finish_stop(9.0)
         erase(self.place.folder, self.place.domain_ports)
-        remove_unused(self._memory)
+        self._memory.remove()
         self.place.close()
 
     def __enter__(self) -> Self:

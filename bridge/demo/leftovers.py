@@ -54,11 +54,15 @@ def erase(folder: Path, ports: range) -> list[str]:
 
 
 class SharedMemory:
-    """A run's files in shared memory (Linux), which are known only while its processes use them."""
+    """A run's files in shared memory (Linux), which are known only while its processes use them.
+
+    Attributes:
+        own: the noted files that only this run uses.
+    """
 
     def __init__(self, folder: Path, ports: range) -> None:
         self._folder, self._ports = folder, ports
-        self._own: set[Path] = set()
+        self.own: set[Path] = set()
         self._shared: set[Path] = set()
         """Fast DDS ports that other programs may use, too."""
 
@@ -66,7 +70,7 @@ class SharedMemory:
         """Add the files that the run's processes use now."""
         used = {file for pid in marked(self._folder) for file in used_by(pid)}
         own_files = {file for file in used if is_own(file.name, self._ports)}
-        self._own, self._shared = self._own | own_files, self._shared | _shared_ports(used - own_files)
+        self.own, self._shared = self.own | own_files, self._shared | _shared_ports(used - own_files)
 
     def remove(self) -> None:
         """Remove the files once the processes have ended; may be called on any thread.
@@ -75,9 +79,9 @@ class SharedMemory:
         """
         end = time.monotonic() + _END_SECONDS
         while True:
-            remove_unused(self._own)
+            remove_unused(self.own)
             remove_unread(self._shared)
-            if time.monotonic() > end or not any(file.exists() for file in self._own):
+            if time.monotonic() > end or not any(file.exists() for file in self.own):
                 return
             time.sleep(0.02)
 
