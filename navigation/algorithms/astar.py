@@ -1,7 +1,7 @@
 """Shortest paths on a grid: A* with eight neighbors, without cutting corners.
 
 Steps cost 70 straight and 99 diagonally, times the weight of the cell that is entered: integers whose ratio is the
-square root of two within 5e-5. Because costs are integers, the open list is not a heap but a ring of buckets, which
+square root of two within 0.006 %. Because costs are integers, the open list is not a heap but a ring of buckets, which
 takes constant time (Dial 1969; A*: Hart, Nilsson, Raphael 1968). A diagonal step needs both adjacent cells to be free,
 since a robot is not a point.
 """
@@ -54,7 +54,7 @@ def astar(weights: Weights, start: Cell, goal: Cell) -> GridWay | None:
         goal: row and column.
 
     Returns:
-        the path, or None.
+        the path, or None if there is none.
 
     Raises:
         ValueError: a cell is outside the grid, or the grid is empty or too large.

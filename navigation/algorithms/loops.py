@@ -31,7 +31,7 @@ DRIFT = 0.02
 """Expected drift, in meters per meter of the robot's path."""
 
 _TURNING = math.radians(0.4)  # the same for the heading, radians per meter
-_MOST_DRIFT = 6.0, math.radians(40.0)
+_MOST_DRIFT = 6.0, math.radians(40.0)  # the largest expected drift
 _DIRECT = 0.25  # meters of drift up to which a scan is matched without a search
 _MOST_DIRECT, _MOST_SEARCHED = 2, 2  # submaps for each scan
 _POINTS, _SEARCH_POINTS = 300, 180  # points of a scan that are used
@@ -143,7 +143,7 @@ class LoopSearch:
             current: index of the current submap.
             pose: the laser's pose in the current submap.
             scan: the scan's points, in the laser's frame.
-            end: index of the first submap that is not matched, since it overlaps the current one.
+            end: index of the first submap that is too new to be matched.
             unsure: meters and radians by which the pose on the map may be wrong if the current submap is not joined to
                 the older ones yet; None if it is joined.
         """
@@ -245,7 +245,7 @@ def _ways(graph: PoseGraph, current: int) -> dict[int, float]:
 
 
 def _matched(place: Place, index: int, points: Surface) -> Closure | None:
-    """Match a scan to a submap near its current pose; return None if it does not fit."""
+    """Match a scan to a submap near the pose that the graph implies; return None if the scan does not fit there."""
     guess = place.guess(index)
     match = place.submaps.surfels(index).match(points, guess, steps=12)
     if match.share < _SHARE or not _close(guess, match.pose, *_OFF):

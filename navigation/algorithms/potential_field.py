@@ -22,6 +22,8 @@ if cython.compiled:
 else:
     rint = round
 
+# a step costs 7 or 10, times a factor for the cell that it enters: open, unknown, near an obstacle (added to these two,
+# at most), just wide enough, or blocked
 _STRAIGHT = cython.declare(cython.longlong, 7)
 _DIAGONAL = cython.declare(cython.longlong, 10)
 _OPEN = cython.declare(cython.longlong, 4)
@@ -31,10 +33,10 @@ _TIGHT = cython.declare(cython.longlong, 60)
 _BLOCKED = cython.declare(cython.longlong, 1500)
 _RING = 32768
 _IN_RING = cython.declare(cython.longlong, _RING - 1)
-_KEPT = cython.declare(cython.double, 20.0)
-_KEPT_NEAR = cython.declare(cython.double, 20.0)
+_KEPT = cython.declare(cython.double, 20.0)  # extra cost, in cells, of an exit that is not near the previous one
+_KEPT_NEAR = cython.declare(cython.double, 20.0)  # cells from the previous exit within which another one is near it
 _UNREACHED = cython.declare(cython.longlong, 2**31 - 1)
-_SHORTEST = cython.declare(cython.Py_ssize_t, 4)
+_SHORTEST = cython.declare(cython.Py_ssize_t, 4)  # the aim is at least this many cells ahead
 _ROUNDED = cython.declare(cython.double, 0.5)  # the rounding error of distances between cells, cells
 _INFINITE = cython.declare(cython.double, math.inf)
 _NOWHERE = (math.nan, math.nan)
@@ -53,7 +55,7 @@ class Descent:
 
     # (n, 2) rows and columns, from the robot's cell to the goal's, or to the exit from the window
     cells: NDArray[np.int32]
-    aim: int  #: the index in ``cells`` of the farthest cell to which a straight line is free
+    aim: int  #: the index in ``cells`` of the farthest cell to which a straight line is free, or of a cell nearby
     blocked: float  #: length of the path up to its first blocked cell, cells; infinite if there is none
     cost: float  #: the cost of the whole path, in cells of open floor
     # whether a straight line to the goal itself is free; in that case no path is searched, and ``cells`` is empty
@@ -65,7 +67,7 @@ def descend(
     unseen: NDArray[np.bool_],  # (rows, columns) unknown cells
     start: Cell,  # the robot's row and column
     goal: Place,  # row and column, in cells; it may be outside
-    before: Place | None,  # the previous exit from the window: another one must be better by 20 cells
+    before: Place | None,  # the previous exit from the window: one that is not near it must be better by 20 cells
     radius: float,  # the robot's radius, cells
     influence: float,  # distance beyond which obstacles do not repel, cells
     spare: float,  # distance that a straight line keeps beyond the radius, cells

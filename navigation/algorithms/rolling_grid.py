@@ -2,7 +2,7 @@
 # The arrays of times are the grid's own, square with a side of at least 1; rows and columns are taken modulo that side.
 # Array arguments are checked first, beam indices are below the number of beams, and divisors are compared with 0 before
 # each division.
-"""A grid that moves with a robot and stores when its laser last saw each cell free or occupied.
+"""A grid that moves with a robot and stores when the robot's lasers last saw each cell free or occupied.
 
 The grid is a torus: a cell of the world has the index (row modulo side, column modulo side), so that nothing is copied
 when the window moves. Rows go along y, columns along x. Each cell has three times, in seconds: when a beam last passed
@@ -26,7 +26,7 @@ FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 NEVER = -1e9
 """The time of a cell that was never seen."""
 
-# the same for C
+# the same as C variables
 _FREE = cython.declare(cython.int, FREE)
 _OCCUPIED = cython.declare(cython.int, OCCUPIED)
 _UNKNOWN = cython.declare(cython.int, UNKNOWN)
@@ -36,10 +36,10 @@ _FULL_TURN = cython.declare(cython.double, 2.0 * math.pi)
 
 _FAR = cython.declare(cython.double, 2.0**52)  # cells; beyond all positions: doubles have no fractions from there on
 _SETTLED = cython.declare(cython.double, 0.5)
-"""A cell counts as vacated this many seconds after its last echo; a later echo is a new object."""
+"""A cell counts as vacated this many seconds after its last echo; a later echo may be a new object."""
 
-_BLIND_BEAMS = cython.declare(cython.int, 5)
-_WEDGE = cython.declare(cython.double, 0.4)
+_BLIND_BEAMS = cython.declare(cython.int, 5)  # so many adjacent beams without a measurement are a blind sector
+_WEDGE = cython.declare(cython.double, 0.4)  # radians from a blind sector within which beams are not valid from 0 m
 
 _HOLD = cython.declare(cython.double, 0.35)
 """Seconds for which an echo outweighs passing beams: with noise, beams occasionally pass through a wall's cells."""
@@ -52,7 +52,7 @@ _MOVING_SECONDS = cython.declare(cython.double, 1.0)  # how long a new object co
 @cython.nogil
 @cython.exceptval(check=False)
 def _floor(value: cython.double) -> cython.longlong:
-    """Return the integer below; for NaN, or a value beyond all positions, an integer beyond all positions."""
+    """Return the value rounded down; for NaN, or a value beyond all positions, an integer beyond all positions."""
     if not -_FAR < value < _FAR:
         value = _FAR if value > 0.0 else -_FAR
     whole: cython.longlong = cython.cast(cython.longlong, value)
@@ -116,7 +116,10 @@ def _shorten(
 def _leave_out(
     ranges: cython.const[cython.double][::1], begins: cython.double[::1], step: cython.double, aside: cython.double
 ) -> cython.void:
-    """Compute the distance from which each beam is valid: beams beside a blind sector first seem to pass through it."""
+    """Raise in ``begins`` the distance from which each beam is valid.
+
+    A beam beside a blind sector at first seems to pass through the sector.
+    """
     beams: cython.Py_ssize_t = ranges.shape[0]
     around: cython.bint = abs(beams * abs(step) - _FULL_TURN) < 2.0 * abs(step)
     cython.declare(side_index=cython.Py_ssize_t, turn=cython.Py_ssize_t)
@@ -140,7 +143,8 @@ def _leave_out(
 class RollingGrid:
     """A square window of cells that moves with a robot.
 
-    Its first row and column are 0 until it moves. Raises `ValueError` if it has no cells.
+    Its first row and column are 0 until it moves. Raises `ValueError` if ``side`` is below 1, or ``resolution`` is not
+    above 0.
     """
 
     _side: cython.longlong  # cells
@@ -166,7 +170,7 @@ class RollingGrid:
 
     @property
     def times(self) -> tuple[Any, Any, Any]:
-        """Return three times of each cell, (side, side): last passed, last echo, and since when echoes have lasted."""
+        """The three times of each cell, (side, side): last passed, last echo, and since when echoes have lasted."""
         return np.asarray(self._passed), np.asarray(self._ended), np.asarray(self._since)
 
     def move(self, row0: int, column0: int) -> None:
@@ -250,9 +254,10 @@ class RollingGrid:
         scanned: cython.double,
         out: cython.double[:, ::1],
     ) -> int:
-        """Return the number of cells around a point that are not free, although the newest scan had no echo there.
+        """Return the number of occupied or unknown cells around a point, without those in which the newest scan ended.
 
-        ``out`` (n, 3) receives their centers and `OCCUPIED` or `UNKNOWN`. ``scanned`` is the time of the newest scan.
+        ``out`` (n, 3) receives the centers and `OCCUPIED` or `UNKNOWN`, of at most n cells. ``reach`` is half the side
+        of the square around the point, meters; ``scanned`` is the time of the newest scan.
         Raises `ValueError` if the point is not finite, or the arrays do not fit.
         """
         side: cython.longlong = self._side
@@ -296,7 +301,7 @@ class RollingGrid:
                     out[row, column] = _state(self._passed[r, k], self._ended[r, k], now, self._memory)
 
     def stand(self, now: cython.double, x: cython.double, y: cython.double, radius: cython.double) -> None:
-        """Mark the cells under the robot as free unless they have echoes; raises `ValueError` for x or y not finite."""
+        """Mark the unknown cells under the robot as free; raises `ValueError` if x or y is not finite."""
         side: cython.longlong = self._side
         cython.declare(row=cython.longlong, column=cython.longlong)
         if not isfinite(x + y):

@@ -131,11 +131,11 @@ class Slam:
 
     @property
     def full(self) -> bool:
-        """Whether the map accepts no further scans."""
+        """Whether no further scans become part of the map."""
         return len(self.submaps.graph.poses) >= MOST_SUBMAPS
 
     def move(self, pose: Pose, unsure: tuple[float, float]) -> None:
-        """Set the laser pose on the map; moves the trajectory if it has not joined a loaded map yet, else the map."""
+        """Set the laser's pose on the map; moves the trajectory if it has not joined a loaded map yet, else the map."""
         change = pose @ self.pose.inverse
         self._start = pose
         poses = self.submaps.graph.poses

@@ -7,7 +7,7 @@ The floor is followed outward from the robot, column by column: a column's floor
 its neighbor, if that surface is at most a step above or below. Without such a surface, the column is blocked if it has
 occupied voxels between the wheels' step and the robot's height, a drop if it has known voxels below but no floor, and
 unknown otherwise; beyond such columns, the floor is expected at its last height. Columns with a known floor are
-followed first, unknown ones next, so that a ramp is climbed from its foot and not from its side.
+followed first, then unknown ones, then the others, so that a ramp is climbed from its foot and not from its side.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 UNKNOWN, FLOOR, OBSTACLE, EDGE = 0, 1, 2, 3
-"""The kinds of columns: unknown, free, blocked, or next to a drop or a step that wheels cannot climb."""
+"""The kinds of columns: unknown, free, blocked, or a drop, the edge of a step or a slope that wheels cannot climb."""
 
 SPAN = 0.3
 """Meters along which a slope is measured: about the distance between wheels."""
@@ -29,11 +29,14 @@ _FLOOR = cython.declare(cython.uchar, FLOOR)
 _OBSTACLE = cython.declare(cython.uchar, OBSTACLE)
 _EDGE = cython.declare(cython.uchar, EDGE)
 _NONE = cython.declare(cython.longlong, -(1 << 40))
-_NOT_REACHED = 3  # above all queues: 0 has columns with a known floor, 1 unknown columns, 2 blocked ones
+_NOT_REACHED = 3  # above all queues: 0 has columns with a known floor, 1 unknown ones, 2 blocks and drops
 
 
 class RobotSize(NamedTuple):
-    """The robot's dimensions that decide where it can drive, in meters, and the steepest ramp in radians."""
+    """The robot's dimensions that decide where it can drive, in meters, and the steepest ramp in radians.
+
+    ``step`` is the highest step that the wheels climb, ``margin`` the room to leave above ``height``.
+    """
 
     height: float
     width: float
@@ -49,8 +52,8 @@ class LayerColumns(NamedTuple):
         corner: x and y of the first column's corner, meters.
         kinds: (rows, columns) uint8 of the kinds above.
         floors: (rows, columns) float32, height in meters of the floor's voxel center, or its expected height.
-        hits: (rows, columns, 2) float32, meters above the floor of the lowest and highest voxel that the robot would
-            touch; NaN if there is none.
+        hits: (rows, columns, 2) float32, heights above the floor, in meters, of the lowest and the highest voxel that
+            the robot would touch; NaN if there is none.
     """
 
     corner: tuple[float, float]
@@ -77,7 +80,7 @@ def columns(
         robot: the robot's dimensions.
         largest: the layer's side in meters; columns outside it are left out.
 
-    Raises `ValueError` if a number is not finite, or blocks do not have 512 values each.
+    Raises `ValueError` if a number is not finite, the resolution is not above 0, or blocks do not have 512 values each.
     """
     if values.shape != (len(blocks), 512):
         raise ValueError(f"{len(blocks)} blocks must have 512 values each, not {values.shape}")
@@ -252,7 +255,7 @@ class _Columns:
     @cython.nogil
     @cython.exceptval(check=False)
     def _surface(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.longlong:
-        """Return the level of the surface nearest to a floor's, if it is within a step."""
+        """Return the level of the surface nearest to a floor's, or `_NONE` if no surface is within a step."""
         apart: cython.longlong
         for apart in range(self._step + 1):
             if self._state(row, column, floor + apart) == 2 and self._state(row, column, floor + apart + 1) != 2:
@@ -288,7 +291,7 @@ class _Columns:
     @cython.nogil
     @cython.exceptval(check=False)
     def _drops(self, row: cython.longlong, column: cython.longlong, floor: cython.longlong) -> cython.bint:
-        """Whether voxels more than a step below a floor are known."""
+        """Whether a voxel more than a step below a floor is known, down to the robot's height below that step."""
         level: cython.longlong
         for level in range(max(0, floor - self._step - self._top), floor - self._step):
             if self._state(row, column, level) != 0:

@@ -3,11 +3,11 @@
 # size; arguments are checked first, and divisors are compared with 0 before each division.
 """Probabilities of voxels from point clouds: the same tree as OctoMap's, stored in blocks of 8 x 8 x 8.
 
-OctoMap descends sixteen levels of its tree for each voxel of each ray; this module looks up a hash table once per
-block, and builds a tree only to send or save it. Keys, rays, odds and thresholds are OctoMap's (Hornung et al.,
-"OctoMap", Autonomous Robots 2013; release 1.9 of its library): a voxel's key is its position in units of the
-resolution, rounded down, plus 32768; rays go from cell to cell (Amanatides and Woo 1987) in the same precision, so
-that both have equal leaves.
+OctoMap descends sixteen levels of its tree for each voxel of each ray; this module looks up a hash table once for each
+block that a ray enters, and a tree is built only to be sent or saved. Keys, rays, odds and limits are OctoMap's
+(Hornung et al., "OctoMap", Autonomous Robots 2013; release 1.9 of its library): a voxel's key is its position in units
+of the resolution, rounded down, plus 32768; rays go from cell to cell (Amanatides and Woo 1987) in OctoMap's
+floating-point precision, so that both maps have equal leaves.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _KEYS = cython.declare(cython.longlong, 2 * MIDDLE)
 _CELLS = cython.declare(cython.longlong, CELLS)
 _UNKNOWN = cython.declare(cython.float, math.nan)
 _INFINITY = cython.declare(cython.double, math.inf)
-_LOWER = cython.declare(cython.longlong, (1 << 39) - 1)  # bits of a hash; times a 24-bit number, it still fits 63 bits
+_LOWER = cython.declare(cython.longlong, (1 << 39) - 1)  # 39 bits, so that a 24-bit factor does not overflow
 _NO_ROOM = cython.declare(cython.longlong, -2)
 _BEGIN = 64  # initial capacity in blocks
 _BYTES = 9 * CELLS + 13  # per block
@@ -87,7 +87,7 @@ class VoxelMap:
 
     Args:
         resolution: a voxel's side, meters.
-        most: the maximum number of blocks of 8 x 8 x 8 voxels, 4.6 kB each.
+        most: the maximum number of blocks of 8 x 8 x 8 voxels, 4.6 kB each; values above 2**26 are lowered to it.
 
     Raises `ValueError` if a parameter is not above 0.
     """
@@ -151,12 +151,15 @@ class VoxelMap:
     def insert(
         self, points: cython.float[:, ::1], origin: tuple[float, float, float], farthest: float, now: float = 0.0
     ) -> int:
-        """Add a cloud like OctoMap's ``insertPointCloud`` with ``discretize``; return the number of changed voxels.
+        """Add a cloud like OctoMap's ``insertPointCloud`` with ``discretize``; return the number of observed voxels.
+
+        Raises `ValueError` if the points are not (n, 3).
 
         Args:
             points: (n, 3) meters; points that are not finite, or outside the range of keys, are ignored.
             origin: the sensor's position, meters. Raises `ValueError` if it is outside the range of keys.
-            farthest: meters; a ray to a point farther away frees the voxels up to this distance, and has no hit.
+            farthest: meters; a ray to a point farther away frees the voxels up to this distance, and hits none. Raises
+                `ValueError` if it is not above 0.
             now: seconds of any clock.
         """
         if points.shape[1] != 3:
@@ -293,7 +296,10 @@ class VoxelMap:
         sides: cython.const[cython.longlong][::1],
         values: cython.const[cython.float][::1],
     ) -> cython.longlong:
-        """Set cubes from the index ``done`` on; return the first that needs more capacity, -1 if the map is full."""
+        """Set the cubes from index ``done`` on; return the index of the first that needs more capacity.
+
+        Returns -1 if the map is full, and the number of cubes if all are set.
+        """
         index: cython.longlong
         for index in range(done, sides.shape[0]):
             side: cython.longlong = sides[index]
@@ -352,7 +358,10 @@ class VoxelMap:
     @cython.nogil
     @cython.exceptval(check=False)
     def _mark(self, count: cython.longlong, farthest: cython.double) -> cython.bint:
-        """Mark the hit voxels, then those that rays pass without a hit; return False if a block does not fit."""
+        """Mark the hit voxels, then those that rays pass without a hit; return False if the capacity must grow first.
+
+        Voxels for which a full map has no block are counted in ``left_out``.
+        """
         index: cython.longlong
         for index in range(count):
             key: cython.longlong = self._ends[index]
@@ -409,7 +418,10 @@ class VoxelMap:
     def _ray(
         self, to_x: cython.longlong, to_y: cython.longlong, to_z: cython.longlong, farthest: cython.double
     ) -> cython.bint:
-        """Mark the voxels on the ray to a voxel's center, within range; return False if a block does not fit."""
+        """Mark the voxels on the ray to a voxel's center, within range and without the last one.
+
+        Returns False if the capacity must grow first.
+        """
         factor: cython.double = 1.0 / self.resolution
         dx: cython.float = self._middle(to_x) - self._ox
         dy: cython.float = self._middle(to_y) - self._oy

@@ -81,7 +81,7 @@ class CommandInputs:
         section: BaseControlSection,
         base: DrivenBase,
         now: Callable[[], float],  # the time of commands, seconds
-        stall_detector: StallDetector,  # detects stalls of this process, whose commands are dropped
+        stall_detector: StallDetector,  # detects stalls of this process; commands that waited meanwhile are dropped
     ) -> None:
         self._base, self._now, self._stall_detector = base, now, stall_detector
         self._log = host.log
@@ -210,7 +210,7 @@ _COVARIANCE = [
 
 
 class OdometryPublisher:
-    """Publishes encoder readings as `nav_msgs/Odometry`, ``/tf``, and on ports of ``odometry2D_nws_yarp`` and older."""
+    """Publishes odometry as `nav_msgs/Odometry`, on ``/tf``, and on the ports of ``odometry2D_nws_yarp`` and before."""
 
     def __init__(self, host: Host, section: BaseControlSection) -> None:
         frames = {"header": {"frame_id": section.odom_frame}, "child_frame_id": section.base_frame}

@@ -36,7 +36,7 @@ RETRY_SECONDS = 0.5
 """Time between two attempts to send a goal that the planner cannot accept yet."""
 
 REPLACED_SECONDS = 5.0
-"""If a planner still has the old goal this long after a new one, it executes both, and the old one is canceled."""
+"""If a planner still has the old goal this long after it got a new one, it executes both; the old one is canceled."""
 
 COMING_SECONDS = 30.0
 """A goal waits this much longer than `NavigationSection.patience` for a planner whose first parts have appeared."""
@@ -73,14 +73,14 @@ class Execution:
 
     @property
     def _known_to_stand(self) -> bool:
-        """Whether the planner is known to have no goals, or the base stands still."""
+        """Whether the base stands still or, if its motion is unknown, the planner has no goals."""
         idle = self._link.state in (PlannerState.IDLE, PlannerState.ABSENT) and not self._link.left
         base = self._motion.base()
         return base is Base.STANDING or (idle and base is Base.UNKNOWN)
 
     @property
     def driving(self) -> bool:
-        """Whether the planner has a goal, from the gateway or from its own clients."""
+        """Whether there is a drive, or the planner has a goal from its own clients."""
         return self.drive is not None or bool(self._link.foreign)
 
     @property
@@ -191,7 +191,10 @@ class Execution:
             self._send(drive, None)
 
     def cancel(self, drive: ClientDrive) -> None:
-        """Cancel a drive's goal, and the actions that move the base for it, unless the planner has released it."""
+        """Cancel a drive's goal, and the actions that move the base for it, unless the planner has released the goal.
+
+        If the planner also has goals from its own clients, the actions go on.
+        """
         if drive.released:
             return
         if drive.sent is not None:
@@ -218,7 +221,10 @@ class Execution:
         self._changed()
 
     def _give_up_waiting(self, drive: ClientDrive) -> None:
-        """End a drive whose planner has been unavailable for too long since it was last seen or since the request."""
+        """End a drive if its planner has been unavailable for too long.
+
+        The time counts from when the planner was last seen or the goal was requested, whichever is later.
+        """
         if self._link.reachable:
             return
         patience = self._choice.section.patience
@@ -240,7 +246,7 @@ class Execution:
         self.settle()
 
     def advance(self) -> None:
-        """Update the stop or pause, and end the drive when it is confirmed."""
+        """Update the stop or pause, and end a stopped drive once its stop is confirmed or takes too long."""
         drive, order, link = self.drive, self._order, self._link
         if drive is not None and not drive.released and drive.state in _STOPPING:
             drive.released = link.state.reported and not link.left and not _still_listed(link, drive.sent)
@@ -258,7 +264,7 @@ class Execution:
             self._end_stopped(drive)
 
     def _on_paused(self, drive: ClientDrive) -> None:
-        """Start timing the pause, because the robot now stands still."""
+        """Start timing the pause: the robot now stands still, or its stop has expired."""
         drive.machine.on(DriveEvent.STANDS)
         if drive.pause_seconds < 1e6 and self._pause is None:
             self._pause = self._host.loop.after(drive.pause_seconds, lambda: self._resume(drive))
@@ -370,7 +376,7 @@ class Execution:
         return now < drive.transform_missing_at + patience
 
     def _on_rejected(self, drive: ClientDrive) -> None:
-        """Send the goal again if the planner has just started; such a planner rejects goals."""
+        """Send the goal again if the planner has just started, and may reject goals; otherwise judge the rejection."""
         if time.monotonic() < self._link.presence.unreachable_at + SETTLING_SECONDS:
             drive.reason = f"{self._planner} has just started and rejected the goal; trying again"
             drive.due = time.monotonic() + RETRY_SECONDS
@@ -389,10 +395,10 @@ class Execution:
         return f"it is in the frame '{frame}', not '{self._frame}'"
 
     def _judge(self, drive: ClientDrive) -> None:
-        """Decide how to end a drive whose goal the planner rejected, or ended without an error code.
+        """Decide how to end a drive whose goal the planner rejected, or aborted without an error code.
 
-        The planner did so for another client's goal, or gave a reason in words only. A bridge whose planner has just
-        disappeared also rejects goals, before other programs know that the planner has gone.
+        The planner may have aborted the goal for another client's goal, or given a reason only in words. A bridge
+        whose planner has just disappeared also rejects goals, before other programs notice that the planner is gone.
         """
         rejected = drive.sent is not None and drive.sent.accepted is False
         if not self._link.reachable:
@@ -408,14 +414,14 @@ class Execution:
             self._abort(drive, Fault.OTHER, drive.reason or self._without_reason("aborted"))
 
     def _abort(self, drive: ClientDrive, code: int, reason: str) -> None:
-        """End a drive that the planner aborted, after stopping other actions that move the base (Nav2's controller)."""
+        """End a drive that the planner aborted; first stop other actions that may move the base (Nav2's controller)."""
         if self._motion.base() is Base.STANDING or self._link.foreign or not self._link.may_move:
             self.finish(drive, GoalState.ABORTED, code, reason)
         else:
             self._abort_moving(drive, code, reason)
 
     def _abort_moving(self, drive: ClientDrive, code: int, reason: str) -> None:
-        """Stop the base, and report the end of the drive only when the base stands still."""
+        """Stop the base; report the end of the drive when the stop is confirmed, or after `GIVE_UP_SECONDS`."""
         drive.aborted, drive.reason, drive.released = (code, reason), reason, False
         drive.machine.on(DriveEvent.STOP)
         self.cancel(drive)
@@ -476,7 +482,7 @@ class Execution:
             self._pause = None
 
     def _on_map(self, target: Target) -> Target:
-        """Return a target in the map's frame if the transform is known, so that later motion does not move it."""
+        """Return a target in the map's frame if the transform is known, so that it does not move with the robot."""
         frame = self._frame
         if target.frame == frame:
             return target

@@ -101,7 +101,7 @@ class Gateway:
 
     @property
     def driving(self) -> bool:
-        """Whether the planner has a goal, from the gateway or from its own clients."""
+        """Whether there is a drive, or the planner has a goal from its own clients."""
         return self.execution.driving
 
     @property
@@ -117,7 +117,7 @@ class Gateway:
     # -- requests of clients -------------------------------------------------------------------------------------------
 
     def accept_goal(self, goal: Goal) -> bool:
-        """Accept a goal of one of the actions; it replaces any other."""
+        """Accept a goal of one of the actions; it replaces any other, but an invalid goal is aborted at once."""
         try:
             targets = targets_of(goal.goal)
         except TargetError as err:
@@ -165,12 +165,15 @@ class Gateway:
         return f"the goals of {', '.join(motion)} are canceled" if motion else "no active goal"
 
     def when_confirmed(self, answer: Callable[[str], None]) -> None:
-        """Call ``answer`` once: with "" when the stop or pause is confirmed, or later with the reason why it is not."""
+        """Call ``answer`` once: with "" when the stop or pause is confirmed, or with the reason why it is not.
+
+        The reason is given after `ANSWER_SECONDS`, or when a new goal replaces the stop.
+        """
         self._order.waiters.add(answer, ANSWER_SECONDS)
         self._order.waiters.notify(trouble(self._situation()))
 
     def choose(self, planner: str) -> str:
-        """Select another planner; returns a message that says when it takes over.
+        """Select another planner; returns a message that says when it takes over, "" if it already has.
 
         Raises `RequestError` if the planner is unknown, or the current planner is driving.
         """

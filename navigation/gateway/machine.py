@@ -20,7 +20,7 @@ class PlannerState(Enum):
     UNREPORTED = "unreported"  #: reachable; its goals are not known yet
     IDLE = "idle"  #: reachable, without goals
     DRIVING = "driving"  #: reachable, with goals
-    UNREACHABLE = "unreachable"  #: no longer reachable: a part of its action, or the worker of its side, has gone
+    UNREACHABLE = "unreachable"  #: no longer reachable: a part of its action has gone, or a call to it failed
 
     @property
     def reachable(self) -> bool:
@@ -88,7 +88,7 @@ class StopState(Enum):
     RESTING = "resting"  #: the base stands; the planner has not released its goals
     SETTLING = "settling"  #: the planner has released its goals; the base is not known to stand
     CONFIRMED = "confirmed"  #: the planner has released its goals, and the base stands
-    EXPIRED = "expired"  #: given up: the planner is unreachable for long, or something else moves the base
+    EXPIRED = "expired"  #: given up: the planner has been unreachable for long, or something else moves the base
 
     @property
     def open(self) -> bool:

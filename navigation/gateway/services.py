@@ -30,7 +30,7 @@ from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 LONGEST_SECONDS = 1.0
 """Maximum duration of a velocity command; clients repeat their command to keep driving."""
 
-_PERIOD = 0.05
+_PERIOD = 0.05  # seconds between two messages of a command
 
 
 class YarpVelocity(NamedTuple):
@@ -71,7 +71,7 @@ class VelocityCommander:
             self._send(YarpVelocity())
 
     def halt(self) -> None:
-        """Command zero for `OVERRIDE_SECONDS`, to override any other commander."""
+        """Command zero for `OVERRIDE_SECONDS`, to override any other source of velocities."""
         self.command(YarpVelocity(), OVERRIDE_SECONDS)
 
     def _repeat(self) -> None:

@@ -93,7 +93,7 @@ class StopOrder:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the robot stands still and the planner has released its goals, or has run out of time to do so."""
+        """Whether the robot stands still, and the planner has released its goals or had `OVERRIDE_SECONDS` to do so."""
         return self.state in (StopState.CONFIRMED, StopState.RESTING)
 
     def ask(self, reason: str) -> None:

@@ -92,7 +92,7 @@ class LocalizationServer(Module):
 
     @override
     def reload(self, section: Section) -> bool:
-        """Switch to another source of maps; the source of the pose continues with the new map."""
+        """Switch to another source of maps, if nothing else has changed; the source of the pose gets the new map."""
         assert isinstance(section, LocalizationServerSection)
         if self._section.model_copy(update={"map": section.map}) != section or section.source == "server":
             return False
@@ -207,7 +207,7 @@ class LocalizationServer(Module):
         self._publisher.publish(estimate, correction, odometry, self.map_name)
 
     def _update_estimate(self) -> PoseEstimate:
-        """Return the estimate, and store it for the threads that report health, whose query would change the source."""
+        """Return the estimate, and store it for the threads that report health, which must not query the source."""
         self._estimate, self._particles = self.estimate(), len(self.cloud())
         return self._estimate
 

@@ -128,7 +128,7 @@ class FrameSource(PoseSource):
 
 
 class AmclSource(FrameSource):
-    """amcl's pose from /tf, because amcl publishes its topic only on resampling, and its covariance from that topic."""
+    """amcl's pose from /tf, since amcl publishes its topic only after resampling; the covariance from that topic."""
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:
         super().__init__(host, section, frames)
@@ -163,7 +163,7 @@ class AmclSource(FrameSource):
 
     @override
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
-        """Send amcl every map after the first, since amcl does not follow the topic."""
+        """Send amcl every map after the first, since amcl does not follow the map's topic."""
         first, self._grid = self._grid is None, grid
         if first or self._set_map is None:
             super().use_map(grid, start)

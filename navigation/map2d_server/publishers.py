@@ -189,7 +189,7 @@ class CurrentMap:
         self.grid: MapGrid2D | None = None  # the current map, aligned to yaw 0
 
     def choose(self) -> str:
-        """Return the name of the current map: the selected one, or the section's default if the store has it."""
+        """Return the name of the current map: the selected one, or the section's default if the store has it, or ""."""
         return self._store.current_map() or (self._default if self._default in self._store.names(MAP) else "")
 
     def update(self, changed: Keys) -> bool:
@@ -273,7 +273,7 @@ class Masks:
         self.areas = MapAreas()
 
     def update(self, current: CurrentMap, changed: Keys, *, map_changed: bool) -> None:
-        """Publish the masks of the current map if the map or an area has changed."""
+        """Publish the masks of the current map if the map, an area or a behavior has changed."""
         if not (map_changed or any(kind in (AREA.name, BEHAVIOR.name) for kind, _ in changed)):
             return
         self.areas = self._store.areas(current.name) if current.name else MapAreas()
@@ -304,9 +304,10 @@ class Markers:
 
 
 def topic_of(name: str, taken: AbstractSet[str] = frozenset(), *, under: str = "/maps") -> str:
-    """Return the topic ``/maps/<name>``, with ``_`` for invalid characters, and with a hash if that is taken.
+    """Return the topic ``<under>/<name>``, with ``_`` for invalid characters, and with a hash if that topic is taken.
 
-    The hash is the first 8 digits of the name's SHA-256.
+    A name that begins with a digit gets the prefix ``n``; names are cut to 200 characters. The hash is the first 8
+    digits of the name's SHA-256.
     """
     part = _FORBIDDEN.sub("_", name)[:200]
     topic = f"{under}/{'n' if part[0].isdigit() else ''}{part}"

@@ -28,9 +28,9 @@ from navigation.robot_goto.task import CLEAR, GotoTask, TimedMove
 from navigation.scan import AT_BASE
 from navigation.status import Fault, PlannerStatus
 
-COAST = 0.3  # seconds for which the robot continues past a waypoint until its next goal
-RETREAT_SPEED = 0.2
-MAX_RETREAT = 2.0
+COAST = 0.3  # seconds for which the robot drives on past a waypoint while it has no next goal
+RETREAT_SPEED = 0.2  # m/s
+MAX_RETREAT = 2.0  # seconds
 _FACING = 0.1  # rad/s; a robot that turns more slowly already faces its path
 _DOES_NOT_FOLLOW = "the base does not follow its commands: check its emergency stop and its odometry"
 
@@ -120,7 +120,7 @@ class Driver:
         self._end(DriverEvent.CANCEL)
 
     def pause(self, seconds: float = math.inf, reason: str = "") -> bool:
-        """Stop for some seconds, or until resumed if they are 0 or NaN; return whether there is a goal to pause."""
+        """Stop for some seconds, or until resumed if they are not above 0; return whether there is a goal to pause."""
         if self.target is None:
             return False
         self.target.pause_left = seconds if seconds > 0.0 else math.inf
@@ -183,7 +183,7 @@ class Driver:
 
     @property
     def silent(self) -> bool:
-        """Whether to publish no command, without a goal."""
+        """Whether there is no command to publish: nothing to drive for, and the last command was to stand still."""
         return self.status.state.ended and self.command == STILL
 
     # steps
@@ -197,7 +197,7 @@ class Driver:
         self._surroundings.scan(scan, moved, laser)
 
     def step(self, now: float, pose: Pose | None, moved: Pose | None = None, lost: str = "") -> DriveCommand:
-        """Return the command for now, in seconds of the scans' clock.
+        """Return the command for the time ``now``, in seconds of the scans' clock.
 
         ``pose`` is the robot's on the map, or None for the reason ``lost``. ``moved`` is its pose in the odometry
         frame, in which observations are stored, or on the map without odometry.
@@ -365,7 +365,7 @@ class Driver:
     # guard
 
     def _guarded(self, step: Step, wanted: DriveCommand) -> DriveCommand:
-        """Return the command that is safe; turn to see the path if the laser does not."""
+        """Return a safe command, or one that turns the robot so that the laser sees the path ahead."""
         guard, task = self._surroundings.guard, self.target
         slowed = guard.allowed(self.settings, step.now, step.moved, wanted)
         if task is None or self._move.left > 0.0:

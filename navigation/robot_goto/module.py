@@ -47,7 +47,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.pythonic import Received
 
-CLOUD_PERIOD = 0.15  # seconds between two used clouds: all of a camera at 30 Hz would occupy a core
+CLOUD_PERIOD = 0.15  # seconds between two clouds that are used: all clouds of a camera at 30 Hz would occupy a core
 
 
 class RobotGoto(PlannerModule):

@@ -50,7 +50,7 @@ _WORTH = 0.5
 _AROUND, _ROOM = 1.0, 0.06
 """Within this distance of a place where the robot was held, paths keep this much more room; meters."""
 
-_WIDE = math.radians(60.0)
+_WIDE = math.radians(60.0)  # a robot that avoids obstacles drives slowly even if it has to turn by up to this angle
 _BEND_FROM, _BEND, _BEND_MOST = 1.0, 0.3, math.radians(100.0)
 """Within this distance (meters), the robot bends its path to the goal's heading: it drives to a point behind the goal,
 at this share of the distance. If the heading differs more (radians), it turns at the goal."""
@@ -124,9 +124,9 @@ class Aim(NamedTuple):
 
 
 def behind(goal: Pose, here: Pose) -> tuple[float, float] | None:
-    """Return the point behind a goal, x and y, on which a robot bends its path to the goal's heading.
+    """Return the point behind a goal, x and y, at which a robot aims to arrive with the goal's heading.
 
-    None if the robot is too far away, the heading differs too much from the direction to the goal, or is NaN.
+    None if the robot is too far away, or the goal's heading is NaN or differs too much from the direction to the goal.
     """
     away, towards = here.distance(goal), math.atan2(goal.y - here.y, goal.x - here.x)
     if not (away < _BEND_FROM and abs(wrapped(goal.theta - towards)) < _BEND_MOST):
@@ -146,8 +146,8 @@ def aim(
 ) -> Aim:
     """Follow the potential field from one pose to another in the grid's frame; radius in meters, time in seconds.
 
-    A path that is only a little shorter than the ``before`` one does not replace it. Around the place ``narrow``, it
-    keeps more room.
+    If the goal is outside the window, the path leaves the window where the one to ``before`` did, unless another exit
+    is clearly better. Around the place ``narrow``, the path keeps more room.
     """
     states, goal = grid.states(now), (to.x, to.y)
     distances = distance_transform(states == OCCUPIED)
@@ -240,7 +240,7 @@ def side_slowdown(settings: RobotGotoSection, aside: float) -> float:
 
 
 def people_speed(settings: RobotGotoSection, gap: float) -> float:
-    """Return the speed from which the robot can stop before a person at a distance of `gap` meters reaches it."""
+    """Return the speed from which the robot can stop before a person, who is `gap` meters away, reaches it at 1 m/s."""
     walking, reaction, braking = 1.0, settings.reaction, settings.max_lin_acc
     left = gap - walking * reaction
     if left <= 0.0:

@@ -27,7 +27,7 @@ _NEAR_WALL = 16
 within `clearance`, so that a local navigator has room wherever possible."""
 _ENLARGED = 4  # the extra cost of cells that the map flags as enlarged obstacles
 _UNSURE = 25  # a cell that is not a wall costs 1 more per this much of its occupancy
-_MOST = 250
+_MOST = 250  # the highest cost of a cell
 
 _SOLID = np.zeros(256, np.uint8)
 _SOLID[[MapFlag.WALL, MapFlag.TEMPORARY_OBSTACLE, MapFlag.UNKNOWN]] = 1
@@ -57,7 +57,7 @@ class Ground:
         self.grid = grid = turned(grid)
         self.radius, self.closed = radius, closed
         flags, occupancy = grid.flags, grid.occupancy
-        # walls, temporary obstacles, unknown
+        # walls, temporary obstacles, unknown and occupied cells
         self.solid = lookup(flags, _SOLID).astype(bool) | ((occupancy >= OCCUPIED) & (occupancy <= 100))
         on_map = [zone for zone in zones if zone.area.map_id == grid.name]
         self.kept = keep_out_cells(grid, [zone.area for zone in on_map if zone.behavior.keep_out])

@@ -76,12 +76,12 @@ class ObstacleScans:
         self._planner.scan(now, pose, turn)
 
     def silent(self, now: float) -> str:
-        """Return for how long there has been no usable scan; "" if there is one, or if there never was one."""
+        """Return a text with the time since the last usable scan; "" up to `_SILENT`, or if no scan was received."""
         silent = now - self._seen
         return f"the laser is silent: no usable scan for {silent:.1f} s" if silent > _SILENT else ""
 
 
-_SPEED = 0.2  # m/s, for the estimate of the remaining time until the robot has driven one meter
+_SPEED = 0.2  # m/s that the estimate of the remaining time assumes until the robot has driven one meter
 
 
 class RobotPathPlanner(PlannerModule):

@@ -25,7 +25,7 @@ Places = NDArray[np.float64]  # (n, 2) x and y, meters
 
 
 def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places, *, inside: bool = False) -> bool:
-    """Whether a line through points, (n, 2) meters, enters closed cells; with ``inside``, those at its start count."""
+    """Whether a line through points, (n, 2) meters, enters closed cells; with ``inside``, or begins in them."""
     columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
     fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
     on_line = closed[rows[fits], columns[fits]]
@@ -45,7 +45,10 @@ def sampled(places: Places, step: float) -> Places:
 
 
 def is_straight(ground: Ground, first: Pose, second: Pose) -> bool:
-    """Whether no wall is between two poses; always true from a forbidden cell, which the robot is leaving."""
+    """Whether no wall is between two poses.
+
+    Always true from a forbidden cell, which the robot is leaving, and if a pose is outside the map.
+    """
     start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
     return start is None or end is None or not ground.open[start] or sees(ground.open, start, end)
 
@@ -130,7 +133,7 @@ class Waypoint:
         return pose.distance(self.pose) <= (self.constraints.tolerance_lin or 0.1)
 
     def has_limits_of(self, other: Waypoint) -> bool:
-        """Whether speed and behavior at obstacles are the same on the path to another waypoint."""
+        """Whether speed limits, behavior at obstacles and nearby keep-out areas are the same for another waypoint."""
         own, its = self.constraints, other.constraints
         return (own.max_lin_speed, own.min_lin_speed, own.on_obstacle, own.beside_keep_out) == (
             its.max_lin_speed,
@@ -187,7 +190,7 @@ def plan_path(
 
 
 def passing(path: PlannedPath, settings: RobotPathPlannerSection) -> PlannedPath:
-    """Return a path whose end the robot passes without a stop, in any heading."""
+    """Return a path whose end the robot passes without a stop, with any heading."""
     end = path.waypoints[-1]
     near = settings.waypoint.tolerance_lin
     constraints = replace(end.constraints, heading=False, through=True, tolerance_lin=near)
@@ -237,7 +240,7 @@ def _search(ground: Ground, weights: Weights, start_cell: Cell, goal_cell: Cell)
 
 
 def _exit_start(ground: Ground, cells: Cells) -> Places:
-    """Return the first point of a path out of a forbidden cell; the rest of that path is straight enough."""
+    """Return the first point of a path out of a forbidden cell; the rest is left out, as it is nearly straight."""
     return ground.places(cells[:1]) if len(cells) else np.empty((0, 2))
 
 
@@ -259,7 +262,7 @@ def _simplified(ground: Ground, weights: Weights, cells: Cells, settings: RobotP
 def _waypoints(
     ground: Ground, places: Places, goal: Pose, settings: RobotPathPlannerSection, wanted: Constraints
 ) -> tuple[Waypoint, ...]:
-    """Return waypoints at all corners, and at the borders of areas with a behavior."""
+    """Return waypoints at all corners, and at the borders of areas with a behavior or near keep-out areas."""
     waypoints: list[Waypoint] = []
     to_waypoint = Constraints(**settings.waypoint.model_dump(), heading=False, through=True)
     through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
@@ -277,7 +280,7 @@ def _waypoints(
 
 
 def _parts(ground: Ground, begin: Places, far_end: Places) -> list[tuple[Places, AreaBehavior, bool]]:
-    """Split a line by areas: each part's end, its behavior, and whether it is close to a keep-out area."""
+    """Split a line at the borders of areas: each part's end, behavior, and whether the end is near a keep-out area."""
     along = sampled(np.stack((begin, far_end)), ground.grid.resolution / 2)
     columns, rows = ground.grid.cells_at(along).T
     high, wide = ground.labels.shape
@@ -327,13 +330,13 @@ class DriveTask:
     waypoints: tuple[Waypoint, ...] = field(default=())  #: the waypoints of the current path
     index: int = 0  #: the index of the current waypoint
     note: str = ""  #: a note on the path, for people
-    attempts: int = 0  #: other paths that were tried since the robot last came nearer
-    recoveries: int = 0  #: other paths that were tried in total
-    best: float = math.inf  #: the smallest distance to the goal so far, meters
+    attempts: int = 0  #: new plans after an obstacle or a failure, since the robot last came nearer
+    recoveries: int = 0  #: the same in total
+    best: float = math.inf  #: the meters that remained when the robot last came nearer
     driven: bool = False  #: whether a local navigator has been available
     navigator_lost_since: float | None = None  #: since when the local navigator is missing
     pose_lost_since: float | None = None  #: since when the robot's pose is unknown
-    layer_silent_since: float | None = None
+    layer_silent_since: float | None = None  #: since when the robot waits for a silent layer
     all_blocked_since: float | None = None  #: since when obstacles block every path
     path_blocked_since: float | None = None  #: since when an obstacle is on the current path
     arrived_at: float | None = None  #: when the robot reached the link at the leg's end
@@ -358,7 +361,10 @@ class DriveTask:
         return np.array(line)
 
     def passes_wall(self, ground: Ground, pose: Pose) -> bool:
-        """Whether the robot, which has left the path, does not fit on the line to its waypoint; once at each place."""
+        """Whether the robot, which has left the path, does not fit on the line to its waypoint.
+
+        Returns True only once at each place.
+        """
         if self.beside_wall is not None and self.beside_wall.distance(pose) < _ELSEWHERE:
             return False
         if not blocked(ground, ground.weights == 0, self.line(pose)[:2], inside=True):
@@ -372,7 +378,7 @@ class DriveTask:
         return bool(self.further) and self.leg is not None and self.leg.onto is None
 
     def can_skip(self, ground: Ground, clutter: Clutter, pose: Pose, *, waits: bool) -> bool:
-        """Whether to drive on to the next waypoint, because this one is near or blocked and the next is straight on.
+        """Whether to skip this waypoint, because it is near or blocked, and drive straight to the next one.
 
         ``waits`` is whether the robot waits for an obstacle. The line to the next waypoint must be free, and have the
         same limits.
@@ -404,7 +410,10 @@ class JumpDetector:
         self._at = -math.inf
 
     def add(self, now: float, pose: Pose, least: float) -> str:
-        """Add a pose on the map; return a text about a jump by more than `least` meters or 30 degrees, else ""."""
+        """Add a pose on the map; return a text about a jump, else "".
+
+        A jump is more than `least` meters or 30 degrees beyond what a robot moves at 1 m/s or turns at 180 degrees/s.
+        """
         before, passed = self.pose, now - self._at
         self.pose, self._at = pose, now
         if before is None or not 0 <= passed < _FRESH:

@@ -34,14 +34,14 @@ from navigation.robot_path_planner.section import RobotPathPlannerSection
 from navigation.scan import believed
 from navigation.status import Fault, PlanError, PlannerStatus, State
 
-_JUMP = 0.5  # meters; the robot replans if localization moves it by more at once, or by 30 degrees
+_JUMP = 0.5  # meters; if localization moves the robot by more than this or 30 degrees at once, a new path is planned
 _WATCH = 0.5  # seconds between two checks of the path ahead
 _AHEAD = 5.0  # meters of the path that are checked
 _AGAIN = 2.0  # seconds until planning is tried again if there was no path
 _GLITCH = 0.3  # seconds for which a missing pose does not matter
 _NEARER = 0.5  # meters of progress towards the goal that reset the count of attempts
 _PATIENCE_PER_METER, _LONGEST_PATIENCE = 2.0, 20.0
-"""Seconds to wait for a blocked path to clear, per meter by which the alternative is longer."""
+"""Seconds to wait for a blocked path to clear, per meter by which the alternative is longer, and the most in all."""
 _DETOUR = 3.0
 """Meters by which a path around the laser's obstacles may be longer and still be preferred at the start."""
 _AT_LINK = 3.0  # meters from a link's end within which the pose of a robot that has changed maps is accepted
@@ -88,7 +88,7 @@ class PathPlanner:
 
     @property
     def recoveries(self) -> int:
-        """How often the path was blocked and another path was tried."""
+        """How often a path was planned again because the path was blocked or the local navigator failed."""
         return self.task.recoveries if self.task else 0
 
     @property
@@ -154,7 +154,7 @@ class PathPlanner:
         self._braked = task
 
     def pause(self, now: float, seconds: float = math.inf) -> None:
-        """Stop for some seconds, or until `resume`."""
+        """Stop for some seconds, or until `resume` if they are not above 0."""
         if self.task is not None:
             self._halting, self._braked = True, None
             self._paused_until = now + seconds if seconds > 0 else math.inf
@@ -242,7 +242,7 @@ class PathPlanner:
             self._drive(task, now, pose, local)
 
     def _plan(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
-        """Plan a path and start on it; stop and wait if the laser's obstacles block every path."""
+        """Plan a path and start on it; stop and wait if obstacles of the laser or a layer block every path."""
         if not self._is_at_link(task, now, pose):
             return
         try:
@@ -256,7 +256,10 @@ class PathPlanner:
         self._set_out(task, now, pose, local, path)
 
     def _first_path(self, task: DriveTask, pose: Pose) -> PlannedPath:
-        """Return the path around the laser's obstacles unless it is much longer, because they may move away in time."""
+        """Return the path around the laser's obstacles, or the one through them if it is more than `_DETOUR` shorter.
+
+        Such obstacles may have moved away by the time the robot gets there.
+        """
         short = self._path(task, pose, around=False)
         try:
             around = self._path(task, pose)
@@ -267,7 +270,7 @@ class PathPlanner:
         return around if around.length <= short.length + _DETOUR else short
 
     def _path(self, task: DriveTask, pose: Pose, *, around: bool = True) -> PlannedPath:
-        """Plan a path on the map, and around the laser's obstacles."""
+        """Plan a path on the map, around the layers' obstacles and, with ``around``, around the laser's."""
         ground, clutter = self.ground, self.clutter
         if ground is None or clutter is None:
             raise PlanError(Fault.NO_MAP, "no map to plan on")
@@ -373,7 +376,7 @@ class PathPlanner:
         self._set_out(task, now, pose, local, alternative)
 
     def _recover(self, task: DriveTask, now: float, pose: Pose, reason: str) -> None:
-        """Handle a failure of the local navigator: try another path, or the same path again."""
+        """Handle a failure of the local navigator: plan again after a delay, at most ``recoveries`` times in a row."""
         self._count(task, pose)
         if task.attempts >= self.settings.recoveries:
             tried = f"; aborted after {task.attempts} more attempts" if task.attempts else ""

@@ -31,11 +31,11 @@ from yarp_compat.sig.image import ImageRgb
 _SPHERES, _LINES, _ARROW, _DELETE_ALL = 7, 4, 0, 3
 _BLUE, _PINK = {"r": 0.0, "g": 0.25, "b": 0.9, "a": 1.0}, {"r": 0.8, "g": 0.0, "b": 0.5, "a": 1.0}
 _REPEAT = 5.0  # seconds after which YARP's status port repeats the status, like upstream's port
-_REASON_PERIOD = 1.0
+_REASON_PERIOD = 1.0  # seconds between two statuses that differ only in their reason
 
 
 class PathPlannerTopics(PlannerTopics):
-    """Publishes status, path and picture when they change. Used only on the module's thread.
+    """Publishes the status and the path when they change, and pictures. Used only on the module's thread.
 
     Without a prefix, there are no YARP ports.
     """
@@ -146,7 +146,7 @@ def draw(planner: PathPlanner, pose: Pose | None, scale: int = 1) -> Pixels | No
 
 
 def png(planner: PathPlanner, pose: Pose | None) -> bytes | None:
-    """Draw the map as a PNG file, 600 pixels or more in its longer side; None without a map."""
+    """Draw the map as a PNG file, whose longer side has 600 pixels or more; None without a map."""
     if planner.ground is None:
         return None
     rows, columns = planner.ground.weights.shape
