@@ -18,7 +18,7 @@ from bridge.tf.transform import LATEST, Transform
 from navigation.messages import STRING
 from navigation.pose import Pose
 
-LATE = 0.2  # seconds by which a stamp may be newer than the newest frame
+LATE = 0.2  # seconds by which a stamp may be newer than the newest transform
 _DEPTH = 1000  # messages of `/tf` that may wait: the publishers of a robot may all send at once
 _STATIC = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 
@@ -106,7 +106,7 @@ class RobotFrames:
         return self.transform(self.map_frame, frame)
 
     def transform(self, target: str, source: str, stamp: int = LATEST, *, extrapolate: float = 0.0) -> Pose:
-        """Return the pose of the source frame in the target frame, flat on the floor, at ns or `LATEST`.
+        """Return the pose of the source frame in the target frame, flat on the floor, at a stamp (ns) or `LATEST`.
 
         The motion of frames is extrapolated by up to ``extrapolate`` seconds before their first and after their last
         transform. Raises `FramesError` with the reason if the transform is unknown.
@@ -114,9 +114,9 @@ class RobotFrames:
         return flat(self._lookup(target, source, stamp, extrapolate))
 
     def placed_at(self, frame: str, stamp: int) -> tuple[Transform, Transform]:
-        """Return a frame and the base at ns or `LATEST`, in the odometry frame, or on the map without odometry.
+        """Return the transforms of a frame and of the base at a stamp (ns) or `LATEST`.
 
-        Raises `FramesError` if neither is known.
+        Both are in the odometry frame, or on the map without odometry. Raises `FramesError` if neither is known.
         """
 
         def both(fixed: str) -> tuple[Transform, Transform]:
@@ -131,7 +131,7 @@ class RobotFrames:
                 raise err from None
 
     def floor(self, configured: float | None) -> float:
-        """Return the floor's height in the base frame, meters: configured, or that of ``base_footprint`` (REP 120)."""
+        """Return the floor's height in the base frame, meters: configured, of ``base_footprint`` (REP 120), or 0."""
         if configured is None:
             robot, slash, _ = self.base_frame.rpartition("/")
             try:

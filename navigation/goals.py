@@ -118,7 +118,7 @@ def result(fault: int, reason: str) -> dict[str, Any]:
     return {"error_code": int(fault), "error_msg": reason}
 
 
-_EVERY = 0.25
+_EVERY = 0.25  # seconds between two checks
 _MISSES = 3  # checks in a row without a client before it counts as gone: a link may be reopened
 
 GONE = "the goal's client is unreachable, and no other client could cancel it"

@@ -118,7 +118,7 @@ class LayerSubscriptions:
 
 
 def on(places: Places, at: Pose) -> Places:
-    """Transform points (n, 2) from a frame into another frame, in which the first one has the pose `at`."""
+    """Transform points (n, 2) from a frame into another frame, in which the first frame has the pose `at`."""
     c, s = np.cos(at.theta), np.sin(at.theta)
     moved: Places = places @ np.array([(c, s), (-s, c)]) + (at.x, at.y)
     return moved

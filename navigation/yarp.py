@@ -118,14 +118,14 @@ def location_of(map_name: str, pose: Pose) -> Map2DLocation:
     return Map2DLocation(map_name, float(pose.x), float(pose.y), math.degrees(pose.theta))
 
 
-_AGAIN = 2.0
+_AGAIN = 2.0  # seconds between two attempts, and for each
 _END_SECONDS = 0.4  # a module has one second to stop; a connection attempt to an absent machine takes longer
 
 _log = logging.getLogger(__name__)
 
 
 class PortConnection:
-    """Connects a port of the robot to a port of Midspan, and reconnects when it returns; runs on its own thread."""
+    """Connects a port of the robot to a port of Midspan, and reconnects them if necessary; runs on its own thread."""
 
     def __init__(self, naming: Naming, source: str, target: str) -> None:
         self._naming, self._source, self._target = naming, source, target
@@ -153,8 +153,8 @@ class PortConnection:
             self._end.wait(_AGAIN)
 
 
-_PATIENCE = 2.0
-_RETRY = 1.0
+_PATIENCE = 2.0  # seconds until a call times out
+_RETRY = 1.0  # seconds until the next attempt to connect
 
 
 class PolledServer(ABC, Generic[M]):

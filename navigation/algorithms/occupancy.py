@@ -83,7 +83,7 @@ class OccupancyMap:
             farthest: meters up to which cells are changed.
 
         Returns:
-            the number of changed cells.
+            the number of cells that were hit or passed.
         """
         if not all(map(math.isfinite, pose)):
             raise ValueError(f"a scan's pose must be finite, not {pose}")

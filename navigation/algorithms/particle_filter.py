@@ -18,9 +18,9 @@ Alphas = tuple[float, float, float, float, float]
 by driving; variances per square."""
 
 _STANDS = 0.01  # meters below which the direction of a motion is meaningless
-_REACH = 0.75
-_TURN = math.radians(30.0)
-_TRIES = 12
+_REACH = 0.75  # meters in x and y from a pose, within which particles belong to its cluster
+_TURN = math.radians(30.0)  # the same for the heading
+_TRIES = 12  # particles whose clusters are compared
 
 
 class Cluster(NamedTuple):

@@ -17,7 +17,7 @@ from navigation.pose import Pose
 
 Floats = NDArray[np.float64]
 
-_CHANGE = 1e-4
+_CHANGE = 1e-4  # meters or radians; smaller changes of all poses end the iterations
 _ROBUST = 3.0  # standard deviations beyond which an edge that may be wrong loses its weight
 _IDENTITY = Pose(0.0, 0.0, 0.0)
 

@@ -22,14 +22,14 @@ if cython.compiled:
 else:
     from math import cos, isfinite, sin
 
-_SPACING = 0.2
-_ANGLE = math.radians(6.0)
-_COARSE_SIGMA = 0.25
-_COARSE_BEAMS = 60
-_HIT = 0.9
+_SPACING = 0.2  # meters between two lattice points
+_ANGLE = math.radians(6.0)  # the largest angle between two lattice points
+_COARSE_SIGMA = 0.25  # meters, of the wide likelihood field
+_COARSE_BEAMS = 60  # beams that are scored on the lattice
+_HIT = 0.9  # share of beams that end at walls of the map
 _KEPT = 16  # candidates that are improved
-_APART = 0.6
-_TURNED_APART = math.radians(25.0)
+_APART = 0.6  # meters from a pose within which others belong to its neighborhood
+_TURNED_APART = math.radians(25.0)  # the same for the heading
 _PUSHES = ((0.1, 3.0), (0.1, 3.0), (0.05, 1.5), (0.05, 1.5), (0.025, 0.7), (0.025, 0.7))
 """Meters and degrees of each improvement step."""
 
@@ -76,7 +76,8 @@ class PoseSearch:
             window: the range of the search.
 
         Returns:
-            (k, 3) poses, the best first, and their scores with the sharp table; no poses without free cells.
+            (k, 3) poses, the best first, and their scores with the sharp table; no poses without points, or without
+            free cells in the window.
         """
         if not len(points):
             return np.empty((0, 3)), np.empty(0)

@@ -23,10 +23,11 @@ else:
 
     from numpy import rint
 
+# shares of the wanted velocity that are tried
 _SCALES = cython.declare(cython.double[9], [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05, 0.0])
 _UNKNOWN = cython.declare(cython.double, 2.0)
-_STEP = cython.declare(cython.double, 0.05)
-_CLOSER = cython.declare(cython.double, 1e-4)  # meters that do not count as nearer; the tolerance of each step adds up
+_STEP = cython.declare(cython.double, 0.05)  # seconds
+_CLOSER = cython.declare(cython.double, 1e-4)  # meters nearer that are tolerated; those of successive commands add up
 _LONGEST = cython.declare(cython.double, 600.0)
 """Seconds for which the path to a stop is simulated; a robot that needs longer must not move."""
 
@@ -66,7 +67,8 @@ def slowed(
 ) -> float:
     """Return the largest share of the wanted linear velocity with which the robot can stop in time.
 
-    The share is 0 if the robot cannot stop in time at any speed, and if a relevant number is not finite.
+    The share is 0 if the robot cannot stop in time at any speed, if a relevant number is not finite, or if braking is
+    impossible or takes too long.
 
     Raises:
         ValueError: the arrays do not fit.
@@ -180,10 +182,13 @@ def ahead(
 ) -> None:
     """Measure the surroundings of a robot that drives in a direction (radians, in its own frame).
 
-    ``found`` (6) receives: the number of points in the rectangle ahead, and of new ones among them; the distance of the
-    nearest new point in the half circle ahead (meters); the distance of the nearest point outside ``blind`` radians of
-    its front (meters), and its direction (radians); the distance of the nearest point (meters).
-    Points ahead that are nearer than ``radius`` count as in the rectangle.
+    ``points`` are (n, 3): x, y, and 1 for a new object, else 0; the pose is in the same frame. The rectangle ahead is
+    ``length`` meters long, with ``half`` its width; points ahead that are nearer than ``radius`` count as inside.
+
+    ``found`` (6) receives: the number of points in the rectangle, and of new ones among them; the distance of the
+    nearest new point within 100 degrees of the direction (meters); the distance of the nearest point that is more than
+    ``blind`` radians from the robot's front (meters), and its direction (radians, from the front); the distance of the
+    nearest point (meters).
     Raises `ValueError` if the pose or the direction is not finite, or the arrays do not fit.
     """
     inside: cython.Py_ssize_t = 0

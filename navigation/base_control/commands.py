@@ -107,7 +107,8 @@ class CommandInput:
     def command(self, velocity: Velocity, now: float, timeout: float | None = None) -> None:
         """Store a command that arrived at ``now``, seconds of `Arbiter.choose`'s clock; ``timeout`` may end it earlier.
 
-        Raises `CommandError` for NaN, infinity or an absurd value. The last valid command stays until its time-out.
+        Raises `CommandError` for NaN, infinity or a value above `ABSURD`; the last valid command then stays until its
+        time-out.
         """
         if not all(map(math.isfinite, velocity)):
             self.refused += 1

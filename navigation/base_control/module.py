@@ -32,7 +32,7 @@ JOINTS = "sensor_msgs/msg/JointState"
 RESET = "std_srvs/srv/Trigger"
 
 SILENT_SECONDS = 0.5  # seconds without encoder readings until the health reports it
-_BEAT = 0.1
+_BEAT = 0.1  # seconds between two beats of the stall detector
 
 
 class BaseControl(Module):

@@ -41,7 +41,7 @@ class VelocityRpc(INavigation2DVelocityActionsMsgs):
 
     @override
     def applyVelocityCommandRPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
-        """Command a velocity; fails for NaN, infinity or an absurd value."""
+        """Command a velocity; fails for NaN, infinity or a value above `ABSURD`, and after a stall of this process."""
         accepted = self._inputs.apply(self._target, of_degrees(x_vel, y_vel, theta_vel), timeout)
         return _OK if accepted else _FAILED
 

@@ -113,7 +113,10 @@ def _read_general(ini: Ini, group: IniGroup, fields: dict[str, Any], section: Ba
 
 
 def _inputs(ini: Ini) -> tuple[BaseInput, ...]:
-    """Return the inputs of the groups ``BASECTRL_INPUTS_i``, the highest rank first; none without such groups."""
+    """Return the inputs of the groups ``BASECTRL_INPUTS_i``, the highest rank first.
+
+    Without such groups, these are the default inputs with the topic of ``ROS_INPUT``, or none if it has no topic.
+    """
     inputs: list[BaseInput] = []
     general = ini.group(_GENERAL)
     count = general.number("number_of_inputs", 0.0, 0.0, _MOST_INPUTS)

@@ -11,8 +11,8 @@ from bridge.modules.host import Host
 from navigation.gateway.goal_list import GoalList
 from navigation.messages import Message
 
-_MAX_CANCELED = 1000
-_CANCEL_PERIOD = 1.0
+_MAX_CANCELED = 1000  # goals that have to end; the oldest are dropped
+_CANCEL_PERIOD = 1.0  # seconds between two requests to cancel a goal
 
 
 class ActionGoals:

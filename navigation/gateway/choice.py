@@ -46,7 +46,10 @@ class PlannerChoice:
         self._next = self._next or self.section
 
     def configure(self, section: NavigationSection) -> None:
-        """Use another section once the robot stands still; a chosen planner stays unless the section names another."""
+        """Use another section, but change the planner only when the robot stands still.
+
+        A planner that a client has chosen stays unless the section names another planner than before.
+        """
         if section.planner != (self._next or self.section).planner:
             self._chosen = ""
         self._next = section

@@ -72,7 +72,7 @@ class ForeignGoals:
             self.end = ForeignEnd(doubtful, _end_of(status), "" if known else self._lost)
 
     def settle(self) -> None:
-        """Count the goal as ended, because the base stands still while the list is invalid."""
+        """Count the doubtful goal as ended, because the base stands still while the list is invalid."""
         if self.doubtful is not None:
             self.end = ForeignEnd(self.doubtful, State.ABORTED, self._lost)
             self.doubtful = None

@@ -183,7 +183,7 @@ class Gateway:
         return f"as soon as {self.planner} has released its goal" if self.pending else ""
 
     def configure(self, section: NavigationSection) -> None:
-        """Use another section from the end of the current drive on; see `PlannerChoice.configure`."""
+        """Use another section, from the end of the current drive on if it changes the planners."""
         self._choice.configure(section)
         self.execution.settle()
         self._changed()

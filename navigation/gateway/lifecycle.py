@@ -47,7 +47,7 @@ class LifecycleNodes:
 
     @property
     def inactive(self) -> dict[str, str]:
-        """The states of the nodes that are not active, by name; nodes that never answered are left out."""
+        """The states of the nodes that are not active, by name; `SILENT` after `ANSWER_SECONDS` without an answer."""
         return {name: node.state for name, node in self._nodes.items() if node.state not in ("", ACTIVE)}
 
     def refresh(self) -> None:

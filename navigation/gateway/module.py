@@ -72,7 +72,10 @@ class GatewayModule(Module):
 
     @override
     def reload(self, section: Section) -> bool:
-        """Switch to another planner as soon as the robot stands still; changed entry points need a restart."""
+        """Apply changes of `_CHANGEABLE`; another planner takes over as soon as the robot stands still.
+
+        Other changes need a restart.
+        """
         assert isinstance(section, NavigationSection)
         same = {name: getattr(section, name) for name in _CHANGEABLE}
         if self._section.model_copy(update=same) != section:
@@ -82,7 +85,10 @@ class GatewayModule(Module):
         return True
 
     def halt(self, _params: Any = None) -> dict[str, Any]:
-        """Cancel every goal, even a paused one, on any thread. Raises `HubError` unless the robot is known to stand."""
+        """Cancel every goal, even a paused one; may be called on any thread.
+
+        Raises `HubError` unless the robot is known to stand still.
+        """
         trouble = wait_for(self._host.loop.call(self._begin_stop))
         if trouble:
             raise HubError(trouble)

@@ -69,7 +69,9 @@ class Motion:
             self._poses = (*(entry for entry in before if entry[0] >= now - _HISTORY_SECONDS), (now, pose))
 
     def is_standing(self, since: float = 0.0) -> bool | None:
-        """Return whether the base has stood for `STANDING_SECONDS`, in three or more poses; None without odometry.
+        """Return whether the base has stood for `STANDING_SECONDS`, in three or more poses.
+
+        None if odometry is missing, has ended, or does not cover this time.
 
         The poses' stamps count and, except in simulated time, also their times of arrival. Poses that arrived before
         ``since`` (monotonic seconds) do not count.

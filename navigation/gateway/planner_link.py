@@ -20,8 +20,8 @@ from navigation.gateway.telemetry import Telemetry
 from navigation.messages import NAVIGATE, THROUGH, Message
 
 _KEPT_IDS = 16
-"""Maximum number of ids kept of goals of several poses, which are looked up in their own action: the current goal, and
-replaced ones that may not have ended."""
+"""Maximum number of stored ids of goals of several poses, whose states are in the list of another action: those of the
+current goal, and of replaced ones that may not have ended."""
 
 
 class PlannerLink:

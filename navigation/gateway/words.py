@@ -26,7 +26,7 @@ class Situation:
     base: Base = Base.UNKNOWN
     #: whether the planner's newest list, even an invalid one, has active goals; None before the first list
     goals: bool | None = None
-    #: whether the planner had a goal of a client that bypasses the gateway when the planner became unreachable
+    #: whether the planner had a goal of a client that bypasses the gateway when its list was last valid
     doubtful: bool = False
     motion: tuple[str, ...] = ()  #: other actions that move the base now, such as Nav2's ``/follow_path``
     foreign: PlannerStatus | None = None  #: the status of a goal of the planner's own client
@@ -36,7 +36,7 @@ class Situation:
     reason: str = ""  #: why the drive stops or waits
     unreleased: bool = False  #: whether the planner may have a goal of the drive
     reported: PlannerStatus | None = None  #: the planner's own status of the drive's goal
-    silence: float = 0.0  #: seconds without a message from the planner; 0 if it only publishes changes
+    silence: float = 0.0  #: the allowed seconds without a message if the planner has been silent for longer, else 0
     localization: str = ""  #: why the robot's pose is not trusted
     stop: StopState = StopState.NONE
     stop_reason: str = ""

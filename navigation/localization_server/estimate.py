@@ -32,11 +32,11 @@ class LocalizationStatus(StrEnum):
 class PoseEstimate:
     """An estimate of the robot's pose."""
 
-    pose: Pose | None  #: on the map; None before a start pose is set
+    pose: Pose | None  #: on the map; None if it is unknown
     covariance: Floats  #: (3, 3) of x, y, theta: meters, radians
     quality: float  #: share of the scan that the map explains, less the share that contradicts the pose, 0 to 1
     status: LocalizationStatus  #: whether the pose is reliable
-    reason: str  #: why the pose is not reliable
+    reason: str  #: why the pose is not reliable; "" if it is
 
 
 def unknown(reason: str, status: LocalizationStatus = LocalizationStatus.NOT_YET) -> PoseEstimate:

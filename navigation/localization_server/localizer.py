@@ -1,8 +1,9 @@
 """The localizer: estimates the pose on a map from a laser and odometry.
 
 It is a particle filter on a likelihood field. The filter cannot recover from a start that is wrong by meters, but a
-search can: if the map explains too little of a scan, the search tries all poses around, and adds particles at those
-that explain more. The localizer uses neither the hub nor a clock; the caller passes all times as stamps.
+search can: if the map explains too little of a scan, the search tries all poses around the estimate, and moves some
+particles to those that explain more. The localizer uses neither the hub nor a clock; the caller passes all times as
+stamps.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
 
     @override
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Send the server the start pose after its next reply."""
+        """Have the polling thread send the start pose; raises `RuntimeError` if the server is unavailable."""
         if not self._connected:
             raise RuntimeError(f"{self.place} is not available; start the localization server")
         place = Map2DLocation(self._map_name(), pose.x, pose.y, math.degrees(pose.theta))

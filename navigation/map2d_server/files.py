@@ -126,7 +126,7 @@ class MapFiles:
             extras.save(extras_file(path))
 
     def load_places(self, file: str) -> None:
-        """Load locations, objects, areas and paths."""
+        """Load locations, objects, areas and paths, and behaviors and links from the second file if it exists."""
         self._load_places(self._folder.existing(file, _LIST), self._folder.path)
 
     def reload_places(self) -> None:

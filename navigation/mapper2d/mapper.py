@@ -47,7 +47,9 @@ class Mapper:
         return not (self.scans or self._map.odds.any() or (self._paint != _BARE).any())
 
     def scan(self, pose: Pose, ranges: NDArray[np.floating], first: float, step: float, farthest: float) -> bool:
-        """Add a scan of a laser at a pose on the map; return whether it was used. Raises `ValueError` for NaN poses.
+        """Add a scan of a laser at a pose on the map; return whether it was used.
+
+        Raises `ValueError` if the pose is not finite.
 
         Ranges are in meters, one per beam; infinity means no obstacle within ``farthest`` meters, NaN means unknown.
         ``first`` is the first beam's angle from the laser's direction, ``step`` the angle to the next beam, radians.

@@ -39,8 +39,8 @@ SAVE_MAP = "slam_toolbox/srv/SaveMap"
 _SAVED, _NO_MAP, _NOT_SAVED = 0, 1, 255  # RESULT_SUCCESS, RESULT_NO_MAP_RECEIEVD, RESULT_UNDEFINED_FAILURE
 
 _WAITING = 20  # scans that may wait for their poses
-_BEAT = 0.05
-_SILENT_NS = 2_000_000_000
+_BEAT = 0.05  # seconds between two calls of `Mapper2D._work`
+_SILENT_NS = 2_000_000_000  # time without a scan, after which the laser counts as silent
 
 
 class _Scan(NamedTuple):

@@ -101,12 +101,15 @@ class Poses:
     def laser(self, frame: str, stamp: int) -> Pose:
         """Return the laser's pose on the map at a time, ns; raises `FramesError` if it is not known (yet).
 
-        A laser without a frame, as on YARP, is at the robot's center.
+        A laser without a frame, as on YARP, is at the robot's center unless the section configures its pose.
         """
         return self.robot(stamp) @ self.mount(frame)
 
     def mount(self, frame: str) -> Pose:
-        """Return the laser's pose on the robot; raises `FramesError`. Without a frame, it is the robot's center."""
+        """Return the laser's pose on the robot: configured, of its frame, or without both, the robot's center.
+
+        Raises `FramesError` if the frame's pose is unknown.
+        """
         if self._mount is not None:
             return self._mount
         return self._frames.transform(self._frames.base_frame, frame) if frame else Pose(0.0, 0.0, 0.0)

@@ -24,7 +24,7 @@ from navigation.pose import Pose
 from navigation.scan import believed
 from yarp_compat.dev.mapgrid import MapGrid2D
 
-_LOST = 10  # scans in a row that do not match
+_LOST = 10  # scans in a row without a match, from which on the pose counts as lost
 
 
 class PoseSource(ABC):

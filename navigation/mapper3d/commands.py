@@ -67,7 +67,7 @@ class SpaceCommands(MappingCommands):
     def save(self) -> str:
         """Save map and layer in the store; return a text for people.
 
-        Raises `StoreError`, and `ValueError` without a layer.
+        Raises `StoreError`, and `ValueError` if the robot's pose is unknown.
         """
         grid, octomap = self._layer(), Octomap.of(self._space.tree())
         self._store().write([Write(MAP, grid.name, grid), Write(MAP3D, self._name, octomap)])

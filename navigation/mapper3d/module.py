@@ -26,9 +26,9 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.octomap import Octomap
 from yarp_compat.wire.errors import WireError
 
-_BEAT = 0.05
+_BEAT = 0.05  # seconds between two attempts to use waiting clouds
 _SAVE_PERIOD = 60.0  # seconds; a module has one second to stop, and saving a large map may take longer
-_SILENT_NS = 2_000_000_000
+_SILENT_NS = 2_000_000_000  # time without a message, after which the sensors count as silent
 _DROPS = 4  # this many times more drops than floor columns mean that the floor's height is wrong
 
 

@@ -181,7 +181,7 @@ def _sampled(
 
 
 def same_walls(one: MapGrid2D, other: MapGrid2D) -> bool:
-    """Whether two maps have the same name and the same walls in the same place; other flags do not matter."""
+    """Whether two maps have the same name, and the same walls and unknown cells in the same place."""
     return (
         one.name == other.name
         and one.resolution == other.resolution

@@ -99,7 +99,10 @@ _TABLE = _by_flag()
 
 
 def keepout_mask(grid: MapGrid2D, areas: Iterable[Map2DArea] = ()) -> NDArray[np.int8]:
-    """Return the mask (height, width), from the top row down: 100 in keep-out areas and cells, another weight, or 0."""
+    """Return the mask (height, width), from the top row down: 100 in keep-out areas and cells, elsewhere 0 to 90.
+
+    Temporary and enlarged obstacles of the map have the weights above; all other cells have 0.
+    """
     mask = lookup(grid.flags, _TABLE).view(np.int8)
     for area in areas:
         if area.map_id == grid.name:

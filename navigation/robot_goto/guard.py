@@ -16,9 +16,9 @@ from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import STILL, DriveCommand
 
 CREEP_ROOM, FAST_ROOM = 0.01, 0.05  # meters beyond the radius, when creeping and at full speed
-_BARELY, _LEAST = 0.1, 0.002
-_BASELINE, _KEPT = 0.15, 0.3
-_FASTER, _ABSURD = 0.1, 5.0
+_BARELY, _LEAST = 0.1, 0.002  # share of a command that counts as almost nothing; m/s below which the robot stands
+_BASELINE, _KEPT = 0.15, 0.3  # seconds: the shortest time over which a velocity is measured, and the longest
+_FASTER, _ABSURD = 0.1, 5.0  # m/s: how much faster than commanded the odometry must be to count, and its largest speed
 
 
 class Guard:
@@ -105,7 +105,7 @@ class Guard:
 ENOUGH = 0.2  # commanded meters after which the base's motion is checked
 TRY = 0.05  # the same for a base that did not follow, at the next try
 PAUSE = 2.0  # seconds between two tries
-_SHARE = 0.2
+_SHARE = 0.2  # of the commanded motion; a base that moves less does not follow
 _ARM = 0.2  # meters that one radian counts as
 
 

@@ -25,7 +25,8 @@ class CloudWindow:
     """Voxels of 5 cm around the robot, from the floor to its height, with the time of the last points in each.
 
     A voxel is free when all rays of a cloud in its direction pass through it, or after ``memory`` seconds. The lowest
-    level is the floor: it is occupied if a cloud has points below it, seen through it, as at a stair.
+    level is the floor: it is occupied if a cloud has points below it, seen through it, as at a stair, and free when a
+    cloud has points on it.
 
     Args:
         memory: seconds.

@@ -29,7 +29,7 @@ from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
 from yarp_compat.os.data.stamp import Stamp
 
-_REPEAT = 1.0  # seconds
+_REPEAT = 1.0  # seconds after which YARP's port repeats the status
 _MAP_PERIOD = 0.5  # seconds
 _FULL_GAIN = 100.0
 _POLAR = 2
@@ -77,7 +77,7 @@ class GotoTopics(PlannerTopics):
                 self._ports["speak:o"].write([phrase])
 
     def publish_surroundings(self, now: float, driver: Driver, pose: Pose | None, moved: Pose | None) -> None:
-        """Publish the local grid, and with a goal the path ahead, twice a second."""
+        """Publish the local grid, and with a goal the path ahead, twice a second, and ``gui:o`` at each call."""
         if self._ports and self._ports["gui:o"].has_readers:
             self._write("gui:o", gui(driver))
         if pose is None or moved is None or 0.0 <= now - self._mapped < _MAP_PERIOD:

@@ -17,7 +17,7 @@ from navigation.robot_goto.steering import STILL, Aim, DriveCommand, GoalLimits,
 CLEAR = 0.3  # seconds for which the path has to be free before the robot drives on
 RAMP = 1.0  # seconds in which it then accelerates to full speed
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
-_HELD, _HELD_AGAIN = 1.0, 0.5  # seconds, meters
+_HELD, _HELD_AGAIN = 1.0, 0.5  # seconds until a stopped robot counts as held; meters until it has left that place
 _NARROW_FOR = 20.0  # seconds for which paths keep more room where the robot was held
 _SCAN_TURN, _SCAN_TURNS, _SCAN_AGAIN = 0.5 * math.pi, 2, 0.3  # radians, number of turns, meters
 
@@ -41,7 +41,7 @@ class GoalProgress:
 
     best: float = math.inf  #: the smallest remaining cost of the path so far, meters of open floor
     nearest: float = math.inf  #: the smallest straight distance so far, meters: the cost rises when obstacles appear
-    best_turn: float = math.inf  #: the same for the heading, radians
+    best_turn: float = math.inf  #: the turn to the goal's heading at the last progress, radians
     since: float | None = None  #: the time of the last progress, seconds; None before the first step
 
     def missing(self, now: float, left: float, away: float, turn: float) -> float:

@@ -56,7 +56,8 @@ class Atlas:
 def leg(atlas: Atlas, ground: Ground, start: Pose, goal: MapPlace) -> Leg:
     """Return this map's part of the shortest path to a goal on any map.
 
-    Raises `PlanError` if robots must keep out of one of the two maps, or no links lead there.
+    Raises `PlanError` if the goal's map is not stored, robots must keep out of one of the two maps, or no links lead to
+    the goal.
     """
     there = ground if goal.map_name == ground.name else atlas.ground(goal.map_name)
     if there is None:

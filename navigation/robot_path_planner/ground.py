@@ -142,7 +142,7 @@ def combined(one: AreaBehavior, other: AreaBehavior) -> AreaBehavior:
     return AreaBehavior(min(speeds, default=None), on_obstacle)
 
 
-SURE = 1.2  # log odds from which a cell is an obstacle: two more scans hit it than passed through
+SURE = 1.2  # log odds from which a cell is an obstacle: two hits, even if one scan passed through the cell
 _KNOWN = 0.15  # echoes within this distance (meters) of a mapped wall belong to it: maps and poses are inexact
 _FORGET_EVERY = 1.0
 
