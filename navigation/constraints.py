@@ -1,7 +1,8 @@
 """Constraints on the drive to a goal, which a planner sends to a local navigator with each waypoint.
 
 On the hub they are in the ``behavior_tree`` text of a ``nav2_msgs/action/NavigateToPose`` goal, for example
-``midspan: max_lin_speed=0.2 on_obstacle=wait through=true``. Other servers, such as Nav2's, receive an empty text.
+``midspan: max_lin_speed=0.2 on_obstacle=wait through=true``. Only Midspan's planners receive them: for other servers,
+such as Nav2's, that text is the name of a behavior tree.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class Constraints:
     tolerance_lin: float | None = None  #: m
     tolerance_ang: float | None = None  #: degrees
     on_obstacle: str = ""  #: ``wait`` until the obstacle moves away, or drive ``around`` it
-    beside_keep_out: str = ""  #: the map whose keep-out cells are near; a navigator without them waits, too
+    beside_keep_out: str = ""  #: the map whose keep-out cells are near; without that map, a navigator waits as well
     heading: bool = True  #: whether the goal's heading matters
     through: bool = False  #: whether the robot passes without a stop, as at a waypoint
     map: str = ""  #: the goal's map, if it is not the current one

@@ -16,7 +16,7 @@ class Pose(NamedTuple):
     stamp_ns: int = 0
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Transform a pose in this pose's frame into the frame in which this pose is given; keeps its stamp."""
+        """Transform a pose in this pose's frame into the frame in which this pose is given; ``other``'s stamp stays."""
         c, s = math.cos(self.theta), math.sin(self.theta)
         return Pose(
             self.x + c * other.x - s * other.y,
@@ -37,7 +37,7 @@ class Pose(NamedTuple):
 
 
 def check_rotation(orientation: Mapping[str, float], whose: str) -> None:
-    """Raise `ValueError` if a quaternion is not a rotation, such as one of zeros; its length may differ by a tenth."""
+    """Raise `ValueError` if a quaternion is not a rotation, such as one of zeros; its length must be 0.9 to 1.1."""
     length = math.sqrt(sum(value * value for value in orientation.values()))
     if not 0.9 < length < 1.1:
         raise ValueError(f"{whose} quaternion is not a rotation: its length is {length:.2f}, not 1")

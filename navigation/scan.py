@@ -23,7 +23,7 @@ class ScanError(ValueError):
 
 
 def of_ros(message: Mapping[str, Any], time_ns: int, *, hangs: bool = False) -> Turn:
-    """Convert a ``LaserScan``; `time_ns` on our clock, ``hangs`` if the laser is upside down; raises `ScanError`."""
+    """Convert a ``LaserScan`` made at ``time_ns``; ``hangs`` if the laser is upside down. Raises `ScanError`."""
     turn = _turn(
         time_ns, message["angle_min"], message["angle_increment"], message["range_min"], message["range_max"],
         np.array(message["ranges"], np.float64),

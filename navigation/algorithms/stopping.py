@@ -27,7 +27,7 @@ else:
 _SCALES = cython.declare(cython.double[9], [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05, 0.0])
 _UNKNOWN = cython.declare(cython.double, 2.0)
 _STEP = cython.declare(cython.double, 0.05)  # seconds
-_CLOSER = cython.declare(cython.double, 1e-4)  # meters nearer that are tolerated; those of successive commands add up
+_CLOSER = cython.declare(cython.double, 1e-4)  # meters; a smaller approach is tolerated, and adds up over commands
 _LONGEST = cython.declare(cython.double, 600.0)
 """Seconds for which the path to a stop is simulated; a robot that needs longer must not move."""
 

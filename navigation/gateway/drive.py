@@ -80,7 +80,7 @@ class ClientDrive:
         return self.sent is not None and self.sent is self.followed and self.sent.status is GoalState.UNKNOWN
 
     def end(self, status: GoalState, code: int, reason: str) -> None:
-        """End the client's own goal."""
+        """End the drive, and the client's own goal if it used the action."""
         self.machine.on(DriveEvent.END)
         if self.goal is None:
             return

@@ -48,9 +48,9 @@ class ParticleSet:
         self._level()
 
     def update(self, step: Step, points: Floats, *, jitter: bool) -> particle_filter.Cluster:
-        """Move and weigh the particles, and resample them if few have most of the weight; return the heaviest cluster.
+        """Move and weight the particles, and resample them if few have most of the weight; return the heaviest cluster.
 
-        ``jitter`` moves them a little more, because duplicates would stay the same forever while the base stands.
+        ``jitter`` moves them a little more, because duplicates would stay equal forever while the base stands.
         """
         self._drive(self.poses, step)
         if jitter:

@@ -17,15 +17,16 @@ Floats = NDArray[np.float64]
 
 _EXPLAINED_WITHIN = 0.15  # meters from a wall within which the map explains a beam's end
 _SURE, _BETTER = 0.9, 0.1
-"""The explained share from which no search runs, and how much more another pose must explain."""
+"""The explained share from which no search runs, and how much more another pose must explain: twice as much if the robot
+is not lost."""
 
 _SEARCH_EVERY, _LOST_SEARCH_EVERY = 3.0, 1.0
-"""Minimum seconds between searches; the second value if the robot is lost."""
+"""Minimum seconds between searches, the second value if the robot is lost; both grow if searches find nothing."""
 
 _SEARCH_TURN, _LOST_REACH = 0.79, 12.0
 """The search range: radians to each side; meters in all directions if the robot is lost."""
 
-_PATIENCE = 4
+_PATIENCE = 4  # fruitless searches after which that time grows, and the largest factor by which it does
 _NEVER = -(1 << 62)
 
 

@@ -14,7 +14,7 @@ from navigation.messages import GRID
 from yarp_compat.dev.mapflag import UNKNOWN, MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
-_ALIVE_NS = 1_000_000_000
+_ALIVE_NS = 1_000_000_000  # time after which an unchanged layer is published again
 UPDATE = "map_msgs/msg/OccupancyGridUpdate"
 _FLAGS = np.full(4, MapFlag.UNKNOWN, np.uint8)
 _FLAGS[[FLOOR, OBSTACLE, EDGE]] = MapFlag.FREE, MapFlag.WALL, MapFlag.KEEP_OUT

@@ -27,7 +27,7 @@ class KeepOut:
     They have no effect while the robot is inside, as it has to leave.
 
     Attributes:
-        map_name: the map's name; empty without one, and while the robot is inside.
+        map_name: the map's name; empty without a map, and while the robot is inside or its pose is unknown.
     """
 
     def __init__(self) -> None:

@@ -146,8 +146,8 @@ def aim(
 ) -> Aim:
     """Follow the potential field from one pose to another in the grid's frame; radius in meters, time in seconds.
 
-    If the goal is outside the window, the path leaves the window where the one to ``before`` did, unless another exit
-    is clearly better. Around the place ``narrow``, the path keeps more room.
+    If the goal is outside the window, the path leaves the window near the end of the previous path (``before``), unless
+    another exit is clearly better. Around the place ``narrow``, the path keeps more room.
     """
     states, goal = grid.states(now), (to.x, to.y)
     distances = distance_transform(states == OCCUPIED)

@@ -256,7 +256,7 @@ class PathPlanner:
         self._set_out(task, now, pose, local, path)
 
     def _first_path(self, task: DriveTask, pose: Pose) -> PlannedPath:
-        """Return the path around the laser's obstacles, or the one through them if it is more than `_DETOUR` shorter.
+        """Return the path around the laser's obstacles unless there is none, or one through them is `_DETOUR` shorter.
 
         Such obstacles may have moved away by the time the robot gets there.
         """
