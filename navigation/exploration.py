@@ -20,7 +20,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 MOST_FAILURES = 3
 """Goals in a row that may fail before the exploration ends."""
 
-_VIEW = 1.0  # meters, in addition to the robot's radius, within which a goal must be of its frontier
+_VIEW = 1.0  # a goal is at most this many meters, plus the robot's radius, from its frontier
 _TRIES = 3  # views of a frontier that are tried
 _APART = 0.3  # meters between two of these views
 _NEAR_VISITED, _NEAR_FAILED = 0.3, 0.5  # meters around earlier goals in which no other goal is sent

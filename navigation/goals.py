@@ -128,7 +128,7 @@ CUT_OFF = "the goal's client is unreachable: the program has exited, or the link
 class Clients:
     """Watches the clients of an action while it has a goal.
 
-    If all clients disappear, the link to them is cut, and ``gone`` is called once.
+    If all clients have disappeared, the link to them has been cut, so ``gone`` is called once.
     """
 
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[], None]) -> None:

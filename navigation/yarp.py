@@ -27,7 +27,7 @@ M = TypeVar("M", bound=Service)
 
 
 class Calls:
-    """Runs calls of YARP clients on a module's thread; errors of the types ``refusals`` fail the call."""
+    """Runs YARP clients' calls on a module's thread; errors of the types ``refusals``, and time-outs, fail the call."""
 
     def __init__(self, loop: EventLoop, *refusals: type[Exception]) -> None:
         self._loop, self._refusals = loop, refusals
@@ -118,7 +118,7 @@ def location_of(map_name: str, pose: Pose) -> Map2DLocation:
     return Map2DLocation(map_name, float(pose.x), float(pose.y), math.degrees(pose.theta))
 
 
-_AGAIN = 2.0  # seconds between two attempts, and for each
+_AGAIN = 2.0  # seconds between two attempts, and the time-out of each
 _END_SECONDS = 0.4  # a module has one second to stop; a connection attempt to an absent machine takes longer
 
 _log = logging.getLogger(__name__)

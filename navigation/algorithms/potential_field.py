@@ -22,8 +22,8 @@ if cython.compiled:
 else:
     rint = round
 
-# a step costs 7 or 10, times a factor for the cell that it enters: open, unknown, near an obstacle (added to these two,
-# at most), just wide enough, or blocked
+# a step costs _STRAIGHT or _DIAGONAL, times a factor for the cell that it enters: _OPEN or _UNSEEN, plus up to _NEAR
+# close to an obstacle; _TIGHT if the robot barely fits; or _BLOCKED
 _STRAIGHT = cython.declare(cython.longlong, 7)
 _DIAGONAL = cython.declare(cython.longlong, 10)
 _OPEN = cython.declare(cython.longlong, 4)
@@ -55,7 +55,7 @@ class Descent:
 
     # (n, 2) rows and columns, from the robot's cell to the goal's, or to the exit from the window
     cells: NDArray[np.int32]
-    aim: int  #: the index in ``cells`` of the farthest cell to which a straight line is free, or of a cell nearby
+    aim: int  #: the index in ``cells`` of the farthest cell to which a straight line is free, at least 4 if possible
     blocked: float  #: length of the path up to its first blocked cell, cells; infinite if there is none
     cost: float  #: the cost of the whole path, in cells of open floor
     # whether a straight line to the goal itself is free; in that case no path is searched, and ``cells`` is empty

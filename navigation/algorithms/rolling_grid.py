@@ -39,7 +39,7 @@ _SETTLED = cython.declare(cython.double, 0.5)
 """A cell counts as vacated this many seconds after its last echo; a later echo may be a new object."""
 
 _BLIND_BEAMS = cython.declare(cython.int, 5)  # so many adjacent beams without a measurement are a blind sector
-_WEDGE = cython.declare(cython.double, 0.4)  # radians from a blind sector within which beams are not valid from 0 m
+_WEDGE = cython.declare(cython.double, 0.4)  # radians from a blind sector within which beams are not valid nearby
 
 _HOLD = cython.declare(cython.double, 0.35)
 """Seconds for which an echo outweighs passing beams: with noise, beams occasionally pass through a wall's cells."""
@@ -116,9 +116,9 @@ def _shorten(
 def _leave_out(
     ranges: cython.const[cython.double][::1], begins: cython.double[::1], step: cython.double, aside: cython.double
 ) -> cython.void:
-    """Raise in ``begins`` the distance from which each beam is valid.
+    """Increase the distances in ``begins`` from which beams beside blind sectors are valid.
 
-    A beam beside a blind sector at first seems to pass through the sector.
+    Such a beam at first seems to pass through the sector.
     """
     beams: cython.Py_ssize_t = ranges.shape[0]
     around: cython.bint = abs(beams * abs(step) - _FULL_TURN) < 2.0 * abs(step)

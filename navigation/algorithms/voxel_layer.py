@@ -154,7 +154,7 @@ class _Columns:
         step: cython.longlong,
         top: cython.longlong,
     ) -> None:
-        """Find the floor of all columns, starting at a disc around the robot; all in voxels."""
+        """Find the floor of all columns, starting in the disc under the robot; all arguments are in voxels."""
         rows: cython.longlong = self._kinds.shape[0]
         wide: cython.longlong = self._kinds.shape[1]
         self._step, self._top = step, top

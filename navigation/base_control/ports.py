@@ -210,7 +210,7 @@ _COVARIANCE = [
 
 
 class OdometryPublisher:
-    """Publishes odometry as `nav_msgs/Odometry`, on ``/tf``, and on the ports of ``odometry2D_nws_yarp`` and before."""
+    """Publishes odometry as `nav_msgs/Odometry`, on ``/tf``, and on the ports of YARP's current and older servers."""
 
     def __init__(self, host: Host, section: BaseControlSection) -> None:
         frames = {"header": {"frame_id": section.odom_frame}, "child_frame_id": section.base_frame}

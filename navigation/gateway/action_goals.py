@@ -19,7 +19,7 @@ class ActionGoals:
     """The goals of one action; those that have to end are canceled until the server's list shows their end."""
 
     def __init__(self, host: Host, action: str, *, always: bool, changed: Callable[[bool], None]) -> None:
-        self._host, self._changed = host, changed  # called with whether the list differs from the one before
+        self._host, self._changed = host, changed  # called with whether the list differs from the previous one
         self.action, parts = action, names(action)
         self._status = parts.status
         self.list = GoalList(always=always)

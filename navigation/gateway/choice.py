@@ -57,7 +57,7 @@ class PlannerChoice:
     def settle(self, *, driving: bool, stop: StopState) -> bool:
         """Use a section that was waiting for the end of a drive.
 
-        Returns whether the previous planner has failed to release its goals in time; they are no longer followed.
+        Returns whether the previous planner has failed to release its goals in time; the goals are no longer followed.
         """
         section = self._next
         if section is None:

@@ -13,7 +13,7 @@ PROOF_SECONDS = 1.0
 
 
 class Contact:
-    """Contact with one action server, judged by its calls; the GIDs of its parts distinguish two programs."""
+    """Contact with one action server, judged by calls to it; new GIDs of its parts mean that it has been restarted."""
 
     def __init__(self) -> None:
         self._lost_at: float | None = None  # monotonic; None: contact is not in doubt

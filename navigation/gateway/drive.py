@@ -26,7 +26,7 @@ def _now() -> float:
 
 @dataclass(eq=False)
 class ClientDrive:
-    """The request of one client. An action's goal remains active during pauses and repetitions."""
+    """The request of one client. The client's own goal stays active while the drive is paused or sent again."""
 
     targets: Sequence[Target]  #: the goals, one after the other
     client: str  #: the client, for messages

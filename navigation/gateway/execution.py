@@ -204,7 +204,7 @@ class Execution:
             self._link.end_motion()
 
     def stop_drive(self, reason: str) -> None:
-        """End the drive as soon as the planner has released its goal, or the base stands still."""
+        """End the drive as soon as the planner has released its goal, or the stop is confirmed or takes too long."""
         drive = self.drive
         if drive is None or not drive.machine.on(DriveEvent.STOP):
             return

@@ -54,7 +54,7 @@ class DriveState(Enum):
     WAITING = "waiting"  #: not sent: the planner cannot accept a goal yet
     SENT = "sent"  #: the planner has not answered yet
     DRIVING = "driving"  #: the planner has accepted the goal
-    JUDGING = "judging"  #: the planner ended the goal without a code; its next goal list shows why
+    JUDGING = "judging"  #: the planner rejected the goal, or ended it without a code; its next list may show why
     LOST = "lost"  #: contact with the goal is lost: it may still be executing
     PAUSING = "pausing"  #: canceled for a pause, which is not confirmed yet
     PAUSED = "paused"  #: the robot stands

@@ -42,7 +42,7 @@ class YarpVelocity(NamedTuple):
 
 
 class VelocityCommander:
-    """Repeats a velocity on the base's topic until its time is over, then publishes zero. Not thread-safe."""
+    """Repeats a velocity on the base's topic for a limited time, then publishes zero. Not thread-safe."""
 
     def __init__(self, host: Host, topic: str) -> None:
         self._host = host

@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 SCAN_AGE, _ODOMETRY_AGE = 1.0, 1.0  # seconds after which the laser, or odometry, counts as silent
 _SPREAD = np.diag([0.5**2, 0.5**2, math.radians(15.0) ** 2])
 _FEWEST = 8  # a scan with fewer hits is useless
-_FORCED = 5  # updates after a start, even if the base does not move
+_FORCED = 5  # updates after a start or a search, even if the base does not move
 _NEVER = -(1 << 62)
 
 
@@ -139,7 +139,7 @@ class Localizer:
         return (now_ns - self._scan_ns) / 1e9
 
     def check(self, now_ns: int) -> tuple[LocalizationStatus, str]:
-        """Return the status at a time, when scans or odometry may have stopped, and the reason if it is not OK."""
+        """Return the status at a time, also if scans or odometry have stopped, and the reason if it is not OK."""
         if not len(self._particles):
             return self._judge.status, self._judge.reason
         newest = self._track.newest
@@ -158,7 +158,7 @@ class Localizer:
         return self._judge.status, self._judge.reason
 
     def scan(self, stamp_ns: int, points: Floats, odometry: Pose | None = None) -> bool:
-        """Use a scan; return whether the filter ran. It runs if the base has moved, and after a start.
+        """Use a scan; return whether the filter ran. It runs if the base has moved, and after a start or a search.
 
         ``points`` are the hits (n, 2) in the frame of the base, meters; ``odometry`` is the pose of the base at that
         time in the odometry frame; by default it follows from the poses added with `odometry`.

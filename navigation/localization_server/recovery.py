@@ -17,8 +17,8 @@ Floats = NDArray[np.float64]
 
 _EXPLAINED_WITHIN = 0.15  # meters from a wall within which the map explains a beam's end
 _SURE, _BETTER = 0.9, 0.1
-"""The explained share from which no search runs, and how much more another pose must explain: twice as much if the robot
-is not lost."""
+"""The explained share from which no search runs, and how much more another pose must explain: twice as much unless the
+robot is lost."""
 
 _SEARCH_EVERY, _LOST_SEARCH_EVERY = 3.0, 1.0
 """Minimum seconds between searches, the second value if the robot is lost; both grow if searches find nothing."""

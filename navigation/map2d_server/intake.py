@@ -23,7 +23,7 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 _log = logging.getLogger(__name__)
 
-_SETTLE = 0.3  # seconds after which the graph knows the sender of a map
+_SETTLE = 0.3  # seconds after which the graph shows the sender of a map
 _MOST_POINTS = 10_000
 
 

@@ -128,7 +128,7 @@ def markers_of(store: Store, map_name: str, areas: MapAreas, head: Head) -> Mess
 
 
 class _Markers:
-    """Builds the markers of places; the namespaces of a place's marker and text contain its name."""
+    """Builds the markers of places; the namespaces of a place's marker and text contain the place's name."""
 
     def __init__(self, head: Head) -> None:
         self._header = head.header()

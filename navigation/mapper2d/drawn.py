@@ -20,7 +20,7 @@ ROUGHLY = 1.0, math.radians(30.0)
 _MOVED, _TURNED = 0.02, math.radians(0.1)  # motion of a submap after which the map is drawn again
 _PATIENCE = 20  # views per scan that has to pass between two drawings
 _SLICE = 100  # views that are drawn at a time
-_EVERY_NS = 500_000_000  # between scans that are drawn without becoming part of the map
+_EVERY_NS = 500_000_000  # time between scans that are drawn without becoming part of the map
 
 
 @dataclass

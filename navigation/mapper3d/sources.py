@@ -103,7 +103,7 @@ class Sources:
         return stamp_ns(message["header"]) or self._clock.now_ns()
 
     def add(self, read: Callable[[], SensorReading]) -> None:
-        """Add a message; ``read`` raises `FramesError` while the message has to wait. It is read once."""
+        """Add a message; ``read`` raises `FramesError` while the message has to wait; a reading is cached."""
         self.queue.add(cache(read))
 
     def _use(self, read: Callable[[], SensorReading]) -> None:

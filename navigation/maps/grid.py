@@ -148,7 +148,7 @@ def turned(grid: MapGrid2D) -> MapGrid2D:
 
 
 def _bounds(grid: MapGrid2D) -> tuple[float, float, int, int]:
-    """Return the left and lower end of the area that a map covers, meters, and its width and height in cells."""
+    """Return the lower left corner of the area that a map covers, meters, and the area's width and height in cells."""
     ends = np.array([(x, y) for x in (0, grid.m_width) for y in (0, grid.m_height)]) * grid.resolution
     ends += (grid.origin.x, grid.origin.y)
     ca, sa = grid.origin.get_ca(), grid.origin.get_sa()

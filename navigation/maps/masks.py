@@ -21,8 +21,8 @@ Part = tuple[slice, slice]
 def cells_of(info: MapGrid2DInfo, points: Sequence[Vec2D]) -> tuple[Part, NDArray[np.bool_]]:
     """Return the part of a map (rows and columns) around a polygon, and which of its cells the polygon touches.
 
-    A polygon touches the cells whose center is inside, and those that its border crosses, so that even one thinner
-    than a cell leaves no gap. Corners are in meters; two are a line, one is a point, and none touches no cell.
+    A polygon touches the cells whose center is inside, and those that its border crosses, so that even a polygon
+    thinner than a cell leaves no gap. Corners are in meters: two make a line, one a point, and none touch no cell.
     """
     corners = info.in_cells(np.array([(point.x, point.y) for point in points], float).reshape(-1, 2))
     low = np.clip(np.floor(np.min(corners, axis=0, initial=np.inf)), 0, None)

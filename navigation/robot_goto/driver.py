@@ -103,7 +103,7 @@ class Driver:
     def approach(self, direction: float, speed: float, seconds: float) -> None:
         """Move with only the laser, in a direction of the robot's frame (radians), at m/s, for some seconds.
 
-        Obstacles stop it; backwards it moves for at most 2 s. A differential base moves forward or backward only.
+        Obstacles stop the robot; it moves backward for at most 2 s. A differential base moves only forward or backward.
         """
         self._clear()
         self._surroundings.follow.clear()
@@ -177,7 +177,7 @@ class Driver:
 
     @property
     def detour(self) -> list[tuple[float, float]]:
-        """The next point of a path around obstacles, in the odometry frame; empty if it drives straight to the goal."""
+        """The next point of a path around obstacles, in the odometry frame; empty if the path is straight."""
         aim = self.target.path.aim if self.target is not None else None
         return [] if aim is None or aim.direct else [(aim.x, aim.y)]
 

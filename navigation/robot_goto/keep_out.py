@@ -52,7 +52,7 @@ class KeepOut:
     def near(self, radius: float, pose: Pose | None, moved: Pose) -> Places:
         """Return points on the borders around a robot of a radius (meters), in the grid's frame, (n, 2).
 
-        ``moved`` is its pose in that frame, ``pose`` on the map, or None if it is unknown.
+        ``moved`` is the robot's pose in that frame, ``pose`` is its pose on the map, or None if that is unknown.
         """
         self.map_name = ""
         if self._grid is None or pose is None:

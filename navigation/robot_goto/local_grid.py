@@ -21,7 +21,7 @@ class LocalGrid:
     """A window of 5 m around the robot, in a frame in which it moves smoothly (the odometry's).
 
     Observations are valid for ``memory`` seconds. Unknown cells within 0.7 times the robot's ``radius`` (meters) become
-    free; its lasers are ``aside`` meters from its center.
+    free; the robot's lasers are ``aside`` meters from its center.
     """
 
     def __init__(self, memory: float, radius: float, aside: float) -> None:

@@ -103,7 +103,7 @@ class CloudWindow:
 
 
 def thinned(points: Points, most: int) -> Points:
-    """Return at most this many points, evenly; the odd step avoids the same columns in all rows of an image."""
+    """Return at most this many points, evenly selected; an odd step avoids the same columns in all rows of an image."""
     return points[:: math.ceil(len(points) / most) | 1] if len(points) > most else points
 
 

@@ -49,7 +49,7 @@ class GotoTopics(PlannerTopics):
         self._silent = True
 
     def command(self, command: DriveCommand, *, silent: bool) -> None:
-        """Command the base; the last command before silence is published once."""
+        """Command the base; of successive ``silent`` commands, only the first is published."""
         if silent and self._silent:
             return
         self._silent = silent

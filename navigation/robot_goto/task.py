@@ -1,4 +1,4 @@
-"""What RobotGoto keeps for one goal: its progress, its path, the obstacle that it waits for, and turns to see more."""
+"""The state of one goal of RobotGoto: progress, path, the obstacle that the robot waits for, and turns to see more."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ RAMP = 1.0  # seconds in which it then accelerates to full speed
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
 _HELD, _HELD_AGAIN = 1.0, 0.5  # seconds until a stopped robot counts as held; meters until it has left that place
 _NARROW_FOR = 20.0  # seconds for which paths keep more room where the robot was held
-_SCAN_TURN, _SCAN_TURNS, _SCAN_AGAIN = 0.5 * math.pi, 2, 0.3  # radians, number of turns, meters
+# radians of a turn; the number of turns at one place; meters from there to another place
+_SCAN_TURN, _SCAN_TURNS, _SCAN_AGAIN = 0.5 * math.pi, 2, 0.3
 
 
 @dataclass
@@ -45,9 +46,10 @@ class GoalProgress:
     since: float | None = None  #: the time of the last progress, seconds; None before the first step
 
     def missing(self, now: float, left: float, away: float, turn: float) -> float:
-        """Return the seconds since the last progress in any of the three.
+        """Return the seconds since the last progress in path, distance or heading.
 
-        A path that costs ``left`` meters of open floor remains, ``away`` meters straight, and a turn, radians.
+        The remaining path costs ``left`` meters of open floor, the goal is ``away`` meters away in a straight line, and
+        its heading needs a ``turn``, radians.
         """
         if self.since is None:
             self.best, self.nearest, self.best_turn, self.since = left, away, turn, now
@@ -173,7 +175,7 @@ class Hold:
 
 
 class SearchTurn:
-    """Turns in place until the laser sees the path, to both sides."""
+    """Turns in place, towards the unseen cells, until the laser sees the path."""
 
     def __init__(self) -> None:
         self._left = self._sign = 0.0
@@ -186,7 +188,7 @@ class SearchTurn:
         return self._left > 0.0
 
     def advance(self, guard: Guard, moved: Pose, seconds: float, speed: float) -> DriveCommand | None:
-        """Return the command at a speed (rad/s) for a step of some seconds; None after a turn to each side."""
+        """Return the command at a speed (rad/s) for a step of some seconds; None after two turns at one place."""
         if self._at is None or self._at.distance(moved) > _SCAN_AGAIN:
             self._turns, self._at = 0, moved
         if self._left <= 0.0:

@@ -25,7 +25,7 @@ Places = NDArray[np.float64]  # (n, 2) x and y, meters
 
 
 def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places, *, inside: bool = False) -> bool:
-    """Whether a line through points, (n, 2) meters, enters closed cells; with ``inside``, or begins in them."""
+    """Whether a line through points, (n, 2) meters, enters closed cells or, with ``inside``, begins in them."""
     columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
     fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
     on_line = closed[rows[fits], columns[fits]]
@@ -56,7 +56,7 @@ def is_straight(ground: Ground, first: Pose, second: Pose) -> bool:
 def fits_straight(ground: Ground, clutter: Clutter, first: Pose, second: Pose) -> bool:
     """Whether a robot fits on the line between two poses with a cell to spare.
 
-    The line must be free of obstacles, and must not cross the border of an area with a behavior.
+    The line must be free of obstacles, and must not cross the border of an area with a behavior or near keep-out areas.
     """
     start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
     if start is None or end is None or not ground.spare[start] or not sees(ground.spare, start, end):
@@ -82,7 +82,7 @@ def cut(places: Places, meters: float) -> Places:
     return np.concatenate((places[:number], [end]))
 
 
-_STUCK = 2  # walls up to this many cells from the start do not matter: localization is not more accurate
+_STUCK = 2  # walls within this many cells of the start may be crossed: localization is not more accurate
 _STEPS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
 
 
@@ -155,7 +155,7 @@ class PlannedPath:
 
     waypoints: tuple[Waypoint, ...]  #: the waypoints from the first after the start to the goal
     length: float  #: meters
-    note: str = ""  #: for people, for example that it starts in a keep-out area; often empty
+    note: str = ""  #: for people, for example that the path starts in a keep-out area; often empty
 
 
 def plan_path(
