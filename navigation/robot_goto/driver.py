@@ -85,7 +85,8 @@ class Driver:
     def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
         """Drive to a goal, without a stop if another goal is active. Raises `ValueError` if x or y is not finite.
 
-        The pose is on the map; its theta is NaN if the heading does not matter.
+        The pose is on the map; its theta is NaN if the heading does not matter. With ``enable_retreat``, a standing
+        robot without a goal backs off first.
         """
         if not (math.isfinite(pose.x) and math.isfinite(pose.y)):
             raise ValueError(f"a goal's x and y must be finite, not {pose.x} and {pose.y}")

@@ -1,7 +1,7 @@
 """RobotPathPlanner without a hub: plans paths, sends waypoints to a local navigator, and replans if necessary.
 
 It behaves like robotology/navigation's ``robotPathPlannerDev``. Time is an argument; the caller calls
-`PathPlanner.step` 5 to 50 times per second.
+`PathPlanner.step` once per ``period`` of the section, by default 20 times per second.
 """
 
 from __future__ import annotations
