@@ -28,7 +28,7 @@ PATIENCE = 10.0  # seconds to wait for a reply by default
 
 
 class PortChannel:
-    """Sends requests through a port that is connected to the server's by a binary carrier.
+    """Sends requests through a port that is connected to the server's port over a binary carrier.
 
     ``generation`` is assumed for the server until a reply shows another. ``connect`` reconnects the port before a call;
     a call in progress is never repeated.
@@ -72,7 +72,7 @@ T = TypeVar("T", bound=Portable)
 class Stream(Openable, Generic[T]):
     """Reads a port that writes one ``kind`` of data, such as `Map2DLocation`, inside a ``with`` block.
 
-    NaN coordinates mean that the robot is not localized. The source may include the carrier,
+    NaN coordinates of a `Map2DLocation` mean that the robot is not localized. The source may include the carrier,
     ``udp://robot/odometry:o``; else ``carrier`` selects it. ``strict``: read every message, not only the newest. For
     the other arguments, see `OpenPort`.
     """
@@ -127,8 +127,8 @@ class ClientOptions(TypedDict, total=False):
 class ServiceClient(Client, Generic[S]):
     """A client of a server's methods: ``client.remote.get_map_names_RPC()``; for the options, see `ClientOptions`.
 
-    ``server`` is its port, or carrier and port as in ``fast_tcp://map2D_nws_yarp/rpc``; ``name`` is the client's own
-    port; if it is empty, the name server chooses one.
+    ``server`` is the server's port, or carrier and port as in ``fast_tcp://map2D_nws_yarp/rpc``; ``name`` is the
+    client's own port; if it is empty, the name server chooses one.
     """
 
     def __init__(self, interface: type[S], server: str, name: str = "", **options: Unpack[ClientOptions]) -> None:
@@ -140,7 +140,7 @@ class ServiceClient(Client, Generic[S]):
 
     @property
     def generation(self) -> Generation:
-        """The server's release."""
+        """The server's generation of YARP."""
         return self._channel.generation
 
     def _reconnect(self) -> None:

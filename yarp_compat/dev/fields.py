@@ -1,8 +1,9 @@
 """Field types of the YARP interfaces, encoded like the code that YARP generates from thrift files.
 
-A Python annotation names the type: ``bool``, ``int`` (32 bits), ``float`` (a double), ``str``, ``bytes``, an Enum (of
-vocabs if its values are text, otherwise of 32-bit numbers), ``list[...]``, a subclass of Portable; or ``Annotated``
-with one of the fields below, such as ``Annotated[int, INT8]``. (`yarpidl_thrift/src/t_yarp_generator.cc`)
+A Python annotation names the type: ``bool``, ``int`` (32 bits), ``float`` (a double), ``str``, ``bytes``, ``IntEnum``
+(sent as vocabs if it is a `VocabEnum`, otherwise as 32-bit numbers), ``list[...]``, a subclass of `Portable`; or
+``Annotated`` with one of the fields below, such as ``Annotated[int, INT8]``.
+(`yarpidl_thrift/src/t_yarp_generator.cc`)
 """
 
 # ruff: noqa: D102 - the base class documents the methods

@@ -1,7 +1,8 @@
 """A camera: its images, and its controls (`frameGrabberMsgs.thrift`, `IFrameGrabberControls.h`).
 
 Ports (`frameGrabber_nws_yarp`): the stream of images ``<name>``, and ``<name>/rpc``. Servers before 4.0 use vocabs: the
-reply to ``[fgc] [get] [feat] 16`` is ``[fgc] [feat] [is] 0.5``, that to ``[fgc] [has] [feat] 16`` four vocabs and a 1.
+reply to ``[fgc] [get] [feat] 16`` is ``[fgc] [feat] [is] 0.5``; that to ``[fgc] [has] [feat] 16`` is ``[fgc] [has]
+[feat]``, a number, and 1.
 """
 
 # mypy: disable-error-code="empty-body"

@@ -1,7 +1,7 @@
 """A client of a transform server, with the methods of `frameTransformClient` and a Python interface.
 
 with TransformClient() as frames:
-    frames.set("camera", "base", pose, static=True)     # pose: a matrix of 4 by 4
+    frames.set("camera", "base", pose, static=True)     # pose: a 4 by 4 matrix
     pose = frames.pose("camera", "map")                 # the camera's pose on the map
     points = frames.points(points, "camera", "map")     # (N, 3), from the camera's frame to the map's
     frames.getTransform("camera", "map", matrix)        # as in C++: true if it succeeded
@@ -43,8 +43,9 @@ _POLL = 0.01  # seconds between requests without a stream
 class TransformClient(Openable, IFrameTransform):
     """The frames of a server, inside a ``with`` block.
 
-    The server streams all its transforms; the client decodes a message at the next query. Transforms expire `LIFETIME`
-    after their arrival, by this machine's clock only. Without ``streaming``, each query sends a request to the server.
+    The server streams all its transforms; the client decodes a message at the next query. Transforms that are not
+    static expire `LIFETIME` after their arrival; only this machine's clock counts. Without ``streaming``, each query
+    sends a request to the server.
     ``server`` is the prefix of the server's ports (``/robot`` for ``/robot/frameTransformServer/...``), ``name`` that
     of the client's ports; if it is empty, the name server chooses their names. For the options, see `ClientOptions`.
     """

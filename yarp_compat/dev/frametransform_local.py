@@ -19,7 +19,7 @@ _ANY = "*"
 
 
 class LocalTransforms(IFrameTransform):
-    """A store of transforms; those that are not static expire ``lifetime`` seconds after their last update."""
+    """A store of transforms; those that are not static expire ``lifetime`` seconds after their time stamp."""
 
     def __init__(self, lifetime: float = LIFETIME) -> None:
         self._lifetime = lifetime

@@ -42,7 +42,7 @@ class FrameTree:
         return None if transform is None else transform.src_frame_id
 
     def direct(self, child: str, parent: str) -> bool:
-        """Whether a single transform connects the two frames."""
+        """Whether a single transform gives the child's pose in the parent."""
         return any(t.dst_frame_id == child and t.src_frame_id == parent for t in self.transforms)
 
     def connected(self, first: str, second: str) -> bool:

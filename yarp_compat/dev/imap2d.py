@@ -1,7 +1,8 @@
 """IMap2D on the wire: the maps and places of a server (`devices/messages/IMap2DMsgs/IMap2DMsgs.thrift`).
 
 Requests are the same in all releases from 3.6 on; objects and ``reload`` were added in 3.12. Replies differ, see
-`yarp_compat.dev.returnvalue`. A failed ``get`` returns a default after its outcome; ``get_all`` returns no names.
+`yarp_compat.dev.returnvalue`. A failed ``get`` returns a default after its outcome; the results of ``get_all`` do not
+include the names.
 """
 
 # mypy: disable-error-code="empty-body"
@@ -18,7 +19,7 @@ from yarp_compat.wire.generation import Generation
 
 @rpc
 class IMap2DMsgs(Service):
-    """The methods of a map server's port; ``get_all`` is sorted by name; temporary flags are obstacles."""
+    """The methods of a map server's port; ``get_all`` sorts by name; the temporary flags are those of obstacles."""
 
     def clear_all_maps_RPC(self) -> ReturnValue: ...
     def store_map_RPC(self, themap: MapGrid2D) -> ReturnValue: ...

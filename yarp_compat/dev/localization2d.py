@@ -70,7 +70,7 @@ Covariance = Annotated[Matrix, CovarianceCodec()]
 
 
 class LocalizationStatusEnum(VocabEnum):
-    """The state of a localization."""
+    """The state of the localization."""
 
     localization_status_not_yet_localized = "locn"
     localization_status_localized_ok = "locy"
@@ -136,7 +136,7 @@ class ILocalization2D:
         return fetch(self._localization.get_estimated_odometry_RPC, into=odom, default=OdometryData())
 
     def setInitialPose(self, loc: Map2DLocation, cov: Matrix | None = None) -> ReturnValue:
-        """Set the robot's pose and its 3x3 covariance."""
+        """Set the robot's pose, and its covariance if given; fail if that is not 3x3."""
         if cov is None:
             return invoke(self._localization.set_initial_pose1_RPC, loc)
         if cov.numpy().shape != (3, 3):

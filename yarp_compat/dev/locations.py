@@ -140,7 +140,7 @@ class Map2DArea(_Place):
         return Map2DLocation(self.map_id, (low.x + high.x) / 2, (low.y + high.y) / 2)
 
     def getRandomLocation(self) -> Map2DLocation | None:
-        """Return a random location inside, with theta 0; None if the area is empty."""
+        """Return a random location inside, with theta 0; None if the area is invalid or empty."""
         bounds = self.findAreaBounds()
         if bounds is None:
             return None

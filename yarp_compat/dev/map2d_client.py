@@ -52,7 +52,7 @@ class _View(MutableMapping[str, T], Generic[T]):
         self._call(f"clear_all_{self._kind}s")
 
     def _call(self, method: str, *arguments: Any, key: str | None = None) -> Any:
-        """Call a method and return its result; raises `KeyError` if it fails for a ``key``."""
+        """Call a method and return its result; raises `KeyError` if a ``key`` is given and the method fails for it."""
         returned = getattr(self._remote, f"{method}_RPC")(*arguments)
         outcome, *results = (returned,) if isinstance(returned, ReturnValue) else returned
         if key is not None and outcome.code is ReturnCode.METHOD_FAILED:
@@ -64,7 +64,8 @@ class _View(MutableMapping[str, T], Generic[T]):
 class Maps(_View[MapGrid2D]):
     """Maps by name: ``maps["office"]``. Iterating takes one request for all names; each map takes its own request.
 
-    All methods raise `CallFailed` if the server refuses, `ConnectionError` or `TimeoutError` if it is unreachable.
+    All methods raise `CallFailed` if the server refuses, `ConnectionError` or `TimeoutError` if it is unreachable;
+    those for a single map raise `KeyError` if the map is missing.
     """
 
     def __init__(self, remote: IMap2DMsgs) -> None:
@@ -85,7 +86,7 @@ class Maps(_View[MapGrid2D]):
             self._call("clear_map_temporary_flags", name, key=name)
 
     def compress(self, enable: bool) -> None:
-        """Switch the compression of maps on the wire."""
+        """Switch the compression of maps on the wire on or off."""
         self._call("enable_maps_compression", enable)
 
     def save(self, name: str, file_name: str) -> None:

@@ -1,7 +1,7 @@
 """Files of maps and places from untrusted sources: restricted to a folder, limited in size, written atomically.
 
-Images of maps are pgm and ppm (binary or ascii), png and bmp, of any depth. Pillow reads and writes them; of
-uncompressed images (binary pgm and ppm, gray bmp) it reads only the header.
+Images of maps are pgm and ppm (binary or ascii), png and bmp, of any depth. Pillow reads them (of uncompressed images,
+such as binary pgm and ppm or gray bmp, only the header), and writes png and bmp.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Maps (`yarp/dev/MapGrid2D.h`): an occupancy and a flag for each cell.
 
 On the wire: ``width height x y theta resolution name compressed {occupancy} {flags}``, rows from top to bottom,
-occupancy 0 to 100 or 255 for unknown; both are compressed by zlib if ``compressed`` is 1, the default.
+occupancy 0 to 100 or 255 for unknown. The two blobs are compressed with zlib if ``compressed`` is 1, the default.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         """Make a map from arrays of cells, without copying uint8 arrays.
 
         Raises:
-            ValueError: shapes differ, or a value is out of range.
+            ValueError: the shapes differ or are not two-dimensional, the map is too large, or the resolution or origin
+                is invalid.
         """
         grid = cls()
         grid.set_cells(flags, occupancy)
@@ -133,7 +134,10 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return self.m_width, self.m_height
 
     def setSize_in_cells(self, width: int, height: int) -> bool:
-        """Resize the map to free cells; False if the size is invalid."""
+        """Change the size and make all cells free; return False unless both numbers are above 0.
+
+        Raises `ValueError` if the map would be too large.
+        """
         if not (width > 0 and height > 0):
             return False
         if width * height > MAX_CELLS:
@@ -146,7 +150,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return self.m_width * self.m_resolution, self.m_height * self.m_resolution
 
     def setSize_in_meters(self, width: float, height: float) -> bool:
-        """Resize the map to free cells; False if the size is invalid."""
+        """Change the size and make all cells free, like `setSize_in_cells`."""
         return self.setSize_in_cells(int(width / self.m_resolution), int(height / self.m_resolution))
 
     def getMapFlag(self, cell: Pair) -> MapFlag | None:
@@ -170,7 +174,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return -1.0 if occupancy == UNKNOWN else float(occupancy)
 
     def setOccupancyData(self, cell: Pair, occupancy: float) -> bool:
-        """Set the occupancy of a cell (a number below 0: unknown); return False outside of the map."""
+        """Set a cell's occupancy (below 0: unknown); return False outside of the map. Raises `ValueError` above 100."""
         if not occupancy <= 100:
             raise ValueError(f"a cell's occupancy must be at most 100, not {occupancy}")
         at = self._index(cell)
@@ -179,12 +183,12 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return at is not None
 
     def isFree(self, cell: Pair) -> bool:
-        """Whether a cell of the map is free to drive."""
+        """Whether a cell of the map has occupancy 0 and the flag for free cells."""
         at = self._index(cell)
         return at is not None and not self._occupancy[at] and not self._flags[at]
 
     def isNotFree(self, cell: Pair) -> bool:
-        """Whether a cell of the map is occupied, an obstacle or a keep-out cell."""
+        """Whether a cell of the map is an obstacle or a keep-out cell, or its occupancy is above 0 or unknown."""
         at = self._index(cell)
         if at is None:
             return False
@@ -207,7 +211,10 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         self._flags[temporary] = MapFlag.FREE
 
     def enlargeObstacles(self, size: float) -> bool:
-        """Mark free cells within ``size`` meters of other cells (see `enlarge`) as enlarged obstacles; 0 frees them."""
+        """Mark free cells within ``size`` meters of other cells (see `enlarge`) as enlarged obstacles.
+
+        With 0 or less, make all enlarged obstacles free.
+        """
         if size > 0:
             enlarge(self._flags, math.ceil(min(size / self.m_resolution, self.m_width + self.m_height)))
         else:
@@ -260,7 +267,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def loadFromFile(self, map_filename: str) -> bool:
-        """Load a ``.map`` file; False, with the reason in the log, on failure."""
+        """Load a map file, see :meth:`load`; return False, with the reason in the log, on failure."""
         try:
             loaded = type(self).load(map_filename)
         except ValueError as error:
@@ -271,7 +278,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         return True
 
     def saveToFile(self, map_filename: str) -> bool:
-        """Write a ``.map`` file, see :meth:`save`; False, with the reason in the log, on failure."""
+        """Write a map file, see :meth:`save`; return False, with the reason in the log, on failure."""
         try:
             self.save(map_filename)
         except ValueError as error:
@@ -300,7 +307,7 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             save_ros(contents, path, **ros)
 
     def enable_map_compression_over_network(self, enable: bool) -> bool:
-        """Switch the compression of cells on the wire."""
+        """Switch the compression of cells on the wire on or off."""
         self.compressed = bool(enable)
         return True
 

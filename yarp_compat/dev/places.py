@@ -37,7 +37,10 @@ class Places(TextFile):
     @classmethod
     @override
     def from_text(cls, text: str, source: str = "the file") -> Self:
-        """Parse a file's text; errors name the file ``source``. Raises `MapFileError` for invalid or repeated lines."""
+        """Parse a file's text; errors name the file ``source``.
+
+        Raises `MapFileError` for an invalid line, or a name that a section defines twice.
+        """
         lines = iter(enumerate(text.split("\n"), 1))
         version = _version(lines, source)
         places = cls()
@@ -171,7 +174,10 @@ def _quoted(text: str) -> str:
 
 
 def map_files(path: str | Path, jail: Path | None = None) -> list[tuple[Path, bool]]:
-    """Return the map files of a collection, by default in its folder, and whether to crop; raises `MapFileError`."""
+    """Return the files of a collection's maps, each with whether to crop the map; raises `MapFileError`.
+
+    Paths in the collection are absolute, or relative to its folder; with a ``jail``, all files must be in that folder.
+    """
     file = resolve(path, Path(), jail)
     files = []
     for number, line in enumerate(read_text(file).split("\n"), 1):

@@ -59,7 +59,7 @@ class IRangefinder2D:
     def getLaserMeasurement(
         self, data: MutableSequence[LaserMeasurementData], timestamp: MutableSequence[float] | None = None
     ) -> ReturnValue:
-        """Fill in the points of the newest scan; fails before the first scan."""
+        """Fill in the points of the newest scan; fails before the first scan, or if its last angle is the smaller."""
         scan, stamp = self.newest() or (None, 0.0)
         if scan is None:
             return UNREACHED

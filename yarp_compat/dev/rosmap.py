@@ -65,9 +65,10 @@ class RosMapHeader:
 
 
 def load_ros(path: str | Path, jail: Path | None = None) -> MapContents:
-    """Read a ROS map from its YAML file, whose name it gets; with a ``jail``, all files must be in that folder.
+    """Read a ROS map from its YAML file; with a ``jail``, all files must be in that folder.
 
-    The map gets the flags that YARP assigns: free below 50, wall up to 100, else unknown. Raises `MapFileError`.
+    The map gets the file's name without its suffix, and the flags that YARP assigns: free below 50, wall up to 100,
+    else unknown. Raises `MapFileError`.
     """
     file = resolve(path, Path(), jail)
     header = read_header(file)
@@ -218,7 +219,7 @@ def _check(header: RosMapHeader, path: Path) -> None:
 
 
 def _mapping(path: Path) -> Mapping[str, Any]:
-    """Parse a YAML file without aliases, which can expand a few bytes enormously, and without deep nesting."""
+    """Parse a YAML file; reject aliases, which can expand a few bytes enormously, and deep nesting."""
     import yaml
 
     text = read_text(path)

@@ -333,7 +333,7 @@ def _fail() -> bytes:
 class DeviceCalls:
     """Calls the methods of a device: any object that has some of YARP's methods.
 
-    These return a result, None or a `ReturnValue`, or raise.
+    The device's methods return a result, None or a `ReturnValue`, or raise an exception.
     """
 
     def __init__(self, device: object) -> None:

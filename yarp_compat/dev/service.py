@@ -30,7 +30,7 @@ from yarp_compat.wire.tags import INT32, LIST, STRING, VOCAB32
 INTRODUCTION = "getRemoteProtocolVersion"
 """The method that clients of YARP 4 call first; 3.12 has it too, but its stock clients do not call it."""
 VERSION = struct.Struct("<iihhhh")
-"""The reply to it, which is not a Bottle: a list of 1, the service's protocol, YARP's major, minor and patch number."""
+"""The reply to `INTRODUCTION`, not a Bottle: a list of 1, the service's protocol, YARP's major, minor, patch number."""
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
@@ -58,7 +58,7 @@ class Service:
         return _calls(cls)  # type: ignore[arg-type]  # a class can be hashed
 
     def introduce(self) -> tuple[int, int, int, int] | None:
-        """Ask for the protocol's version, as 4.0 does; return it and the YARP version (None: older than 3.12)."""
+        """Ask for the protocol's version, as clients of 4.0 do; return it and YARP's (None: older than 3.12)."""
         channel = self._require_channel(INTRODUCTION)
         out = ElementWriter(Profile.YARP4)
         out.begin(1)
@@ -70,7 +70,7 @@ class Service:
         return version
 
     def command(self, words: list[Any]) -> Sequence[Any] | None:  # noqa: ARG002 - most services have none
-        """Reply to a text command, such as modules had before their services; None for any other request.
+        """Reply to a text command, such as modules accepted before they had services; None for any other request.
 
         ``words`` and the reply are a Bottle's values; the first of the reply may be a vocab as text (``[many]``).
         Raises `ValueError` with the reason for an invalid command.

@@ -103,7 +103,8 @@ def _flags(path: Path) -> NDArray[np.uint8]:
 def _occupancy(path: Path, header: RosMapHeader, *, has_flags: bool) -> NDArray[np.uint8]:
     """Return the occupancy in an image.
 
-    It is decoded with YARP's grays if the map has an image of flags, or else in the way of map servers.
+    If the map also has an image of flags, an 8-bit gray image that is ``trinary`` and not negated is decoded with
+    YARP's grays; any other image is decoded as map servers do.
     """
     pixels = mapfile.read_image(path)
     if has_flags and pixels.ndim == 2 and pixels.dtype == np.uint8 and header.mode == "trinary" and not header.negate:

@@ -1,8 +1,9 @@
 """The methods of a control board in both of YARP's protocols (`ControlBoardMsgs.thrift` of 4.0, vocabs of 3.x).
 
-4.0 calls methods at ``/nws/rpc:i``; the annotations are the types on the wire. 3.x writes the vocabs given by
-:func:`vocabs` to ``/rpc:i`` (`controlBoard_nws_yarp/RPCMessagesParser.cpp` of 3.12.3); a method without vocabs does not
-exist in 3.x, or is streamed to ``/command:i``. Units: degrees, degrees per second, newton meters, percent, amperes.
+Clients of 4.0 call methods at ``/nws/rpc:i``; the annotations are the types on the wire. Clients of 3.x write the
+vocabs given by :func:`vocabs` to ``/rpc:i`` (`controlBoard_nws_yarp/RPCMessagesParser.cpp` of 3.12.3); a method without
+vocabs does not exist in 3.x, or is streamed to ``/command:i``. Units: degrees, degrees per second, newton meters,
+percent, amperes.
 
 Not included: PIDs, calibration, impedance, brakes, torque parameters.
 """
@@ -30,7 +31,7 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 class VocabForm:
     """A method in the vocabs of 3.x: the start of the request, and the reply.
 
-    ``*`` stands for the results, ``t`` for a time stamp; the outcome, ``[ok]``, follows.
+    In ``reply``, ``*`` stands for the results, ``t`` for a time stamp. The outcome, ``[ok]``, ends every reply.
     """
 
     request: tuple[str, ...]

@@ -6,8 +6,9 @@ A method whose name differs between YARP 3 and 4 has both names: ``setRefSpeed``
 
 Setters return whether they succeeded, and so do getters that store results in their last arguments (a ``DVector``, an
 ``IVector``, a ``Vector`` or its ``data()``). ``getEncoder(j)``, ``getControlMode(j)``, ``getAxisName(j)`` and the like
-return the value itself, as the bindings do, and 0 or ``unknown`` if it is missing. Joints are given as ``(j, ...)``,
-``(n, joints, ...)`` or ``(joints, ...)``; without joints, a method applies to all of them.
+return the value itself, as the bindings do; if it is missing, 0, the name ``unknown``, or a vocab such as
+``VOCAB_CM_UNKNOWN``. Joints are given as ``(j, ...)``, ``(n, joints, ...)`` or ``(joints, ...)``; without joints, a
+method applies to all of them.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Method = Callable[..., Any]
 
 
 class BoardView:
-    """One interface of a board."""
+    """The base class of a board's interfaces."""
 
     def __init__(self, board: ControlBoardClient) -> None:
         self._board = board
@@ -84,7 +85,7 @@ def _chosen(arguments: tuple[Any, ...], values: int, name: str) -> tuple[str, li
 
 
 def _setter(one: str = "", of_all: str = "", group: str = "", values: int = 1) -> Method:
-    """Make a method that sets a value of one joint, of all, or of some."""
+    """Make a method that sets ``values`` values of one joint, all or some, from the server's methods for each case."""
     methods = {"One": one, "All": of_all, "Group": group}
 
     def do(self: BoardView, *arguments: Any) -> bool:
@@ -104,7 +105,7 @@ def _setter(one: str = "", of_all: str = "", group: str = "", values: int = 1) -
 
 
 def _asker(one: str = "", of_all: str = "", group: str = "", values: int = 1) -> Method:
-    """Make a method that requests values and stores them in its last arguments."""
+    """Make a method that requests values from the server, and stores them in its last ``values`` arguments."""
     methods = {"One": one, "All": of_all, "Group": group}
 
     def ask(self: BoardView, *arguments: Any) -> bool:
@@ -415,7 +416,7 @@ class IPreciselyTimed(BoardView):
     """The time stamp of the last state."""
 
     def getLastInputStamp(self) -> Stamp:
-        """Return the number and time of the newest state."""
+        """Return the sequence number and time of the newest state."""
         return self._board.stamp()
 
 
