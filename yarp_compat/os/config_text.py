@@ -70,7 +70,10 @@ def read_file(
 def read_folder(
     name: str, section: str, entries: Entries, wipe: bool, *, find_import: FindImport | None = None
 ) -> bool:
-    """Read all ``.ini`` files of a folder; with a section, each as a group named like its file."""
+    """Read all ``.ini`` files of a folder; with a section, each as a group, whose name is the file's path.
+
+    The section then lists these names.
+    """
     if not section:
         return read_file(name, entries, None, wipe, find_import=find_import)
     files = _inis(Path(name))
@@ -260,7 +263,7 @@ def _without_comment(line: str) -> str:
 
 
 def _text(path: Path) -> str | None:
-    """Return the text of a file, or of all files in a folder, separated by ``[]``, which ends a group."""
+    """Return the text of a file, or of all ``.ini`` files in a folder, each followed by ``[]``, which ends a group."""
     files = _inis(path)
     try:
         if files is None:

@@ -31,7 +31,7 @@ class Network:
     """The network's functions that do not belong to a port. Call ``Network.init()`` first, ``Network.fini()`` last.
 
     An object does both: ``network = yarp.Network()`` calls ``init``, and its deletion or the end of ``with`` calls
-    ``fini``. All methods are static; on failure they log the reason and return False.
+    ``fini``. All methods are static. On failure, they log the reason, and return False or an invalid or missing object.
     """
 
     def __init__(self, clockType: int = 0) -> None:
@@ -54,7 +54,7 @@ class Network:
 
     @staticmethod
     def init(clockType: int = 0) -> None:  # noqa: ARG004
-        """Start using the network."""
+        """Start using the network, and the clock that ``YARP_CLOCK`` names; ``clockType`` has no effect."""
         LIBRARY.ask = definition_from_daemon
         RUNTIME.init(use_environment_clock)
 
@@ -62,7 +62,7 @@ class Network:
 
     @staticmethod
     def fini() -> None:
-        """Stop using the network, and close all open ports."""
+        """Stop using the network; the call that matches the first `init` closes all open ports."""
         RUNTIME.fini()
 
     finiMinimum = fini
@@ -157,12 +157,12 @@ class Network:
 
     @staticmethod
     def registerName(name: str) -> Contact:
-        """Register a name without a port of this program."""
+        """Register a name without opening a port; return its contact."""
         return Contact.of(_value(lambda: RUNTIME.naming.register(name), f"cannot register {name}"))
 
     @staticmethod
     def registerContact(contact: Contact) -> Contact:
-        """Register a name with this address."""
+        """Register a contact's name with its address."""
         a = contact.address
         register = RUNTIME.naming.register
         problem = f"cannot register {a.name}"
@@ -248,7 +248,7 @@ class Network:
 
     @staticmethod
     def getConnectionQos(src: str, dest: str, srcStyle: QosStyle, destStyle: QosStyle, quiet: bool = True) -> bool:
-        """Fill two styles with the styles that the two ends of a connection report."""
+        """Store the types of service that the two ends of a connection report in two styles."""
 
         def read_end(port: str, other: str, style: QosStyle) -> bool:
             reply = Bottle()

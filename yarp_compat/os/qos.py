@@ -52,11 +52,11 @@ class QosStyle:
         return self._tos >= 0
 
     def getPacketPriorityAsDSCP(self) -> int:
-        """Return the class of service, such as ``QosStyle.DSCP_AF41``."""
+        """Return the class of service, such as ``QosStyle.DSCP_AF41``; -1 if not set, ``DSCP_Undefined`` for others."""
         return self._class_in(DSCP.values())
 
     def getPacketPriorityAsLevel(self) -> int:
-        """Return YARP's level, such as ``QosStyle.PacketPriorityHigh``."""
+        """Return YARP's level, such as ``QosStyle.PacketPriorityHigh``, like `getPacketPriorityAsDSCP`."""
         return self._class_in(PRIORITIES.values())
 
     def _class_in(self, classes: Iterable[int]) -> int:

@@ -95,7 +95,7 @@ class ResourceFinder(Searchable):
         return True
 
     def setVerbose(self, verbose: bool = True) -> bool:
-        """Log each searched folder."""
+        """Log each file that is not found, with the searched folders."""
         log.setLevel(logging.DEBUG if verbose else logging.INFO)
         return True
 
@@ -164,15 +164,18 @@ class ResourceFinder(Searchable):
         return next(iter(self._search.context_folders()), "")
 
     def getHomeContextPath(self) -> str:
-        """Return the user's folder for the context's files; create it if missing."""
+        """Return the user's folder for the context's files; create it if missing.
+
+        If the main configuration file is in the current directory, return that file's folder.
+        """
         return self._home("contexts", self.getContext())
 
     def getHomeRobotPath(self) -> str:
-        """Return the user's folder for the robot's files; create it if missing."""
+        """Return the user's folder for the robot's files, like `getHomeContextPath`."""
         return self._home("robots", self._search.directories.robot())
 
     def readConfig(self, config: Property, key: str, options: ResourceFinderOptions) -> bool:
-        """Read every file with a name into ``config``; files found earlier have priority."""
+        """Read the files with a name that the options select into ``config``; files found earlier have priority."""
         paths = list(self._search.paths(self._value_or_name(key), options, folder=True))
         for path in reversed(paths):
             config.fromConfigFile(path, False)

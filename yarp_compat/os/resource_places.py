@@ -68,7 +68,7 @@ class ResourceSearch:
 
     Attributes:
         main_folder: the folder of the main configuration file; "" if unknown.
-        near_main: whether that file is in the current directory, so that its folder is searched too.
+        near_main: whether that file is in the current directory; its folder is then searched instead of the contexts.
     """
 
     def __init__(self, contexts: Sequence[str] = ()) -> None:
@@ -84,7 +84,7 @@ class ResourceSearch:
         return copy
 
     def find_main(self, name: str) -> str:
-        """Return the path of the main configuration file, whose folder is searched from now on; "" if not found."""
+        """Return the path of the main configuration file, "" if not found; record its folder for later searches."""
         found_path = self.first(name, ResourceFinderOptions())
         self.near_main = bool(found_path) and found_path == (
             name if is_absolute(name) else _append(_current_folder(), name)
@@ -154,7 +154,10 @@ class ResourceSearch:
         return _append(folder, name) if name else folder
 
     def _path_d(self) -> Iterator[str]:
-        """Yield the folders from the packages' files ``config/path.d/*.ini``: ``[search NAME]`` with ``path /a /b``."""
+        """Yield the folders in the packages' files ``config/path.d/*.ini``: ``[search NAME]`` with ``path /a /b``.
+
+        Only the first of the installed data folders that has a folder ``config/path.d`` is searched.
+        """
         places = (Path(folder, "config", "path.d") for folder in self.directories.data_dirs())
         place = next((folder for folder in places if folder.is_dir()), None)
         entries: config_text.Entries = {}

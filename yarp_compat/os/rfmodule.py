@@ -130,7 +130,7 @@ class RFModule:
         return 0
 
     def runModuleThreaded(self, rf: ResourceFinder | None = None) -> int:
-        """Run in a new thread; return 0 once it is started, 1 if configuring failed."""
+        """Run in a new thread; return 0 once it is started, 1 if configuring failed or the module ran before."""
         if self._ran or self._thread is not None:
             return 1
         if rf is not None and not self.configure(rf):
@@ -141,7 +141,7 @@ class RFModule:
         return 0
 
     def joinModule(self, seconds: float = -1) -> bool:
-        """Wait until the module's thread has ended, at most ``seconds`` (negative: no limit)."""
+        """Wait until the module's thread has ended; return False after ``seconds`` (negative: no limit)."""
         if self._thread is None:
             log.warning("Cannot call join: RFModule runModule() is not currently threaded.")
             return True
@@ -153,7 +153,7 @@ class RFModule:
         return True
 
     def stopModule(self, wait: bool = False) -> None:
-        """End the loop after the current cycle."""
+        """End the loop after the current cycle, which `interruptModule` interrupts; ``wait``: until the thread ends."""
         with self._interrupting:  # close() must wait for interruptModule()
             self._stop.set()
             if not self.interruptModule():

@@ -41,7 +41,7 @@ class Runtime:
         return self._users > 0
 
     def init(self, prepare: Callable[[], None]) -> None:
-        """Start using the network; the first call prepares it."""
+        """Start using the network; the first call also calls ``prepare``."""
         with self._lock:
             self._users += 1
             if self._users == 1:

@@ -46,7 +46,7 @@ class Things:
         return True
 
     def write(self, connection: Any) -> bool:
-        """Write the content to a connection; return False if there is none."""
+        """Write the content to a connection; return False if there is none, or it cannot be written."""
         thing = self._writer or self._portable
         return thing is not None and thing.write(connection)
 

@@ -35,7 +35,7 @@ class Searchable:
         raise NotImplementedError(f"{type(self).__name__} has no find for {key}")
 
     def findGroup(self, key: str) -> Bottle:
-        """Return the list that begins with a key; a null Bottle if it is missing."""
+        """Return the list that begins with a key; a null Bottle if there is no such list."""
         raise NotImplementedError(f"{type(self).__name__} has no findGroup for {key}")
 
     def toString(self) -> str:
@@ -47,7 +47,10 @@ class Searchable:
     @overload
     def check(self, key: str, fallback: Value, comment: str = "") -> Value: ...
     def check(self, key: str, fallback: Value | str = "", comment: str = "") -> bool | Value:  # noqa: ARG002
-        """Return whether a key exists; with a fallback, its value or the fallback. A comment has no effect."""
+        """Return whether a key exists; with a `Value` as fallback, the key's value, or the fallback if it is missing.
+
+        A text, either as the fallback or as the comment, has no effect.
+        """
         if not isinstance(fallback, str):
             value = self.find(key)
             return fallback if value.isNull() else value
@@ -90,7 +93,7 @@ class Value(ValueBase, _Comparable):
 
     def __init__(self, value: Any = (), vocab: bool = False) -> None:
         if isinstance(value, bool):
-            value = int(value)  # as in YARP's bindings; `True` in a list of values is true
+            value = int(value)  # as in YARP's bindings; inside a list, `True` remains a bool
         self._value = word_of(value) if vocab else plain_of(value)
 
     @classmethod
@@ -353,7 +356,7 @@ class Bottle(Portable, _Comparable):
         self._edit()[:], source.at = decode_prefix(source.data, source.profile, source.element())
 
     def getSpecialization(self) -> int:
-        """Return the tag that all values share (YARP 3's); 0 if they differ."""
+        """Return YARP 3's tag that all values share; 0 if their types differ, they are lists, or there are none."""
         return int.from_bytes(encode(self._values, Profile.YARP3)[:4], "little") & tags.UNIT
 
     @staticmethod

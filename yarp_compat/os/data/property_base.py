@@ -1,4 +1,4 @@
-"""The base of `Property`: values from text, command lines, URLs and configuration files."""
+"""The base class of `Property`: values from text, command lines, URLs and configuration files."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def merge_options(words: Sequence[str], entries: dict[str, Any]) -> None:
 
 
 def _put_in_groups(name: str, values: list[Any], entries: dict[str, Any]) -> None:
-    """Set the values of ``GROUP::key`` or ``key``; numeric names are ignored, because some option names a group."""
+    """Set the values of ``GROUP::key`` or ``key``; names that are numbers are ignored if any option names a group."""
     key = _value(name)
     if not isinstance(key, str):
         return
@@ -99,7 +99,7 @@ def query_of(url: str) -> dict[str, str]:
 
 
 class PropertyBase(Portable):
-    """The base of `Property`: plain values under keys, with their readers and writers."""
+    """The base class of `Property`: plain values under keys, with their readers and writers."""
 
     _entries: dict[str, Any]
 
@@ -143,8 +143,8 @@ class PropertyBase(Portable):
     def fromConfigFile(self, fname: str, env: Environment | bool | None = None, wipe: bool = True) -> bool:
         """Read a configuration file, or all ``.ini`` files of a folder; return False, changing nothing, if not found.
 
-        Included files are searched in its folder, too. ``env`` has values for ``$NAMES`` that the environment lacks; if
-        it is left out, ``wipe`` may be the second argument.
+        Files that it includes are also searched in its folder. ``env`` has values for ``$NAMES`` that the environment
+        lacks; if ``env`` is left out, ``wipe`` may be the second argument.
         """
         values, wipe = (None, env) if isinstance(env, bool) else (env, wipe)
         return config_text.read_file(str(fname), self._entries, values, wipe, find_import=find_in_context)

@@ -45,7 +45,7 @@ class Stamp(Portable):
 
     @override
     def to_text(self) -> str:
-        """Return the envelope's text: ``5 123.5``, the time with 15 digits."""
+        """Return the envelope's text: ``5 123.5``, the time with up to 15 digits."""
         return f"{self._count} {self._time:.15g}"
 
     toString = to_text

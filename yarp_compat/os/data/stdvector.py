@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 
 
 class StdVector(list[Any]):
-    """A list with the methods of C++'s ``std::vector``; it can also be created by its length, ``DVector(6)``."""
+    """A list with the methods of C++'s ``std::vector``; it can also be created from its length, ``DVector(6)``."""
 
     ZERO: ClassVar[Any] = None
 

@@ -1,4 +1,4 @@
-"""The plain Python values inside Value, Bottle and Property, and the base of `Value`."""
+"""The plain Python values inside Value, Bottle and Property, and the base class of `Value`."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class ValueBase(Portable):
     asInt64 = _truncated_to(64, "The number, truncated to eight bytes.")
 
     def asFloat32(self) -> float:
-        """Return the number, rounded to a float of four bytes."""
+        """Return the number, rounded to a float of four bytes; infinite if it is too large, 0.0 for other types."""
         try:
             return rounded(float(self._number()))
         except WireError:

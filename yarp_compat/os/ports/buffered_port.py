@@ -24,7 +24,7 @@ log = logging.getLogger("yarp.os.BufferedPort")
 
 
 class TypedReaderCallback:
-    """The base class of callbacks for ``port.useCallback(callback)``; ``BottleCallback`` and others are aliases."""
+    """The base class of callbacks for ``port.useCallback(callback)``, such as ``BottleCallback``."""
 
     def onRead(self, datum: Any, reader: Any = None) -> None:
         """Handle one message; ``reader`` is the port. It may be defined with only the first argument."""
@@ -117,7 +117,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
         return self._spare is not None
 
     def write(self, forceStrict: bool = False) -> None:
-        """Send the prepared object; with ``forceStrict`` after messages still being sent, else in their place."""
+        """Send the prepared object in place of queued messages; with ``forceStrict``, wait until those are sent."""
         data, self._prepared = self._prepared, None
         core = self._core
         if data is None:
@@ -133,7 +133,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
             log.error("port %s cannot write: %s", core.name, err)
 
     def writeStrict(self) -> None:
-        """Send the prepared object after the messages still being sent, so that none is dropped."""
+        """Wait until earlier messages are sent, then send the prepared object, so that none is dropped."""
         self.write(True)
 
     def waitForWrite(self) -> None:

@@ -108,7 +108,10 @@ class ConnectionWriter:
 
 
 class ConnectionReader:
-    """A reader of one message, or of none when the port closes. Missing or invalid content is 0 and sets `isError`."""
+    """A reader of one message, or of none when the port closes.
+
+    Missing or invalid content is read as 0 or as an empty text or block, and sets `isError`.
+    """
 
     def __init__(self, message: PortMessage | None, local: Contact, profile: Profile = Profile.YARP3) -> None:
         self._message = message

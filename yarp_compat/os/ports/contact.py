@@ -22,7 +22,11 @@ def _sets(part: str, kind: Callable[..., T], doc: str) -> Callable[[Contact, T],
 
 
 class Contact:
-    """A port's address: ``Contact(name)``, ``(host, number)``, ``(carrier, host, number)`` or all; others "" or -1."""
+    """A port's name and address.
+
+    Created by ``Contact(name)``, ``(host, number)``, ``(carrier, host, number)`` or ``(name, carrier, host, number)``;
+    other parts are "", the number -1.
+    """
 
     def __init__(self, *parts: Any) -> None:
         self._timeout = -1.0

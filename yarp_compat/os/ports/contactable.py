@@ -1,4 +1,4 @@
-"""The base of YARP's port classes: names, connections, modes. It wraps a `yarp_compat.ports.port.PortCore`."""
+"""The base class of YARP's ports: names, connections, modes. Each port wraps a `yarp_compat.ports.port.PortCore`."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class Contactable:
         return self._open(full, contact, _number(requested) or max(contact.getPort(), 0), register=registerName)
 
     def _full_name(self, name: str) -> str | None:
-        """Return the full name to register; None if the name is invalid."""
+        """Return the full name to register; None, with the reason in the log, if it is invalid or incomplete."""
         if name in ("", "..."):
             return name
         name = os.environ.get("YARP_PORT_PREFIX", "") + name
@@ -350,7 +350,7 @@ class Contactable:
         return self._has_lock and bool(self._callback_lock.acquire())
 
     def tryLockCallback(self) -> bool:
-        """Block callbacks like `lockCallback`, without waiting; return False while a callback runs."""
+        """Block callbacks like `lockCallback`, without waiting; return False if one runs, or without a lock."""
         return self._has_lock and bool(self._callback_lock.acquire(blocking=False))
 
     def unlockCallback(self) -> None:
@@ -391,7 +391,7 @@ class UnbufferedContactable(Contactable):
 
 
 def _variable(prefix: str, name: str) -> str:
-    """Return a port's environment variable: ``YARP_RENAME_robot_camera`` (``NameConfig::getSafeString``)."""
+    """Return a port's variable in the environment: ``YARP_RENAME_robot_camera`` (``NameConfig::getSafeString``)."""
     return prefix + re.sub(r"[^0-9A-Za-z]", "_", name)
 
 

@@ -11,7 +11,7 @@ from yarp_compat.ports.message import PortMessage
 
 
 class Gate:
-    """The base of `Handoff` and `Inbox`: threads wait on ``_changed``."""
+    """The base class of `Handoff` and `Inbox`: threads wait on ``_changed``."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
