@@ -1,4 +1,4 @@
-"""Allocates port numbers (always the same for a name), port names and multicast addresses.
+"""Allocates port numbers (if possible always the same for a name), port names and multicast addresses.
 
 Numbers range from 2 to 9999 above the name server's own; only after the last one are freed numbers reused for other
 names, as in yarpserver 3.12 (``AllocatorOnTriples.cpp``). Unlike in yarpserver, numbers that a port registered
@@ -90,7 +90,7 @@ class Allocator:
             self._groups.release((int(parts[2]) - 1) * 255 + int(parts[3]) - 2)
 
     def state(self) -> dict[str, Any]:
-        """Return the state as JSON data."""
+        """Return the state, in types that JSON supports."""
         return {
             "next": self._next,
             "numbers": dict(self._number),

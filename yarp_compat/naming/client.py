@@ -1,7 +1,8 @@
 """A client of the YARP name server (Midspan's or yarpserver): one TCP connection per command, as YARP's programs do.
 
 The bytes are those of YARP 3.12.3 (`NameClient.cpp`, `NameserCarrier.cpp`, and captures): ``NAME_SERVER query /p``
-without quotes. The command ends with LF if the answer has several lines, and with CR LF if it is one line (a Bottle).
+without quotes. The command ends with LF if the whole answer is read, and with CR LF if only its first line is (a Bottle
+has only one).
 """
 
 from __future__ import annotations
@@ -260,12 +261,12 @@ class NameClient:
         return f"{address.host} port {address.port}" if address else "its address"
 
     def _own_host(self) -> str:
-        """Return this machine's address that starts with ``YARP_IP``, else ``YARP_IP`` itself."""
+        """Return this machine's address that starts with ``YARP_IP``, else ``YARP_IP`` itself; "" if it is not set."""
         prefix = os.environ.get("YARP_IP", "")
         return next((ip for ip in self._own_addresses() if ip.startswith(prefix)), prefix) if prefix else ""
 
     def _own_addresses(self) -> Lines:
-        """Return loopback and this machine's address on the name server's network."""
+        """Return the loopback address and this machine's address on the name server's network."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
                 address = self.address

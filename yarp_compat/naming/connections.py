@@ -58,7 +58,7 @@ def is_connected(naming: Naming, source: str, target: str, *, timeout: float = t
 
 
 def exists(naming: Naming, name: str, *, timeout: float = text_client.TIMEOUT) -> bool:
-    """Whether a port is registered and replies as a port; raises `NoNameServerError`."""
+    """Whether a port is registered and replies as a port (a group of mcast need not); raises `NoNameServerError`."""
     contact = naming.query(name)
     if contact is None:
         return False
@@ -98,7 +98,11 @@ def _find(naming: Naming, name: str, role: str) -> PortContact:
 def _command(
     naming: Naming, writer: PortContact, target: str, timeout: float, command: Sequence[Any] = ()
 ) -> list[Any]:
-    """Query a port's connection and send the port a command; if it does not reply, inform the name server."""
+    """Query the writing port's connection to ``target``, then send it the command, if any.
+
+    Returns the reply to the command, or without a command the description of the connection. If the port does not
+    reply, the name server is informed.
+    """
     try:
         answer = text_client.admin(writer, [_LIST, _OUT, _name(target)], timeout)
         return text_client.admin(writer, command, timeout) if command else answer
@@ -134,8 +138,8 @@ def _success(answer: list[Any], problem: str) -> str:
 
 _log = logging.getLogger("yarp.names")
 
-WORKERS = 4
-MAX_WAITING = 10_000
+WORKERS = 4  # maximum threads of a `Connector`
+MAX_WAITING = 10_000  # maximum connections to make; further requests are ignored
 STEP_TIMEOUT = 3.0  # seconds for each step of making a connection
 PAUSES = (0.0, 0.5, 2.0, 8.0)
 """Seconds before each attempt. After the last attempt, a missing port is connected when it announces itself again."""

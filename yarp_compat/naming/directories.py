@@ -82,7 +82,7 @@ class Directories:
         return self.environment.get("YARP_CACHE_HOME", self._in(self.cache(), "yarp"))
 
     def runtime_home(self) -> str:
-        """Return the directory of files that last as long as YARP's programs."""
+        """Return the directory of YARP's files that last as long as the user's session."""
         return self.environment.get("YARP_RUNTIME_DIR", self._in(self.runtime(), "yarp"))
 
     def data_dirs(self) -> list[str]:

@@ -25,7 +25,7 @@ class Command:
     """A command, its reply and its effects."""
 
     words: Sequence[Any] = ()  # the command's values
-    bot: bool = False  # the reply is a Bottle
+    bot: bool = False  # the client requests a Bottle instead of lines
     remote: str = ""  # the sender's address
     # the reply as a Bottle's values; it is sent as lines if it begins with `OLD`
     values: list[Any] = field(default_factory=lambda: [OLD])
@@ -45,7 +45,7 @@ class Command:
 
     @property
     def head(self) -> list[Any]:
-        """The start of an empty reply."""
+        """An empty reply in the requested form; lines begin with it."""
         return [] if self.bot else [OLD]
 
 
@@ -87,7 +87,7 @@ HELP = (
 
 
 def lines(values: Sequence[Any]) -> list[str]:
-    """Return the lines of a reply that begins with `OLD`, without line ends."""
+    """Return the lines of a reply that begins with `OLD`, including the end mark, without line breaks."""
     shown = [to_text(v).replace('"', "") if isinstance(v, list | tuple) else plain_text(v) for v in values[1:]]
     return [*filter(None, shown), "*** end of message"]
 
@@ -119,12 +119,15 @@ def code(done: bool) -> list[Any]:
 MAX_PORTS = 10_000
 MAX_PROPERTY_CHARACTERS = 8 * 1024  # characters of all properties of one port
 
-MAX_OWNED_DEPTH = 16
+MAX_OWNED_DEPTH = 16  # levels of entries that are removed with the port that owns them
 
 
 @dataclass(slots=True)
 class PortEntry:
-    """A registered port: when it was registered (``since``, registry's clock), and whether it has announced itself."""
+    """A registered port, with the time of its registration (``since``, on the registry's clock).
+
+    ``announced`` is whether the port has announced that it listens; `PortRegistry.add` assumes so.
+    """
 
     contact: PortContact
     since: float
@@ -151,7 +154,10 @@ class PortRegistry:
         self._subscriptions.on_announced(contact.name)
 
     def apply(self, request: Sequence[Any], remote: str = "") -> Command:
-        """Execute a command from ``remote``; ``NAME_SERVER`` and ``bot`` may precede its words."""
+        """Execute a command from the address ``remote``, and return it with its reply and its effects.
+
+        ``NAME_SERVER`` and ``bot`` may precede the command's words.
+        """
         request = list(request)
         bot = wants_json(request)
         if request and request[0] == "NAME_SERVER":
@@ -190,7 +196,7 @@ class PortRegistry:
         return self._clock() - entry.since
 
     def state(self) -> dict[str, Any]:
-        """Return the state as JSON data."""
+        """Return the state, in types that JSON supports."""
         return {
             "own": self._ports[self.server.name].properties,
             "ports": [

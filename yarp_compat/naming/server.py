@@ -34,13 +34,13 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, to_text
 
-AT_ONCE = 200
+AT_ONCE = 200  # ports probed at the same time
 _UNDER_WAY = (0, errno.EINPROGRESS, errno.EWOULDBLOCK, getattr(errno, "WSAEWOULDBLOCK", 0))
 _REFUSED = (errno.ECONNREFUSED, getattr(errno, "WSAECONNREFUSED", errno.ECONNREFUSED))
 
 
 def refused(contacts: Iterable[PortContact], seconds: float) -> set[str]:
-    """Return the names of ports whose address refuses a connection within a time; silent ports may be alive."""
+    """Return the names of ports whose address refuses a connection within ``seconds``; silent ports may be alive."""
     dead: set[str] = set()
     todo = [c for c in contacts if _is_address(c.host)]
     end = time.monotonic() + seconds

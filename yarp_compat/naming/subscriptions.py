@@ -53,7 +53,7 @@ class Subscriptions:
         self._topics: dict[str, str] = {}
 
     def add(self, source: str, target: str, mode: str) -> list[WantedConnection] | None:
-        """Add a persistent connection; return the connections to make now, or None if it is invalid."""
+        """Add a persistent connection; return the connections to make now, None if it is invalid or exceeds a limit."""
         start, end = PortContact.parse(source), PortContact.parse(target)
         if not (is_name(start.name) and is_name(end.name)) or mode not in MODES:
             return None
@@ -94,7 +94,7 @@ class Subscriptions:
             del self._all[key]
 
     def set_topic(self, topic: str, structure: str) -> list[WantedConnection] | None:
-        """Make a name a YARP topic; return the connections to make now, or None if it is invalid."""
+        """Make a name a YARP topic; return the connections to make now, None if it is invalid or exceeds the limit."""
         if not is_name(topic) or (topic not in self._topics and len(self._topics) >= MAX_TOPICS):
             return None
         if structure or topic not in self._topics:
@@ -129,7 +129,7 @@ class Subscriptions:
         return [w for s in both if self._is_live(s) for w in self._wanted(s)]
 
     def state(self) -> dict[str, Any]:
-        """Return the state as JSON data."""
+        """Return the state, in types that JSON supports."""
         return {
             "subscriptions": [[s.source.target, s.target.target, s.mode] for s in self._all.values()],
             "topics": dict(self._topics),

@@ -85,7 +85,7 @@ class Connections:
         return True
 
     def remove_input(self, connection: MessagePeer) -> None:
-        """Remove an input that is about to end from the list."""
+        """Remove from the list an input that is about to end."""
         with self._lock:
             removed = [i for i in self.inputs if i is connection]
             if not removed:

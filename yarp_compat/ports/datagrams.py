@@ -153,7 +153,7 @@ class DatagramOutput:
         sock.setblocking(False)
 
     def begin(self, buffers: Sequence[Buffer], strict: bool, wait: bool) -> Item | None:  # noqa: ARG002
-        """Send a message; return None if it was dropped."""
+        """Send a message; return None if it was dropped or the output is closed."""
         failed: OSError | None = None
         with self._lock:
             if self.closed:

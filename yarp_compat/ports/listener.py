@@ -19,8 +19,8 @@ _log = logging.getLogger("yarp.ports")
 PATIENCE = 10.0  # seconds within which a connection must introduce itself
 MOST_SILENT = 200
 """Maximum connections of one port that have not introduced themselves; a further one closes the oldest."""
-_PER_TURN = 32
-_PAUSE = 0.2
+_PER_TURN = 32  # maximum connections to accept at a time
+_PAUSE = 0.2  # seconds without accepting connections after the system has run out of resources
 _TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 Opened = Callable[[socket.socket, Opening, bytes, tuple[str, int]], None]

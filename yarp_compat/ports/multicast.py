@@ -1,8 +1,9 @@
 """Connections over mcast: a port sends each message once, to a group, and all members receive it.
 
-The name server allocates a group for each port and network interface that it writes from; the group is released with
-the last connection. The writer sends the group after its introduction and closes; the reader sends no answer. Then
-datagrams follow as with udp. (``McastCarrier.cpp``, ``DgramTwoWayStream.cpp``, and captures of 4.0)
+The name server allocates a group for each port and network interface that the port writes from; the group is released
+with its last connection. The writer sends the group's address after its introduction and closes the TCP connection; the
+reader sends no answer. Then datagrams follow as with udp. (``McastCarrier.cpp``, ``DgramTwoWayStream.cpp``, and
+captures of 4.0)
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class NameRefusedError(NamingError):
 
 
 class NamingConfigError(NamingError):
-    """The file with the name server's address is missing or incomplete."""
+    """The file with the name server's address is invalid, or cannot be read or written."""
 
 
 class PortError(NamingError):

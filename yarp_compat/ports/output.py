@@ -73,7 +73,7 @@ class Output:
         return self.socket_side.sock
 
     def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
-        """Send as much of a message as the socket accepts, the rest later; return None if the connection is closed.
+        """Send as much of a message as the socket accepts, the rest later; None if the connection is closed or lost.
 
         ``strict``: do not replace queued messages; ``wait``: the caller keeps the bytes unchanged, and calls `finish`.
         """
@@ -243,7 +243,7 @@ class Output:
         return self._driven or self.socket_side.due
 
     def wait_idle(self, deadline: float | None) -> bool:
-        """Wait until all messages are sent and acknowledged; return False after the deadline."""
+        """Wait until all messages are sent and acknowledged; return False after the deadline or if a wait fails."""
         with self._lock:
             if not self._wait_for(lambda: not self._driven or self.closed, deadline):
                 return False
@@ -295,7 +295,10 @@ class Output:
             raise TimeoutError(f"no reply from {self.route.target} in time")
 
     def check(self) -> None:
-        """Check an idle connection and read its acknowledgement; with the lock, so writers see it as free."""
+        """Check an idle connection and read its acknowledgement.
+
+        This method holds the lock instead of becoming the driver, so that writers still see the connection as free.
+        """
         with self._lock:
             if self._driven or self.closed:
                 return

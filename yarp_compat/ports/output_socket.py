@@ -25,7 +25,7 @@ _FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTT
 
 
 class OutputSocket:
-    """An output's socket, for its driver. ``patient`` calls block for one step; ``due``: acknowledgement expected."""
+    """An output's socket, for its driver. ``patient`` calls block up to one step; ``due``: an ack is outstanding."""
 
     def __init__(self, sock: socket.socket, route: ConnectionRoute, carrier: Carrier, limit: int) -> None:
         sock.setblocking(False)
@@ -109,7 +109,7 @@ class OutputSocket:
         return bytes(received[:end])
 
     def is_connected(self) -> bool:
-        """Return whether the peer is connected, if no message is being sent; raises `OSError` on other errors."""
+        """Return whether the peer is still connected, while no message is being sent; raises `OSError` on errors."""
         try:
             if self.due:
                 self.read_ack()

@@ -54,7 +54,7 @@ class PortCore(ConnectingPort):
         on_line: answers command lines for a name server; called with the line, without ``NAME_SERVER``, and the peer's
             address.
         replies: whether its owner replies, so that clients are queried for their dialect first; by default like
-        ``rpc``.
+            ``rpc``.
     """
 
     def __init__(

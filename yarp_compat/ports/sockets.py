@@ -172,7 +172,7 @@ def send_some(sock: socket.socket, buffers: Sequence[Buffer]) -> int:
 
 
 def flat(buffers: Sequence[Buffer]) -> list[Buffer]:
-    """Return the buffers as bytes: small ones joined, empty ones left out."""
+    """Return the buffers as bytes: joined if their total size is small, otherwise without empty ones."""
     chunks = [b if isinstance(b, (bytes, bytearray)) else memoryview(b).cast("B") for b in buffers]
     if sum(map(len, chunks)) <= JOINED:
         return [b"".join(chunks)]

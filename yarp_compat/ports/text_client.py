@@ -114,7 +114,7 @@ class LineSocket:
         return self._socket
 
 
-TIMEOUT = 5.0
+TIMEOUT = 5.0  # seconds for a whole query by default
 _ACK = "<ACK>"
 
 
