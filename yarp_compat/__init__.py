@@ -1,7 +1,7 @@
 """YARP in pure Python: ports, names and data that are compatible with real YARP programs.
 
 ``import yarp_compat as yarp`` runs scripts written for the official Python bindings. Names are loaded on first use, so
-that the import is fast, and numpy is required only for arrays. Two ports of one program::
+that the import is fast, and numpy is required only for arrays and devices. Two ports of one program::
 
     import yarp_compat as yarp
 

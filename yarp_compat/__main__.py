@@ -1,7 +1,7 @@
 """``python -m yarp_compat script.py ...`` runs a script that imports ``yarp``, unchanged.
 
-``python -m yarp_compat --check script.py ...`` lists the YARP names in scripts that this package lacks, without running
-them.
+``python -m yarp_compat --check script.py ...`` lists names of YARP that scripts use, but this package lacks, without
+running the scripts.
 """
 
 from __future__ import annotations

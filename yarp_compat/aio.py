@@ -141,7 +141,7 @@ class Client(_Port):
 
 
 class Server(_Port):
-    """A server: ``respond(values)``, a function or coroutine on the event loop, returns a reply's values."""
+    """A server: ``respond(values)``, a function or coroutine on the event loop, returns a reply's content."""
 
     def __init__(self, name: str, respond: Callable[[list[Any]], Content | Awaitable[Content]], **options: Any) -> None:
         self._reader = Reader(name, strict=True, patient=True, rpc=True, **options)

@@ -1,4 +1,4 @@
-"""``python -m yarp_compat --check script.py folder``: list the YARP names in scripts that this package lacks.
+"""``python -m yarp_compat --check script.py folder``: list names of YARP that scripts use, but this package lacks.
 
 The names are printed with their lines and replacements. The exit code is 0 if all scripts can be read and use no
 missing names, else 1.

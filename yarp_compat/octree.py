@@ -5,8 +5,7 @@ Morton code, three bits per level (x lowest, then y, then z), and its depth. Lea
 the order of OctoMap's streams: depth first, from the root.
 
 In a binary stream (``writeBinaryNode`` in `OccupancyOcTreeBase.hxx`), each inner node has 16 bits, two per child from
-the
-lowest bits up: 0 unknown, 1 free leaf, 2 occupied leaf, 3 inner node. In a full stream (``writeNodesRecurs`` in
+the lowest bits up: 0 unknown, 1 free leaf, 2 occupied leaf, 3 inner node. In a full stream (``writeNodesRecurs`` in
 `OcTreeBaseImpl.hxx`), each node has its log-odds (float32), three bytes of color if the tree is a ``ColorOcTree``, and
 a bit mask of its children.
 """
@@ -79,9 +78,10 @@ class OcTree:
 
     @classmethod
     def of(cls, keys: ArrayLike, log_odds: ArrayLike, depths: ArrayLike = DEPTH, *, resolution: float) -> Self:
-        """Make a tree of leaves in any order; ``keys`` (N, 3) has any cell of each (0 to 65,535; 32,768 begins at 0 m).
+        """Make a tree of leaves in any order; ``keys`` (N, 3) has OctoMap's key of any cell of each leaf.
 
-        Raises `OctreeError` if leaves overlap, or numbers are invalid.
+        Keys are 0 to 65,535; the cell with the key 32,768 begins at 0 m. Raises `OctreeError` if leaves overlap, or
+        numbers are invalid.
         """
         cells, values = np.asarray(keys), np.asarray(log_odds, np.float32)
         if cells.ndim != 2 or cells.shape[1] != 3 or (cells.size and not 0 <= cells.min() <= cells.max() < 2 * MIDDLE):
@@ -181,7 +181,7 @@ class OcTree:
         return type(self)(self.resolution, codes, depths, values)
 
     def binary(self) -> bytes:
-        """Encode leaves as free or occupied in a pruned stream, like OctoMap's ``writeBinary``; empty without any."""
+        """Encode leaves as free or occupied in a pruned stream, like OctoMap's ``writeBinary``; empty if none."""
         likely = np.where(self.log_odds > 0, np.float32(OCCUPIED), np.float32(FREE))
         tree = type(self)(self.resolution, self.codes, self.depths, likely).pruned()
         if len(tree) == 1 and tree.depths[0] == 0:  # the stream begins below the root
@@ -289,7 +289,7 @@ def _shifts(levels: NDArray[Any]) -> NDArray[np.uint64]:
 
 
 def _starts(groups: NDArray[Any]) -> NDArray[np.int64]:
-    """Return the start of each run of equal numbers."""
+    """Return the index at which each run of equal numbers starts."""
     return np.flatnonzero(np.concatenate([np.ones(min(1, len(groups)), bool), groups[1:] != groups[:-1]]))
 
 
@@ -350,8 +350,8 @@ def _tree_size(children: NDArray[np.int8], size: int) -> int:
 def _places(inner: NDArray[np.bool_], deepest: int) -> tuple[NDArray[np.uint64], NDArray[np.uint8]]:
     """Return the code and depth of each node of a stream, from the children (N, 8) of each node in the stream.
 
-    Let S of a node be the number of nodes that are announced, but not read, before it. A child after m siblings is the
-    first node after its parent p with S = S(p) + children(p) - 1 - m, so one search finds all children of a level.
+    Let S of a node be the number of nodes after it that the nodes before it have announced. A child after m siblings is
+    the first node after its parent p with S = S(p) + children(p) - 1 - m, so one search finds all children of a level.
     """
     many = inner.sum(axis=1, dtype=np.uint8)
     size = len(inner)

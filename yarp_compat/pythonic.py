@@ -113,7 +113,7 @@ class Reader(OpenPort):
     """An input port: iteration yields each message as a `Received`, until the port is closed; see also `OpenPort`.
 
     ``strict``: yield every message instead of only the newest. ``patient``: a reply may be sent after later messages
-    are read; by default, reading the next message sends an empty reply.
+    are read; by default, reading the next message sends an empty reply to an unanswered request.
     """
 
     def __init__(self, name: str = "", *, strict: bool = False, patient: bool = False, **options: Any) -> None:

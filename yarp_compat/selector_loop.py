@@ -52,7 +52,7 @@ class _Watch:
 
 
 def _descriptor(file: File) -> int:
-    """Return a file's descriptor, -1 if closed. Given a socket, `selectors` makes two system calls for a `KeyError`."""
+    """Return a file's descriptor, -1 if closed; given a socket, `selectors` makes two system calls for a `KeyError`."""
     return file if isinstance(file, int) else file.fileno()
 
 

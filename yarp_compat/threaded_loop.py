@@ -81,7 +81,7 @@ class ThreadedLoop(SelectorLoop):
         """End all callbacks of a file, before it is closed; return whether there were any."""
         with self._lock:
             watched = super().unwatch(file)
-            self._changes += 1  # last: a thread that has this number does not select the file
+            self._changes += 1  # last: a thread that has read this number no longer selects the file
             return watched
 
     @override

@@ -73,9 +73,10 @@ def full_name(name: str, package: str = "") -> str:
 
 
 def parse(text: str, name: str) -> dict[str, MessageDefinition]:
-    """Parse the definitions of a text by name: that of ``name``, then those after ``===`` and ``MSG: package/Name``.
+    """Parse a text; return its definitions by name: first that of ``name``, then those of the nested types.
 
-    Raises `DefinitionError`, which names the type and the invalid line.
+    The definition of a nested type follows a line of ``=`` and the line ``MSG: package/Name``. Raises
+    `DefinitionError`, which names the type and the invalid line.
     """
     if len(text) > MAX_TEXT:
         raise DefinitionError(f"the definition of {name} is longer than {MAX_TEXT} characters")

@@ -1,8 +1,8 @@
 """Finds the definitions of ROS message types and makes one class for each.
 
 A library searches added definitions (``add``), folders (``folders``, then ``YARP_ROSMSG_PATH``), installed packages of
-ROS 1 and ROS 2 (``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``, ``CMAKE_PREFIX_PATH``), and finally a Midspan daemon on
-the YARP network (``ask``), but no other source.
+ROS 1 and ROS 2 (``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``, ``CMAKE_PREFIX_PATH``), a Midspan daemon on the YARP
+network (``ask``), and finally two built-in definitions, ``std_msgs/Header`` and ``std_msgs/String``.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The encoding is that of YARP 3.5's generated classes (yarpidl_rosmsg, RosTypeCodeGenYarp.cpp): a list of the fields in
 their order, each with its tag, nested messages as lists, and arrays of numbers and strings as typed lists. YARP's
-readers reject other layouts; this module accepts any numeric type for a number.
+readers reject other layouts; this module also accepts integers of other sizes, and any number for a float.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class TickTime:
 
 
 class Message(Portable):
-    """The base of the classes made from definitions, with fields as attributes.
+    """The base class of the classes made from message definitions; a message's fields are its attributes.
 
     Example::
 

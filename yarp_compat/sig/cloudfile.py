@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 from yarp_compat.wire.errors import WireError
 
-MOST_POINTS = 8_000_000
+MOST_POINTS = 8_000_000  # maximum points in a file to read
 MAX_FILE = 512 << 20
 """Maximum bytes of a file to read."""
 
@@ -40,7 +40,7 @@ _PLY_TYPES = {
 
 
 class CloudFileError(WireError):
-    """Raised if a file is not a point cloud; the message names the invalid line of the header."""
+    """Raised if a file is not a point cloud; the message names the invalid line of the header, or another reason."""
 
 
 def load_cloud(path: str | Path) -> PointCloud:
@@ -80,7 +80,7 @@ def write_ply(cloud: PointCloud) -> bytes:
 
 
 def _packed(cloud: PointCloud, color: str) -> tuple[NDArray[Any], list[str]]:
-    """Return the points without padding, and their fields; ``color`` names a field that merges a color's four."""
+    """Return the points without padding, and their fields; ``color`` names one field for a color's four channels."""
     points = cloud.numpy()
     names = list(points.dtype.names or ())
     merged = color and "b" in names
@@ -186,7 +186,7 @@ def _rows(data: bytes, start: int, layout: np.dtype[Any], count: int, *, text: b
 
 
 def _cloud(points: NDArray[Any], height: int) -> PointCloud:
-    """Return a cloud of the type with most of the fields; raises `CloudFileError` if none fits."""
+    """Return a cloud of the first type in `_KINDS` whose fields the points have; raises `CloudFileError` if none."""
     names = set(points.dtype.names or ())
     packed = next((name for name in ("rgba", "rgb") if name in names and points.dtype[name].itemsize == 4), "")
     fields = names | ({"b", "g", "r", "a"} if packed else set())

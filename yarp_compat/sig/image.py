@@ -133,7 +133,8 @@ class Raster:
     def setExternal(self, data: Buffer | NDArray[Any] | VectorOf, width: int, height: int) -> None:
         """Use this memory for the pixels; raises `ValueError` if it is too small or not contiguous.
 
-        Rows are padded to the quantum, or not at all if the memory has exactly the size of rows without padding.
+        Rows are padded to the image's quantum; not at all if it is not set, or the memory has exactly the size of rows
+        without padding.
         Received images of the same size and pixel code are copied into this memory.
         """
         held = data.numpy() if isinstance(data, VectorOf) else data  # scripts for YARP's bindings pass a Vector

@@ -1,10 +1,10 @@
 """Image and sound files: ``yarp.read(image, "a.ppm")``, ``yarp.write(image, "a.png", yarp.FORMAT_PNG)``.
 
-The formats are those of `yarp/sig/ImageFile.h`: binary PGM and PPM with 255 values, PNG, and files of floats: the
-numbers of rows and columns in eight bytes each, then the values, either plain, or with their padding and compressed by
-zlib. JPEG is not supported. A file whose pixels differ from the image's is converted, while YARP refuses it. YARP
-corrupts plain files of floats with an odd number of columns; this module writes them as YARP reads them. Sounds are WAV
-files with two bytes per sample.
+The formats are those of `yarp/sig/ImageFile.h`: binary PGM and PPM with a maximum value of 255, PNG, and files of
+floats: the numbers of rows and columns in eight bytes each, then the values, either plain, or with their padding and
+compressed with zlib. JPEG is not supported. A file whose pixels differ from the image's is converted, while YARP
+refuses it; but floats are not converted to or from other pixels. YARP corrupts plain files of floats with an odd number
+of columns; this module writes them as YARP reads them. Sounds are WAV files with two bytes per sample.
 
 On failure the functions log the reason and return False.
 """

@@ -79,7 +79,7 @@ class Sound(Comparable, Portable):
         self._samples = np.zeros((channels, samples), _SAMPLE)
 
     def clear(self) -> None:
-        """Remove all samples and markers."""
+        """Remove all samples, channels and markers, and set the frequency to 0."""
         self._samples = np.zeros((0, 0), _SAMPLE)
         self._markers, self._frequency = {}, 0
 
@@ -131,9 +131,10 @@ class Sound(Comparable, Portable):
     # parts
 
     def subSound(self, first: int | str, length: int | str) -> Self:
-        """Return ``length`` samples from ``first`` on, or the samples between two markers.
+        """Return ``length`` samples from ``first`` on, or the samples from one marker to another, both included.
 
-        YARP 3.x interprets the second argument as the end instead of the length.
+        A missing marker stands for the first or last sample. YARP 3.x interprets the second argument as the end instead
+        of the length.
         """
         if isinstance(first, str) or isinstance(length, str):
             begin = self._place(first, 0)
@@ -150,7 +151,10 @@ class Sound(Comparable, Portable):
         return samples
 
     def replaceChannel(self, id: int, schannel: Sound) -> bool:  # noqa: A002 - YARP's name
-        """Replace a channel by another sound; return False unless that sound has one channel of the same length."""
+        """Replace a channel by another sound, and remove all markers.
+
+        Return False if the channel does not exist, or the other sound is not one channel of the same length.
+        """
         if schannel.getChannels() != 1 or schannel.getSamples() != self.getSamples() or not self.isChannel(id):
             return False
         self._writable()[id] = schannel.numpy()[0]
@@ -158,7 +162,10 @@ class Sound(Comparable, Portable):
         return True
 
     def overwrite(self, alt: Sound, offset: int = 0, len: int = 0) -> None:  # noqa: A002 - YARP's name
-        """Replace samples from ``offset`` on by another sound's: as many as fit, and at most ``len`` unless it is 0."""
+        """Replace samples from ``offset`` on by another sound's, and remove all markers.
+
+        As many samples are replaced as fit, and at most ``len`` unless it is 0.
+        """
         if not self._same_format(alt):
             return
         count = min(len or alt.getSamples(), alt.getSamples(), max(self.getSamples() - offset, 0))
@@ -177,7 +184,7 @@ class Sound(Comparable, Portable):
         self._writable()[:] = 0
 
     def zeroChannel(self, chan: int) -> bool:
-        """Set a channel's samples to 0; return False if it does not exist."""
+        """Set a channel's samples to 0, and remove all markers; return False if the channel does not exist."""
         if not self.isChannel(chan):
             return False
         self._writable()[chan] = 0
@@ -201,7 +208,7 @@ class Sound(Comparable, Portable):
         samples[channel] = np.clip(np.trunc(samples[channel] * float(gain)), -_LOUDEST - 1, _LOUDEST)
 
     def normalize(self) -> None:
-        """Scale the sound so that its peak has the largest value; silence is unchanged."""
+        """Scale the sound so that its largest sample has the largest value; without a sample above 0, do nothing."""
         _, _, peak = self.findPeak()
         if peak > 0:
             self.amplify(_LOUDEST / peak)
@@ -293,7 +300,7 @@ class Sound(Comparable, Portable):
         return alike
 
     def _place(self, marker: int | str, default: int) -> int:
-        """Return the sample of a marker."""
+        """Return the sample of a marker, ``default`` if it does not exist; a number is returned unchanged."""
         if isinstance(marker, int):
             return marker
         exists, sample, _ = self.get_marker(marker)

@@ -24,7 +24,7 @@ def makeTone(
     frequency: float = 440.0,
     amplitude: int = 30000,
 ) -> bool:
-    """Fill ``outSound`` with a sine wave; return False for arguments that are not positive."""
+    """Fill ``outSound`` with a sine wave; return False unless all numbers except the frequency are positive."""
     return _generate(outSound, duration_s, channels, sampleRate, amplitude, lambda t: np.sin(2 * np.pi * frequency * t))
 
 

@@ -53,7 +53,8 @@ def write_numbers(out: ElementWriter, values: NDArray[Any]) -> None:
 def read_numbers(source: ElementReader, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Read a list of numbers, as a view of the payload if the type matches; raises `WireError` if they do not fit.
 
-    YARP's readers accept only lists of exactly their type; this function also accepts a text such as ``1 2.5``.
+    YARP's readers accept only lists of exactly their type; this function also accepts lists of other or mixed types of
+    numbers, such as the text ``1 2.5``.
     """
     tag, count, data = source.numbers()
     if data is None:
@@ -95,7 +96,7 @@ class Comparable:
 
 
 class VectorOf(Comparable, Portable):
-    """A vector, created by its length and ``fill``, or from elements; each subclass has one type."""
+    """A vector, created from its length and ``fill``, or from elements; each subclass has one type of elements."""
 
     TYPE = "yarp/vector"
     dtype: ClassVar[np.dtype[Any]]  # the elements' type
@@ -117,7 +118,10 @@ class VectorOf(Comparable, Portable):
         return vector
 
     def numpy(self) -> NDArray[Any]:
-        """Return the elements, as a view of the memory until the size changes; read-only if the memory is."""
+        """Return the elements as a view of the current memory, read-only if the memory is.
+
+        A change of the size, a received message and the first write to read-only memory may replace the memory.
+        """
         return self._room[: self._count]
 
     def data(self) -> NDArray[Any]:

@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 def getter(attribute: str, kind: Callable[..., T], doc: str) -> Callable[[Any], T]:  # noqa: ARG001 - for the type checker
-    """Return a method that returns an attribute of a type; ``_address.host`` is an attribute's attribute."""
+    """Return a method that returns an attribute of the type ``kind``; the name may have dots: ``_address.host``."""
     read = attrgetter(attribute)
 
     def get(self: Any) -> T:
@@ -22,7 +22,7 @@ def getter(attribute: str, kind: Callable[..., T], doc: str) -> Callable[[Any], 
 
 
 def setter(attribute: str, kind: Callable[..., T], doc: str) -> Callable[[Any, T], None]:  # noqa: ARG001 - as above
-    """Return a method that sets an attribute of a type."""
+    """Return a method that sets an attribute of the type ``kind``."""
 
     def set_to(self: Any, value: T) -> None:
         setattr(self, attribute, value)

@@ -74,7 +74,10 @@ class Encoder:
         }
 
     def bottle(self, values: Any, out: list[Buffer], depth: int = 0) -> None:
-        """Append a list as a Bottle, with its header; raises `WireError` like `encode`."""
+        """Append a list as a Bottle, with its header.
+
+        Raises `WireError` like `encode`, but `struct.error` or `OverflowError` for a number that is too large.
+        """
         if depth > tags.MAX_DEPTH:
             raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH}")
         if not isinstance(values, (list, tuple)):
@@ -273,7 +276,10 @@ class Decoder:
         return values, offset
 
     def _mixed(self, data: Buffer, offset: int, count: int, depth: int) -> tuple[list[Any], int]:
-        """Decode elements with a tag each. It is read with the int32 after it, which only small types may lack."""
+        """Decode elements that each have a tag.
+
+        A tag is read together with the next four bytes, which only an int of one or two bytes at the end may lack.
+        """
         whole = len(data)
         if whole - offset < 5 * count:
             raise Incomplete(f"a list of {count} elements at byte {offset} needs at least {5 * count} bytes")

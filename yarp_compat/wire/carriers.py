@@ -26,7 +26,7 @@ class Carrier:
     """A carrier of messages; each is a singleton."""
 
     name: str  # as in ``tcp://port``
-    opening: bytes  # the first 8 bytes that the initiator sends
+    opening: bytes  # the first bytes that the initiator sends, 8 except for http
     ack: bool = False  # each message is acknowledged
     reply: bool = True  # a message can have a reply
     text: bool = False  # messages are lines of text
@@ -199,7 +199,10 @@ def _opening(carrier: Carrier, text: bytes, size: int, group: Group | None = Non
 
 
 def answer(opened: Opening, port: int) -> bytes:
-    """Return the answer to an introduction, with the TCP port, or for udp the UDP port; empty for mcast."""
+    """Return the answer to an introduction: for text a line, for tcp, fast_tcp and udp a port number; else nothing.
+
+    ``port`` is that number: the TCP port's, or for udp the UDP port's.
+    """
     if opened.carrier in (TEXT, TEXT_ACK):
         return f"Welcome {opened.sender}\r\n".encode()
     if opened.carrier in (TCP, FAST_TCP, UDP):

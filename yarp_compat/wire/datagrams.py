@@ -44,7 +44,8 @@ def datagram(piece: bytes, number: int) -> bytes:
 class Assembler:
     """Reassembles messages from datagrams in order; a lost, late or duplicate datagram drops its message.
 
-    ``spoiled`` counts wrong checksums, ``incomplete`` messages without their beginning or end.
+    ``spoiled`` counts datagrams that are too short or have a wrong checksum, ``incomplete`` the messages that were
+    dropped because of the order of their datagrams.
     """
 
     def __init__(self, limit: int = framing.DEFAULT_LIMIT) -> None:

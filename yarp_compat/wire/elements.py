@@ -121,7 +121,7 @@ class ElementReader:
         return float(self.raw(layout)[0])
 
     def boolean(self) -> bool:
-        """Read an integer or vocab as a bool: true except for 0 and ``[fail]``."""
+        """Read an int of four bytes or a vocab as a bool: true except for 0 and ``[fail]``."""
         tag = self._tag()
         if tag not in (INT32, VOCAB32):
             raise self._wrong("a bool", tag)
@@ -170,7 +170,7 @@ class ElementReader:
         return self.data[at:end]
 
     def numbers(self) -> tuple[int, int, memoryview | None]:
-        """Read the tag, count and bytes of a list of numbers; a mixed list has None for bytes, and stays open."""
+        """Read the tag, count and bytes of a list of numbers; for another list, which stays open, bytes is None."""
         count = self.begin()
         tag = self.unit
         size = _SIZES[self.profile].get(tag)

@@ -4,8 +4,8 @@ A message on tcp is ``YA 10 RP``, the numbers of blocks to the acceptor and of t
 an int32 length for each block (0 for the reply's), then the blocks, whose concatenation is the content.
 
 Every message begins with a command: data, an administrative message, a request to connect, and so on. In binary: int32
-length of a text (with its NUL), ``~``, the key, 0, 1, and the text, if any, whose first character is then the key. As
-text: one line, whose first character is the key.
+length of a text (with its NUL), ``~``, the key, 0, 1; or with a text, 0 for the key, and the text, whose first
+character is the key. As text: one line, whose first character is the key.
 """
 
 from __future__ import annotations

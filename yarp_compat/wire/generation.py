@@ -48,7 +48,10 @@ class Generation(Enum):
 
     @classmethod
     def of(cls, version: str) -> Generation:
-        """Return the generation of a release of YARP, such as ``3.9.1`` or ``4``; raises `ValueError` before 3.6."""
+        """Return the generation of a release of YARP, such as ``3.9.1`` or ``4``; ``3`` means 3.12.
+
+        Raises `ValueError` for a release before 3.6, or a text that is not a release.
+        """
         match = re.fullmatch(r"(\d{1,4})(?:\.(\d{1,4}))?(?:\.\d{1,8})?\+?", version.strip())
         release = (int(match[1]), int(match[2] or 0)) if match else (0, 0)
         if match and match[2] is None and release[0] == 3:
@@ -117,7 +120,7 @@ _OF_ONE_DEVICE = re.compile(r"/(?:(?:navigation|locations|localization|user_comm
 
 
 def device_of(peer: str) -> str:
-    """Return the common prefix of the port names of one network client, which is its parameter ``local``."""
+    """Return the common prefix of a network wrapper client's ports (its parameter ``local``); else the name itself."""
     match = _OF_ONE_DEVICE.search(peer)
     return peer[: match.start()] if match and match.end() == len(peer) and peer.startswith("/") else peer
 
@@ -238,7 +241,7 @@ class Generations:
             )
 
     def of(self, peer: str, profile: Profile | None = None, link: PeerAddress = _NOWHERE) -> GenerationDecision:
-        """Return the generation for a client. A known profile overrides the rules, even before its first call."""
+        """Return a client's generation. A known profile overrides the rules, even before the client's first call."""
         disclosed = self._disclosed.get((peer, link))
         finding = self.findings.get(peer, link)
         if disclosed is None and finding is not None and finding.overrides:

@@ -2,8 +2,8 @@ r"""The text form of Bottles, for people, text carriers, envelopes and name serv
 
 Separators are space, tab, newline, carriage return and comma. ``(...)`` is a list, ``{1 2 255}`` a blob, ``[word]`` a
 vocab, ``"..."`` a string with the escapes ``\\ \" \n \r \0``; other words are numbers, ``true``, ``false``, ``null`` or
-strings (`yarp/os/impl/BottleImpl.cpp` and `Storable.cpp`; measured on YARP 4.0). YARP accepts any text and drops
-parts that are not closed at its end; so does this module.
+strings (`yarp/os/impl/BottleImpl.cpp` and `Storable.cpp`; measured on YARP 4.0). YARP accepts any text, and drops a
+last part whose bracket or quote is not closed; so does this module.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class TextReader:
 
 
 def _value(word: str) -> Any:
-    """Parse a word, except lists and blobs with more than numbers."""
+    """Parse a word, except lists, and blobs that contain brackets or quotes."""
     if word in _NAMES:
         return _NAMES[word]
     first = word[0]

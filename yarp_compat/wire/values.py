@@ -58,7 +58,7 @@ class Float32(float):
 
 
 class Vocab(str):
-    """A word of up to eight one-byte characters, written as a number of four bytes, or of eight if it is longer.
+    """A word of up to eight one-byte characters, written as a number of four bytes, or of eight beyond four characters.
 
     YARP 3 has no eight-byte vocab: only the first four characters are written, as its programs do.
     """
