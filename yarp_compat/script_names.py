@@ -1,4 +1,4 @@
-"""Finds the YARP names that a Python script uses in its syntax tree, without running the script.
+"""Finds the names of YARP that a Python script uses, from its syntax tree, without running the script.
 
 These are names of the module (``yarp.Bottle``, ``from yarp import Bottle``), methods of variables with one class in
 their function (``port = yarp.Port()``, ``self.port = ...``, ``motors = driver.viewIEncoders()``), and names of devices

@@ -22,7 +22,7 @@ class ThreadedLoop(SelectorLoop):
     """A loop whose thread runs from `start` to `stop`, and which logs the exceptions of callbacks.
 
     All threads may use `watch`, `on_readable`, `on_writable`, `unwatch`, `call_soon` and `stop`; timers belong to the
-    loop's thread. A callback that has just been replaced may still run once, so files must not block.
+    loop's thread. A callback that has just been replaced may still run once, so files must be non-blocking.
 
     Args:
         name: the thread's name.

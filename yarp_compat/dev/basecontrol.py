@@ -24,7 +24,7 @@ from yarp_compat.dev.service import Service, rpc
 
 @dataclass
 class OdometryData(Generated):
-    """A base's pose in the odometry frame, and its velocity in both frames: meters, degrees, seconds."""
+    """A base's pose in the odometry frame, and its velocity in its own frame and in that: meters, degrees, seconds."""
 
     odom_x: float = 0.0
     odom_y: float = 0.0
@@ -88,7 +88,10 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
         return fetch_three(self.remote.getLastVelocityCommandRPC)
 
     def drive(self, x: float, y: float, turn: float, seconds: float = DEFAULT_TIMEOUT) -> None:
-        """Drive at m/s, m/s, deg/s; raises `CallFailed` if the base refuses, `OSError` if it does not reply."""
+        """Drive at a velocity (m/s, m/s, deg/s) for a time in seconds.
+
+        Raises `CallFailed` if the base refuses, `OSError` if it does not reply.
+        """
         outcome = self.remote.applyVelocityCommandRPC(x, y, turn, seconds)
         if not outcome:
             raise CallFailed(outcome.code, "the base refused the command; see its log")

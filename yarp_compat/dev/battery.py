@@ -55,7 +55,7 @@ class BatteryData(Generated):
 
 @rpc
 class IBatteryMsgs(Service):
-    """The method of a battery's port: a text that describes the battery."""
+    """The method of a battery's port, which returns a text that describes the battery."""
 
     def getBatteryInfoRPC(self) -> tuple[ReturnValue, str]: ...
 

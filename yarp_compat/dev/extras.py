@@ -1,8 +1,8 @@
 """Rules for areas, and links between maps, in a file next to YARP's file of places, which cannot hold them.
 
-Its format is similar: ``Version:`` and ``1``; ``Behaviours:`` with lines of an area's name and its settings, ``corridor
-max_speed=0.3 on_obstacle=wait``; ``Links:`` with lines of a name, two locations' names and a cost, ``lift lift_0
-lift_1 20.0``.
+The format is similar to that of places: ``Version:`` and ``1``; ``Behaviours:`` with lines of an area's name and its
+settings, ``corridor max_speed=0.3 on_obstacle=wait``; ``Links:`` with lines of a name, two locations' names and a cost,
+``lift lift_0 lift_1 20.0``.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class AreaBehavior:
     # meters per second, above 0; None if the area sets no limit. Closed areas have `keep_out`, because a limit of 0
     # means "no limit" to other programs
     max_speed: float | None = None
-    on_obstacle: str = ""  # ``wait`` until it is gone or go ``around`` it; empty if the area sets no rule
+    on_obstacle: str = ""  # ``wait`` until an obstacle is gone, or go ``around`` it; empty if the area sets no rule
     keep_out: bool = False  # planners plan no path through the area
 
     def __post_init__(self) -> None:

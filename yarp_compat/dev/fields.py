@@ -111,7 +111,7 @@ class VocabEnum(IntEnum):
 class Choice(FieldCodec):
     """An enumeration: of vocabs, or of 32-bit numbers.
 
-    The first member of ``kind`` is the default. With ``vocab`` numbers have the tag of a vocab, as some YARP types do.
+    The first member of ``kind`` is the default. With ``vocab``, numbers have the tag of a vocab, as in some YARP types.
     """
 
     def __init__(self, kind: type[IntEnum], *, vocab: bool = False) -> None:

@@ -167,7 +167,7 @@ class TransformClient(Openable, IFrameTransform):
         return True
 
     def _await(self, deadline: float) -> None:
-        """Wait for the next message, or for the next request without a stream."""
+        """Wait for the next message, or without a stream until the next request is due."""
         left = max(deadline - time.monotonic(), 0.0)
         with self._arrival:
             self._arrival.wait(min(left, _POLL if self._input is None else _AGAIN))

@@ -44,7 +44,7 @@ class LocalTransforms(IFrameTransform):
 
     @override
     def remove(self, first: str, second: str) -> ReturnValue:
-        """Delete the transforms between two frames, whichever is the parent; return false if none exists."""
+        """Delete the transforms between two frames, whichever is the parent; fail if there are none."""
         with self._changed:
             keys = [key for key in self._transforms if _between(key, first, second) or _between(key, second, first)]
             for key in keys:

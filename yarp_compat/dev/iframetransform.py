@@ -79,7 +79,7 @@ class IFrameTransform(ABC):
         return deliver(outcome, list(names or ()), ids)
 
     def getParent(self, frame_id: str, parent_frame_id: MutableSequence[str] | None = None) -> Any:
-        """Return the parent of a frame; fails for a root, or without a list returns ``unknown``."""
+        """Return the parent of a frame; for a root, fail, or return ``unknown`` if no list is given."""
         outcome, parent = self._query(lambda tree: tree.parent(frame_id))
         return deliver(outcome if parent is not None else _or_failed(outcome), parent or "unknown", parent_frame_id)
 

@@ -19,7 +19,10 @@ from yarp_compat.wire.generation import Generation
 
 @rpc
 class IMap2DMsgs(Service):
-    """The methods of a map server's port; ``get_all`` sorts by name; the temporary flags are those of obstacles."""
+    """The methods of a map server's port.
+
+    ``get_all`` sorts by name. The temporary flags mark temporary and enlarged obstacles.
+    """
 
     def clear_all_maps_RPC(self) -> ReturnValue: ...
     def store_map_RPC(self, themap: MapGrid2D) -> ReturnValue: ...

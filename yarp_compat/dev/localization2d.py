@@ -37,7 +37,7 @@ SHAPE = (3, 3)
 class CovarianceCodec(Nested):
     """A pose's 3x3 covariance; None is sent as zeros, because real clients hang on an empty matrix.
 
-    Reading accepts an empty matrix: servers of YARP 3.12 and 4.0 confuse two cases, and send one on success.
+    Reading accepts an empty matrix: servers of YARP 3.12 and 4.0 confuse success and failure, and send one on success.
     """
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ class LocalizationStatusEnum(VocabEnum):
 
 @rpc
 class ILocalization2DMsgs(Service):
-    """The methods of a localization server's port: meters, degrees; covariances of x, y, theta; poses are particles."""
+    """The methods of a localizer's port: meters, degrees; covariances of x, y, theta; estimated poses are particles."""
 
     def start_localization_service_RPC(self) -> ReturnValue: ...
     def stop_localization_service_RPC(self) -> ReturnValue: ...

@@ -51,7 +51,7 @@ class MapGrid2DOrigin:
         return math.sin(math.radians(self.theta))
 
     def rotated(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return numbers or arrays of x and y, rotated by the angle."""
+        """Return numbers or arrays of x and y, rotated clockwise by theta."""
         ca, sa = self.get_ca(), self.get_sa()
         return x * ca + y * sa, y * ca - x * sa
 
@@ -140,7 +140,7 @@ class MapGrid2DInfo:
         return Vec2DSize(min(max(column, 0), self.m_width - 1), min(max(row, 0), self.m_height - 1))
 
     def world2Cell_unsafeFast(self, world: Pair) -> Vec2DSize:
-        """Return the cell at a position, which may be off the map; unlike YARP's, it may be below 0."""
+        """Return the cell at a position, which may be off the map; unlike in YARP, its numbers may be below 0."""
         return Vec2DSize(*self._truncated(world))
 
     def isInsideMap(self, place: Vec2D | Vec2DInt) -> bool:

@@ -213,7 +213,7 @@ def listed(method: Callable[[Any], tuple[ReturnValue, list[T]]]) -> Callable[...
 
 
 def fetch(call: Callable[..., Any], *arguments: Any, into: Any, default: Any) -> Any:
-    """Call a server's method, and fill ``into`` with its value; without ``into`` return it, or the default."""
+    """Call a server's method, and fill ``into`` with its value; without ``into``, return it, the default on failure."""
     outcome, *values = results_of(call, *arguments)
     value = values[0] if outcome else default
     return deliver(outcome, value, into)

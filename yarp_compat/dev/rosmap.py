@@ -22,8 +22,8 @@ from yarp_compat.dev.mapflag import UNKNOWN, flags_of, lookup
 from yarp_compat.dev.mapinfo import MapContents, MapGrid2DOrigin
 
 MODES = ("trinary", "scale", "raw")
-_LONGEST = 1 << 16
-_DEEPEST = 8
+_LONGEST = 1 << 16  # maximum characters of a map's YAML file
+_DEEPEST = 8  # maximum nesting of its lists and mappings
 _UNKNOWN_GRAY = 205
 _BAND = 1 << 20  # cells per step, so that intermediate results stay in the cache
 

@@ -116,7 +116,7 @@ def rpc(method: _Method) -> _Method:
 
 
 def since(generation: Generation) -> Callable[[_Method], _Method]:
-    """Mark a method that clients of older generations lack, so that a caller is not one of them; below :func:`rpc`."""
+    """Mark a method that clients of older generations lack, so that its caller is known to be newer; below `rpc`."""
 
     def marked(method: _Method) -> _Method:
         method.__dict__["since"] = generation
@@ -126,7 +126,7 @@ def since(generation: Generation) -> Callable[[_Method], _Method]:
 
 
 def before(generation: Generation) -> Callable[[_Method], _Method]:
-    """Mark a method, or all methods of a class, that only clients of older generations call; below :func:`rpc`."""
+    """Mark a method, or all methods of a class, that only clients of older generations call; below `rpc`."""
 
     def marked(method: _Method) -> _Method:
         methods = filter(isfunction, vars(method).values()) if isinstance(method, type) else (method,)
@@ -190,7 +190,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A method. ``single``: it has one result, without a structure; ``since``, ``before``: generations that call it."""
+    """A method. ``single``: it has one result, without a structure; ``since``, ``before``: see these decorators."""
 
     name: str
     arguments: tuple[tuple[str, FieldCodec], ...]

@@ -41,7 +41,10 @@ _COLORS = dict(zip(_SEVERITIES, ("01;37", "01;32", "01;34", "01;33", "01;31", "0
 
 
 def enabled(environment: Mapping[str, str], name: str, *, default: bool) -> bool:
-    """Return whether one of YARP's switches is on: ``1``, ``true``, ``on``, ``yes``; any other value is off."""
+    """Return whether one of YARP's switches is on: ``1``, ``true``, ``on``, ``yes``; any other value is off.
+
+    An empty or unset switch has the ``default``.
+    """
     value = environment.get(name, "")
     return value.lower() in ("1", "true", "on", "yes") if value else default
 
@@ -72,7 +75,7 @@ def line(kind: LogType, text: str, component: str = "", *, color: bool = False, 
 
 
 def _source(component: str, name: str) -> str:
-    """Return the prefix of the text: the component and the name of the writer."""
+    """Return the prefix of the text: the component, and the name of its instance."""
     if not component and not name:
         return ""
     return f"|{component}| " if not name else f"|{component}|{name}| " if component else f"|{name}| "

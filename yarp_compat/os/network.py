@@ -248,7 +248,7 @@ class Network:
 
     @staticmethod
     def getConnectionQos(src: str, dest: str, srcStyle: QosStyle, destStyle: QosStyle, quiet: bool = True) -> bool:
-        """Store the types of service that the two ends of a connection report in two styles."""
+        """Store in the two styles the types of service that the source and the destination of a connection report."""
 
         def read_end(port: str, other: str, style: QosStyle) -> bool:
             reply = Bottle()

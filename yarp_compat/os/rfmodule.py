@@ -153,7 +153,7 @@ class RFModule:
         return True
 
     def stopModule(self, wait: bool = False) -> None:
-        """End the loop after the current cycle, which `interruptModule` interrupts; ``wait``: until the thread ends."""
+        """End the loop after the current cycle, and call `interruptModule`; ``wait``: wait for the module's thread."""
         with self._interrupting:  # close() must wait for interruptModule()
             self._stop.set()
             if not self.interruptModule():

@@ -105,7 +105,7 @@ class Runtime:
             self._client = client
 
     def persistent(self, verb: str, source: str, target: str, carrier: str = "") -> bool:
-        """Send the name server ``subscribe`` or ``unsubscribe`` for a persistent connection; return if it accepted."""
+        """Send the name server ``subscribe`` or ``unsubscribe`` for a connection; return whether it accepts."""
         client = self.client
         if client is None:
             log.error("persistent connections are not available in local mode: %s -> %s", source, target)

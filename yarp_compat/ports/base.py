@@ -128,7 +128,7 @@ def note_open(port: PortBase) -> None:
 
 
 def note_closed(port: PortBase) -> None:
-    """Remove a port that is closing from the list."""
+    """Remove from the list a port that is closing."""
     with _lock:
         _ports.discard(port)
 

@@ -1,4 +1,4 @@
-"""Connects to other ports, and introduces this one."""
+"""Connects a port to other ports, and introduces it to them."""
 
 from __future__ import annotations
 

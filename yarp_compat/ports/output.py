@@ -243,7 +243,7 @@ class Output:
         return self._driven or self.socket_side.due
 
     def wait_idle(self, deadline: float | None) -> bool:
-        """Wait until all messages are sent and acknowledged; return False after the deadline or if a wait fails."""
+        """Wait until all messages are sent and acknowledged; return False after the deadline or a lost connection."""
         with self._lock:
             if not self._wait_for(lambda: not self._driven or self.closed, deadline):
                 return False

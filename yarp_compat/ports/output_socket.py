@@ -109,7 +109,7 @@ class OutputSocket:
         return bytes(received[:end])
 
     def is_connected(self) -> bool:
-        """Return whether the peer is still connected, while no message is being sent; raises `OSError` on errors."""
+        """Return whether the peer of an idle connection is still connected; raises `OSError` on errors."""
         try:
             if self.due:
                 self.read_ack()

@@ -1,7 +1,7 @@
 """Vectors of numbers (`yarp/sig/Vector.h`): a list of one type, in contiguous memory.
 
 In addition to YARP's methods, vectors support indexing, iteration and ``numpy.asarray``. `VectorOf.numpy` shares the
-vector's memory; a received vector shares the message's memory, and copies it before a change if it is read-only.
+vector's memory; a received vector shares the message's memory, and if that is read-only, copies it before a change.
 
 C++ YARP refuses to read empty vectors, though it writes them. This module reads them.
 """

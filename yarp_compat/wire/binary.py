@@ -394,7 +394,7 @@ def decode(data: Buffer, profile: Profile | None = None) -> list[Any]:
 
 
 def decode_arrays(data: Buffer, profile: Profile | None = None) -> Any:
-    """Decode like `decode`, but make lists of numbers of one type, even the Bottle itself, numpy arrays (views)."""
+    """Decode like `decode`, but lists of numbers of one type, even the Bottle itself, become numpy arrays (views)."""
     return _decoded(data, profile, _ARRAYS3, _ARRAYS4)
 
 

@@ -12,8 +12,8 @@ from urllib.parse import parse_qsl, unquote_plus, urlsplit
 from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
 
-LONGEST_HEAD = 16 << 10
-LONGEST_BODY = 1 << 20
+LONGEST_HEAD = 16 << 10  # maximum bytes of a request's lines and headers
+LONGEST_BODY = 1 << 20  # maximum bytes of a form
 _MOST_FIELDS = 100
 _ALWAYS = "Connection: close\r\nX-Content-Type-Options: nosniff\r\n"
 

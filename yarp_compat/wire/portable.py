@@ -1,4 +1,4 @@
-"""The base of all typed values: conversion to bytes in either profile and to text, and YARP's read and write."""
+"""The base class of typed values: conversion to bytes in either profile and to text, and YARP's read and write."""
 
 from __future__ import annotations
 

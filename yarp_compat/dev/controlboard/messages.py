@@ -31,7 +31,7 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 class VocabForm:
     """A method in the vocabs of 3.x: the start of the request, and the reply.
 
-    In ``reply``, ``*`` stands for the results, ``t`` for a time stamp. The outcome, ``[ok]``, ends every reply.
+    In ``reply``, ``*`` stands for the results, ``t`` for a time stamp. The reply ends with the outcome, ``[ok]``.
     """
 
     request: tuple[str, ...]

@@ -85,7 +85,7 @@ def _chosen(arguments: tuple[Any, ...], values: int, name: str) -> tuple[str, li
 
 
 def _setter(one: str = "", of_all: str = "", group: str = "", values: int = 1) -> Method:
-    """Make a method that sets ``values`` values of one joint, all or some, from the server's methods for each case."""
+    """Make a method that sets ``values`` values of one joint, all or some, given the server's method for each case."""
     methods = {"One": one, "All": of_all, "Group": group}
 
     def do(self: BoardView, *arguments: Any) -> bool:
@@ -123,7 +123,10 @@ def _asker(one: str = "", of_all: str = "", group: str = "", values: int = 1) ->
 
 
 def _streamed(name: str, *, timed: bool = False) -> Method:
-    """Make a method that stores a streamed quantity of one joint, some or all (``timed``: and times) in arguments."""
+    """Make a method that stores a streamed quantity of one joint, some or all, in its last argument.
+
+    ``timed``: the last two arguments receive the quantity and its times.
+    """
 
     def ask(self: BoardView, *arguments: Any) -> bool:
         kind, joints, into = _chosen(arguments, 2 if timed else 1, name)
@@ -242,7 +245,10 @@ class IPositionControl(BoardView):
         return self._stop(*joints) if joints else self._ok("stopAllRPC")
 
     def checkMotionDone(self, *arguments: Any) -> bool:
-        """Whether all motions are done (True if the board does not report it); with arguments, store it in the last."""
+        """Whether all motions are done; True if the board does not report it.
+
+        With arguments, whether the board reports this for the given joints; the last argument then receives it.
+        """
         if not arguments:
             return bool(self._value("checkMotionDoneAllRPC", default=True))
         return bool(self._motion_done(*arguments))

@@ -61,7 +61,7 @@ def frame_transform_client(options: DeviceOptions) -> OpenDevice:
 
 
 def frame_transform(options: DeviceOptions) -> OpenDevice:
-    """Open a client; ``ft_server_prefix``: the prefix of the server's ports, ``ft_client_prefix``: of the client's.
+    """Open a client; ``ft_server_prefix``, ``ft_client_prefix``: the prefixes of the server's and the client's ports.
 
     Without ``ft_client_prefix``, the name server chooses the names of the client's ports.
     ``ftGet_client_enable_stream``: subscribe to the server's stream instead of sending a request for each query.
@@ -70,7 +70,7 @@ def frame_transform(options: DeviceOptions) -> OpenDevice:
 
 
 def transform_client(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local``, the prefix of the client's ports; ``remote`` is ignored, see the module's docstring."""
+    """Open with ``local``, the prefix of the client's ports; ``remote`` is required, but ignored, see the module."""
     local = options.port("local")
     log.warning(
         "transformClient: ignoring %s; using its successor, the ports of /frameTransformServer",

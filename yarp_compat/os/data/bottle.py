@@ -28,7 +28,7 @@ _UNITS = {0: "mixed", tags.INT32: "int", tags.VOCAB32: "vocab", 10: "float", tag
 
 
 class Searchable:
-    """The base of objects with keys and values."""
+    """The base class of objects with keys and values."""
 
     def find(self, key: str) -> Value:
         """Return the value after a key; a null value if the key is missing."""

@@ -168,7 +168,7 @@ class Subscriber(_TopicPort):
 
     @override
     def read(self, shouldWait: Any = True) -> Any:
-        """Return the next message like `BufferedPort.read`; or wait, fill a given message, and return if one came."""
+        """Return the next message like `BufferedPort.read`; or wait, fill a given message, return whether one came."""
         if isinstance(shouldWait, bool):
             return super().read(shouldWait)
         message = super().read(True)
