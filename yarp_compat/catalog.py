@@ -131,6 +131,9 @@ _ENUMERATORS = {
 """Enumerations whose members are names of the bindings' module, by the members' prefixes."""
 
 
+_NEED_NUMPY = ("sig.", "dev.", "octomap", "octree")
+
+
 def find(name: str) -> Any:
     """Return the object of a name; raises `AttributeError`, which suggests a replacement for a missing name."""
     if name in _MODULE_OF:
@@ -157,7 +160,7 @@ def everything() -> list[str]:
     Without numpy, names that need it are left out.
     """
     if importlib.util.find_spec("numpy") is None:
-        return [name for name, module in _MODULE_OF.items() if not module.startswith(("sig.", "dev."))]
+        return [name for name, module in _MODULE_OF.items() if not module.startswith(_NEED_NUMPY)]
     data = [name for name in _MODULE_OF if name[0].isupper() and _is_data(name)]
     members = [f"{family}{name}" for family in (*_FAMILIES, _CALLBACK) for name in data]
     members += [f"{name}Callback" for name in data]

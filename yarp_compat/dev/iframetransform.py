@@ -14,7 +14,7 @@ import numpy as np
 
 from yarp_compat.dev.frametransform import FrameTransform
 from yarp_compat.dev.frametree import FrameTree, TransformError, angles_of, of_angles, transform_of
-from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue, deliver, invoke
+from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue, deliver, invoke
 from yarp_compat.os.time import now
 from yarp_compat.sig.matrix import Matrix, Quaternion
 from yarp_compat.sig.vector import Vector
@@ -37,7 +37,7 @@ class IFrameTransform(ABC):
 
     @abstractmethod
     def tree(self) -> FrameTree:
-        """Return all current frames; raises `OSError` if the server is unreachable."""
+        """Return all current frames; raises `OSError` if the server is unreachable, `CallFailed` if it refuses."""
 
     @abstractmethod
     def send(self, transforms: list[FrameTransform]) -> ReturnValue:
@@ -150,6 +150,8 @@ class IFrameTransform(ABC):
         known = self._connected(target_frame, source_frame)
         try:
             return ReturnValue(_OK if self.wait_until(known, timeout) else _FAILED)
+        except CallFailed as err:
+            return ReturnValue(err.code)
         except (OSError, WireError):
             return ReturnValue(ReturnCode.COMMUNICATION)
 
@@ -163,6 +165,8 @@ class IFrameTransform(ABC):
             return ReturnValue(_OK), query(self.tree())
         except (TransformError, ValueError):
             return ReturnValue(_FAILED), None
+        except CallFailed as err:
+            return ReturnValue(err.code), None
         except (OSError, WireError):
             return ReturnValue(ReturnCode.COMMUNICATION), None
 

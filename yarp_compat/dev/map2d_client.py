@@ -128,7 +128,7 @@ class PlacesView(_View[T], Generic[T]):
 def succeeded(outcome: ReturnValue) -> None:
     """Raise `CallFailed` if a call failed."""
     if not outcome:
-        raise CallFailed(outcome.code, "the map server refused the call; see its log")
+        raise CallFailed(outcome.code, "the server refused the call; see its log")
 
 
 class IMap2D:

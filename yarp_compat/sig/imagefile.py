@@ -131,7 +131,7 @@ def _become(dest: Image, pixels: NDArray[Any]) -> None:
 def _read_pxm(data: bytes) -> NDArray[np.uint8]:
     header = _PXM.match(data)
     if header is None or int(header[4]) != 255:
-        raise ValueError("not a binary PGM or PPM file with 255 values")
+        raise ValueError("not a binary PGM or PPM file whose maximum value is 255")
     width, height, channels = int(header[2]), int(header[3]), 3 if header[1] == b"6" else 1
     size = width * height * channels
     if len(data) - header.end() < size:

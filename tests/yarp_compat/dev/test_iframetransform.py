@@ -76,11 +76,12 @@ class Wire:
 
 
 class Local(IFrameTransform):
-    """The interface over direct channels, which fail while ``away`` is set."""
+    """The interface over direct channels, which fail while ``away`` is set; ``refusal`` is the server's, if any."""
 
     def __init__(self, generation: Generation) -> None:
         self.kept: list[FrameTransform] = []
         self.away = False
+        self.refusal: ReturnCode | None = None
         self.wires = [
             Wire(Server(service(self.kept), Generations(generation)), generation) for service in (Setting, Getting)
         ]
@@ -92,6 +93,8 @@ class Local(IFrameTransform):
     def tree(self) -> FrameTree:
         if self.away:
             raise ConnectionResetError
+        if self.refusal is not None:
+            raise CallFailed(self.refusal)
         return FrameTree(self.getter.getTransformsRPC()[1])
 
     def send(self, transforms: list[FrameTransform]) -> ReturnValue:
@@ -223,6 +226,13 @@ def test_an_unreachable_server_gives_a_communication_error(frames: Local) -> Non
     assert frames.deleteTransform("laser", "map").code is away
     assert frames.canTransform("laser", "map") is None
     assert frames.frameExists("map", BVector()).code is away
+
+
+def test_a_refusal_of_the_server_is_returned(frames: Local) -> None:
+    refusal = with_transforms(frames).refusal = ReturnCode.NOT_READY
+    assert frames.getTransform("laser", "map", Matrix()).code is refusal
+    assert frames.waitForTransform("laser", "map", 0.1).code is refusal
+    assert frames.canTransform("laser", "map") is None
 
 
 def test_requests_equal_those_of_the_real_client(monkeypatch: pytest.MonkeyPatch) -> None:
