@@ -19,7 +19,7 @@ Refuse = Callable[[zenoh.Query, bytes], None]
 
 
 def reply_error(query: zenoh.Query, error: CallError, refuse: Refuse | None = None) -> None:
-    """End a query with a zenoh error reply, and for a refused call with the service's reply, which ``refuse`` sends."""
+    """End a query with a zenoh error reply; if the error has a reply of the service's type, ``refuse`` sends that too."""
     refused = isinstance(error, UnsentCallError)
     try:
         with query:
@@ -194,7 +194,7 @@ class CallServer:
             _log.debug("%s: the client no longer waits for the reply: %s", self.name, err)
 
     def _abandoned(self, pending: PendingRequest) -> None:
-        """Handle a request that its client has canceled."""
+        """Handle a request that its client has canceled, or whose client has left."""
         if self._remove(pending):
             pending.query.drop()  # type: ignore[no-untyped-call]
             self._abandon(pending)

@@ -1,6 +1,7 @@
 """Service calls as zenoh queries on one key: the client, and what it shares with the server.
 
-Each call ends exactly once: with a reply, with a zenoh error reply, or because its server left.
+Each call that is not abandoned ends exactly once: with a reply or with a `CallError`, such as a server's error reply or
+the loss of the last server.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ class CallError(Exception):
 class UnsentCallError(CallError):
     """A call was refused before any server received it.
 
-    ``reply`` is a reply of the service's type that means refusal, for clients of rmw_zenoh, which receive no errors;
-    b"" if the type has none.
+    ``reply`` is a reply of the service's type that means refusal, for clients of rmw_zenoh, which cannot report errors;
+    b"" if the type has no such reply.
     """
 
     reply = b""
@@ -61,9 +62,10 @@ MAX_ERROR = 4096
 _CLOSED = "the call of {name} was ended: its client was closed"
 _REFUSED = "; or an external listener between the machines refuses this call (hub.open.trusted)"
 _AT_ONCE = 0.2
-"""Seconds within which zenoh ends a query that no server received; one that lasts longer did reach a server.
+"""Seconds within which zenoh ends a query that no server received; a query that lasts longer did reach a server.
 
-A query that ends within this time may also have reached a server, which crashed or dropped it. So no call is repeated.
+A query that ends within this time may also have reached a server, which then crashed or dropped the query. So no call
+is repeated.
 """
 
 _LEAVING = 1.0
@@ -146,7 +148,7 @@ class CallClient:
         return None
 
     def _abandoned(self, attached: bytes | None) -> None:
-        """Handle a client's cancellation of the request with this attachment."""
+        """Handle the cancellation of the call whose request has this attachment."""
 
     @property
     def ready(self) -> bool:
@@ -243,7 +245,7 @@ class CallClient:
             self._ends.submit(partial(self._over, number, time.monotonic()))
 
     def _over(self, number: int, now: float) -> None:
-        """Handle the end of a query without a reply at the time ``now``."""
+        """Handle a query that ended at the time ``now`` (monotonic seconds); do nothing if it had a reply."""
         with self._lock:
             pending = self._waiting.get(number)
         if pending is None:

@@ -58,7 +58,7 @@ class KeyQuery:
         return bool(self._query.key_expr.intersects(zenoh.KeyExpr(f"{self._prefix}/{key}")))
 
     def reply(self, item: KeyItem) -> None:
-        """Send a value; a query may get several."""
+        """Send a value or a deletion; a query may get several replies."""
         stamp = _timestamp(item)
         key, attached = f"{self._prefix}/{item.key}", item.attached or None
         prepare_to_send(len(item.body or b""))
@@ -90,10 +90,10 @@ class KeySpace:
     """The keys below a prefix as one session sees and serves them. Safe to use from any thread.
 
     Callbacks run on zenoh's receiving thread, so they must only queue work and wake another thread. A session does not
-    receive its own changes.
+    receive the values and queries that it sends itself.
 
     Args:
-        limit: maximum size of a value in bytes; larger values are dropped.
+        limit: maximum size in bytes of a received value or query; larger ones are dropped.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str, limit: int) -> None:
@@ -105,7 +105,7 @@ class KeySpace:
         self._closed = False
 
     def send(self, item: KeyItem) -> None:
-        """Publish a written value or a deletion; blocks while a link is full."""
+        """Publish a written value or a deletion; blocks while a link is full. Raises `HubError` if zenoh fails."""
         key, stamp, attached = f"{self._prefix}/{item.key}", _timestamp(item), item.attached or None
         options: Any = {
             "timestamp": stamp,
@@ -164,7 +164,7 @@ class KeySpace:
         """Query all servers of ``keys``; return when all have replied, or after ``seconds``.
 
         Raises:
-            HubError: a server replied with an error.
+            HubError: a server replied with an error, or zenoh could not send the query.
             HubClosedError: the space was closed.
         """
         token = zenoh.CancellationToken()
@@ -197,13 +197,13 @@ class KeySpace:
     def tokens(self, keys: str, seconds: float = 2.0) -> list[str]:
         """Return the current tokens of keys; use it only for keys that this session does not watch.
 
-        For watched keys, zenoh 1.10 lists only tokens that it has received, and sometimes misses the newest ones.
+        For watched keys, zenoh 1.10 lists only tokens that the session has received, and sometimes misses the newest.
         """
         replies: Any = self._session.liveliness().get(f"{self._prefix}/{keys}", timeout=seconds)
         return [self._below(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None]
 
     def watch(self, keys: str, changed: Callable[[str, bool], None]) -> None:
-        """Call ``changed`` for each present or new token (True) or removed token (False), until the space closes."""
+        """Call ``changed`` for each existing or new token (True) or removed token (False), until the space closes."""
 
         def on_message(sample: zenoh.Sample) -> None:
             keep_thread_state()

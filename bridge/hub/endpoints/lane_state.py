@@ -82,7 +82,7 @@ class Lanes:
         return self.leaving.setdefault(inlet, Leaving()).step if inlet in self.inlets else LeavingStep.ENDED
 
     def known(self, inlet: Inlet, now: float) -> None:
-        """Note that the session of a lane knows the subscriber on zenoh, and wait for a message over zenoh."""
+        """Note that a lane's session knows the subscriber on zenoh, and begin to wait for a message over zenoh."""
         if inlet in self.leaving:
             self.leaving[inlet] = Leaving(LeavingStep.KNOWN, now)
             self.received.discard(inlet.zid)
@@ -138,7 +138,7 @@ class Lanes:
 
 
 class ZenohSubscriber:
-    """A subscriber on zenoh, either for all sessions or only for its own session, which may have several nodes.
+    """A subscriber on zenoh for all sessions, or only for its own session, and then only if that has several nodes.
 
     ``_switching`` serializes the changes. ``lock``, the subscription's lock, guards ``everywhere``. A thread that holds
     ``_switching`` may acquire ``lock``, but not the reverse.
@@ -161,7 +161,7 @@ class ZenohSubscriber:
         self._subscriber = self._declare(self._reach)
 
     def listen(self, *, everywhere: bool) -> None:
-        """Receive from all sessions, or only from this session if it has several nodes."""
+        """Receive from all sessions, or only from this session, and then only if it has several nodes."""
         with self._switching:
             if self._closed or everywhere == self.everywhere:
                 return

@@ -1,8 +1,8 @@
 """A subscription that receives small messages over the lanes of this daemon's other workers, and others over zenoh.
 
 It chooses the transport per topic: while all of the topic's publishers are workers of this daemon, it has no subscriber
-on zenoh, so that their puts cost little. During a switch, messages arrive over both transports. According to
-rmw_zenoh's sequence numbers it then drops duplicates, and briefly holds messages that arrive too early.
+on zenoh, so that their puts cost little. During a switch, messages arrive over both transports. The subscription then
+uses rmw_zenoh's sequence numbers to drop duplicates, and briefly holds messages that arrive too early.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ EARLY_SECONDS = 0.1
 """Seconds for which a message is held until earlier messages arrive on the other transport."""
 
 LEAVING_SECONDS = 5.0
-"""The same while a lane is being left: it still delivers all earlier messages, the last of which its fence follows."""
+"""The same while a lane is being left, which still delivers all earlier messages, and then the fence."""
 
 _UNANSWERED_SECONDS = 1.0
 
@@ -46,7 +46,7 @@ class Sequencer:
     """Merges the messages of a topic that arrive over two transports, according to their sequence numbers.
 
     Duplicates are dropped, and a message that arrives early is held for a moment. Not thread-safe: the lock of the
-    subscription guards it, as well as the arguments.
+    subscription guards it and its arguments.
 
     Args:
         both: returns whether the messages of a publisher (by GID) may arrive over either transport.
@@ -74,7 +74,7 @@ class Sequencer:
             if gap:
                 self._losses.add(gap, message)
             return [] if gap is None else [message]
-        if number in source.held:  # both transports have reached this number, so no earlier message is missing
+        if number in source.held:  # both transports have reached this number, so no earlier message can still arrive
             return self._up_to(source, message.gid, number)
         if last is not None and number <= last:
             return []
@@ -152,7 +152,7 @@ class LaneSubscription(HubSubscription):
     ) -> None:
         self.key = key
         self._lane, self._type_names = lane, key_type(key)
-        # with a depth of 1, as for velocity commands, the newest message never waits for a lane that is being left
+        # with a depth of 1, as for velocity commands, a message waits only `EARLY_SECONDS` for a lane being left
         self._patient = qos.history is not History.KEEP_LAST or qos.depth > 1
         self._delivery = Lock()
         self._lanes = Lanes()
@@ -311,7 +311,7 @@ class LaneSubscription(HubSubscription):
         return not self._zenoh.everywhere if self.way == "lane" else not self._lanes.inlets
 
     def _publishers(self) -> list[HubEndpoint]:
-        """Return the topic's publishers in other sessions."""
+        """Return the topic's publishers of the same type in other sessions."""
         type_name, type_hash = self._type_names
         return [
             endpoint

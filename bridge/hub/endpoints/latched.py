@@ -1,12 +1,12 @@
 """Latched topics: publishers that cache their last samples, and subscriptions that request these samples.
 
 The publishers are zenoh's advanced publishers, declared like those of rmw_zenoh: each has a token at
-``<key>/@adv/pub/<zid>/<entity>/...``, answers queries on that key with its cached samples, and publishes on it the
-number of its last sample, half a second after a change.
+``<key>/@adv/pub/<zid>/<entity>/...``, and answers queries on that key with its cached samples. A reliable publisher
+also publishes the number of its last sample on that key (a heartbeat), half a second after a sample.
 
 zenoh's own advanced subscriber queries each publisher twice at the start, and if the two answers interleave, it drops
-the older part of a history of more than one sample. Here each publisher is queried once, and the live samples of its
-session are held back until the answer is complete.
+the older part of a history of more than one sample. Here a publisher that answers is queried once, and the live samples
+of its session are held back until the answer is complete.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from bridge.hub.opening import prepare_to_send
 from bridge.hub.zenoh_compat import BEHIND, SOURCE_NUMBERS, follow_tokens, subscribe, undeclare
 
 HEARTBEAT = 0.5
-"""Seconds after which a latched publisher publishes its last sample's number, as those of rmw_zenoh do."""
+"""Seconds from a sample to the heartbeat with the last sample's number, as in rmw_zenoh."""
 
 
 class LatchedPublisher:
     """zenoh's advanced publisher.
 
-    Sample miss detection makes zenoh number the samples per publisher and attach the session's id; without it only the
+    Sample miss detection makes zenoh number the samples per publisher and attach the session's id; without it, only the
     time would distinguish the caches of several publishers in one session. Midspan itself publishes the heartbeats,
     with the key and bytes that zenoh uses (observed on the wire, 1.10). A heartbeat blocks on a congested link, because
-    it must not be lost. zenoh would send it on the only thread that runs all tasks of a session: while one waits there,
-    for up to five seconds, no latched publisher can be closed.
+    it must not be lost. zenoh would send it on the single thread that runs all tasks of a session: while a heartbeat
+    waits there, for up to five seconds, no latched publisher can be closed.
 
     Args:
-        heartbeats: publishes the last sample's number; None if lost samples are not recovered.
+        heartbeats: runs the delayed heartbeats; None if lost samples are not recovered.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class LatchedPublisher:
 
     def close(self) -> None:
         self._closed = True
-        # Not `undeclare`, which holds Python's lock; dropping the last reference releases it.
+        # Not `undeclare`, which holds the GIL while it waits; dropping the last reference releases the GIL.
         del self._publisher
 
 
@@ -111,7 +111,7 @@ _MAX_PUBLISHERS = 4096
 
 
 class HistoryListener(Protocol):
-    """Receives the cached samples; called on zenoh's threads."""
+    """Receives the cached samples; called on threads of zenoh and of Midspan's executors."""
 
     def on_query(self, zid: str) -> None:
         """A session's publishers are being queried, so its live samples have to be held back."""
@@ -124,10 +124,11 @@ class HistoryListener(Protocol):
 
 
 class LatchedHistory:
-    """Queries all publishers of one key, present or later, after `open` was called.
+    """Queries every publisher of one key, existing or later, once `open` was called.
 
-    With ``recovers`` it queries a publisher again if its last sample did not arrive. ``depth`` is the number of samples
-    that it requests from each publisher; it may be changed later. ``delays`` makes the queries of `AGAIN_SECONDS`.
+    With ``recovers``, it queries a publisher again if a heartbeat shows that the publisher's last sample did not
+    arrive. ``depth`` is the number of samples to request from each publisher; it may be changed later. ``delays`` makes
+    the queries of `AGAIN_SECONDS`.
 
     Queries run on ``executor``, because a query blocks on a congested link, and zenoh's receiving thread, which reports
     the publishers, must continue to read. Two peers that wait for each other to read would block for five seconds, and
@@ -261,7 +262,7 @@ class LatchedHistory:
 
 
 def is_newer(number: int, seen: int | None) -> bool:
-    """Return whether one source number is later than another; the numbers wrap."""
+    """Return whether one source number is later than another, if there is another; the numbers wrap."""
     return seen is None or 0 < (number - seen) % SOURCE_NUMBERS < SOURCE_NUMBERS // 2
 
 

@@ -33,8 +33,9 @@ class _OtherHistory:
 class LatchedHubSubscription(HubSubscription):
     """Receives one latched topic.
 
-    While a session is queried for its cached samples, its live samples are held, so that the history is delivered
-    first. A reliable subscription also queries a session after a gap in its samples.
+    With a depth above 1, live samples of a session are held while it is queried for its cached samples, so that the
+    history is delivered first. A first live sample that is not its publisher's first also triggers a query, and in a
+    reliable subscription, so does each gap.
 
     ``_lock`` also guards the counts of unfinished queries. It is held during the callback, to preserve the order.
     """

@@ -47,7 +47,7 @@ _pack = ATTACHMENT.pack
 NO_LANE = "this worker has no lane"
 
 QUEUE = 1000
-"""Maximum number of messages, other than commands, that wait for a lane's reader whose buffer is full."""
+"""Default limit of the messages on one key that wait for a lane's reader whose buffer is full; for commands it is 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class EndpointContext:
     """The objects and settings that the endpoints of one node share.
 
     Attributes:
-        reach: which endpoints are reached: those of other sessions, or also the other nodes of a shared session.
+        reach: which endpoints are reached: those of other sessions, or also those of a shared session's other nodes.
         own: GIDs of the node's endpoints, whose messages its subscriptions and servers ignore; the set changes.
         limit: maximum size of a message in bytes.
         executor: runs calls that may wait for zenoh.
@@ -107,11 +107,12 @@ def _matching(publisher: zenoh.Publisher) -> bool:
 class _Matching:
     """Whether another session subscribes to a publisher's key.
 
-    A put without a subscriber costs a worker 14 us, and a query of the matching status 7 us, mostly because their
-    memory has left the caches. So a listener follows the changes. zenoh may call it after answering queries that a new
-    subscriber sent later (measured: 1 in 100), whereas the status is as recent as zenoh's routes. So if the listener
-    reports no subscriber, the status is queried too: in `now` always, and in `reaches` once after each change of the
-    graph, because the token that announces a subscriber follows its declaration.
+    A put without a subscriber costs a worker 14 us, and a query of the matching status 7 us, mostly because the memory
+    that they use is no longer in the processor's caches. So a listener follows the changes. zenoh may call the listener
+    only after it has answered queries that a new subscriber sent after its declaration (measured: 1 in 100), whereas
+    the status is as recent as zenoh's routes. So if the listener reports no subscriber, the status is queried too: in
+    `now` always, and in `reaches` once after each change of the graph, because the token that announces a subscriber
+    follows its declaration.
     """
 
     def __init__(self, publisher: zenoh.Publisher, graph: HubGraph) -> None:
@@ -283,7 +284,7 @@ class PublisherOptions:
     """How zenoh transports a publisher's samples.
 
     As in rmw_zenoh, samples are dropped on a congested link, and only RELIABLE with KEEP_ALL blocks, because one slow
-    peer must not delay the others. A latched subscription recovers dropped samples from the publisher's cache.
+    peer must not delay the others. A reliable latched subscription recovers dropped samples from the publisher's cache.
     """
 
     def __init__(self, qos: Qos, priority: str, express: bool | None, queue: int | None = None) -> None:
@@ -394,7 +395,7 @@ class HubPublisher:
             return True
 
     def matched(self) -> bool:
-        """Return whether any subscription exists, on another session or on another node of a shared session."""
+        """Return whether any subscription exists, in another session or on another node of a shared session."""
         with self._lock:
             return bool(self._sinks) and (bool(self._outlets) or self._any_matched())
 
@@ -406,7 +407,7 @@ class HubPublisher:
         return False
 
     def way(self) -> tuple[str, str]:
-        """Return the current transport and, for zenoh, the reason.
+        """Return the current transport, and the reason for zenoh if it is used or the publisher cannot use the lane.
 
         The transport is ``lane``, ``zenoh``, ``both``, or "" if no subscription exists.
         """
@@ -420,7 +421,7 @@ class HubPublisher:
         return ("zenoh" if other else ""), self._why
 
     def attach(self, outlet: Outlet) -> None:
-        """Send the number of the last message on a lane, and from now on all messages as well."""
+        """Send the number of the last message on a lane, and from now on all messages."""
         with self._lock:
             outlet.command = outlet.command or self._command
             outlet.depth = max(outlet.depth, self._queue)

@@ -179,7 +179,7 @@ class _VariantClient(CallClient):
         key: key of the calls.
         client: the client that makes the calls.
         context: context of the client's node.
-        changed: called as for the client.
+        changed: called when the first server under this hash appears or the last one leaves.
         converters: convert requests to the other version, and replies from it.
     """
 
@@ -218,7 +218,7 @@ class _VariantClient(CallClient):
 
     @override
     def _abandoned(self, attached: bytes | None) -> None:
-        for key in (self._key, self._client._key):  # a server listens only under its own hash
+        for key in (self._key, self._client._key):  # a server listens for abandoned calls only under its own hash
             self._client._announce_abandoned(key, attached)
 
 

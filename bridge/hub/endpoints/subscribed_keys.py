@@ -41,7 +41,7 @@ class SubscribedKeys:
     def announce(self) -> None:
         """Announce the subscription, as a member of the CPU group if it is one; replaces an earlier announcement."""
         if self._withdraw is not None:
-            # withdraw the old token first, because releases before Lyrical do not distinguish the two
+            # withdraw the old token first, because releases before Lyrical do not distinguish the two tokens
             self._withdraw()
         token = self._token if self._end_group is None else f"{self._token}/{CPU_BACKEND}"
         self._withdraw = self._context.graph.announce(token)

@@ -24,7 +24,7 @@ from bridge.resources import LARGE_MESSAGES
 _log = logging.getLogger(__name__)
 _MAX_SOURCES = 4096
 _SPARED = 64
-"""Maximum number of remembered publishers that are not in the graph."""
+"""Publishers outside the graph whose state remains when others are dropped; also the limit of sources in `Losses`."""
 _MAX_GAP = 1_000_000
 
 MAX_HELD_BYTES = 256 << 20
@@ -92,7 +92,10 @@ class PublisherState:
         return missing
 
     def gap(self, sample: HubSample) -> int | None:
-        """Return the number of samples missing before this sample, None if it was already delivered."""
+        """Return the number of samples missing before this one, None if it is a duplicate or arrives out of order.
+
+        The number is 0 if gaps do not count as losses, or the publisher restarted its numbers.
+        """
         last = self.sequence
         if last is None:
             return 0
@@ -170,7 +173,7 @@ class PublisherStates(dict[bytes, PublisherState]):
 
 
 class Losses:
-    """Counts by publisher and session the samples that were numbered but never arrived.
+    """Counts, by publisher and session, the samples that were numbered but never arrived.
 
     Not thread-safe: the lock of the subscription guards it.
     """
@@ -199,7 +202,7 @@ class SampleReader:
     Attributes:
         limit: maximum size of a message in bytes.
         originals: whether it ignores samples that their publisher converted to another version of the type.
-        refused: number of samples that are too large or lack a valid attachment.
+        refused: number of samples that are too large, lack a valid attachment or cannot be converted.
         closed: whether it has stopped reading samples.
     """
 
@@ -296,8 +299,8 @@ class HubSubscription:
     def _declare(self, context: EndpointContext, key: str) -> Callable[[], None]:
         """Subscribe on zenoh; return a function that ends the subscription.
 
-        zenoh's receiving thread runs the callback directly, without a thread per subscription: it only appends and
-        wakes.
+        zenoh's receiving thread runs the callback directly, without a thread per subscription, because the callback
+        only appends and wakes.
         """
         return partial(undeclare, subscribe(context.session, key, self._on_sample, context.reach))
 
@@ -364,7 +367,7 @@ class HubSubscription:
 
     @property
     def refused(self) -> int:
-        """Number of samples that were not delivered because they are too large or lack a valid attachment."""
+        """Number of samples that are too large, lack a valid attachment or cannot be converted."""
         return self._reader.refused
 
     @property
@@ -373,7 +376,7 @@ class HubSubscription:
         return self._losses.count
 
     def losses(self) -> str:
-        """Return why messages were lost and how to avoid that, "" if none were lost."""
+        """Return why messages were lost and how to avoid losses, "" if none were lost."""
         with self._lock:
             lost = self._losses.sources()
         if not lost:

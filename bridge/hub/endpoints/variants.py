@@ -51,7 +51,7 @@ class TypeVersions(Protocol):
         """Return the hashes of all known versions of a type."""
 
     def here(self, type_name: str, type_hash: str) -> str:
-        """Return the hash that this machine uses for a type announced with a hash; the same one if it is unknown."""
+        """Return the hash that this machine uses for a type announced with a hash, which is returned if unknown."""
 
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
         """Return the converter between two versions of a type, or of part of a service; None if one is unknown."""
@@ -100,7 +100,7 @@ class VariedEndpoint(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Followed:
-    """An endpoint's ``counterpart``, None if the key covers all hashes, and the lock that serializes the updates."""
+    """An endpoint's ``counterpart``, None if it needs no variants, and the lock that serializes the updates."""
 
     topic: str
     type_hash: str
@@ -134,7 +134,7 @@ class KeyVariants:
         """
         about = parse_token(token)
         assert isinstance(about, EndpointToken)
-        covered = about.type_hash in (NO_HASH, UNKNOWN_HASH)  # the latter's key covers all hashes
+        covered = about.type_hash in (NO_HASH, UNKNOWN_HASH)  # with UNKNOWN_HASH, the key covers all hashes
         counterpart = None if covered else (_COUNTERPARTS[about.kind], about.topic, about.type_name)
         followed = _Followed(about.topic, about.type_hash, counterpart, exact)
         with self._lock:
@@ -147,7 +147,7 @@ class KeyVariants:
             self._endpoints.pop(endpoint, None)
 
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert:
-        """Return the converter between the two versions of a variant."""
+        """Return the converter between the two versions of a variant, `same` if none is known."""
         return self.versions.converter(type_name, source, target, part) or same
 
     def _graph_changed(self) -> None:
