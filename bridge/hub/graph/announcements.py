@@ -42,7 +42,7 @@ class SessionAnnouncements:
         return {zid: frozenset(members) for zid, members in self._members.items()}
 
     def put(self, key: str) -> bool:
-        """Add a token; return whether anything changed. Raises `HubWireError` if it is malformed or one too many."""
+        """Add a token; return whether anything changed. Raises `HubWireError` if malformed or above the limit."""
         if key.startswith(self._member_space):
             return self._put_member(*parse_member(key))
         if key.startswith(self._velocity_space):

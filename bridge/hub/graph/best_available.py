@@ -34,7 +34,7 @@ class GraphEndpoint(Protocol):
 
 
 class BestAvailable:
-    """The open policies in one graph, which are resolved only when the graph is read: tokens arrive by the thousand."""
+    """The open policies in one graph, resolved only when the graph is read, because thousands of tokens may arrive."""
 
     def __init__(self) -> None:
         self._announced: dict[str, Qos] = {}

@@ -131,7 +131,7 @@ class EndpointTable:
         return self._hashes.foreign(wanted, self._topics.get(wanted[1], {}))
 
     def add(self, key: str, token: NodeToken | EndpointToken) -> bool:
-        """Add a node or an endpoint; return False if it is known already. Raises `HubWireError` for one too many."""
+        """Add a node or an endpoint; return False if it is known already. Raises `HubWireError` above the limit."""
         owner = token if isinstance(token, NodeToken) else token.owner
         if owner.domain != self._domain or key in self._nodes or key in self._endpoints:
             return False

@@ -30,8 +30,8 @@ class HubGraph:
     """Nodes, endpoints and origins. Safe to use from any thread.
 
     Attributes:
-        epoch: an object that is replaced after each token that appears or disappears.
-        refused: number of tokens that were ignored because they are malformed or too many.
+        epoch: an object that is replaced after each token that appears or disappears, and by `renew`.
+        refused: number of tokens that were ignored because they are malformed or exceed the limit.
         trouble: the reason why the last of these was ignored.
     """
 
@@ -101,7 +101,7 @@ class HubGraph:
             return sorted(self._announced.velocities)
 
     def announce_velocity(self, topic: str, type_name: str) -> Callable[[], None]:
-        """Announce that our side's own nodes subscribe to velocities, until the returned function is called."""
+        """Announce that our side's own nodes subscribe to a velocity topic, until the returned function is called."""
         return self.announce(velocity_key(self._domain, self._zid, topic, type_name))
 
     @property
@@ -133,7 +133,8 @@ class HubGraph:
     def watch(self, callback: Callable[[], None]) -> Callable[[], None]:
         """Call ``callback`` after each change, until the returned function is called.
 
-        The callback runs on zenoh's thread, so it must only set a flag and wake another thread.
+        The callback runs on zenoh's thread, or on a thread that announces or withdraws a token of this session, so it
+        must only set a flag and wake another thread.
         """
         watch = object()
         self._watches[watch] = callback

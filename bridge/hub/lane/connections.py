@@ -11,7 +11,7 @@ from bridge.hub.lane import folder
 from bridge.hub.lane.inlet import Inlet
 
 AGAIN_SECONDS = 2.0
-"""Seconds until a connection to a session that has no lane is tried again."""
+"""Seconds after a failed connection to a session before the next attempt."""
 
 _MAX_REFUSED = 1000
 

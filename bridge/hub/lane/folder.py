@@ -14,7 +14,7 @@ from bridge.hub.lane.wire import VERSION
 
 _CREDENTIALS = struct.Struct("3i")
 _SEND_BUFFER = 1 << 20
-"""Maximum number of bytes in the kernel's buffer for a reader, which commands cannot overtake."""
+"""Maximum number of bytes in the kernel's buffer for a reader; commands cannot overtake the messages in it."""
 
 _BACKLOG = 64
 _UNREADY = ".new"
@@ -34,7 +34,7 @@ def listen(folder: Path, zid: str) -> socket.socket:
     sock = _socket()
     try:
         with _short(folder, _name(zid)) as path:
-            unready = Path(f"{path}{_UNREADY}")  # renamed when it accepts readers: `clean` removes others
+            unready = Path(f"{path}{_UNREADY}")  # renamed when it accepts readers: `clean` removes sockets that do not
             sock.bind(str(unready))
             unready.chmod(0o600)
             sock.listen(_BACKLOG)

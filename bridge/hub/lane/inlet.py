@@ -61,7 +61,7 @@ class _Key:
 
 
 class Inlet:
-    """A connection to one writing session. Safe to use from any thread; `lost` is called when it ends.
+    """A connection to one writing session; ``lost`` is called when it ends. Safe to use from any thread.
 
     Attributes:
         zid: the writing session.

@@ -25,7 +25,7 @@ _POLL_SECONDS, _LONGEST_POLL_SECONDS = 0.02, 0.5
 
 _SETTLE_SECONDS = 0.02
 _SHARE = 4
-"""The pause after a check is this multiple of its cost, because the graph changes often while many topics start."""
+"""The pause after a check is this multiple of its CPU time, because the graph changes often while many topics start."""
 
 
 class Choosing(Protocol):

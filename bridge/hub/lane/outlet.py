@@ -18,11 +18,11 @@ _size = SIZE.pack
 _NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM)
 
 MAX_WAITING = 32 << 20
-"""Maximum number of bytes queued for one reader, not counting the newest message."""
+"""Maximum number of bytes queued for one reader; the newest message of each key is queued in any case."""
 
 
 class LaneMessage:
-    """A queued message; ``at`` is the number of its bytes that were already sent in parts."""
+    """A queued message, or the record of a fence; ``at`` is the number of bytes that were already sent in parts."""
 
     __slots__ = ("at", "attached", "fence", "payload")
 
@@ -69,8 +69,8 @@ class ReaderLink:
 
     Args:
         sock: a connected, non-blocking socket.
-        watch: called with True if data is queued or the link has ended, otherwise with False; after True, `flush` must
-            be called when the socket is writable again.
+        watch: called with True when data is queued or the link has ended, and with False when the queues are empty
+            again; after True, `flush` must be called when the socket is writable again.
     """
 
     def __init__(self, sock: socket.socket, watch: Callable[[bool], None]) -> None:
