@@ -1,7 +1,7 @@
 """Access rights of other machines on the hub: zenoh's access rules for the external listener.
 
-A machine with a trusted name may do everything. Any other machine with a certificate (a guest) may subscribe, query
-stored values and states, reply, and publish everything except commands (`bridge.config.rules`).
+A machine with a trusted name may do everything. Any other machine that may join (a guest) may subscribe, query stored
+values and states, reply, and publish everything except commands (`bridge.config.rules`).
 
 zenoh denies a key if the rule's expression includes it, but not if they only intersect: ``**`` would pass a rule that
 denies ``*/cmd_vel/**``, and a put on ``**`` reaches every subscription. So these rules only allow. A guest may publish
@@ -27,7 +27,7 @@ ANYBODY = "*"
 _CACHES = "**/@adv/**"
 _STORE = "midspan/store"
 _SPACES = ("**", _CACHES, abandon_key("**"), f"{_STORE}/*/@sync/**", f"{ADMIN_SPACE}/**", f"{MIDSPAN_SPACE}/**")
-"""``**`` does not match chunks that begin with ``@``."""
+"""Expressions for all keys; ``**`` alone does not match chunks that begin with ``@``."""
 
 _LISTENING = ("declare_subscriber", "liveliness_token", "liveliness_query", "declare_liveliness_subscriber")
 _EVERYTHING = ("put", "delete", "query", "reply", "declare_queryable", *_LISTENING)
@@ -42,7 +42,7 @@ QUESTIONS = (
     *(f"*/**/$*::srv::dds_::{verb}$*/{end}" for verb in ("Get", "List", "Describe") for end in _HASHES),
     *(f"*/**/$*::action::dds_::$*_GetResult_/{end}" for end in _HASHES),
 )
-"""Services that change nothing."""
+"""Keys of services that change nothing: Get, List and Describe services, and the results of actions."""
 
 _READING = (f"{_STORE}/**", f"{_STORE}/*/@sync/digest/**", f"{_STORE}/*/@sync/fetch/**")
 """Stored values (`bridge.stores`): every machine that may join can read them, but only trusted ones can change them."""

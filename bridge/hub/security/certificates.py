@@ -78,13 +78,14 @@ class Authority:
         self.folder = folder
 
     def exists(self) -> bool:
-        """Return whether any of its files exists."""
+        """Return whether the authority's certificate or key exists."""
         return (self.folder / f"{AUTHORITY}.pem").exists() or (self.folder / f"{AUTHORITY}.key").exists()
 
     def make(self, days: int = AUTHORITY_DAYS) -> Certificate:
         """Create the authority.
 
-        Raises `CertificateError` if it exists: machines would not accept certificates of a second authority.
+        Raises `CertificateError` if it exists, because machines would not accept certificates of a second authority,
+        or if its files cannot be written.
         """
         if self.exists():
             raise CertificateError(
@@ -109,10 +110,11 @@ class Authority:
             name: the machine's name; the certificate is valid for it and for ``<name>.local``.
             names: further host names and IP addresses under which others connect to the machine.
             days: days of validity, limited by the authority's validity.
-            replace: replace an existing certificate.
+            replace: replace an existing certificate and key.
 
         Raises:
-            CertificateError: the certificate already exists, a name is invalid, or the authority cannot be used.
+            CertificateError: a file already exists or cannot be written, a name is invalid, or the authority cannot be
+                used.
         """
         wanted = general_names(name, names)
         existing = [file for file in (self.folder / f"{name}{end}" for end in (".pem", ".key")) if file.exists()]
@@ -164,7 +166,7 @@ class Authority:
 
 
 def read_certificate(file: Path) -> Certificate:
-    """Return the content of a certificate file; raises `CertificateError`."""
+    """Return the content of a certificate file; raises `CertificateError` if it cannot be read."""
     certificate = _load(file)
     try:
         alternatives = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value

@@ -1,8 +1,8 @@
 """The state of each endpoint of ``hub.open``, with the reason if it connects no other machine.
 
 An endpoint is connected if zenoh reports a link for it. Why it has no link is found by test connections
-(`bridge.hub.security.handshake`) at a limited rate, or in zenoh's log for protocols that cannot be tested. Why a
-listener refuses a machine can be found only in zenoh's log (`bridge.hub.security.zenoh_log`).
+(`bridge.hub.security.handshake`) at a limited rate, or in zenoh's log if these succeed or the protocol cannot be
+tested. Why a listener refuses a machine can be found only in zenoh's log (`bridge.hub.security.zenoh_log`).
 """
 
 from __future__ import annotations
@@ -40,10 +40,13 @@ _ADDRESS_SECONDS = 3.0
 """Seconds to search for the refused machine's address before the refusal is reported without it."""
 
 _PASSES = 2
-"""Number of successful tests without a link before the state is "no session": after one, zenoh may be connecting."""
+"""Successful tests without a link until the state is "no session", or "not answering" for a protocol without a test.
+
+After only one, zenoh may still be connecting.
+"""
 
 _TROUBLE_SECONDS = 60.0
-"""Seconds between two checks of whether this machine's certificate has expired."""
+"""Seconds between two checks of this machine's certificate."""
 
 _THREADS = 4
 _MOST_CAUSES, _MOST_CALLERS, _MOST_LOGGED = 8, 5, 1000
@@ -54,7 +57,7 @@ class ZenohLink(Protocol):
 
     @property
     def dst(self) -> str:
-        """Locator of the other end, an address and a port."""
+        """Locator of the other end: protocol, address and port."""
 
     @property
     def auth_identifier(self) -> str | None:
@@ -86,7 +89,7 @@ class EndpointStatus:
 
     @override
     def __str__(self) -> str:
-        """Return the status for people, without the time."""
+        """Return the status for people, without the time and the cure."""
         text = f"hub.open.{self.way} {self.endpoint}: {self.state}"
         if self.reason:
             return f"{text}: {self.reason}"
@@ -269,7 +272,10 @@ class _Listen(_Endpoint):
             self._closed = None
 
     def _note_callers(self, active: Sequence[_Refusals]) -> None:
-        """Find which machines were refused: zenoh does not log them, but the system lists connections closed here."""
+        """Find which machines were refused: zenoh does not log them, but the system lists connections closed recently.
+
+        New addresses are recorded only if there was one cause, because the list does not show the cause.
+        """
         closed, before = self._closed_connections(), self._closed
         self._closed = closed
         if before is None or len(active) != 1:

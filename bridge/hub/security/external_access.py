@@ -57,7 +57,7 @@ class ExternalAccess:
             )
 
     def check(self, config: Config) -> None:
-        """Retry opening the router, or open a new one if there are new certificates; called every second."""
+        """Retry opening the router, or open a new one if there are new certificates; called at each health check."""
         if self.router is None and time.monotonic() > self._retry_at:
             self.open(config)
         elif self._keys is not None and self._keys.renewed():

@@ -42,7 +42,7 @@ class ConnectedMachine:
 
     Attributes:
         name: the name in its certificate, "" if it presented none.
-        zid: the zenoh session at the other end of the link, of its router or a program.
+        zid: the zenoh session at the other end of the link, that of the machine's router or of a program.
         address: its address and port, in zenoh's format.
         trusted: whether its commands are accepted.
     """

@@ -1,7 +1,7 @@
 """Test connections to an endpoint of ``hub.open``: TCP, then TLS with this machine's certificate.
 
 zenoh reports its links, but not why a link fails, so this module tests the endpoint. It completes the handshake and
-closes the connection in an orderly way, so that zenoh's listener logs nothing above its debug level. In TLS 1.3 a
+closes the connection in an orderly way, so that zenoh's listener logs nothing above the debug level. In TLS 1.3 a
 listener refuses a client's certificate only after the client considers the handshake complete (RFC 8446, 4.4.2.4 and
 6.2), so the test reads once before it closes. Each step has a short time limit, because zenoh accepts only one
 handshake at a time.
@@ -35,7 +35,7 @@ _SAYS_NOTHING = "the program there accepts connections, but opens no zenoh sessi
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The files for TLS: the authority's certificate, and this machine's certificate and key."""
+    """The files for TLS: the authority's certificate, and with mutual TLS this machine's certificate and key."""
 
     ca: Path
     certificate: Path | None
@@ -74,7 +74,7 @@ class Attempt:
     """The result of one test connection.
 
     Attributes:
-        reason: the state with its reason; the state is ``connecting`` if TCP and TLS succeeded.
+        reason: the state with its reason; the state is ``connecting`` if all steps that were tested succeeded.
         machine: the name in the other machine's certificate, "" if it is unknown.
         addresses: addresses of the endpoint in zenoh's format (``tls/192.168.1.20:7448``).
     """
@@ -113,7 +113,7 @@ class HostPort:
 
 
 def resolve(place: HostPort) -> list[HostPort]:
-    """Return the place once for each of its addresses; raises `OSError` if its name cannot be resolved."""
+    """Return the place once for each of its first 4 addresses; raises `OSError` if its name cannot be resolved."""
     try:
         results = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)
     except UnicodeError as err:
@@ -133,8 +133,9 @@ def resolved(place: HostPort) -> Attempt:
 
 
 def attempt(place: HostPort, identity: Identity | None, name: str = "") -> Attempt:
-    """Connect to a place once, and close the connection again; takes at most about 10 s for each of its addresses.
+    """Connect to the first reachable address of a place, and close the connection again.
 
+    After the name was resolved, this takes at most about 14 s, and 3 s more for each address that does not respond.
     ``name`` is the name to verify in the other machine's certificate, by default the place's host.
     """
     try:
@@ -160,7 +161,9 @@ def attempt(place: HostPort, identity: Identity | None, name: str = "") -> Attem
 def refusal(endpoint: str, config: zenoh.Config) -> Reason | None:
     """Return why one end of a TLS connection to an endpoint refuses the other end's certificate; None if neither does.
 
-    ``config`` is the session's configuration. Only the protocol ``tls`` is tested. It takes as long as `attempt`.
+    It also returns a reason if this machine's files cannot be used, or the other end closes the connection during the
+    handshake. ``config`` is the session's configuration. Only the protocol ``tls`` is tested. The test takes as long as
+    `attempt`.
     """
     place, identity = HostPort.of(endpoint), Identity.of(config)
     if place is None or place.protocol != "tls" or identity is None:
@@ -228,7 +231,8 @@ def _broken(err: OSError, place: HostPort) -> Reason:
 def _details(place: HostPort, identity: Identity, name: str, refusal: str) -> tuple[Reason, str]:
     """Request the refused certificate again without verifying it, to report its names and dates.
 
-    Nothing is sent over this connection. It also shows whether the other machine refuses our certificate.
+    Nothing is sent over this connection after the handshake. It also shows whether the other machine refuses our
+    certificate.
     """
     context = identity.context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE

@@ -29,7 +29,7 @@ class EndpointState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """The state of an endpoint, its reason, and how to fix it ("" if nothing has to be done)."""
+    """The state of an endpoint, its reason, and how to fix it ("" if nothing has to be done or no cure is known)."""
 
     state: EndpointState
     text: str = ""
@@ -77,7 +77,7 @@ def refused_by_other(error: str) -> Reason:
 
 
 def refusal_in_log(error: str, caller: str = "") -> Reason | None:
-    """Return why a listener refused a connection, from zenoh's log; None if the entry is not about a certificate."""
+    """Return why a listener's connection failed, from zenoh's log; None if the entry is not about a certificate."""
     peer = f"a machine at {caller}" if caller else "a machine"
     if _has(error, _MISSING):
         return Reason(EndpointState.REFUSED, f"{peer} connects without a certificate", _SAME_FOLDER)

@@ -1,4 +1,4 @@
-"""Reads zenoh's log in the router's process, the only source for the reason why a connection failed.
+"""Reads zenoh's log in the router's process, the only source for the reason why a listener refused a connection.
 
 zenoh (1.10) writes its log only to standard output. So the router's process, which has no other use for its standard
 output, replaces it by a pipe and reads that. `zenoh_link_tls` logs each connection that its listener refuses (without
