@@ -45,7 +45,8 @@ _THREADS = 2
 class WorkerAnswer:
     """One worker's answer; ``error`` is "" if ``value`` is valid.
 
-    ``session`` is the id of the worker's session; ``identity`` identifies its daemon, None for an earlier release.
+    ``session`` is the id of the worker's session; ``identity`` identifies its daemon, None if the worker sent none, as
+    in earlier releases.
     """
 
     daemon: str

@@ -3,8 +3,8 @@
 ::
 
     HubError
-     +-- HubConfigError    the zenoh configuration cannot be used
-     +-- HubClosedError    the session is closed
+     +-- HubConfigError    the zenoh configuration, a name or a certificate file cannot be used
+     +-- HubClosedError    the session or the endpoint is closed
      +-- HubWireError      bytes or names are not in rmw_zenoh's format
 """
 
@@ -20,7 +20,7 @@ class HubError(Exception):
 
 
 class HubConfigError(HubError):
-    """The zenoh configuration cannot be read, or zenoh refuses it."""
+    """The zenoh configuration, a name of the session or a certificate file cannot be used."""
 
 
 class HubClosedError(HubError):

@@ -1,6 +1,6 @@
 """Restores missing links between zenoh sessions on this machine, and closes dead links to other machines.
 
-Peers discover each other when one of them joins the router (zenoh calls it gossip), and then link directly. zenoh does
+Peers discover each other when one of them joins the router (zenoh calls this gossip), and link directly. zenoh does
 not restore a link that has ended, and its routers do not forward between two peers (zenoh 1.10: ``closed_session`` in
 ``orchestrator.rs`` reconnects only to configured endpoints; ``peers_failover_brokering`` no longer has an effect). A
 process that is suspended for about the lease of 3 s loses some of its links and keeps others. If it keeps the link to
@@ -12,7 +12,7 @@ A first attempt to link may also fail: when 13 rmw_zenoh nodes joined at once on
 to some workers, which did not see its topics. So a session also compares its links with the router's peers.
 
 zenoh (1.10) ends a link that was silent for its lease. Over TLS it first waits until a packet has been written. If a
-link with outgoing data is cut, that ends only when TCP gives up, up to a quarter of an hour later, and until then all
+link with outgoing data is cut, this wait ends only when TCP gives up, up to a quarter of an hour later; until then all
 sessions at the other end of the link count as present. A time limit makes TCP give up in time (RFC 5482; only Linux has
 it, as ``TCP_USER_TIMEOUT``); see `LinkLimits`.
 """
@@ -47,7 +47,7 @@ MEMBERS = "members"
 """The verb to which Midspan's router responds with its sessions."""
 
 _MARK = "d0c0ffee"
-"""Prefix of the zenoh ids of sessions that introduce others; that such a session ends is not a loss."""
+"""Prefix of the zenoh ids of sessions that introduce others; when such a session ends, no peer is lost."""
 
 _FIRST_SECONDS = 1.5
 """Seconds before a lost session is introduced: longer than the other sessions and the router take to detect a loss.
@@ -151,7 +151,7 @@ class Mesh:
         return bool(json.loads(self._config().get_json("mode")) == "client")
 
     def _compare(self) -> None:
-        """Count the router's peers without a link to this session as lost; in client mode none are needed."""
+        """Count the router's peers without a link in two comparisons as lost; a client needs no links to peers."""
         now = time.monotonic()
         if now < self._compare_at:
             return
@@ -220,7 +220,7 @@ def _far(address: str) -> bool:
 
 
 def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> None:
-    """Set the time limit on all connections of a process (this one) to other machines."""
+    """Set the time limit on all connections of this process, ``process``, to addresses for which ``far`` is true."""
     if _OPTION is None:
         return
     import psutil  # only needed with an external listener

@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 _EVERY = 10.0
 _ANSWER_SECONDS = 1.0
 _WHO_SECONDS = 0.5
-"""Shorter, because a worker that hangs must not delay the router's heartbeat."""
+"""Time limit for the workers' identities; short, because a worker that hangs must not delay the router's heartbeat."""
 
 Routers = dict[str, frozenset[str]]
 """The sessions that are linked to each router, by the router's id."""
@@ -51,7 +51,7 @@ class Namesakes:
         self.warning = warning
 
     def _others(self) -> set[str]:
-        """Return the machines of other routers with this daemon name, and the state folders of others at this one."""
+        """Return the machines of other routers with this daemon name, and the places of other daemons at this one."""
         own = str(self._session.zid())
         answers = ask(self._session, self._domain, MEMBERS, {}, self._daemon, "router", _ANSWER_SECONDS)
         values = [answer.value for answer in answers if isinstance(answer.value, dict)]
@@ -75,8 +75,8 @@ def namesake_warning(others: str, daemon: str) -> str:
 class DaemonNames:
     """Gives daemons on a hub that have the same name distinct names in their answers.
 
-    The own daemon keeps its name. To that of another daemon, its router's id is added or, at the same router, its state
-    folder.
+    The own daemon keeps its name. The name of another daemon is extended by the id of its router or, at the same
+    router, by its place (`DaemonIdentity`).
 
     Args:
         status: answers to ``status``, at least those of the routers.

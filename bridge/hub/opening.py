@@ -1,11 +1,11 @@
-"""Opens zenoh sessions, without shared memory if this machine lacks room for it.
+"""Opens zenoh sessions, without shared memory if this machine lacks room for it or may not lock it into RAM.
 
 zenoh 1.10 locks its shared memory into RAM. A session with shared memory does not open if ``/dev/shm`` is full. If a
 session's pool does not fit later, zenoh continues on the network link and never tries again: the pool's file keeps its
 full size, but has almost no memory, which `check_pool` reports. But if the pool exists and zenoh's book-keeping does
 not fit, each large message raises a Rust panic. So `prepare_to_send` creates the book-keeping before the pool: if that
-fails, the pool does not fit either. A receiver needs neither, but one that is not allowed to lock a sender's pool
-(``RLIMIT_MEMLOCK``) loses messages silently, and must not offer shared memory (all observed with 1.10.2).
+fails, the pool does not fit either. A receiver needs no room for either, but a receiver that is not allowed to lock a
+sender's pool (``RLIMIT_MEMLOCK``) loses messages silently, and must not offer shared memory (all observed with 1.10.2).
 
 The book-keeping takes 11 MB in each process that sends or receives a large message, so it is not created earlier.
 """

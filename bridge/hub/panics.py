@@ -22,7 +22,7 @@ _sessions: list[zenoh.Session] = []
 
 
 def is_panic(err: BaseException) -> bool:
-    """Return whether Rust panicked in a call; its exception class is not an `Exception`, and cannot be imported."""
+    """Return whether an exception is a Rust panic, whose class is not an `Exception`, and cannot be imported."""
     return type(err).__name__ == "PanicException"
 
 

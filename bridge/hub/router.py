@@ -71,7 +71,7 @@ class RouterInfo:
 def probe_router(
     endpoint: str, zenoh_config: Mapping[str, Any] | str | Path | None = None, seconds: float = 1.5
 ) -> RouterInfo | None:
-    """Return the program that routes at an endpoint (``tcp/127.0.0.1:7447``); None if no zenoh program answers.
+    """Return the zenoh program that answers at an endpoint (``tcp/127.0.0.1:7447``) within ``seconds``, or None.
 
     ``zenoh_config`` is the workers' configuration, which is needed for TLS.
     """
@@ -153,7 +153,7 @@ class RouterWorker(Worker):
 
     @override
     def start(self, config: Config) -> None:
-        """Listen; raises `RuntimeError` if another program holds the port and cannot be used instead."""
+        """Listen; raises `RuntimeError` if that is impossible and no other router at that address may be used."""
         self._config = config
         hub = config.hub
         try:

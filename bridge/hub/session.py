@@ -104,7 +104,7 @@ class HubSettings:
 
 
 def _config(settings: HubSettings) -> zenoh.Config:
-    # Allow messages above the limit: they must arrive to be counted, because a link drops them silently.
+    # Links accept messages above a lower limit of this session, which counts them; a link would drop them silently.
     room = max(settings.max_payload, MAX_PAYLOAD)
     tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=room)
     return make_config(tree, settings.zenoh)
@@ -156,7 +156,7 @@ class HubSession:
 
     @classmethod
     def open(cls, settings: HubSettings, *, shared: bool) -> HubSession:
-        """Open a session; raises `HubError` if zenoh fails to."""
+        """Open a session; raises `HubError` if zenoh cannot open it."""
         config = _config(settings)
         if settings.lane is not None and _rules_messages(config):
             _log.info("no lane: zenoh's configuration restricts messages")
@@ -172,7 +172,7 @@ class HubSession:
             raise
 
     def add(self, node: Hub) -> None:
-        """Add a node; raises `HubClosedError`."""
+        """Add a node; raises `HubClosedError` if the session is closed."""
         with self._lock:
             if self._closed:
                 raise HubClosedError("the hub session is closed")
@@ -248,7 +248,7 @@ class Hub:
 
     @classmethod
     def open(cls, settings: HubSettings) -> Hub:
-        """Open a session for one node; raises `HubError` if zenoh fails to."""
+        """Open a session for one node; raises `HubError` if zenoh cannot open it."""
         session = HubSession.open(settings, shared=False)
         try:
             return cls(session, settings)
@@ -260,12 +260,12 @@ class Hub:
     def on(cls, session: HubSession, node: str, worker: str) -> Hub:
         """Add a node to a shared session; ``worker`` is the node's name on the control plane.
 
-        The nodes of the session receive each other's messages. Raises `HubClosedError`.
+        The nodes of the session receive each other's messages. Raises `HubClosedError` if the session is closed.
         """
         return cls(session, replace(session.settings, node=node, worker=worker))
 
     def set_origin(self, origin: Origin | None) -> None:
-        """Announce the foreign network that this session bridges; call it before creating endpoints."""
+        """Announce the foreign network that this session bridges, before creating endpoints; None withdraws it."""
         with self._lock:
             self._check_open()
             before = self._origin
@@ -281,7 +281,7 @@ class Hub:
 
     @property
     def versions(self) -> TypeVersions:
-        """The known versions of types, for peers with other releases; set it before creating endpoints."""
+        """The known versions of types, for peers with other releases; set them before creating endpoints."""
         return self._context.variants.versions
 
     @versions.setter
@@ -314,11 +314,12 @@ class Hub:
         express: bool | None = None,
         queue: int | None = None,
     ) -> HubPublisher:
-        """Create a publisher; it exists until it or the session is closed.
+        """Create a publisher, which exists until it or the node is closed.
 
-        The priority is ``command``, ``state`` or ``stream``. With ``express`` each sample has its own packet. By
-        default only commands do, because a burst of samples in shared packets is as fast, and is not lost on a busy
-        machine.
+        The priority is ``command``, ``state`` or ``stream``. With ``express``, each sample is sent in its own packet.
+        By default, only commands are, because a burst of samples in shared packets is as fast, and is not lost on a
+        busy machine. ``queue`` is the maximum number of messages that wait for a slow reader of the lane, by default 1
+        for commands and 1000 otherwise.
         """
         with self._lock:
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
@@ -337,12 +338,13 @@ class Hub:
         *,
         exact: bool = False,
     ) -> HubSubscription:
-        """Create a subscription, which exists until it or the session is closed; ``*`` stands for any type hash.
+        """Create a subscription, which exists until it or the node is closed; the type hash ``*`` stands for any hash.
 
         Unless it is ``exact``, it also receives the messages of other known versions of the type, converted. A latched
-        subscription receives the cached samples of each latched publisher, present or later. The node's own samples
-        are not delivered. ``callback``, and ``refused`` for each sample that is not delivered, run on zenoh's receiving
-        thread, or on the thread of another node of this session that publishes, so they may only append and wake.
+        subscription receives the cached samples of each latched publisher, existing or later. The node's own samples
+        are not delivered. ``callback``, and ``refused`` for each sample that is malformed, too large or cannot be
+        converted, run on threads of zenoh, the lane or Midspan's executors, or on the thread of another node of this
+        session that publishes, so they may only append and wake.
         """
         with self._lock:
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
@@ -359,11 +361,11 @@ class Hub:
             )
 
     def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
-        """Serve a service; the server exists until it or the session is closed.
+        """Serve a service; the server exists until it or the node is closed.
 
         ``call`` receives each request's CDR on zenoh's receiving thread, or on the thread of another node of this
-        session that calls; it starts the call and returns. The node's own calls are not delivered. The name of an
-        action's service includes the ``/_action/`` part.
+        session that calls; it must start the call and return at once. The node's own calls are not delivered. The name
+        of an action's service includes the ``/_action/`` part.
         """
         with self._lock:
             token = self._token(EndpointKind.SERVER, name, type_name, type_hash, _SERVICE_QOS)
@@ -371,7 +373,7 @@ class Hub:
             return self._keep(HubServer(self._context, token, key, name, call))
 
     def client(self, name: str, type_name: str, type_hash: str, changed: Callable[[], None] | None = None) -> HubClient:
-        """Create a client of a service, which exists until it or the session is closed.
+        """Create a client of a service; the client exists until it or the node is closed.
 
         ``changed`` is called on a thread of zenoh when the first server appears or the last one leaves, and may only
         wake other threads.

@@ -59,7 +59,7 @@ def answer(
     complete: bool = False,
     origin: zenoh.Locality = zenoh.Locality.REMOTE,
 ) -> zenoh.Queryable[None]:
-    """Call ``callback`` for each query on a key, by default from other sessions; ``complete``: it has all values."""
+    """Call ``callback`` for each query on a key, by default from other sessions; ``complete``: for all its keys."""
     handler = zenoh.handlers.Callback(callback, indirect=False)
     return session.declare_queryable(key, handler, complete=complete, allowed_origin=origin)
 
@@ -71,7 +71,7 @@ def follow_tokens(session: zenoh.Session, keys: str, callback: Callable[[zenoh.S
 
 
 SOURCE_NUMBERS = 1 << 32
-"""Number of source numbers, after the highest of which 0 follows."""
+"""Number of source numbers; after the highest, 0 follows."""
 
 
 def source_infos(publisher: zenoh.Publisher, first: int = 0) -> Iterator[zenoh.SourceInfo]:

@@ -51,7 +51,7 @@ and as soon as a sender's pool is used, zenoh locks the whole pool into memory i
 
 
 def session_tree(router: str | None, *, shared_memory: bool, max_payload: int) -> Tree:
-    """Return the configuration of a worker's session: a peer, which discovers others via the router, links directly."""
+    """Return the configuration of a worker's session: a peer that finds others via the router and links directly."""
     tree = _common_tree(max_payload, _NEAR_MS)
     tree["mode"] = "peer"
     tree["listen"] = {"endpoints": ["tcp/127.0.0.1:0"]}
@@ -99,7 +99,7 @@ def client_session_config(listen: str, user: Mapping[str, Any] | str | Path | No
 
 
 def without_shared_memory(config: zenoh.Config) -> zenoh.Config:
-    """Disable shared memory in a configuration, and return it; for a session without large messages."""
+    """Disable shared memory in a configuration, and return the configuration."""
     config.insert_json5("transport/shared_memory/enabled", "false")
     return config
 
