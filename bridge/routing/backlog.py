@@ -1,4 +1,4 @@
-"""Messages that are held until their publishers are known."""
+"""Messages that are held until their publishers are known, or until the worker has the lease."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ TICK = 1.0
 """Seconds between two ticks."""
 
 POLL = 10.0
-"""Minimum seconds until a check without a wake-up, in case a notification is missed."""
+"""Minimum seconds until a check without a wake-up, in case a notification is missed; refused routes shorten it."""
 
 _SHARE, _LONGEST = 1000, 60.0
 """The pause is also at least 1000 times the last check's CPU time (0.1 % of a core), but at most 60 s."""

@@ -32,7 +32,9 @@ class RouteKey(NamedTuple):
 class RouteDecision:
     """The decision on one topic or service (``of``).
 
-    ``refused``: the rules allow it, but it cannot be bridged. ``note``: what its messages lose.
+    ``refused``: the rules allow it, but it cannot be bridged. ``barred``: its route exists, but refuses calls. ``own``:
+    why it is never routed in this direction. ``rests``: it may be routed, but not now by this worker. ``note``: what
+    its messages lose.
     """
 
     direction: str
@@ -63,7 +65,7 @@ class RouteDecision:
     def unrouted(
         cls, direction: str, topic: str, type_name: str, why: str, of: str = "topic", hub_topic: str = ""
     ) -> Self:
-        """Decide on a topic or service that comes from this network, or that the side cannot have."""
+        """Decide on a topic or service that is not native to its network, or that the side cannot have."""
         policy = RoutePolicy(allowed=False, why=why, name=topic)
         return cls(direction, topic, hub_topic or topic, type_name, policy, own=why, of=of)
 

@@ -1,9 +1,9 @@
 """The queues of routes to a side, and the threads that empty them, most urgent class first.
 
-zenoh's receiving thread publishes small messages itself, because no edge waits for a peer, and the hand-over to a
-sleeping thread would cost 40 us of a total latency of 230 us (benchmarks/topic_latency.py). It queues messages that are
-large, because publishing an image may take milliseconds, or that arrive while their route is publishing, and wakes a
-dispatcher.
+The receiving thread (of zenoh or the lane) publishes small messages itself, because no edge waits for a peer, and the
+hand-over to a sleeping thread would cost 40 us of a total latency of 230 us (benchmarks/topic_latency.py). It queues
+messages that are large, because publishing an image may take milliseconds, or that arrive while their route is
+publishing, and wakes a dispatcher.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Dispatcher:
         return self._step.judge(name, own_since)
 
     def stop(self) -> None:
-        """End the thread after its current call; queued calls are dropped."""
+        """End the thread after the calls that are already queued; wait up to two seconds for it."""
         self._wake.put(False)
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(2.0)
@@ -90,8 +90,8 @@ class RouteQueue:
     """The queue of one route to the side; messages are published in order and one at a time.
 
     `receive` publishes a small message at once, unless an earlier message is queued or being published. Other messages
-    are queued for the dispatcher ``small``, from the first large message on for ``bulk``. A full queue drops its oldest
-    messages.
+    are queued for the dispatcher ``small``, and for ``bulk`` from the first large message that finds the queue empty. A
+    full queue drops its oldest messages.
 
     Locks: this queue and the route hold ``publishing`` while they publish a message. ``_lock`` guards the queue and the
     state that ``admits`` uses. A thread that holds ``_lock`` never waits for ``publishing``, so a thread that holds
@@ -114,7 +114,7 @@ class RouteQueue:
         self._bytes = 0
 
     def receive(self, sample: HubSample) -> None:
-        """Publish or queue a message; runs on zenoh's receiving thread."""
+        """Publish or queue a message; runs on a receiving thread."""
         size = len(sample.payload)
         with self._lock:
             if self._admits is not None and not self._admits(sample):

@@ -101,7 +101,7 @@ class Sighting:
 
 
 class EdgeListener(Protocol):
-    """An edge's notifications to the engine; each call only sets a flag and wakes a thread."""
+    """An edge's notifications to the engine; each call returns at once."""
 
     def graph_changed(self) -> None:
         """The endpoints, their properties or the network's identity may have changed."""
@@ -138,7 +138,7 @@ class EdgePublisher(Protocol):
     def has_subscribers(self) -> bool:
         """Whether the topic has subscribers on the side; True if the side does not report them.
 
-        The edge calls `EdgeListener.graph_changed` when it changes.
+        The edge calls `EdgeListener.graph_changed` when the value changes.
         """
 
     def send(self, payload: bytes, source: str) -> None:
@@ -244,9 +244,9 @@ class Edge(ABC):
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
         """Serve ``name`` on the side; ``call`` receives requests and replies with responses, serialized as on the side.
 
-        The edge runs ``call`` on one of its threads, and it returns at once. The client receives a
+        The edge runs ``call``, which returns at once, on one of its threads. The client receives a
         `bridge.hub.endpoints.calls.CallError` as an error in the side's form. Raises
-        `bridge.messages.errors.MessageTypeError`.
+        `bridge.messages.errors.MessageTypeError` if the type cannot be used.
         """
         del side_type, call
         raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
@@ -256,8 +256,8 @@ class Edge(ABC):
     ) -> Callable[[], None]:
         """Share the parameters of the nodes in the rules, until the returned function is called.
 
-        It is called after `start`, and most sides have no parameters. ``active`` returns whether this worker is the one
-        that bridges the network to the hub.
+        Called after `start`; most sides have no parameters, and do nothing. ``active`` returns whether this worker is
+        the one that bridges the network to the hub.
         """
         del rules, hub, active
         return lambda: None
@@ -265,15 +265,15 @@ class Edge(ABC):
     def announce(self, record: bytes) -> None:  # noqa: B027 - a side without other Midspan workers has nothing to do
         """Send a record to all present and future Midspan workers on this side's network; it replaces the last record.
 
-        One thread calls this about five times a second, with up to a few kilobytes. The record is also a heartbeat, so
-        every one is sent, even if it equals the last; records are not queued.
+        One thread calls this up to about five times a second, with up to a few kilobytes. Each record is also a
+        heartbeat, and is sent even if it equals the last; records are not queued.
         """
 
     def sightings(self) -> Sequence[Sighting]:
         """Return the other Midspan workers on this network, of any daemon, node or hub.
 
-        A worker that left cleanly, or whose death the side reports, disappears at once. One that may be suspended
-        stays, with an old ``received``. Dead predecessors of this daemon are omitted.
+        A worker that left cleanly, or whose death the side reports, disappears at once. A worker that may be suspended
+        stays, with an old ``received``. Dead predecessors of this worker are omitted.
         """
         return ()
 
@@ -282,7 +282,7 @@ class Edge(ABC):
         return True
 
     def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002 - most sides accept every topic
-        """Return why the side cannot have a topic of this name on the side, else ""; such a topic is not reported."""
+        """Return why the side cannot have a topic of this name, else ""; such a topic does not count as refused."""
         return ""
 
     def side_name(self, hub_name: str) -> str:

@@ -10,7 +10,8 @@ A claim is first requested, then held. Two claims conflict if they would togethe
 
 A worker holds a claim as soon as every other living worker has acknowledged a record with the claim, none of them holds
 a conflicting claim, and none requests an older conflicting one. A held claim stays held, even if an older worker
-returns. While another worker is known but has not announced its claims, no claim becomes held.
+returns. While another worker is known but has not announced its claims, the role does not become held; only a worker
+that holds the role claims networks.
 
 This module contains only the policy, without a clock, threads or a network; `bridge.routing.peer_watch` drives it.
 """
@@ -38,7 +39,7 @@ CUT = 1.0
 """Seconds after which a worker on this network that left our hub counts as a worker of another hub."""
 
 FOREIGN = "another Midspan worker on this network is incompatible"
-"""Prefix of the reason why no worker is active if one has an incompatible version."""
+"""Prefix of the reason why this worker does not become active if another one has an incompatible version."""
 
 MAX_RECORD = 1 << 18
 _MAX_NAMES = 10_000
@@ -144,7 +145,7 @@ class Outcome:
     """The state of the election for this worker.
 
     Attributes:
-        term: a number that changes when held claims were lost; the routes are then created again.
+        term: a number that changes when held claims may have been lost; the routes are then created again.
         active: whether this worker holds its hub's role on this network.
         carried: ids of the hub sessions whose messages this worker forwards to this network.
         carriers: for each other hub session, the daemon that forwards its messages to this network instead.
@@ -163,7 +164,10 @@ class Outcome:
 
     @property
     def standing_by(self) -> str:
-        """The daemons that are active on this network instead, "" if this worker forwards anything."""
+        """The daemons that forward to this network instead, "" if this worker does.
+
+        These are the holder of the role, or if this worker holds it but forwards no other network, the daemons that do.
+        """
         if not self.active:
             return self.holder
         return "" if self.carried else ", ".join(sorted(set(self.carriers.values())))
@@ -186,7 +190,7 @@ class Election:
         self.outcome = Outcome()
 
     def lapse(self, now: float, *, same_term: bool = False) -> None:
-        """Request all claims again, with their dates: this worker was suspended, and others may hold them now.
+        """Request all claims again, as old as they are: this worker was suspended, and others may hold them now.
 
         With ``same_term``, keep the term, unless another worker appears before the role is held again.
         """

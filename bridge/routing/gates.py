@@ -99,7 +99,7 @@ class EntryGate:
 
 
 class ExitGate:
-    """The gate from the hub to the side; traffic from daemons other than ``daemon`` has passed their own rules."""
+    """The gate from the hub to the side; traffic from a daemon other than ``daemon`` has passed that daemon's rules."""
 
     def __init__(self, rules: RuleSet, side: str, daemon: str, endpoints: Iterable[HubEndpoint]) -> None:
         self._rules, self._side, self._daemon = rules, side, daemon
@@ -117,7 +117,7 @@ class ExitGate:
 
 
 def _whole(policy: RoutePolicy, subject: Subject) -> RoutePolicy:
-    """Return the policy for a topic, service or part of an action; for the latter two, only the new name applies."""
+    """Return the policy for a topic, service or part of an action; the latter two have no rate, priority or QoS."""
     if subject.kind == "topic":
         return policy
     name = subject.part_name(policy.name)

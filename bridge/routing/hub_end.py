@@ -122,7 +122,7 @@ class RouteSubscription:
     def request_returned(
         self, allowed: Mapping[bytes, HubSource], publishing: Lock, remove: Callable[[Collection[bytes]], None]
     ) -> None:
-        """Request the cached messages of publishers that departed and are allowed again; they count as received.
+        """Request the cached messages of departed publishers that are allowed again, although they were received once.
 
         ``remove`` removes the messages that the route holds for such publishers, because their caches contain these
         too; it is called while the route's lock ``publishing`` is held.

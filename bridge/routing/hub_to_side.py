@@ -224,7 +224,7 @@ class HubToSideRoute(TopicRoute):
     # -- samples -------------------------------------------------------------------------------------------------------
 
     def _refused_by_hub(self, reason: str, why: str) -> None:
-        """Count a sample that is too large or lacks a valid attachment; runs on zenoh's receiving thread."""
+        """Count a sample that the hub subscription refused; called on a receiving thread."""
         self.bad(why, reason)
 
     def _admits(self, sample: HubSample) -> bool:

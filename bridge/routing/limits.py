@@ -16,8 +16,8 @@ COMMAND_NAME = re.compile(r"(^|[/_])(cmd|command)", re.IGNORECASE)
 class Priority(Enum):
     """The priority class of a route.
 
-    STATE messages are queued until delivered. Of COMMAND messages only the newest is queued; they are never latched or
-    delivered late. A full queue of STREAM messages drops the oldest.
+    STATE messages are exempt from a rule's rate. Of COMMAND messages only the newest is queued by default; they are
+    never latched or delivered late. A full queue drops the oldest messages.
     """
 
     STATE = "state"

@@ -45,7 +45,7 @@ class Lease:
 _log = logging.getLogger(__name__)
 
 FENCE = 0.7
-"""Seconds for which a worker stays active after its last record: less than `bridge.routing.election.SILENCE`."""
+"""Seconds for which a worker stays active after its last round: less than `bridge.routing.election.SILENCE`."""
 
 ALONE = 1.5
 """The same if there are no other workers on the network: a worker that joins meanwhile waits for longer than this."""

@@ -57,8 +57,8 @@ class EngineContext:
 class Route:
     """A topic or service that is bridged in one direction.
 
-    ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side. ``refused`` is the reason why the route
-    lacks an endpoint that it needs, "" if it has them all.
+    ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side. ``refused`` is the reason why the last
+    update failed, so that the route may lack an endpoint; "" if it succeeded.
     """
 
     direction = ""
@@ -154,12 +154,12 @@ class TopicRoute(Route):
         return default_priority(self.hub_topic, self.hub_type, latched=latched)
 
     def latches(self, qos: Qos) -> bool:
-        """Return whether the messages of a publisher with this QoS are state; commands never are."""
+        """Return whether the messages of a publisher with this QoS are latched; commands never are."""
         latched = self.policy.override(qos).latched
         return latched and self.priority_of(latched=latched) is not Priority.COMMAND
 
     def over_rate(self, *, latched: bool) -> bool:
-        """Return whether the rule's ``rate`` drops a message that arrives now. Never drops state: it may not repeat."""
+        """Return whether the rule's ``rate`` drops a message that arrives now; latched ones always pass."""
         if self._limit is None or latched or self._limit.passes():
             return False
         self.counters.dropped("rate")

@@ -194,9 +194,9 @@ class RuleSet:
         """Decide whether a topic, service or action from the side ``origin`` may leave the hub to ``side``.
 
         A native hub topic (origin ``zenoh``) has passed no gate yet, so rules without ``to`` apply to it in full, and
-        private topics and services are withheld here. To other topics such rules were applied when they entered the
-        hub, so that here only denial, priority and QoS apply again. ``elsewhere``: another daemon, whose rules may
-        differ, let the topic in.
+        private topics and services are withheld here. To other topics, such rules were applied when they entered the
+        hub, so that here only denial, priority, depth, timeout and QoS apply again. ``elsewhere``: another daemon,
+        whose rules may differ, let the topic in.
         """
         question = (origin, side, topic, type_name, kind, "elsewhere" if elsewhere else "")
         return self._once(question, lambda: self._leave(origin, side, topic, type_name, kind, elsewhere=elsewhere))

@@ -78,9 +78,9 @@ class _Message(NamedTuple):
 class SideToHubRoute(TopicRoute):
     """Publishes one topic and type of the side on the hub.
 
-    Each latched publisher on the side has its own hub publisher, so that its last message disappears when it leaves;
-    the others share one. Static transforms are merged, and one publisher retains them for the life of the route;
-    transforms that are not latched are published unchanged.
+    Each latched publisher on the side has its own hub publisher, so that its cached messages disappear when it leaves;
+    all other publishers share one hub publisher. Static transforms are merged, and one hub publisher retains them for
+    the life of the route; transforms that are not latched are published unchanged.
 
     ``pending`` holds messages until their publisher is known, or until the worker has the lease. The lock
     ``_releasing`` is held while they are removed and published, so that a newer latched message, which another thread
@@ -236,7 +236,7 @@ class SideToHubRoute(TopicRoute):
             self._context.wake()
         elif known is None:
             counters.dropped("held")
-        elif known.latched and (self.pending or self._releasing.locked()):  # check the two in this order
+        elif known.latched and (self.pending or self._releasing.locked()):  # in this order: a release empties pending
             with self._releasing:
                 self._release()
                 self._pass(known, source, payload, time_ns, time.monotonic())
@@ -393,8 +393,8 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
     def tap(self, topic: str, seconds: float) -> dict[str, str]:
         """Publish a topic that is not bridged, for ``seconds``, under a name on the hub that no side routes.
 
-        Return the hub topic, type, hash and zenoh key; {} if the side lacks the topic. Call it again to extend the
-        time, which is at most 60 s.
+        Return the hub topic, type, hash and zenoh key; {} if the side lacks the topic, too many topics are tapped, or
+        no route exists within 2 s. Call it again to extend the time, which is at most 60 s.
         """
         if len(self._taps) > _MAX_TAPS:
             self._taps = {t: until for t, until in self._taps.items() if until > time.monotonic()}

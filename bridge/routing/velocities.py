@@ -69,7 +69,7 @@ def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str
 
 
 def _hub_topics(edge: Edge, side_topic: str, rules: RuleSet) -> Iterator[str]:
-    """Yield the hub topics that may lead to a topic of the side: the one with its name, and those that rules rename."""
+    """Yield the hub topics that may lead to a topic of the side: by its own name, or because a rule renames them."""
     renamed = (
         rename_glob(match, rule.topic)
         for rule in rules.section.rules

@@ -42,7 +42,7 @@ class BridgedCall:
         self._abandon_far: Abandon | None = None
 
     def begin(self, request: bytes) -> None:
-        """Convert the request and call the far server; runs on a thread of the edge or of zenoh."""
+        """Convert the request and call the far server; runs on a thread of the edge, zenoh or the route's queue."""
         if self._over:
             return
         try:
@@ -195,7 +195,7 @@ class ServiceRoute(Route):
         return far.call(request, done)
 
     def carry(self, work: Callable[[], None], size: int) -> bool:
-        """Run ``work`` at once if it handles few bytes; large work is queued, because a congested link may block it."""
+        """Run ``work`` at once; queue it if it or earlier work is large, because a congested link may block it."""
         if size > BULK or self._large.busy:
             return self._large.offer(work, size)
         work()
