@@ -44,7 +44,7 @@ INHERITED = sys.platform != "win32"
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """The process that holds a lock, read from the lock's file; ``space`` is its process id namespace."""
+    """The process that holds a lock, read from the lock's file; ``space`` is where its process id is unique."""
 
     pid: int
     machine: str
@@ -55,7 +55,7 @@ class Holder:
     def is_here(self) -> bool:
         """Whether the holder is a process of this machine (a state folder may be shared over the network).
 
-        The machine may have been renamed since, or restarted.
+        The host name matches even after a restart of the machine, and ``space`` even after a change of the host name.
         """
         return self.machine == socket.gethostname() or self.space == process_space() != ""
 

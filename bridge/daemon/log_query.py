@@ -69,7 +69,7 @@ def ask_log(config: Config, after: int, seconds: float = 1.0) -> dict[str, Any] 
     """Return the newest log lines of this configuration's daemon, None if it is not running.
 
     Returns:
-        ``last``: the number of the newest line, less than ``after`` if the daemon was restarted. ``lines``: those
+        ``last``: the number of the newest line; less than ``after`` only if the daemon was restarted. ``lines``: those
         after the line ``after``, oldest first, as many as fit, each with ``n``, ``time`` (s since 1970), ``level``
         (``error``, ``warning``, ``info``, ``debug``), ``worker`` (`OWN`: the daemon itself) and ``text``.
     """

@@ -56,7 +56,7 @@ class Notifier:
             self._send(f"STATUS={line}")
 
     def feed_watchdog(self) -> None:
-        """Feed the watchdog at half of systemd's interval; called by the loop that must not hang."""
+        """Feed the watchdog at about half of systemd's interval; called often by the loop that must not hang."""
         now = time.monotonic()
         if self._interval and now - self._fed >= self._interval * 0.9:
             self._fed = now

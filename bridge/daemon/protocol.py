@@ -10,7 +10,7 @@ Reports (worker to daemon)::
     {"busy": "importing rclpy", "used": 1.2, "read": 8}  every half second while the main loop is busy with one step,
                                                          also during the start, from a separate thread: the step,
                                                          processor time in seconds, blocks read from disks
-    {"hello": {"pid": 1, "owner": "daemon"}}             the first report, if the worker has a control socket
+    {"hello": {"pid": 1, "owner": "daemon"}}             the first report on a control socket
     {"beat": 1, "state": "running", "text": "2 routes"}  every half second, from the worker's main loop; every second
                                                          while it is running and its text does not change
     {"reloaded": true}                                   the new configuration is applied
@@ -40,10 +40,10 @@ from bridge.worker import Health
 MAX_LINE = 4 << 20
 BEAT_INTERVAL = 0.5
 QUIET_INTERVAL = 1.0
-"""Interval after a heartbeat that is "running" with the same text as the previous one."""
+"""Seconds after a heartbeat that is "running" with the same text as the previous one."""
 
 EXIT_CANNOT_WORK = 78
-"""Exit code of a worker that can never work here (EX_CONFIG of sysexits.h)."""
+"""Exit code of a worker that cannot work on this machine (EX_CONFIG of sysexits.h)."""
 
 Owner = Literal["daemon", "service"]
 """Who started a worker that outlives the daemon, and therefore stops it."""

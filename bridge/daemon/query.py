@@ -76,7 +76,7 @@ class QueryServer:
             return
         sock.setblocking(False)
         while len(self._clients) >= _MAX_CLIENTS:
-            self._close(self._clients[0])  # the oldest connection without a request
+            self._close(self._clients[0])  # the oldest unfinished connection
         client = _Client(sock)
         self._clients.append(client)
         try:
@@ -150,7 +150,7 @@ class QueryServer:
 
 
 def ask_daemon(config: Config, seconds: float = 1.0) -> DaemonStatus | None:
-    """Return the state of this configuration's daemon, None if it is not running (or belongs to another user)."""
+    """Return the state of this configuration's daemon, None if it does not run, respond or belong to this user."""
     document = request(config, STATUS, seconds)
     return None if document is None else read_daemon_status(document)
 

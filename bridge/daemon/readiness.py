@@ -13,7 +13,7 @@ from bridge.resources import folder_trouble
 logger = logging.getLogger("midspan.daemon")
 
 READY_AFTER = 10.0
-"""The daemon reports ready after at most this time, because a side without its network must not fail the service."""
+"""Seconds after which the daemon reports ready in any case: a side without its network must not fail the service."""
 STATUS_INTERVAL = 1.0
 
 

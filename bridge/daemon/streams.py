@@ -124,7 +124,7 @@ class _ThreadReader(Reader):
 
     @override
     def drain(self) -> None:
-        self._thread.join(_LAST_SECONDS)  # longer only if a child of the worker keeps the pipe open
+        self._thread.join(_LAST_SECONDS)  # would take longer only if a child of the worker keeps the pipe open
         self._deliver()
 
     @override

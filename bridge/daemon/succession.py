@@ -2,9 +2,9 @@
 
 On SIGUSR2 the worker starts its own command line again. The new process first loads all of its code, then stops the
 old process, and continues as soon as the old process releases the lock. The interruption thus lasts only as long as
-opening the endpoints, without a start of Python, which matters because zenoh's sessions reconnect after 1 s, then after
-2 s and 4 s. If the new process cannot load, the old one continues. The old process reports the new main process to
-systemd (sd_notify(3)).
+opening the endpoints, without a start of Python. This matters because sessions with zenoh's defaults reconnect after
+1 s, then after 2 s and 4 s. If the new process cannot load, the old one continues. The old process reports the new main
+process to systemd (sd_notify(3)).
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ class Supervisor:
     # -- the loop ------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Run until a stop request; raises `RuntimeError` if the state folder is unusable or in use by a daemon."""
+        """Run until a stop request; raises `RuntimeError` if the state folder is unusable, or the same daemon runs."""
         socket, kept = state_file.daemon_socket(self._config), KeptLines()
         lock = self._lock_state_folder()
         verbs = {STATUS: lambda _: self.document(), LOG: kept.respond, RELOAD: lambda _: self._reload()}

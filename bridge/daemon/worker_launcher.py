@@ -99,7 +99,7 @@ class WorkerLauncher:
             return True  # the restart logs the reason
 
     def _wait_for(self, lock: Lock) -> Launch:
-        """Wait for an earlier daemon's worker to exit; kill it after the stop limit."""
+        """Wait for an earlier daemon's worker to exit; kill it after the stop limit, if it runs on this machine."""
         now, name = time.monotonic(), self._kind.name
         holder = lock.holder()
         self._blocked_since = self._blocked_since or now

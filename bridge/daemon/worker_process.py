@@ -74,7 +74,7 @@ class WorkerProcess:
 
     @property
     def ended(self) -> str:
-        """How the worker's last process exited, if the daemon did not stop it."""
+        """How the worker's process exited that crashed last, "" if none did."""
         return self._history.ended
 
     @property
@@ -210,7 +210,7 @@ class WorkerProcess:
                 logger.info("%s: connected to process %d, started by a %s", self.name, pid, owner)
 
     def _on_health(self, health: Health) -> None:
-        """Handle a heartbeat; the worker is up once its health is "running"."""
+        """Handle a heartbeat; log the first health, and the first that is "running"."""
         named = health.text.startswith(health.state)  # "waiting for ..."
         if (health.state == "running" and not self._run.running) or self.phase is Phase.STARTING:
             self._run.running = health.state == "running"
