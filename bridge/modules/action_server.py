@@ -179,7 +179,7 @@ class ActionServer:
         self._feedback.publish({"goal_id": {"uuid": list(goal_id)}, "feedback": feedback})
 
     def publish_status(self) -> None:
-        """Publish the states of all active and recently ended goals."""
+        """Publish the states of the newest goals, active or ended, at most `MAX_STATUSES`."""
         if self._starting:
             return
         self._expire()

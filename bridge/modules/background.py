@@ -21,7 +21,7 @@ Prepare = Callable[[], Callable[[], T]]
 
 
 class Background:
-    """Runs one job at a time; a job that is submitted meanwhile replaces the waiting job. For the module's thread.
+    """Runs one job at a time; a job submitted meanwhile replaces the waiting job. Use it only on the module's thread.
 
     Args:
         loop: the module's thread.

@@ -98,7 +98,7 @@ class Subscription:
         self.sent_ns = 0  # the source time of the current message, ns on its publisher's clock
 
     def on_sample(self, sample: HubSample) -> None:
-        """Queue a sample, or deliver it at once; runs on zenoh's thread."""
+        """Queue a sample, or deliver it at once; runs on a receiving thread."""
         if self._at_once:
             self._give(sample)
             return
@@ -196,7 +196,7 @@ class Endpoints:
             type_name: type of the topic.
             on_message: called with each message, on the module's thread.
             qos: QoS of the subscription.
-            at_once: call ``on_message`` on zenoh's threads, concurrently; it must then only store the message.
+            at_once: call ``on_message`` on the receiving threads, concurrently; it must then only store the message.
         """
         side = self.registry.ros2(type_name)
         qos = qos or Qos()

@@ -178,10 +178,11 @@ class Ports:
         return port
 
     def respond(self, name: str, respond: Respond) -> HostedPort:
-        """Answer Bottles of values, as the RPC ports of YARP modules do; if ``respond`` raises, answer ``[fail]``.
+        """Answer Bottles of values, as the RPC ports of YARP modules do.
 
-        That happens for ValueError, WireError and TimeoutError, and their text follows. ``[many]``, ``[ok]`` and the
-        like at the beginning of an answer are sent as vocabs: `yarp rpc` shows the texts after ``[many]`` as lines.
+        If ``respond`` raises ValueError, WireError or TimeoutError, the answer is ``[fail]`` and the error's text.
+        ``[many]``, ``[ok]`` and the like at the beginning of an answer are sent as vocabs: `yarp rpc` shows the texts
+        after ``[many]`` as lines.
         """
 
         def on_request(message: PortMessage) -> None:

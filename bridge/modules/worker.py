@@ -31,7 +31,7 @@ from bridge.worker import Health, StatusHead, Worker
 _log = logging.getLogger(__name__)
 _START_SECONDS = 30.0  # a start without progress for this time has failed: a dependency is missing
 WIND_DOWN_SECONDS = 2.0
-"""Seconds for a module to stop its robot before the module is stopped; `bridge.daemon.supervisor` allows 3.3 s."""
+"""Seconds for a module to stop its robot before the module is stopped; `bridge.daemon.supervisor` allows 2.8 s."""
 
 _SILENCE = 60.0  # seconds before the same failure is logged again
 

@@ -45,7 +45,7 @@ class StoreClient:
         return {(kind, name) for kind, name, _, _, size in self.digest() if size}
 
     def digest(self) -> list[list[Any]]:
-        """Return kind, name, version and size of every value, to compare with a later digest."""
+        """Return kind, name, time, replica and size (0 if deleted) of every key, to compare with a later digest."""
         reply = json_object(self._ask("digest", "", json.dumps({"wire": WIRE}).encode())[0].body or b"{}")
         check_wire(reply)
         entries: list[list[Any]] = reply.get("entries", [])
@@ -70,8 +70,8 @@ class StoreClient:
     def change(self, make: Callable[[], Sequence[Write[Any]]]) -> None:
         """Write what ``make`` returns, based on the store's current content; raises `StoreError`.
 
-        If one of the keys was changed meanwhile, nothing is written and ``make`` is called again, so that no change is
-        lost.
+        If one of the keys was changed meanwhile, nothing is written and ``make`` is called again, up to 8 times in all,
+        so that no change is lost.
         """
         for _ in range(_TRIES):
             known = {f"{kind}/{name}": [ns, replica] for kind, name, ns, replica, _ in self.digest()}

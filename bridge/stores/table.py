@@ -31,8 +31,8 @@ CREATE TABLE IF NOT EXISTS entries (
 class EntryTable:
     """The rows of the file; only one thread at a time may use them.
 
-    Creates a missing file. Raises `StoreError` if the file cannot be opened, is not a database, or is in use by another
-    process.
+    Creates a missing file. Raises `StoreError` if the file cannot be opened, is not a database, was written by a newer
+    Midspan, or is in use by another process.
     """
 
     def __init__(self, file: Path) -> None:

@@ -104,5 +104,5 @@ def digests(versions: Mapping[Key, tuple[ChangeStamp, int]]) -> list[str]:
 
 
 def bucket(key: Key) -> int:
-    """Return the part of the keys that a key belongs to."""
+    """Return the number of the part of the keys to which a key belongs."""
     return hashlib.blake2b("/".join(key).encode(), digest_size=1).digest()[0] % BUCKETS
