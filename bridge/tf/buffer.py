@@ -82,8 +82,8 @@ class TransformBuffer:
     ) -> list[FrameRefusal | None]:
         """Insert many transforms at once, each as (parent, child, stamp, translation, rotation).
 
-        Lookups see all of them or none. Each is handled as in `set_transform`. If one raises, the transforms before it
-        are still inserted.
+        Each is handled as in `set_transform`. Lookups see all of them or none; but if one raises, the transforms before
+        it are still inserted.
         """
         with self._lock:
             try:

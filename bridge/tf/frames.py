@@ -53,7 +53,7 @@ class Frame:
 
 
 class FrameTable:
-    """All frames, numbered from 1 in the order of their first transforms."""
+    """All frames, numbered from 1 in the order in which their names first appear in a transform."""
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
@@ -62,7 +62,7 @@ class FrameTable:
 
     @property
     def full(self) -> bool:
-        """Whether two more frames would exceed the limit."""
+        """Whether two more frames would reach the limit."""
         return len(self._frames) > MAX_FRAMES - 2
 
     def get(self, name: str) -> Frame:

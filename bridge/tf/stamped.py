@@ -45,7 +45,7 @@ def read(cdr: bytes) -> list[Stamped]:
 
 
 def write(transforms: Iterable[Stamped]) -> bytes:
-    """Return transforms as a message; raises `ValueError` for a name that is not UTF-8 or a stamp out of range."""
+    """Return transforms as a message; raises `ValueError` if a name is not valid Unicode, or a stamp out of range."""
     data = bytearray(_START + _COUNT.size)
     count = 0
     for parent, child, stamp, moved, turned in transforms:
