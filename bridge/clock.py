@@ -137,7 +137,7 @@ SYSTEM_CLOCK = SystemClock()
 
 
 class RunClock:
-    """The time of a run: the system clock, or the last time on ``/clock`` if ``simulated``. Safe from any thread.
+    """The time of a run: the system clock, or the last time on ``/clock``. Safe to use from any thread.
 
     Args:
         simulated: whether the time is that of ``/clock``, whose messages the hub or a side delivers (`receive`).

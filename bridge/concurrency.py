@@ -68,7 +68,7 @@ class SerialExecutor(_OneThread):
             self._start()
 
     def close(self) -> None:
-        """Run the submitted jobs, for two seconds at most, and end the thread. Safe to call twice."""
+        """End the thread after the submitted jobs; wait up to two seconds for it. Safe to call twice."""
         with self._lock:
             self._closed = True
             self._queue.put(None)
@@ -252,7 +252,7 @@ class BoundedQueue(_OneThread, Generic[Message]):
     """A bounded queue with a thread that processes it. If full, it drops the oldest messages.
 
     A route uses it for large messages, which a slow link of the hub may delay: on a congested link, zenoh waits up to
-    0.2 s to send a message larger than a packet, and a thread that serves all topics of a side must not wait that long.
+    2 s to send a message larger than a packet, and a thread that serves all topics of a side must not wait that long.
     ``take`` is called with each message in order, and ``dropped`` for each dropped message; ``max_bytes`` does not
     include the newest message.
     """

@@ -35,7 +35,7 @@ class WorkerDescriptor:
             reloaded if one of them changes.
         switch: ``package.module:function`` that decides whether the worker is enabled, instead of ``enabled``.
         environment: a module with ``available(config)`` and ``worker_environment(config, environ)``.
-        needs: the packages that must be importable if ``environment`` is empty; pip's ``extra`` installs them.
+        needs: the packages that must be importable if ``environment`` is empty; the pip extra ``extra`` installs them.
         outlives: whether the worker continues if the daemon dies, so that the next daemon adopts it.
         node: whether it is a node on the hub, and reports its status there.
         checks: ``package.module:name`` of the doctor's checks.

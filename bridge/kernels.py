@@ -66,7 +66,7 @@ DRIVING: tuple[str, ...] = (
     "navigation.maps.kernels",
     SHARED,
 )
-"""The kernels that RobotGoto and RobotPathPlanner import: if one is not compiled, these refuse goals as too slow."""
+"""The kernels that RobotGoto and RobotPathPlanner import: if one is not compiled, these modules refuse all goals."""
 
 FLAGS = ("/O2",) if sys.platform == "win32" else ("-O3", "-g0", "-ffp-contract=off")
 """Flags of the C compiler; without ``-march=native``, so that wheels run and compute the same on all machines."""

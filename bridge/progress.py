@@ -73,7 +73,8 @@ class Movement:
 class StepWatch:
     """Judges the steps of one thread from another thread; a step may make no progress for at most ``limit`` seconds.
 
-    ``clock`` is the clock of the judged thread, None until that calls `begin`; until then any long step counts as hung.
+    ``clock`` is the clock of the judged thread, None until that thread calls `begin`; until then, any long step counts
+    as hung.
     """
 
     def __init__(self, limit: float, clock: ThreadClock | None = None) -> None:
@@ -149,7 +150,7 @@ class Progress:
 
     @contextmanager
     def waiting_for(self, clock: ThreadClock) -> Iterator[None]:
-        """Count the processor time of another thread during the context."""
+        """Also count the processor time of another thread during the context."""
         spent, _ = self._waited
         self._waited = (spent - clock.seconds(), clock)
         try:

@@ -28,8 +28,9 @@ class Side:
         edges: ``package.module:name`` of the factory of its edge, called with the configuration, the registry of types
             and the state folder; with `networks` it returns a dictionary of edges by name.
         section: ``package.module:name`` of its section's model; "" for the sides whose section is part of `Config`.
-        environment: module with ``available(config)``, ``worker_environment(config, environ)`` and, if more than its
-            key ``enabled`` decides whether it is enabled, ``enabled(config)``; "" if it needs nothing.
+        environment: module with ``available(config)``, ``worker_environment(config, environ)`` and, if more than the
+            key ``enabled`` of its section decides whether the side is enabled, ``enabled(config)``; "" if the side
+            needs nothing.
         loading: description of the worker's step while it imports the edge, for people.
         private_topics: topics that are not bridged by default, because they have a meaning only on their side.
         private_services: the same for services, by their ROS 2 types.

@@ -47,8 +47,9 @@ _NAME_FILE = ".name"  # no daemon's name begins with a dot
 def named(config: Config, environ: Mapping[str, str] = os.environ, *others: Path) -> Config:
     """Return the configuration with the daemon's name from the state folder, if its file does not set ``name``.
 
-    The paths of stored files contain the daemon's name, so they would be lost if it changed with the machine's name.
-    ``others`` are further folders to search if the file does not set ``state`` either.
+    The paths of stored files contain the daemon's name, so the files would be lost if that changed with the machine's
+    name.
+    ``others`` are further folders to search if the configuration does not set ``state`` either.
     """
     if "name" in config.model_fields_set:
         return config

@@ -353,7 +353,7 @@ class WorkerReport(Part):
         text: the current step or state.
         still: seconds for which a starting or running worker has made no progress and computed nothing.
         beat: seconds since the last heartbeat of its process, None before the first.
-        ended: how its last process that exited by itself ended.
+        ended: how its process ended that crashed last.
     """
 
     worker: Text = ""
@@ -372,7 +372,7 @@ class DaemonStatus(Part):
 
     Attributes:
         uptime: time since the start, in seconds.
-        config: path of the configuration file, None if there is none.
+        config: path of the configuration file, None if the daemon was started without one and searches for it.
         refused: why the last reload was refused, or "".
         status: the state of all workers in one line.
         error: which values could not be read.

@@ -16,7 +16,7 @@ from bridge.config.model import Config
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """The state of a worker: ``waiting`` if its network is missing, ``standby`` if another daemon is active there."""
+    """The state of a worker: ``waiting`` if it lacks its network or the like, ``standby`` if another one is active."""
 
     state: Literal["running", "waiting", "standby"]
     text: str
@@ -72,7 +72,7 @@ class Worker(ABC):
         """Start without waiting for the network.
 
         Raises:
-            RuntimeError: the worker can never work here; the text is a plain reason.
+            RuntimeError: the worker cannot work on this machine; the text is a plain reason.
             HubError: the worker cannot join the hub now; its process exits and is restarted.
         """
 
