@@ -3,8 +3,9 @@
 All kinds except maps are JSON, in meters; ``theta_deg`` is in degrees, and the angles of an object are as its YARP
 client gave them. A map is a line of JSON, then the occupancy and the flags, each a zlib stream. The line is
 ``{"midspan": "map", "version": 1, "name", "width", "height", "resolution", "origin": [x, y, theta_deg],
-"occupancy": <bytes>, "flags": <bytes>}`` and a newline. Each cell is a byte, row by row from the top: occupancy 0 to 100 or
-255 for unknown, flags 0 to 5 with YARP's values. A three-dimensional map is a file: OctoMap's ``.bt`` or ``.ot``, or a binary ``.pcd``.
+"occupancy": <bytes>, "flags": <bytes>}`` and a newline. Each cell is a byte, row by row from the top: occupancy 0 to
+100 or 255 for unknown, flags 0 to 5 with YARP's values. A three-dimensional map is a file: OctoMap's ``.bt`` or
+``.ot``, or a binary ``.pcd``.
 """
 
 from __future__ import annotations
