@@ -33,7 +33,7 @@ RECORDED = {"recorded": True}
 """A recorder's answer to ``halt``: it moves nothing, and saves what led to the halt."""
 
 WHO = {"who": True}
-"""Parameters with which any verb is answered only with the daemon's identity."""
+"""Parameters to which a worker responds, for any verb, with only the identity of its daemon."""
 
 _MAX_PENDING = 64
 _MAX_QUESTION = 1 << 20

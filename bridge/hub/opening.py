@@ -43,7 +43,7 @@ _BOOKS = 2 << 20
 
 _LOCK_ON_FAULT = 1  # MLOCK_ONFAULT of Linux 4.4
 _CHECK_SECONDS = 10.0
-"""Seconds between two checks of the pool; two must agree, because zenoh may be creating it during one."""
+"""Seconds between two checks of the pool; two must agree, because zenoh may be creating the pool during one check."""
 
 _lock = threading.Lock()
 _books = _noted = False

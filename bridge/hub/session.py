@@ -121,12 +121,12 @@ class HubSession:
     """A zenoh session on the hub, with its graph and its links, for one or several nodes of a process (`Hub.on`).
 
     Opening does not wait for the router: the session joins as soon as the router answers, also after a lost connection.
-    Only zenoh's client mode requires that the router runs at the start.
+    Only in zenoh's client mode must the router be running at the start.
 
     Attributes:
         zenoh: the zenoh session.
         zid: id of the zenoh session.
-        settings: how it joined.
+        settings: the settings with which it joined the hub.
         shared: whether it may have several nodes; otherwise it closes with its only node.
         reach: which sessions its nodes' endpoints reach: only others, or also this one.
         graph: all participants as this session sees them.
@@ -400,7 +400,7 @@ class Hub:
     def ask(
         self, verb: str, params: dict[str, Any], daemon: str = "*", worker: str = "*", timeout: float = 2.0
     ) -> list[WorkerAnswer]:
-        """Query a verb of all workers, of the workers of one daemon, or of one worker."""
+        """Query a verb of all workers, of one daemon's workers or of one worker; wait up to ``timeout`` seconds."""
         self._check_open()
         return self._joined.ask(verb, params, daemon, worker, timeout)
 

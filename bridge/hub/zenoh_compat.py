@@ -59,7 +59,7 @@ def answer(
     complete: bool = False,
     origin: zenoh.Locality = zenoh.Locality.REMOTE,
 ) -> zenoh.Queryable[None]:
-    """Call ``callback`` for each query on a key, by default from other sessions; ``complete``: for all its keys."""
+    """Call ``callback`` for each query on a key, by default from other sessions, optionally as a complete queryable."""
     handler = zenoh.handlers.Callback(callback, indirect=False)
     return session.declare_queryable(key, handler, complete=complete, allowed_origin=origin)
 

@@ -29,7 +29,7 @@ _FAR_MS, _NEAR_MS = 200, 2000
 """Maximum time for which a message of many packets waits for room in a link's queue before zenoh drops it.
 
 With zenoh's default of 50 ms, a message of 10 MB is lost on a busy machine. The first message for a hanging peer delays
-the following messages by this time. Routers (`_FAR_MS`) have links to other machines, which stall. A worker's links
+the following messages by this time. Routers (`_FAR_MS`) have links to other machines, which may stall. A worker's links
 (`_NEAR_MS`) stay on its machine, where only messages that do not fit into the shared memory have many packets: 50 MB
 take 0.2 s, or more than a second on a busy machine.
 """

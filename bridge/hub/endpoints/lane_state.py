@@ -49,7 +49,7 @@ class LeavingStep(Enum):
 
 @dataclass(slots=True)
 class Leaving:
-    """How far the leaving of a lane is, and when the step began (monotonic seconds)."""
+    """The current step of leaving a lane, and when it began (monotonic seconds)."""
 
     step: LeavingStep = LeavingStep.DECLARED
     since: float = 0.0

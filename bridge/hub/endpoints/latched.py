@@ -262,7 +262,7 @@ class LatchedHistory:
 
 
 def is_newer(number: int, seen: int | None) -> bool:
-    """Return whether one source number is later than another, if there is another; the numbers wrap."""
+    """Return whether a source number is later than the last one seen, or nothing was seen; the numbers wrap."""
     return seen is None or 0 < (number - seen) % SOURCE_NUMBERS < SOURCE_NUMBERS // 2
 
 

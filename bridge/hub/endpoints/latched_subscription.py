@@ -34,8 +34,8 @@ class LatchedHubSubscription(HubSubscription):
     """Receives one latched topic.
 
     With a depth above 1, live samples of a session are held while it is queried for its cached samples, so that the
-    history is delivered first. A first live sample that is not its publisher's first also triggers a query, and in a
-    reliable subscription, so does each gap.
+    history is delivered first. With such a depth, a query is also triggered by the first live sample of a publisher, if
+    it is not that publisher's first sample, and in a reliable subscription by each gap.
 
     ``_lock`` also guards the counts of unfinished queries. It is held during the callback, to preserve the order.
     """

@@ -133,7 +133,7 @@ class _Matching:
         return False
 
     def now(self) -> bool:
-        """Return whether a put would reach a subscriber, or did a moment ago; not safe for two threads at once."""
+        """Return whether a put would reach a subscriber now or a moment ago; not safe for two threads at once."""
         if self._listener is None:
             self._listener = self._publisher.declare_matching_listener(
                 zenoh.handlers.Callback(self._changed, indirect=False)
@@ -345,7 +345,7 @@ class HubPublisher:
         self._more: dict[str, _Sink] = {}  # by type hash
         self._sinks: tuple[_Sink, ...] = (self._base,)
         """The sinks of all keys; empty once the publisher is closed."""
-        # register with both before the token announces the publisher
+        # register with the variants and the lane before the token announces the publisher
         self._variants = context.variants
         self._variants.add(self, token)
         if self._writer is not None:

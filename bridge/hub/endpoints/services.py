@@ -5,7 +5,7 @@ and hash), with a CDR request and an attachment whose number and GID the reply r
 rmw_service_data.cpp and rmw_client_data.cpp). Midspan adds two extensions, which rmw_zenoh's programs ignore:
 
 - A failed call gets a zenoh error reply with the reason as text. An rmw_zenoh client logs the error and continues to
-  wait, because it cannot report it to its program.
+  wait, because it cannot report the error to its program.
 - zenoh does not notify a server when a client leaves. So Midspan's clients publish the call's attachment on
   ``<key>/@abandon``; other clients are known to have left when their liveliness tokens disappear.
 

@@ -51,10 +51,10 @@ class TypeVersions(Protocol):
         """Return the hashes of all known versions of a type."""
 
     def here(self, type_name: str, type_hash: str) -> str:
-        """Return the hash that this machine uses for a type announced with a hash, which is returned if unknown."""
+        """Return the installed version's hash if ``type_hash`` is that of a convertible version; else ``type_hash``."""
 
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
-        """Return the converter between two versions of a type, or of part of a service; None if one is unknown."""
+        """Return the converter between two versions of a type, or of a service's part; None if a version is unknown."""
 
     def losses(
         self, type_name: str, source: str, target: str, part: str = ""

@@ -71,7 +71,7 @@ class BestAvailable:
 def resolve(type_name: str, announced: Mapping[str, tuple[EndpointKind, Qos]]) -> dict[str, Qos]:
     """Return the QoS of each endpoint of one topic and type, by the same keys, with all open policies resolved.
 
-    Publishers are resolved first, because those of subscriptions depend on the result.
+    Publishers are resolved first, because the policies of subscriptions depend on those of publishers.
     """
     requested = [qos for kind, qos in announced.values() if kind is EndpointKind.SUBSCRIPTION]
     finite = (qos.deadline_ns for qos in requested if qos.deadline_ns != BEST_AVAILABLE_NS)
