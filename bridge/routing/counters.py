@@ -72,7 +72,7 @@ class Counters:
         self._carried[bisect_left(CARRY_BOUNDS, took)] += 1
 
     def latency(self, nanoseconds: int) -> None:
-        """Add the time from a message's source timestamp until now."""
+        """Add a latency: the time since a message's source timestamp, or the duration of a call."""
         self._latencies.append(nanoseconds)
         self._buckets[bisect_left(LATENCY_BOUNDS, nanoseconds)] += 1
         if nanoseconds > 0:  # the clocks of two machines differ

@@ -176,7 +176,7 @@ class Edge(ABC):
     """Whether services and actions are bridged; otherwise they are not reported."""
 
     outlives_network: ClassVar[bool] = False
-    """Whether endpoints keep their ids if the network's identity changes, like connections that need no master."""
+    """Whether endpoints keep their ids if the network's identity changes, as in ROS 1 when only the master restarts."""
 
     awaited: ClassVar[str] = "its network"
     """What the edge waits for while the network is unavailable; shown to people."""
@@ -286,11 +286,11 @@ class Edge(ABC):
         return ""
 
     def side_name(self, hub_name: str) -> str:
-        """Return the name on the side of a hub topic."""
+        """Return the side's name for a hub topic."""
         return hub_name
 
     def hub_name(self, side_name: str) -> str:
-        """Return the name on the hub of a topic of the side; it is valid there."""
+        """Return the hub's name for a topic of the side; the name is valid on the hub."""
         return side_name
 
     def has_subscribers(self, topic: str) -> bool:
@@ -314,7 +314,7 @@ class Edge(ABC):
     def programs(self) -> Mapping[str, str]:
         """Return descriptions of the middleware and release of native endpoints' programs, by the endpoints' ids.
 
-        The result is empty if all programs on the side use the same.
+        The result is empty if all programs on the side use the same middleware and release.
         """
         return {}
 

@@ -190,7 +190,7 @@ class Election:
         self.outcome = Outcome()
 
     def lapse(self, now: float, *, same_term: bool = False) -> None:
-        """Request all claims again, as old as they are: this worker was suspended, and others may hold them now.
+        """Request all claims again, with unchanged ``since``: this worker was suspended, and others may hold them now.
 
         With ``same_term``, keep the term, unless another worker appears before the role is held again.
         """

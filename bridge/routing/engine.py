@@ -83,7 +83,7 @@ class NetworkTokens:
         self._hub.set_origin(Origin(self._side, network, self._daemon) if network is not None else None)
 
     def announce_members(self, members: frozenset[str]) -> None:
-        """Announce the members; call it before the engine has any endpoint, and with none only after all are closed."""
+        """Announce the members before the engine opens endpoints, and none only after all endpoints are closed."""
         for member in members - self._members.keys():
             self._members[member] = self._hub.graph.announce_member(member)
         for member in self._members.keys() - members:
@@ -160,7 +160,7 @@ class Engine:
         self.edge.stop()
 
     def reload(self, routing: RoutingSection) -> None:
-        """Apply new rules; only routes whose policy changed are updated."""
+        """Apply new rules; only routes whose policy changed are closed and opened again."""
         self._routes.rules = RuleSet(routing)
         self._loop.wake()
 

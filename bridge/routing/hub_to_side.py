@@ -86,8 +86,8 @@ class HubToSideRoute(TopicRoute):
     allow (on this same network, or not yet known) are not published. A fast stream without a subscriber on the side is
     not subscribed to on the hub.
 
-    The engine's loop calls `update` and replaces the sources; samples arrive on zenoh's receiving threads. Both publish
-    only while they hold ``queue.publishing``; the backlogs have their own locks.
+    The engine's loop calls `update` and replaces the sources; samples arrive on the receiving threads of zenoh and the
+    lane. All these threads publish only while they hold ``queue.publishing``; the backlogs have their own locks.
 
     Attributes:
         origin: origin of the topic's first publisher, None for a native program on the hub.
@@ -292,7 +292,7 @@ class HubToSideRoute(TopicRoute):
             self.bad(str(err))
             return
         self.counters.crossed(len(data))
-        # A message cached for late joiners counts no latency. Compare monotonic times: the system clock may be set.
+        # A message cached for late joiners has no latency to count. Compare monotonic times: the clock may be set.
         latency = time.time_ns() - sample.source_time_ns
         if time.monotonic() - latency / 1e9 >= self._subscription.since:
             self.counters.latency(latency)

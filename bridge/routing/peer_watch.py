@@ -20,7 +20,7 @@ from bridge.routing.processes import has_ended, process_name
 class Lease:
     """The time ``until`` which messages may be bridged (monotonic seconds).
 
-    The lease of a worker that hangs expires, so that it drops its backlog afterwards.
+    The lease of a worker that hangs expires, so that the worker drops its backlog afterwards.
     """
 
     __slots__ = ("until",)
@@ -30,7 +30,7 @@ class Lease:
 
     @property
     def over(self) -> bool:
-        """Whether it has expired. A route that already knows the time compares it with ``until`` instead."""
+        """Whether the lease has expired. A route that already has the current time compares that with ``until``."""
         return time.monotonic() > self.until
 
     def extend(self, until: float) -> None:
@@ -72,7 +72,7 @@ _HUB_ALONE = 3.0
 
 
 class HubViews:
-    """The hub as this worker's session sees it: which networks its workers bridge, and when all of them are known."""
+    """The hub as this worker's session sees it: its networks, and whether all of its sessions are known yet."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -201,8 +201,8 @@ class PeerWatch:
     def _with_routes_before_hang(self, decided: Outcome) -> Outcome:
         """Return the outcome for the engine: a lone worker keeps its routes after a hang until it sees another worker.
 
-        The expired lease blocks the routes meanwhile. They are kept because programs that users connected to their
-        endpoints, as in YARP, would not connect to new endpoints.
+        The expired lease blocks the routes meanwhile. The routes are kept because programs that users connected to
+        their endpoints, as in YARP, would not connect to new endpoints.
         """
         if decided.active or len(decided.members) > 1:
             self._outcome_before_hang = None

@@ -243,7 +243,7 @@ class RuleSet:
         return None
 
     def _shares(self, origin: str, name: str, type_name: str, kind: Kind) -> bool:
-        """Return whether this is a parameter service, on the side of its owner, of a node that a rule names."""
+        """Return whether this is a parameter service, on its owner's side, of a node in ``routing.parameters``."""
         if kind != "service" or type_name not in _PARAMETERS:
             return False
         return self._owners.get(name.rpartition("/")[0]) == ("ros1" if origin == "ros1" else "ros2")

@@ -75,7 +75,7 @@ class StallDetector:
             self._resumed(since)
 
     def stood_still(self, timeout: float) -> bool:
-        """Return whether a message that arrives now may have waited here for over ``timeout`` s, or at least 0.3 s."""
+        """Return whether a message that arrives now may have waited here for over ``timeout`` s (at least 0.3 s)."""
         now = self._asked = _now()
         if self.pause != _BEAT:
             self.pause = _BEAT
