@@ -13,8 +13,8 @@ from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 SHARE = 0.01
-"""Share of a core. A step that has used less than this since its last progress makes none: a wait that polls every
-10 ms uses 0.3 %, and a computation gets more even if it shares its core with fifty others."""
+"""Share of a core. A step that has used less than this since its last progress makes no progress: a wait that polls
+every 10 ms uses 0.3 %, and a computation gets more even if it shares its core with fifty others."""
 
 ENDLESS = 10.0
 """Multiple of the limit without progress. A step that uses more processor time is in an endless loop: even plans over

@@ -85,7 +85,7 @@ programs loop over all possible descriptors."""
 
 
 def raise_open_files() -> int:
-    """Raise the soft limit of open files to the hard limit, at most to `WANTED_FILES`; return the limit, or 0."""
+    """Raise the soft limit of open files to the hard limit, at most `WANTED_FILES`; return the limit, 0 if unknown."""
     if sys.platform == "win32":
         return 0
     import resource

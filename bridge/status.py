@@ -56,7 +56,7 @@ class Part(BaseModel):
         return {name: _plain(value) for name, value in self if name in self.model_fields_set}
 
     def other(self, kind: type[AnyPart]) -> AnyPart:
-        """Return the keys that have no field in this type as another type, without values of the wrong type."""
+        """Parse the keys that have no field in this type as another type; omit values of the wrong type."""
         return _read(kind, self.model_extra or {})[0]
 
 
@@ -77,7 +77,7 @@ class RouteStatus(Part):
         action: the action to which it belongs, "" if none.
         rate: messages or calls per second.
         age: seconds since the last message.
-        latency_ms: quantiles (``p50``, ``p99``) of the last messages.
+        latency_ms: quantiles (``p50``, ``p99``) of the latencies of the last messages, in ms.
         carry: time that messages spend in the bridge, only in the direction to the hub.
         way: transport on the hub (``lane``, ``zenoh``, ``both``), and ``why`` zenoh is used; None for services.
             ``ways``: number of messages by transport.
@@ -192,7 +192,7 @@ class CycloneNodes(Part):
         nodes: those on Cyclone DDS.
         both: the services and actions that both they and nodes on another DDS serve.
         foreign: of a worker on Cyclone DDS: the nodes on another DDS that serve anything.
-        uncallable: their services and actions, which this worker cannot call; not those that every node has.
+        uncallable: the services and actions of ``foreign``, which this worker cannot call, except those of every node.
     """
 
     nodes: list[Text] = []

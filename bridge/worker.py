@@ -16,7 +16,7 @@ from bridge.config.model import Config
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """The state of a worker: ``waiting`` if it lacks its network or the like, ``standby`` if another one is active."""
+    """The state of a worker: ``waiting`` for its network, for example, or ``standby`` if another daemon is active."""
 
     state: Literal["running", "waiting", "standby"]
     text: str

@@ -1,8 +1,8 @@
 """Locks in the state folder: one daemon for each name, one process for each of its workers.
 
-An flock(2) lasts as long as any process has its file open: it also ends if the process is killed, and a child inherits
-it.
-Windows' locks end with their process too, but no child inherits them: there a worker locks its file itself.
+An flock(2) lasts as long as any process has its file open, so it also ends if the process is killed, and a child
+inherits it. Windows' locks end with their process too, but no child inherits them: there a worker locks its file
+itself.
 """
 
 from __future__ import annotations

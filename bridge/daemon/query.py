@@ -1,6 +1,6 @@
 """Requests to the daemon, on a socket in its state folder: its state, its log, a reload.
 
-A running worker responds on the hub; about a worker that cannot start, only the daemon can. A request is one line of
+A running worker responds on the hub; only the daemon can report on a worker that cannot start. A request is one line of
 JSON, ``{"verb": "status"}``; the response is one JSON document, after which the daemon closes the connection.
 """
 

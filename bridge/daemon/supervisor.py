@@ -196,7 +196,7 @@ class Supervisor:
         """Return the workers that must finish starting before another process may start, "" if it may start now.
 
         Starting all workers at once only slows each of them; this is also true of restarts. They start in the order of
-        `workers`: the router, the sides, then the modules and the simulator.
+        `workers`: those that outlive the daemon, such as the router, the sides, then the others, such as the modules.
         """
         starting = [worker.name for worker in self.workers if worker.comes_up]
         return " and ".join(starting) if len(starting) >= self._cores else ""

@@ -141,7 +141,7 @@ class Ports:
 
     Args:
         config: the configuration; its section ``yarp`` names the name server.
-        findings: what is known about the clients' releases, which all modules of the process share.
+        findings: the findings on the clients' releases, shared by all modules of the process.
 
     Attributes:
         naming: the name-server client.

@@ -289,7 +289,7 @@ class ModulesWorker(Worker):
             self._shared.close()
 
     def _store_health(self) -> Health | None:
-        """Return the health of a store that is always enabled; otherwise the modules that need it report failures."""
+        """Return the health of the store if ``store.enabled`` is true, else None: its users then report failures."""
         if self._shared is None or self._config is None or self._config.store.enabled is not True or self._only:
             return None
         trouble = self._shared.stores.trouble()

@@ -117,7 +117,7 @@ class Intake:
     def _begin(
         self, parent: str, child: str, stamp: int, pose: tuple[float, ...], static: bool
     ) -> tuple[Frame, int] | FrameRefusal:
-        """Return child and parent of a transform whose frames may be new, or whose names had leading slashes."""
+        """Return child and parent of a transform with new frames or leading slashes, or why it is refused."""
         if flaw := self._names_flaw(parent, child, pose):
             return flaw
         frame = self._known.get(child)
