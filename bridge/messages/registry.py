@@ -44,7 +44,7 @@ class Registry:
 
     The configuration's ``.msg`` folders serve both ROS 1 and ROS 2. ``prefixes`` hold the ROS 2 packages that were
     built here (``share/<package>/msg/*.msg``), and ``ros1_packages`` holds ROS 1's Python packages (None: the usual
-    folders). Every method raises `MessageTypeError` if a type is unknown, has a different md5 or hash here, or has no
+    folders). The methods raise `MessageTypeError` if a type is unknown, has a different md5 or hash here, or has no
     counterpart.
 
     Attributes:
@@ -162,7 +162,8 @@ class Registry:
     def hub_check(self, type_name: str, type_hash: str = "") -> Callable[[bytes], bytes]:
         """Return a function that checks CDR bytes against their type: lengths, bounds and truncation.
 
-        The function raises `ConversionError`, or returns the message without the slack that rclpy's serializer appends.
+        The function raises `ConversionError`, or returns the message in its normal form, for example without the slack
+        that rclpy's serializer appends.
         """
         with self._lock:
             return self._check(self._find_ros2(type_name, type_hash))

@@ -85,7 +85,7 @@ class DefinitionLibrary:
         return self.installed(name) or last or self._from_nested(name)
 
     def fingerprints(self, name: str) -> list[str]:
-        """Return the fingerprints of all known definitions of ``name``."""
+        """Return the fingerprints of the learned definitions of ``name``, and of the installed one."""
         hashes = list(self._learned.get(name, {}))
         schema = self.installed(name)
         if schema is not None and (own_hash := self.fingerprint(schema)) not in hashes:

@@ -24,7 +24,7 @@ from bridge.messages.errors import MessageTypeError
 CONTENTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
 """The parts that a file of either kind defines, in order."""
 
-ACTION_SERVICES = ("SendGoal", "GetResult")  # an action's services that have types
+ACTION_SERVICES = ("SendGoal", "GetResult")  # the services whose types each action defines
 STATUS_TEXT = "actionlib_status_text"
 """A field before the result in the ROS 1 adapter's GetResult: the text of actionlib's GoalStatus."""
 

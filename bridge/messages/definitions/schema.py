@@ -54,7 +54,7 @@ class FieldType:
     base: str  #: a primitive, ``string``, ``wstring``, ROS 1's ``time`` or ``duration``, or the name of a message type
     shape: Shape = Shape.SINGLE  #: one value, a fixed array, or a sequence
     length: int = 0  #: number of elements of a fixed array; maximum of a sequence, 0 if unbounded
-    string_bound: int = 0  #: maximum number of bytes of a string, 0 if unbounded
+    string_bound: int = 0  #: maximum number of a string's bytes or a wstring's UTF-16 units, 0 if unbounded
 
     @property
     def nested(self) -> bool:

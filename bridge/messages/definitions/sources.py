@@ -56,8 +56,9 @@ class DefinitionSource(Protocol):
 class DefinitionFolder:
     """A folder of ``.msg``, ``.srv`` and ``.action`` (or ``.idl``) files.
 
-    Files are laid out as ``<package>/msg/<Name>.msg`` or ``<package>/<Name>.msg``, or ``root`` is itself a package's
-    folder or its ``msg``. A package is found by the name in its ``package.xml`` and by the name of its folder.
+    Files are laid out as ``<package>/msg/<Name>.msg`` (``srv`` and ``action`` likewise) or ``<package>/<Name>.msg``, or
+    ``root`` is itself a package's folder or its ``msg``, ``srv`` or ``action``. A package is found by the name in its
+    ``package.xml`` and by the name of its folder.
     """
 
     def __init__(self, root: Path, world: World) -> None:
@@ -251,7 +252,7 @@ class ShippedTypes:
 
 
 def find_first(sources: Iterable[DefinitionSource], name: str, world: World) -> Found | None:
-    """Return the first source's definitions; None if no source has ``name`` or the name is invalid."""
+    """Return the definitions from the first source that has ``name``; None if none has it, or the name is invalid."""
     # requests and responses of ROS 1 services have names in the form of ROS 2 (pkg/srv/Name_Request)
     if not is_ros2_name(name) and (world is World.ROS2 or not is_ros1_name(name)):
         return None
@@ -343,7 +344,7 @@ _BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # rosbags.interfaces.Nodetype
 
 
 def find_in_store(name: str, world: World) -> Definition | None:
-    """Return the definition of a standard type of Noetic or Jazzy; None if rosbags lacks it."""
+    """Return the definition of a standard type; None if rosbags lacks it, and for ROS 1's primitive ``time`` types."""
     store = _store(world)
     key = name if world is World.ROS2 else name.replace("/", "/msg/", 1)
     if world is World.ROS1 and key in _TIMES:

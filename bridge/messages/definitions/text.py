@@ -44,7 +44,7 @@ _BUILTIN_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duratio
 
 
 def parse_definition(text: str, name: str, world: World) -> Definition:
-    """Read one type's own definition; raises `MessageTypeError`, which names the type and the line that is wrong.
+    """Read one type's own definition; raises `MessageTypeError`, which names the type and, if one is wrong, the line.
 
     The result has an empty ``text`` if the definition is in the syntax of the other world.
     """
@@ -114,7 +114,7 @@ def spell(type_name: str, owner: str, world: World) -> str:
 def closure(root: Definition, types: dict[str, Definition]) -> Schema:
     """Return ``root`` with all types that it nests, taken from ``types``.
 
-    Raises `MessageTypeError` if ``types`` lacks a definition, or the types are nested too deeply.
+    Raises `MessageTypeError` if ``types`` lacks a definition, a type contains itself, or the nesting is too deep.
     """
     done: dict[str, Definition] = {}
 

@@ -92,7 +92,7 @@ def _status_text(ros1: Definition, ros2: Definition, fields: Fields) -> Fields:
 
 
 def has_equal_fields(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
-    """Whether two types and their nested types match with a counterpart for every field."""
+    """Whether two types and their nested types match, with a counterpart for every field of types without a rule."""
     try:
         pairs = pair_types(ros1, ros2, rules)
     except MessageTypeError:

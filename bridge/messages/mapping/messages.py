@@ -215,7 +215,10 @@ class MessageMapping:
         return derive_ros2(ros1, self.to_ros2)
 
     def to_ros1(self, ros2: Schema) -> Schema:
-        """Return the ROS 1 type for a ROS 2 type: announced by publishers, else installed, else derived."""
+        """Return the ROS 1 type for a ROS 2 type: one whose counterpart is this type, else the likeliest, else derived.
+
+        Announced types come before installed ones.
+        """
         key = (ros2.name, self.ros2.fingerprint(ros2))
         if key not in self._counterparts:
             self._counterparts[key] = self._match_ros1(ros2, key[1])
@@ -231,7 +234,7 @@ class MessageMapping:
         return first or derive_ros1(ros2, self.to_ros1)
 
     def derivable(self, package: str) -> Iterator[Schema]:
-        """Yield the ROS 2 types of a package that are derived from ROS 1 types."""
+        """Yield the ROS 2 types of a package that are counterparts of the package's ROS 1 types."""
         for name in self.ros1.names(package):
             ros1 = self.ros1.find(name, newest=True)
             if ros1 is None:

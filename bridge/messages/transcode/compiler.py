@@ -1,7 +1,7 @@
 """Compiles the program that converts between a pair of types, or that checks one type.
 
-The program writes fields in the target's order. It reads them sequentially if the source has the same order; if a
-mapping rule reorders them, it first scans the whole source structure for their positions.
+The program writes fields in the target's order. It reads them sequentially if the source has the same order; if not,
+it first scans the whole source structure for their positions.
 """
 
 from __future__ import annotations

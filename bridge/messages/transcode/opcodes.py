@@ -26,13 +26,14 @@ class Op(IntEnum):
     BOOLS = 4  #: a count of at most ``bound`` and as many bytes, each normalized to 0 or 1
     STRINGS = 5  #: a count of at most ``bound`` and as many strings of at most ``size`` bytes
     LOOP = 6
-    """A count of at most ``bound``, then the body; elements take at least ``size`` bytes; ``link`` is past the end."""
+    """A count of at most ``bound``, then the body for each element, which has at least ``size`` bytes; ``link`` is the
+    instruction after the loop."""
 
     SKIP = 7  #: ``size`` bytes
     SKIP_STRING = 8
     SKIP_SEQUENCE = 9  #: a count and as many elements of ``size`` bytes
-    SKIP_LOOP = 10  #: like LOOP
-    REPEAT = 11  #: the body ``bound`` times; elements take at least ``size`` bytes (-1: they read nothing)
+    SKIP_LOOP = 10  #: like LOOP, but the count is not written
+    REPEAT = 11  #: like LOOP with ``bound`` elements and no count; ``size`` is -1 if they read nothing
     NEXT = 12  #: end of a body that begins at ``link``
     MARK = 13  #: store the read position in slot ``link``
     SEEK = 14  #: continue reading at the position in slot ``link``
@@ -63,8 +64,8 @@ MAX_INSTRUCTIONS = 20_000
 MAX_MESSAGE = 1 << 30  # maximum size of a converted message, in bytes
 EMPTY_ELEMENTS = 65_536  # a message may have at most this number of zero-size elements, plus its length in bytes
 DIRTY = 1 << 62
-"""Set in a measured size if a valid message is not in its normal form: it has bools other than 0 and 1, or strings
-without their NUL."""
+"""Set in a measured size if a valid message is not in its normal form: it has bools other than 0 and 1, or empty
+strings without their NUL."""
 
 
 MAX_STEP = 1 << 30  # maximum bytes that an instruction moves for one element; times any count, this fits in 64 bits
@@ -75,8 +76,8 @@ _LOOPS = (Op.LOOP, Op.SKIP_LOOP, Op.REPEAT)
 def verify(words: bytes, literals: bytes) -> None:
     """Refuse a program (flags, `WORDS` words for each instruction; its literals) that could access other memory.
 
-    The virtual machine checks each access to a message's bytes. This function checks all else that it indexes: the
-    instructions, the loop counters, the stored read positions and the literals. Raises `ValueError`.
+    The virtual machine checks each access to a message's bytes. This function checks all else that the machine indexes:
+    the instructions, the loop counters, the stored read positions and the literals. Raises `ValueError`.
     """
     flags, *rest = memoryview(words).cast("q")
     steps = [rest[at : at + WORDS] for at in range(0, len(rest), WORDS)]

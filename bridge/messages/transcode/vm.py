@@ -191,7 +191,7 @@ def _flags(
 def _read_count(
     source: cython.p_const_uchar, i: cython.longlong, size: cython.longlong, bound: cython.longlong
 ) -> cython.longlong:
-    """Return the number of elements that follow; a negative result is a fault, at ``i`` or an earlier end."""
+    """Return the number of elements that follow; a negative result is a fault, at ``i`` or at the message's end."""
     if i + 4 > size:
         return -_TRUNCATED
     count: cython.longlong = _load32(source, i)

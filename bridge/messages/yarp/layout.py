@@ -120,7 +120,7 @@ class _String:
 
 
 class _Strings:
-    """An array of strings; ``length`` is 0 if it is variable."""
+    """An array or sequence of strings; ``length`` is 0 for a sequence."""
 
     def __init__(self, length: int) -> None:
         self._length = length
@@ -161,7 +161,7 @@ class _Numbers:
 
 
 class _MessageArray:
-    """An array of messages; ``length`` is 0 if it is variable."""
+    """An array or sequence of messages; ``length`` is 0 for a sequence."""
 
     def __init__(self, length: int, steps: list[_Step]) -> None:
         self._length, self._steps = length, steps
@@ -223,7 +223,7 @@ def _ros1_count(data: bytes, at: int, length: int) -> tuple[int, int]:
 
 
 def _bottle_count(data: bytes, at: int, tag: int, length: int, least: int, out: list[bytes]) -> tuple[int, int]:
-    """Read a list's count, and append it if ``length`` is 0 (variable); each element has at least ``least`` bytes."""
+    """Read a list's count, and append it if ``length`` is 0 (a sequence); an element has at least ``least`` bytes."""
     if at + 8 > len(data):
         raise MismatchError
     actual, count = _TWO.unpack_from(data, at)
@@ -295,7 +295,7 @@ class Layout:
         self._steps = maker.finish()
 
     def to_bottle(self, ros1: bytes) -> bytes:
-        """Return the Bottle for a ROS 1 message, which has been checked."""
+        """Return the Bottle for a ROS 1 message, which has been checked; raises `ConversionError` for extra bytes."""
         out: list[bytes] = []
         at = 0
         for step in self._steps:

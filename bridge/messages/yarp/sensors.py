@@ -1,8 +1,9 @@
 """Converts laser scans, point clouds, octomaps and images to and from YARP's own types.
 
 A scan is a ``yarp::dev::LaserScan2D``: ``(angle_min angle_max range_min range_max (ranges) status)``, with angles in
-degrees, and infinity for no echo. The limits are passed on unchanged. YARP does not send the angle between two rays;
-its readers compute the angle as the span divided by the number of rays (``laserFromExternalPort.cpp``).
+degrees, and infinity for no echo. Apart from the unit of the angles, the limits are passed on unchanged. YARP does not
+send the angle between two rays; its readers compute it as the span divided by the number of rays
+(``laserFromExternalPort.cpp``).
 
 ``yarp::sig::PointCloud`` has points of a few fixed kinds with PCL's layout. A cloud with the layout of such a kind is
 passed on unchanged; from other clouds the fields of the best kind are copied. The rows of ``yarp::sig::Image`` are
