@@ -157,7 +157,7 @@ Progress = Callable[[str], None]
 def build(
     packages: Mapping[str, Mapping[str, str]], cache: Path | None = None, progress: Progress | None = None
 ) -> Path:
-    """Build message packages and return a prefix with all of them and their dependencies.
+    """Build message packages; return a prefix with those that are not installed, and their dependencies.
 
     Packages of the installed ROS 2, and packages in the cache (default $MIDSPAN_CACHE or ~/.cache/midspan/interfaces),
     are not built again. Dependencies are resolved among the given packages, the installed ones, and Midspan's own

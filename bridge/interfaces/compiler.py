@@ -169,7 +169,7 @@ class _Linker:
     """Links a package's five libraries and its extension, with the names that ROS 2 uses.
 
     At run time `librosidl_typesupport_c` opens the two type supports by their bare names. The dynamic loader finds them
-    by their SONAME because the extension, which is loaded first, links to them, so they need no library path.
+    by their SONAME because the extension, which is loaded first, links to them, so no library path is needed.
     """
 
     def __init__(self, job: Job, ros2: Ros2, command: str) -> None:

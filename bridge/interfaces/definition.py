@@ -124,7 +124,7 @@ def _read(package: str, path: str, text: str) -> InterfaceFile:
             f"the number of lines '---' is {bare.count('---')}; a .{suffix} file must have {form.parts - 1}",
             where=f"{package}/{path}",
         )
-    # programs of ROS 2 that read the installed text, such as `ros2 interface show`, accept no other separator
+    # programs of ROS 2 that read the installed text, such as `ros2 interface show`, accept no separator but '---'
     text = _SEPARATOR.sub("---", text)
     return InterfaceFile(package, path, form, text, "".join(f"{line}\n" for line in bare), tuple(reader.references))
 

@@ -18,9 +18,10 @@ def read_package_folder(folder: Path) -> dict[str, str]:
 
 
 def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
-    """Return definitions by package and path; each folder is a package, its ``msg`` folder, or contains packages.
+    """Return definitions by package and path.
 
-    Raises `BuildError` for a folder without definitions, and for two packages with the same name.
+    Each folder is a package, a package's ``msg``, ``srv`` or ``action``, or contains packages. Raises `BuildError` for a
+    folder without definitions, and for two packages with the same name.
     """
     found: dict[str, dict[str, str]] = {}
     for folder in folders:

@@ -1,8 +1,8 @@
 """Runs ROS 2's own generators for one package, as a program that `bridge.interfaces.builder` starts.
 
 The generators write to standard output, replace it, and read the environment, so they must not run in a worker.
-Usage: ``python generate.py REQUEST.json``, where the request is a `Request` as JSON. It calls the rosidl
-functions of Jazzy (rosidl 4.6) in the same way as the command-line tools of those packages.
+Usage: ``python generate.py REQUEST.json``, where the request is a `Request` as JSON. The program calls the functions of
+Jazzy's rosidl packages (4.6) in the same way as the command-line tools of these packages.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ class Ros2:
 
     @cached_property
     def identity(self) -> str:
-        """The versions that a build depends on: generators, Python, NumPy, and the CPU architecture."""
+        """What a build depends on: versions of the generators, their libraries, Python and NumPy, and the processor."""
         versions = [f"{name} {self._version_of(name)}" for name in (*GENERATORS, *_RUNTIME)]
         numpy = importlib.metadata.version("numpy").partition(".")[0]
         return " ".join([sys.implementation.cache_tag, platform.machine(), f"numpy {numpy}", *versions])
