@@ -23,7 +23,7 @@ USUAL = Qos()
 _BLOCK_BYTES, _BLOCK_MESSAGES = 1 << 20, 10_000
 
 MAX_TOPICS = 65_535
-"""Maximum topics of a bag, counted per publisher: the channel numbers of MCAP."""
+"""Maximum topics of a bag, counted per publisher; MCAP has as many channel numbers."""
 
 
 class BagError(Exception):
@@ -165,7 +165,7 @@ class Bag(ABC):
 
 @contextmanager
 def reading(path: Path, offset: int | None = None) -> Iterator[None]:
-    """Convert any error of a reader for bad bytes, ours or a library's, to `BagError`."""
+    """Convert any error of a reader for bad bytes, Midspan's or a library's, to `BagError`."""
     try:
         yield
     except (BagError, MemoryError):

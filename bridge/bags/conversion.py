@@ -47,7 +47,7 @@ class TopicForm:
         convert: converts a message's bytes; None if they stay the same. Raises `ConversionError` for invalid bytes.
         left_out: ROS 1 fields that have no counterpart.
         name: the topic's name, "" if it stays the same.
-        undefined: why no definition is known, with the cure; None if one is known, or if the bag has an unreadable one.
+        undefined: why no definition is known, with the cure; None if one is known, or if the bag has an unusable one.
     """
 
     type_name: str
@@ -113,9 +113,10 @@ class FileTopics:
         self._types: dict[str, tuple[object, str]] = {}
 
     def add(self, topic: BagTopic, form: TopicForm) -> None:
-        """Add a topic; raises `BagError` if its name or the definition of one of its types differs from an earlier one.
+        """Add a topic; raises `BagError` if the file cannot hold it in addition to the earlier topics.
 
-        If two topics would get the same name, the first one gets it, as on the hub.
+        If topics of different names would get the same name, the first one gets it, as on the hub. All topics must have
+        the same definition of a type.
         """
         if (other := self._names.get(form.name, topic.name)) != topic.name:
             problem = f"{topic.name} would become {form.name}, as {other} does"

@@ -183,7 +183,10 @@ def _check_sound(bag: Bag) -> None:
 def _copy_chunks(
     bag: McapBag, copier: McapCopy, choice: BagSelection, compression: str, done: Copied, on_progress: OnProgress
 ) -> None:
-    """Copy all channels, even those of other encodings; chunks that lie within the times stay compressed."""
+    """Copy all channels, even those of other encodings.
+
+    Chunks that lie within the times and have the target's compression are copied as they are.
+    """
     start = 0 if choice.start_ns is None else choice.start_ns
     end = _FOREVER if choice.end_ns is None else choice.end_ns
     try:

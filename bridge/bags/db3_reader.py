@@ -24,7 +24,7 @@ from bridge.messages.definitions.schema import World
 MAGIC = b"SQLite format 3\0"
 _LARGEST_TEXT = 4 << 20
 _STEPS, _MAX_QUIET = 1_000_000, 60
-"""SQLite instructions between two checks, and the number of checks that a query may take while a file is opened."""
+"""SQLite instructions between two checks, and the maximum number of checks while a file is opened, for each 64 MiB."""
 
 
 class Db3Bag(Bag):

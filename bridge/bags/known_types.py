@@ -33,8 +33,9 @@ def ros2_type(registry: Registry, topic: BagTopic) -> SideType:
     """Return the ROS 2 type of a topic: by the bag's own definition, else by its hash, else by its name.
 
     If the bag's definition does not have the bag's hash, the definition wins, because the messages were written with
-    it. Raises `MessageTypeError` if the definition cannot be read, if it nests a type that is missing in it and differs
-    here, or if without a definition the type or its hash is unknown here.
+    it. Raises `MessageTypeError` if the bag has a definition that cannot be read and no hash, if the definition nests a
+    type that is missing in it and differs here, or if without a readable definition the type or its hash is unknown
+    here.
     """
     name, type_hash = topic.type_name, topic.type_hash
     if topic.definition:

@@ -1,7 +1,7 @@
 """Writes MCAP from other bags; complete chunks of MCAP are copied without being compressed again.
 
 The writer of the library `mcap` accepts single messages only and copies each several times; here whole chunks are
-assembled. The library writes all records other than messages (https://mcap.dev/spec).
+assembled. The library writes all records other than chunks, messages and their indexes (https://mcap.dev/spec).
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ _RECORD, _CHUNK = struct.Struct("<BQ"), struct.Struct("<QQQII")
 _INDEX = struct.Struct("<BQHI")
 _FOOTER = struct.Struct("<BQQQ")
 _PACKERS = 3
-"""Number of threads that compress; one waits some milliseconds per chunk for Python's GIL while others compress."""
+"""Number of threads that compress; each waits some milliseconds per chunk for Python's GIL while others compress."""
 
 _AHEAD = 8
-"""Maximum number of chunks in compression or waiting for it while others are read; fewer if they are large."""
+"""Maximum number of chunks that are being compressed or waiting while others are read; fewer if they are large."""
 
 _AHEAD_BYTES = 64 << 20
 
@@ -66,7 +66,7 @@ _BODY = 22
 
 
 class ChunkedMcap(BagWriter):
-    """Writes MCAP from records and whole chunks."""
+    """Writes MCAP from messages and whole chunks."""
 
     def __init__(self, path: Path, compression: str, profile: str, library: str) -> None:
         self._file = path.open("wb")
@@ -217,7 +217,7 @@ class ChunkedMcap(BagWriter):
 
 
 class McapCopy(ChunkedMcap):
-    """Writes a part of another MCAP file with the same channels."""
+    """Writes a part of another MCAP file, with that file's channels and their numbers."""
 
     def __init__(self, path: Path, compression: str, source: McapBag) -> None:
         super().__init__(path, compression, source.profile, source.library)
@@ -256,7 +256,7 @@ class Ros2Mcap(ChunkedMcap):
 
 
 def _message_indexes(heads: NDArray[Any]) -> tuple[bytes, dict[int, int], dict[int, int]]:
-    """Return the records of a chunk's indexes, the offset of each channel's record, and its number of messages."""
+    """Return the records of a chunk's indexes, and for each channel the record's offset and the number of messages."""
     sizes = heads["length"] + (_HEAD.itemsize - _BODY)
     entries = np.stack((heads["time"], np.cumsum(sizes) - sizes), axis=1, dtype="<u8")
     entries = entries[np.argsort(heads["channel"], kind="stable")]

@@ -1,8 +1,9 @@
 """Reads MCAP, finished or not: profiles ``ros1`` and ``ros2``, any chunks and compression.
 
-The records are those of https://mcap.dev/spec; the library `mcap` parses all but messages and chunk headers. The reader
-first walks from record to record, which costs one read per chunk, so that it neither needs nor trusts the file's index.
-Channels and counts come from the summary if there is one, else from the chunks.
+The records are those of https://mcap.dev/spec; the library `mcap` parses all but messages, their indexes and chunk
+headers. The reader first walks from record to record, which costs a few short reads per chunk, so that it neither needs
+nor trusts the file's index. Channels and counts come from the summary if it has statistics and the file is undamaged,
+else from the chunks.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQII")
 _LARGEST_TABLE = 16 << 20
-"""Maximum bytes of a record that is neither a chunk nor a message."""
+"""Maximum bytes of a header, schema, channel, statistics or message index record."""
 _RUN = 1 << 20
 """Maximum bytes of messages outside of chunks that are read at once."""
 
@@ -114,7 +115,10 @@ class McapBag(SpanBag):
         return rows
 
     def whole_chunk(self, span: FileSpan) -> WholeChunk | None:
-        """Return a chunk with its indexes, None for a piece without indexes; raises `BagError` if it is damaged."""
+        """Return a chunk with its indexes; raises `BagError` if the chunk is damaged.
+
+        None for messages outside of chunks, and for a chunk without indexes or with an index of an unknown channel.
+        """
         if not span.chunk:
             return None
         with reading(self.path, span.offset):
@@ -140,7 +144,7 @@ class McapBag(SpanBag):
             )
 
     def _walk(self) -> None:
-        """Walk from record to record, until the file ends or a length is impossible."""
+        """Walk from record to record, up to the footer, the end of the file, or an impossible record."""
         at = len(MAGIC)
         while True:
             if at + _HEAD.size > self.size:

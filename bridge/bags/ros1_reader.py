@@ -183,7 +183,7 @@ class Ros1Bag(SpanBag):
     def _split_other(
         self, span: FileSpan, data: bytes, table: NDArray[np.uint64], at: int, filled: int
     ) -> tuple[int, int]:
-        """Parse one record as the kernel does, but of any kind and with any fields."""
+        """Parse one record as the kernel (`split_ros1`) does, but of any kind and with any fields."""
         (length,) = _U32.unpack_from(data, at)
         fields = parse_fields(data[at + 4 : at + 4 + length])
         body = at + 8 + length

@@ -181,7 +181,8 @@ def unpack(compression: str, data: bytes | memoryview, size: int) -> bytes:
 def unpack_part(compression: str, data: bytes, size: int) -> bytes:
     """Unpack a damaged chunk of ROS 1 up to the damage.
 
-    Returns nothing if only the size or the checksum is wrong, because then the position of the damage is unknown.
+    Returns nothing if the data unpack without an error but to another size, because then the position of the damage is
+    unknown. If only a checksum is wrong, the result ends before the piece (`_PIECE`) in which the library finds that.
     """
     if size > MAX_CHUNK:
         return b""

@@ -25,7 +25,7 @@ def stored_hash(text: str) -> str:
 
 
 def ros1_definition(text: str, md5: str) -> str:
-    """Return the definition of a ROS 1 type, "" if the bag has none; the md5 tells whether the type has no fields."""
+    """Return the definition of a ROS 1 type, "" if the bag has none; that of an empty type is known by its md5."""
     return text or (EMPTY if md5 == EMPTY_MD5 else "")
 
 

@@ -1,6 +1,6 @@
 """Writes ROS 1 bags and the SQLite files of rosbag2 with `rosbags`; also the base class of all writers.
 
-A bag is written in a temporary folder next to its target, and moved there when it is complete.
+A bag is written in a temporary folder next to its target, and moved to the target when it is complete.
 """
 
 from __future__ import annotations

@@ -33,7 +33,8 @@ _Key = tuple[str, str, str, Qos]
 class HubOutput:
     """Publishers of all topics to play, with their recorded QoS. Safe to use from any thread.
 
-    A topic that was latched by several publishers, or is in several files, has one publisher with the same total depth.
+    Topics of the same name, type and QoS, from several publishers or files, share one publisher; if they are latched,
+    its depth is at least their number.
     """
 
     def __init__(self, hub: Hub, registry: Registry, topics: Sequence[PlayTopic], *, clock: bool = False) -> None:
@@ -113,7 +114,10 @@ class HubOutput:
         return {name: nodes for name, nodes in nodes_of.items() if nodes}
 
     def await_listeners(self, seconds: float, ended: threading.Event) -> bool:
-        """Wait until zenoh has matched all subscribers in the hub's graph; return whether there are any."""
+        """Wait until zenoh has matched the subscribers in the hub's graph; return whether there are any.
+
+        The wait ends after ``seconds``, or when ``ended`` is set.
+        """
         end = time.monotonic() + seconds
         graph = self._hub.graph
         ends = [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]

@@ -35,7 +35,7 @@ class Messages(Protocol):
     troubles: list[str]
 
     def kept(self) -> list[Played]:
-        """Return the messages at the start."""
+        """Return the messages to publish at the start: static transforms and latched messages."""
         ...
 
     def messages(self) -> Iterator[Played]:

@@ -24,7 +24,7 @@ _NS = 1e9
 
 @dataclass(frozen=True)
 class PlayPart:
-    """The part of the bags to play, in seconds from the start of the first bag."""
+    """The part to play: from ``start`` seconds after the first bag's start, for ``duration`` seconds (None: the rest)."""
 
     start: float = 0.0
     duration: float | None = None
@@ -49,7 +49,7 @@ class PlaySource:
         troubles: other problems found by `kept`.
 
     Raises:
-        BagError: the part has no messages.
+        BagError: the bags have no messages, or the part starts after the last one.
     """
 
     def __init__(self, bags: Mapping[Bag, Sequence[PlayTopic]], part: PlayPart) -> None:
