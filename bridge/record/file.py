@@ -90,7 +90,7 @@ class Written:
 
 
 class RecordFile:
-    """A file that is being written. It must not exist; the constructor and all methods raise `OSError`.
+    """A file that is being written. It must not exist beforehand; the constructor and all methods may raise `OSError`.
 
     Attributes:
         path: the file.
@@ -191,7 +191,7 @@ class RecordFile:
         return self._written(whole=True)
 
     def abandon(self) -> Written:
-        """Truncate a file that can no longer be written after its last complete chunk, and close it.
+        """Truncate a file to its last complete chunk, because it can no longer be written, and close it.
 
         The messages of the open chunk are lost.
         """

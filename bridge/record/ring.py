@@ -77,7 +77,7 @@ class Ring:
                 self._segments.popleft().path.unlink()
 
     def discard(self) -> None:
-        """Delete all files, because no trigger occurred."""
+        """Delete the remaining files, which no trigger has saved."""
         while self._segments:
             with contextlib.suppress(OSError):
                 self._segments.popleft().path.unlink()

@@ -31,7 +31,10 @@ class Selection:
         return self.name(name) and (not self.sides or not set(self.sides).isdisjoint(topic.sides))
 
     def taps(self, side: str, name: str) -> bool:
-        """Return whether a topic that is not bridged is selected, by its full name or with all topics of its side."""
+        """Return whether a topic that is not bridged is selected.
+
+        Its name must match, and its side must be one of `sides` or, without `sides`, its full name must be configured.
+        """
         return self.name(name) and (side in self.sides or (not self.sides and name in self._named))
 
     @property

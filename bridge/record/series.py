@@ -181,7 +181,7 @@ class FileSeries:
         )
 
     def _failed(self, err: OSError) -> None:
-        """Close the file after its last complete chunk; a new file is tried later."""
+        """Close the file, after its last complete chunk if the summary cannot be written; a new file is tried later."""
         first = not self.trouble
         where = self.file.path if self.file is not None else err.filename
         self.trouble = f"{where}: {err.strerror or err}"

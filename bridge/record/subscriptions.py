@@ -110,7 +110,7 @@ class RecordedTopics:
         self._queue.put(RecordedMessage(counts, sample.gid, origin, sample.sequence, now, sent, sample.data()))
 
     def lost(self) -> dict[str, int]:
-        """Return the number of messages that were not received, by reason, without zeros."""
+        """Return the number of messages that were lost or refused on the hub, by reason, without zeros."""
         subscriptions = self.topics.subscribed()
         lost = self._lost + sum(item.lost for item in subscriptions)
         refused = self._refused + sum(item.refused for item in subscriptions)

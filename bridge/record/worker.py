@@ -105,7 +105,7 @@ def yielding() -> Iterator[None]:
     for thread in _threads() - before:
         with suppress(OSError):  # the thread has just ended
             os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, os.getpid()) + _NICE)
-            # a message for the recorder must not preempt its other subscribers
+            # a message's arrival at the recorder must not preempt the topic's other subscribers
             os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
 
 
