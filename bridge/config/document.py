@@ -1,8 +1,8 @@
 """Reads a YAML file as plain data, with the line and column of each key and value.
 
 Only JSON's kinds of data are accepted: maps with text keys, lists, text, numbers, true, false and null (YAML 1.2, so
-``yes`` is text). Tags, merge keys, dates, a second document and a key given twice are refused; size and depth are
-bounded.
+``yes`` and dates are text). Tags of other kinds, merge keys, a second document and a key given twice are refused; size
+and depth are bounded.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def key_text(path: KeyPath) -> str:
 def read(file: Path, *, repeating: Collection[KeyPath] = ()) -> Document:
     """Read a file; raises `ConfigError` if it is unreadable, too large, or not the YAML that is allowed here.
 
-    The keys of the maps at ``repeating`` may occur several times; each becomes a list of maps with one key each.
+    The keys of the maps at ``repeating`` may occur several times; such a map becomes a list of maps with one key each.
     """
     return parse(file, text_of(file), repeating=repeating)
 

@@ -25,7 +25,13 @@ Config.model_rebuild()  # imports the models of all sections
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A key of a section: values in words, default as YAML (None: required, or the machine's name), its own section."""
+    """A key of a section.
+
+    Attributes:
+        value: the possible values, in words.
+        default: as YAML; None if the key is required, or its default is the machine's name.
+        section: the model of the section that the key holds, or of the items of its list; None for a plain value.
+    """
 
     name: str
     value: str

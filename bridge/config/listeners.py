@@ -60,7 +60,10 @@ def listeners(config: Config) -> Iterator[Listener]:
 
 
 def listener_problems(document: Document, config: Config) -> list[Problem]:
-    """Return a problem for each address whose port an earlier listener of the configuration already uses."""
+    """Return a problem for each address whose port another listener uses.
+
+    Of two listeners, it is at the later one, unless only the earlier one is in the file.
+    """
     problems: dict[KeyPath, Problem] = {}
     for earlier, other in combinations(listeners(config), 2):
         # the default of a key that the file lacks has no line there

@@ -111,7 +111,7 @@ def _placed(value: Any, path: KeyPath, document: Document, missing: list[Problem
 
 
 def _mapping_rule_problems(document: Document, config: Config) -> list[Problem]:
-    """Return a problem for each file of ``types.mapping_rules`` that cannot be read, and each entry that is wrong."""
+    """Return a problem for each invalid file of ``types.mapping_rules``; if none, for each rule that cannot apply."""
     files = config.types.mapping_rules
     if not files:
         return []

@@ -193,7 +193,7 @@ def _filled(section: Section, defaults: dict[str, str | None]) -> Section:
 
 
 def _with_registered_sections() -> type[Config]:
-    """Return the model with the sections of the workers and of the sides that do not ship with Midspan."""
+    """Return the model with the sections of all workers, and of the sides that do not ship with Midspan."""
     sections = {worker.name: (worker.section, worker.about) for worker in all_workers() if worker.section}
     sections |= {side.name: (side.section, f"The {side.label} side.") for side in own_sides()}
     fields: dict[str, Any] = {

@@ -236,7 +236,7 @@ def _unknown(name: str, known: list[str]) -> str:
 
 
 def _ignored(tree: Tree) -> Iterator[_Flaw]:
-    """Yield the keys that zenoh's parser ignores, and the numbers that it changes because they are out of range."""
+    """Yield the keys that zenoh's parser ignores, lists that must be maps, and numbers that are out of range."""
     config = _zenoh().Config.from_json5(json.dumps(tree))
     for path, value, known in _differences(tree, json.loads(str(config)), ()):
         if isinstance(value, list) and isinstance(known, dict):
@@ -294,7 +294,10 @@ def _texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
 
 
 def _missing_files(tree: Tree) -> Iterator[_Flaw]:
-    """Yield the absolute paths in ``transport`` that do not exist; relative paths depend on the worker's folder."""
+    """Yield the absolute paths in ``transport`` that do not exist.
+
+    Relative paths are not checked: they depend on the worker's working directory.
+    """
     for path, text in _texts(tree.get("transport"), ("transport",)):
         if _FILES.search(str(path[-1])) and Path(text).is_absolute():
             try:

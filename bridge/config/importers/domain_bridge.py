@@ -209,7 +209,7 @@ def _options(qos: DomainBridgeQos) -> dict[str, Any]:
 
 
 def _once(job: _Import, ways: list[_Way]) -> list[_Way]:
-    """Return the ways except those that would bring a topic to the same domain a second time."""
+    """Return the ways except those that would bring a topic from one domain to another for the second time."""
     kept: dict[tuple[str, str, str, int, int], _Way] = {}
     for route in ways:
         first = kept.setdefault((route.kind, route.topic, route.type, route.origin, route.target), route)

@@ -132,7 +132,7 @@ class Planner(Section):
 
     @property
     def lifecycle_nodes(self) -> tuple[str, ...]:
-        """The lifecycle nodes that it may consist of: Nav2's, in the namespace of its action."""
+        """The lifecycle nodes that it may consist of: Nav2's, in the namespace of its action; none on ROS 1."""
         return self._nav2(NAV2_NODES)
 
     def _nav2(self, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -220,6 +220,6 @@ def is_loopback(endpoint: str) -> bool:
 
 
 def same_port(one: str, other: str) -> bool:
-    """Whether two endpoints have the same TCP port (0 is any free one)."""
+    """Whether two endpoints have the same TCP port; False for port 0, which means any free one."""
     ports = [re.split(r"[?#]", place)[0].rpartition(":")[2] for place in (one, other)]
     return ports[0] == ports[1] != "0" and not one.startswith("quic/")

@@ -224,14 +224,14 @@ class YarpSection(SideSection):
 
     @property
     def numbers(self) -> range | None:
-        """The range that `ports` gives; None for the default."""
+        """The range that `ports` gives, empty for `server`; None for the default."""
         if self.ports is None:
             return None
         first, _, last = self.ports.partition("-")
         return range(0) if self.ports == "server" else range(int(first), int(last) + 1)
 
     def generations(self, findings: Findings | None = None) -> Generations:
-        """Return what chooses the reply format for each client, also by the ``findings`` about the clients."""
+        """Return the object that chooses the reply format for each client, with the ``findings`` about clients."""
         return Generations(
             None if self.release is None else Generation.of(self.release),
             [(peer.port, Generation.of(peer.release)) for peer in self.peers],
@@ -253,7 +253,7 @@ class YarpSection(SideSection):
 
     @property
     def configured(self) -> bool:
-        """Whether the section has a key."""
+        """Whether a key other than `enabled` differs from its default."""
         return self.model_copy(update={"enabled": "auto"}) != YarpSection()
 
     @field_validator("ports")
