@@ -23,7 +23,7 @@ from bridge.text import side_name
 MAX_QUEUED = 10_000
 MAX_QUEUED_BYTES = 64 * 1024 * 1024
 TAP_SECONDS = 10
-"""Duration of a tap in seconds; it is renewed after a third of it."""
+"""Duration of a tap in seconds; a tap is renewed after a third of this time."""
 
 _REFRESH_SECONDS = 0.5
 _TAP_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
@@ -66,7 +66,7 @@ class TopicFeed:
         return sum(subscription.lost for subscription in self._subscriptions.values())
 
     def open(self, seconds: float) -> None:
-        """Find the topic, waiting up to ``seconds`` for it; raises `ClientError` if it is unknown."""
+        """Find the topic, waiting up to ``seconds`` for it; raises `ClientError` if it cannot be received."""
         end = time.monotonic() + seconds
         self._client.ask("status", timeout=1.0)
         self._client.settle()
@@ -92,7 +92,8 @@ class TopicFeed:
         for key, endpoints in groups.items():
             self._subscription(key).renew(endpoints)
         hashed = {key._replace(type_hash=NO_HASH) for key in groups if key.type_hash != NO_HASH}
-        for key in self._subscriptions.keys() & hashed:  # the one with a hash also receives from these
+        # a subscription with a hash also receives from publishers without one
+        for key in self._subscriptions.keys() & hashed:
             self._subscriptions.pop(key).close()
         if self._taps or not self._subscriptions:
             self._tap()

@@ -1,4 +1,4 @@
-"""Halts everything on the hub: publishes zero velocities, cancels all goals, and asks modules with a base to halt.
+"""Halts everything on the hub: publishes zero velocities, cancels all goals, and asks bases and the gateway to halt.
 
 No step waits for another, or fails because another fails; the goals of each action are a step of their own.
 """
@@ -33,7 +33,7 @@ from bridge.messages.velocities import VELOCITIES
 CANCEL = part_name("", CANCEL_GOAL)
 
 DEFAULT_SECONDS = 2.0
-"""Seconds for which zero is repeated, so that it also reaches a side to which a topic only now begins to cross."""
+"""Seconds for which zero is repeated, so that it also reaches a side whose route for the topic is only now created."""
 
 _PERIOD = 0.05
 _ANSWER_SECONDS = 5.0
@@ -71,7 +71,7 @@ class Halted:
 
 
 def halt(client: Client, types: Types, seconds: float = DEFAULT_SECONDS) -> Halted:
-    """Halt everything on the hub, and repeat zero for some seconds."""
+    """Halt everything on the hub; see `stop` for ``seconds``."""
     bases = _Bases(client)
     stopped = stop(client, types, actions(client), seconds)
     bases.join()
@@ -92,7 +92,10 @@ class Stopped:
 
 
 def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> Stopped:
-    """Publish zero for some seconds, and meanwhile cancel the goals of these actions."""
+    """Publish zero for ``seconds``, and meanwhile cancel the goals of these actions.
+
+    If an action's server is not reachable yet, this continues until it is, for up to `WAIT_SECONDS`.
+    """
     zeros = ZeroVelocities(client, types)
     cancels = [GoalCancellation(client, types, name) for name in names]
     begin, never = time.monotonic(), threading.Event()
@@ -132,7 +135,8 @@ class ZeroVelocities:
     """Publishes zero velocity on every velocity topic of the hub, and on those that nodes of a side subscribe to.
 
     A side has one type for each topic. So a topic with subscribers to one form gets only that form, and any form that
-    a route already carries, because its base may not be announced. A failure on one topic does not affect the others.
+    a route already carries: the base behind the route may not be announced. A failure on one topic does not affect the
+    others.
     """
 
     def __init__(self, client: Client, types: Types) -> None:

@@ -153,7 +153,8 @@ class ServiceCaller(ServiceClient):
 def served(graph: HubGraph, name: str, wanted: str = "") -> tuple[str, str]:
     """Wait for a service's server on the hub; return its type and hash.
 
-    Raises `ClientError` if none appears within `WAIT_SECONDS`, or only one of another type than ``wanted``.
+    Raises `ClientError` if none of the type ``wanted`` ("": any) appears before the graph has been unchanged for
+    `WAIT_SECONDS`, or if ``wanted`` is "" and servers have several types.
     """
     changed = threading.Event()
     unwatch = graph.watch(changed.set)

@@ -158,7 +158,7 @@ def _open(config: Config, seconds: float, on_wait: Callable[[str], None]) -> zen
 
 
 def _with_name(config: Config, session: zenoh.Session) -> Config:
-    """Return the configuration with the name of the router's daemon, if neither the file nor the state has one.
+    """Return the configuration with the name of the local router's daemon, if neither the file nor the state has one.
 
     Other users cannot read the state folder of a service, and the machine may have been renamed.
     """

@@ -118,15 +118,15 @@ class SubscribedTopic:
 
     @property
     def refused(self) -> int:
-        """The number of messages that the hub refused: too large, or without the attachment of rmw_zenoh."""
+        """The number of refused messages: too large, or without a valid attachment of rmw_zenoh."""
         return self._refused + sum(subscription.refused for subscription in self._subscriptions)
 
     def renew(self, publishers: Iterable[HubEndpoint]) -> None:
-        """Subscribe with the QoS that these publishers need, unless the subscription already has it."""
+        """Subscribe with the QoS that these publishers need; see `subscribe`."""
         self.subscribe(combined_qos([publisher.qos for publisher in publishers]))
 
     def subscribe(self, qos: Qos) -> None:
-        """Subscribe with a QoS, unless the subscription already has it."""
+        """Subscribe with a QoS; an existing subscription is replaced only if it is volatile and ``qos`` is latched."""
         with self._renewing:
             self._subscribe(qos)
 
@@ -204,7 +204,7 @@ class Definitions:
             seconds: how long to wait for the workers' answers if the type is not installed.
 
         Returns:
-            None if no worker has sent it by then; a later call queries the workers again.
+            None if no worker has sent it by then; a call more than `ASK_AGAIN_SECONDS` later queries the workers again.
         """
         key = type_name, type_hash
         definition = self._definitions.get(key)
@@ -273,7 +273,7 @@ class HubTopics:
         self._watch = hub.graph.watch(changed) if changed is not None else None
 
     def refresh(self) -> dict[TopicKey, HubTopic]:
-        """Return the topics that are published now; renew the subscriptions with the QoS that their publishers need."""
+        """Return the topics that are published now; renew subscriptions for which a latched publisher has appeared."""
         topics = published(self._hub.graph.publishers(), taps=self._taps)
         with self._lock:
             subscribed = list(self._subscribed.values())

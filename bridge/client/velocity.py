@@ -92,8 +92,8 @@ def driven_forms(graph: HubGraph, topic: str) -> set[str]:
 class VelocityPublisher:
     """Publishes velocities in the base's form, never in both: two types would be refused on a side, or drive twice.
 
-    Before a change of the form, zero is published in the old form. Without a subscriber, or if both forms have
-    subscribers, the form does not change; the first is ``Twist``. Use it on one thread only.
+    Before a change of the form, zero is published in the old form if that was used. Without a subscriber, or if both
+    forms have subscribers, the form does not change; at first it is ``Twist``. Use it on one thread only.
 
     Args:
         graph: the hub's graph.
