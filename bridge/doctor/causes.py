@@ -1,4 +1,4 @@
-"""Merges texts with the same cause: twenty topics with the same problem become one line, which names the topics."""
+"""Merges texts with the same cause: twenty topics with the same problem become one line, which names some of them."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, 
 """Phases of a worker that is enabled but does not run."""
 
 _LOOPS = 3
-"""Restarts from which a worker that does not run counts as crash-looping."""
+"""Restarts from which a worker counts as crash-looping until it has recovered (`_SETTLED_SECONDS`)."""
 _SILENT_SECONDS = 2.0
 """A worker hangs if its last heartbeat is older than this; it sends one each second."""
 _SETTLED_SECONDS = 30.0
@@ -66,7 +66,7 @@ class DaemonState:
 
     @property
     def trouble(self) -> str:
-        """Why the daemon does not work; "" if it runs or if that is unknown."""
+        """Why the daemon does not work or its reply is an error; "" if neither is the case, or if that is unknown."""
         if self.life is Life.DOWN:
             left = f", although its router is (process {self.router})" if self.router else ""
             return f"the daemon {self.name} is not running{left}"
@@ -282,7 +282,7 @@ def _reported(daemon: str, report: WorkerReport) -> StatusDocument:
 
 
 def with_silent(documents: Sequence[StatusDocument], silent: Sequence[StatusDocument]) -> list[StatusDocument]:
-    """Add the workers that do not answer, and the crash loops of those that do, which only their daemon knows."""
+    """Add the workers that do not answer, and mark those that answer but keep crashing, by their daemon's report."""
     reported = {(document.daemon, document.worker): document for document in silent}
     answering: list[StatusDocument] = []
     for document in documents:

@@ -117,7 +117,7 @@ class LookError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class DdsView:
-    """The ROS 2 network: GUID prefixes (hex) of other Midspan participants, and nodes with endpoints."""
+    """The ROS 2 network: GUID prefixes (hex) of all Midspan participants but the doctor's, and nodes with endpoints."""
 
     midspans: frozenset[str]
     nodes: frozenset[str]

@@ -28,4 +28,4 @@ def _finding(daemon: str, cyclone: CycloneNodes) -> Finding:
 
 
 CHECKS = (Check("cyclone", "ROS 2 nodes on Cyclone DDS", check_nodes),)
-"""The check of other middlewares on the ROS 2 side's network."""
+"""The check of nodes on Cyclone DDS."""

@@ -34,7 +34,7 @@ _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
 
 
 def check_config(context: CheckContext) -> Findings:
-    """Report the file's problems, and a hub that is open to everybody."""
+    """Report the file's problems, and a hub that is open to other machines without TLS."""
     if not context.config_good:
         return [fail(line, "correct it ('midspan config check')") for line in context.config_text.splitlines()]
     findings = [ok(context.config_text)]
@@ -80,7 +80,10 @@ def _shared_settings(configs: Mapping[str, Config]) -> Iterator[Finding]:
 
 
 def _shared_ports(configs: Mapping[str, Config]) -> Iterator[Finding]:
-    """Yield a finding for each pair of addresses of two daemons that share a port, unless both are the same setting."""
+    """Yield a finding for each pair of addresses of two daemons that share a port.
+
+    This leaves out pairs that `_shared_settings` reports, and pairs of ``hub.listen``, because daemons may share a hub.
+    """
     for (first_unit, first), (other, second) in combinations(configs.items(), 2):
         for place, taken in product(listeners(second), listeners(first)):
             alike = place.key == taken.key and (place.text == taken.text or place.key == _HUB)
@@ -115,7 +118,7 @@ def check_workers(context: CheckContext) -> Findings:
 
 
 def _alone(context: CheckContext, daemon: str, workers: Sequence[StatusDocument]) -> list[Finding]:
-    """Return a warning if only the router of another machine's daemon answers, because it outlives its daemon."""
+    """Return a warning if only the router of a daemon of another name answers: a router outlives its daemon."""
     if daemon == context.config.name or [document.worker for document in workers] != ["router"]:
         return []
     seen = f"only the router of {daemon} answers: the daemon is down, or runs nothing else"

@@ -74,7 +74,8 @@ def check_kernels(_around: CheckContext) -> Findings:
 
 
 WARN_SECONDS = 0.02
-"""Transforms of a moving robot are usually looked up within some tens of milliseconds."""
+"""Clock difference in seconds above which there is a warning: transforms of a moving robot are usually looked up within
+some tens of milliseconds."""
 FAIL_SECONDS = 0.5
 _CURE_CLOCK = "synchronize them: apt install chrony on both machines, and let one of them serve the time to the other"
 

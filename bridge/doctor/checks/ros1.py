@@ -1,8 +1,8 @@
 """ROS 1: its packages, its master, this shell against the daemon, and the classic problem of names that do not resolve.
 
 Every ROS 1 node registers its address from ROS_HOSTNAME, ROS_IP or the machine's name (rosgraph.network) with the
-master, and its subscribers must reach it under that name. If host names resolve differently on the machines, data flows
-in only one direction.
+master, and its subscribers must reach it under that address. If host names resolve differently on the machines, data
+may flow in only one direction.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ def _named(finding: Finding, nodes: Sequence[str]) -> Finding:
 
 
 def _announced(context: CheckContext) -> tuple[str, str]:
-    """Return the configured address of this machine for ROS 1, and its source."""
+    """Return the setting that gives this machine's address for ROS 1, and the address; "" for both if none does."""
     ros1, environ = context.config.ros1, context.environ
     configured: Mapping[str, str | None] = {"ros1.hostname": ros1.hostname, "ros1.ip": ros1.ip}
     inherited = {name: environ.get(name) for name in ("ROS_HOSTNAME", "ROS_IP")}

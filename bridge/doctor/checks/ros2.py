@@ -95,7 +95,7 @@ def _daemons_domain(context: CheckContext) -> tuple[int, str]:
 
 
 def _range(context: CheckContext) -> list[Finding]:
-    """Check the discovery range: programs limited to this machine do not discover other machines', and vice versa."""
+    """Check that this shell's programs discover others, also on other machines if the daemon does."""
     environ, local = context.environ, context.config.ros2.localhost_only
     reach = environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
     if reach == "OFF":
