@@ -2,8 +2,8 @@
 
 ROS 1 constants are read as in genmsg 0.6 (``msg_loader.convert_constant_value``): integers are decimal, ``byte`` has a
 sign, a bool is a Python literal (``True``, ``1``), and a string is all that follows the ``=``. ROS 2 constants are read
-as in rosidl_adapter 4.6 (``parser.parse_primitive_value_string``): integers may be hexadecimal, a bool is ``true``,
-``false``, ``0`` or ``1`` in any case, and a string may have quotes.
+as in rosidl_adapter 4.6 (``parser.parse_primitive_value_string``): integers may have a prefix such as ``0x``, a bool is
+``true``, ``false``, ``0`` or ``1`` in any case, and a string may have quotes.
 """
 
 from __future__ import annotations

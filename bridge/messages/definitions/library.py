@@ -1,4 +1,4 @@
-"""All definitions of one world: those learned from the network, and those found on this machine."""
+"""All definitions of one world: those learned from the network or a bag, and those found on this machine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bridge.messages.errors import MessageTypeError
 
 MAX_VARIANTS = 16  # maximum number of definitions stored for one learned name; the oldest is dropped first
 MAX_NAMES = 10_000  # maximum number of learned names
-MAX_LEARNED = 64 << 20  # maximum length of all learned definitions together, in characters
+MAX_LEARNED = 64 << 20  # maximum length of all learned definitions together, including dropped ones, in characters
 MAX_NESTED = 2_000  # maximum number of types that one definition may nest
 
 

@@ -1,4 +1,4 @@
-"""Names of message types and fields in ROS 1 and ROS 2, and how names of one world are made legal in the other.
+"""Names of message types and fields in ROS 1 and ROS 2, and how ROS 1's names are made legal in ROS 2.
 
 The rules for ROS 2 are from rosidl_adapter (jazzy, ``rosidl_adapter/parser.py``): packages and fields are lower case
 with single underscores and none at the end, messages are CamelCase, constants UPPER_CASE.

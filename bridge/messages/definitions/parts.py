@@ -26,9 +26,9 @@ CONTENTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedba
 
 ACTION_SERVICES = ("SendGoal", "GetResult")  # the services whose types each action defines
 STATUS_TEXT = "actionlib_status_text"
-"""A field before the result in the ROS 1 adapter's GetResult: the text of actionlib's GoalStatus."""
+"""The field that the ROS 1 adapter adds at the beginning of an action's result: the text of actionlib's GoalStatus."""
 
-CANCEL_GOAL = "action_msgs/srv/CancelGoal"  # the third service; the ROS 1 adapter uses the same name
+CANCEL_GOAL = "action_msgs/srv/CancelGoal"  # the third service of every action; the ROS 1 adapter uses this name, too
 _SERVICE = "{base}_Request request_message\n{base}_Response response_message\n{base}_Event event_message\n"
 _EVENT = "service_msgs/ServiceEventInfo info\n{base}_Request[<=1] request\n{base}_Response[<=1] response\n"
 _SENT = {
@@ -90,7 +90,10 @@ def with_status_text(result: Schema) -> dict[str, Definition]:
 
 
 def parse_announced(text: str, name: str, world: World) -> dict[str, Definition]:
-    """Return the definitions in an announced text by name; a service's has a ``---``. Raises `MessageTypeError`."""
+    """Return the definitions in an announced text by name; raises `MessageTypeError`.
+
+    The text of a ROS 2 service has a line ``---`` between request and response.
+    """
     if world is World.ROS1 or not is_service(name):
         return parse_full(text, name, world)
     sections = split_parts(text)

@@ -24,7 +24,7 @@ class World(Enum):
 
 
 class Shape(Enum):
-    """The number of values of a field."""
+    """Whether a field has one value, a fixed number of values, or any number."""
 
     SINGLE = "single"
     ARRAY = "array"

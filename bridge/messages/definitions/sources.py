@@ -81,17 +81,17 @@ class DefinitionFolder:
 
     @cached_property
     def _names(self) -> set[str]:
-        """The names of the package if the root is a package's own folder."""
+        """The names by which the root may be a package's folder: its own name, and that in its ``package.xml``."""
         return {self.root.name, package_name(self.root)}
 
     @cached_property
     def _own_names(self) -> set[str]:
-        """The folder's name, and that of the folder that it links to."""
+        """The root's name, and that of the folder that it links to."""
         return {self.root.name, self.root.resolve().name}
 
     @cached_property
     def _parent_names(self) -> set[str]:
-        """The names of the package if the root is a package's ``msg``, ``srv`` or ``action`` folder."""
+        """The same names of the root's parent, in case the root is a package's ``msg``, ``srv`` or ``action``."""
         return {self.root.parent.name, package_name(self.root.resolve().parent)}
 
     @cached_property

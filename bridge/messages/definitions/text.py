@@ -88,7 +88,7 @@ def parse_full(text: str, name: str, world: World) -> dict[str, Definition]:
 def split_parts(text: str) -> list[str]:
     """Return the parts of a ``.srv`` (request, response) or ``.action`` (goal, result, feedback) file.
 
-    As in genmsg and genaction, every line that begins with ``---`` is a separator, also ``----`` and ``--- # reply``.
+    As in genmsg and genaction, every line that begins with ``---`` is a separator, including ``----`` and ``--- # x``.
     """
     parts: list[list[str]] = [[]]
     for line in text.replace("\r\n", "\n").split("\n"):

@@ -4,8 +4,8 @@ The bridged parts are those of ROS 2: the services SendGoal and GetResult, and F
 the same parts with the same names in the ROS 1 serialization: ``move_base_msgs/action/MoveBase_SendGoal`` corresponds
 to ``nav2_msgs/action/NavigateToPose_SendGoal``. These parts contain the goal, result and feedback of the ROS 1 action,
 which are messages of actionlib (``move_base_msgs/MoveBaseGoal``), so connection headers may suffice to define them. The
-ROS 1 adapter puts the text of actionlib's status before a result; this text corresponds to the result's ``error_msg``
-in ROS 2.
+ROS 1 adapter adds the text of actionlib's status as the first field of a result; this text corresponds to the result's
+``error_msg`` in ROS 2.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def derive_ros2(ros1: Schema, counterpart: Counterpart, name: str = "") -> Schem
 
 
 def derive_ros1(ros2: Schema, counterpart: Counterpart, name: str = "") -> Schema:
-    """Derive the ROS 1 type for a type that only ROS 2 has; bounds are dropped, and checked for each message."""
+    """Derive the ROS 1 type for a type that only ROS 2 has; bounds are dropped, but the conversion checks them."""
     package, kind, short = ros2.name.split("/")
     if kind != "msg" and not name:
         raise MessageTypeError(f"{ros2.name} is part of a service or action, for which ROS 1 has no message")
@@ -165,7 +165,7 @@ class MessageMapping:
         raise unknown_type(name, World.ROS2, type_hash, " or ".join(self.ros2.fingerprints(name)), "msg")
 
     def _installed_as_ros1(self, name: str) -> Schema | None:
-        """Derive a ROS 1 message from the installed ROS 2 message of the same name; None if ROS 2 lacks it."""
+        """Derive a ROS 1 message from the installed ROS 2 message that becomes it; None if ROS 2 lacks it."""
         for candidate in self.rules.ros2_names(name):
             ros2 = self.ros2.installed(candidate)
             derived = None if ros2 is None else derive_ros1(ros2, self.to_ros1)

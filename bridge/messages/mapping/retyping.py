@@ -1,8 +1,8 @@
 """Converts messages between two versions of a type in which fields have different primitive types.
 
 Numbers convert to numbers and to text, and text converts to a number if it is the text of one. A value is kept or
-rounded; a message with a value that does not fit is refused. Such messages are decoded, so this is slower than the
-virtual machine of `bridge.messages.transcode`, which converts all other messages.
+rounded; a message with a value that does not fit is refused. The messages are decoded, so this is slower than the
+virtual machine of `bridge.messages.transcode`, which converts messages of all other types.
 """
 
 from __future__ import annotations

@@ -303,7 +303,7 @@ class _Compiler:
         return self._least[name]
 
     def _step(self) -> None:
-        """Count a step; raises `MessageTypeError` for deeply nested types, which would take too long to compile."""
+        """Count a field; raises `MessageTypeError` for a type with too many, which would take too long to compile."""
         self._steps += 1
         if self._steps > MAX_STEPS:
             msg = f"{self.program.name} is too large to be converted: it has more than {MAX_STEPS} fields in all"

@@ -1,4 +1,4 @@
-"""Conversions: a message type by its name on each side, and the converters of its bytes."""
+"""Conversions: a message or service type as each side announces it, and the converters of its bytes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bridge.messages.transcode.vm import VirtualMachine
 
 @dataclass(frozen=True, slots=True)
 class SideType:
-    """A message type by its name on one side."""
+    """A message or service type as one side announces it."""
 
     name: str  #: as the side spells it
     type_id: str  #: md5 sum on ROS 1, RIHS01 hash (``RIHS01_<64 hex>``) on ROS 2 and the hub
@@ -48,8 +48,8 @@ class ServiceConversion:
     """
 
     side: SideType  #: the service type on the side (ROS 1: ``std_srvs/SetBool`` and md5)
-    # in ROS 2 (``std_srvs/srv/SetBool`` and the service's RIHS01). The definition of either is the request's
-    # full text, a line ``---``, and the response's.
+    # the service type in ROS 2 (``std_srvs/srv/SetBool`` and the service's RIHS01). The definition of either type is
+    # the request's full text, a line ``---``, and the response's full text.
     hub: SideType
     request_to_side: Callable[[bytes], bytes] | None
     request_to_hub: Callable[[bytes], bytes] | None

@@ -26,7 +26,7 @@ class EncodedMessage(NamedTuple):
     """A message for a port."""
 
     payload: list[Buffer]
-    stamp_ns: int | None  #: the message's stamp, None if its type has none; it is sent as the envelope
+    stamp_ns: int | None  #: the message's stamp, to be sent as the envelope; None if it is zero or its type has none
 
 
 class Codec(ABC):
