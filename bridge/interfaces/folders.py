@@ -20,8 +20,8 @@ def read_package_folder(folder: Path) -> dict[str, str]:
 def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
     """Return definitions by package and path.
 
-    Each folder is a package, a package's ``msg``, ``srv`` or ``action``, or contains packages. Raises `BuildError` for a
-    folder without definitions, and for two packages with the same name.
+    Each folder is a package, a package's ``msg``, ``srv`` or ``action``, or contains packages. Raises `BuildError` for
+    a folder without definitions, and for two packages with the same name.
     """
     found: dict[str, dict[str, str]] = {}
     for folder in folders:
