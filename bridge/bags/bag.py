@@ -82,7 +82,7 @@ class BagMessage(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Messages as one sequence for each member."""
+    """Messages in columns: one sequence for each member of `BagMessage`."""
 
     topics: Sequence[BagTopic]
     times: Sequence[int]

@@ -1,6 +1,6 @@
 """Converts a bag's topics to the hub's types or to ROS 1's, with the conversions that the bridge itself uses.
 
-For a type that is not installed, or only in another version, the bag's own definition is used.
+The bag's own definition of a type is used before the installed one, which may be missing or of another version.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def to_hub(registry: Registry, topic: BagTopic, path: Path = Path("bag")) -> Top
         return replace(_form(conversion), name=name)
     try:
         known = ros2_type(registry, topic)
-    except MessageTypeError as err:  # CDR is copied without knowing its type
+    except MessageTypeError as err:  # CDR can be copied although its type is unknown
         undefined = None if topic.definition else BagError(path, str(err), None, _cure(topic, err))
         return TopicForm(topic.type_name, topic.type_hash, topic.definition, None, name=name, undefined=undefined)
     return TopicForm(topic.type_name, known.type_id, known.definition, None, name=name)

@@ -21,12 +21,12 @@ _LARGEST_METADATA = 4 << 20
 
 
 class FilesBag(Bag):
-    """Several files as one bag, which merges their equal topics; `trouble` is the error of the first unreadable file.
+    """Several files as one bag, which merges their equal topics; `trouble` is the error of the first damaged file.
 
     Args:
         files: the files, of any format, compressed or not.
         open_file: opens one uncompressed file.
-        broken: errors so far.
+        broken: errors that were found before, such as that of the metadata file.
     """
 
     _on_damage: Callable[[BagError], None] | None = None

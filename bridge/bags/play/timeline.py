@@ -101,7 +101,7 @@ class Timeline:
         return min(self._at + passed, self._next)
 
     def next(self, time_ns: int) -> Due:
-        """Wait until a message of this time is due, or for another event; call it again after that.
+        """Wait until a message of this time is due, or for another event, after which the caller has to wait again.
 
         Deadlines count from when the bag's time started to run, so that the excess of long waits does not add up.
         """
