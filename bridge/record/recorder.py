@@ -32,7 +32,7 @@ from bridge.record.subscriptions import RecordedTopics
 _log = logging.getLogger("midspan.record")
 
 GATHER_SECONDS = 0.05
-"""Seconds for which messages are batched before they are written, unless they are many megabytes."""
+"""Seconds for which messages are batched before they are written, unless a batch is full earlier."""
 
 STILL_SECONDS = 30.0
 """Seconds without a step after which the writer thread counts as hanging."""
@@ -78,7 +78,7 @@ class Recorder:
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def begin(self) -> Path | None:
-        """Start or continue recording; return the file. Raises `OSError` if that cannot be created, and retries it."""
+        """Start or continue recording; return the file. Raises `OSError` if it cannot be created; a retry follows."""
         self._recorded.start()
         path: Path | None = self._do(self._files.open)
         return path

@@ -39,7 +39,7 @@ class FileSeries:
     Attributes:
         ring: the place if it is a ring, else None.
         file: the open file, None if there is none.
-        last_path: the last file that was opened, or the folder of a kept ring.
+        last_path: the last file that was opened, or the folder of a saved ring.
         count: number of files so far.
         trouble: the reason why nothing is written, "" while recording works.
     """

@@ -125,7 +125,7 @@ def ring_or_files(folder: KeptFolder, section: RecordSection) -> RecordPlace:
 
 
 class RecordWorker(Worker):
-    """Records as the configuration says, and runs commands from ``midspan record --daemon``."""
+    """Records as configured, and runs commands from ``midspan record --daemon``."""
 
     def __init__(self) -> None:
         self._config: Config | None = None
