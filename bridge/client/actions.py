@@ -22,7 +22,7 @@ CANCEL_AGAIN = 0.2
 """Seconds after which a failed cancel request is repeated."""
 
 CANCEL_ALL_SECONDS = 5.0
-"""Seconds for which a request to cancel all goals is repeated; goals that are sent later are intended."""
+"""Seconds for which a request to cancel all goals is repeated, unless a new goal is sent, which must stay active."""
 
 OnMessage = Callable[[dict[str, Any]], None]
 
@@ -44,7 +44,10 @@ class SentGoal:
         return self._client.has(self.id)
 
     def cancel(self) -> None:
-        """Request cancellation, from any thread, and again once the server accepts the goal; see the goal's result."""
+        """Request cancellation, from any thread, and again once the server accepts the goal.
+
+        The goal's end shows whether it was canceled.
+        """
         self._cancel_wanted = True
         if self.accepted is not False:
             self._client.cancel(self.id)

@@ -88,7 +88,7 @@ class GraphView:
 
     @property
     def state(self) -> str:
-        """Return ``hub`` if it can be used on the hub, else the workers' decisions, or ``no server`` without any."""
+        """Return ``hub`` if it can be used on the hub, else the workers' decisions, else ``no server`` (topic: "")."""
         if self.providers or (self.users and self.kind == "topic"):
             return "hub"
         decided = ", ".join(sorted({d.decision for d in self.decisions}))

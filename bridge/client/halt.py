@@ -53,7 +53,7 @@ class Halted:
     Attributes:
         topics: the velocity topics, with their number of subscribers on the hub.
         cancels: the result for each action's goals.
-        bases: the modules that were asked to halt, and why their bases may still move; "" if they stand.
+        bases: the modules that were asked to halt, and why their bases may still move; "" if they have halted.
         trouble: why the configured planner may still be driving, or a base may still move; "" otherwise.
         published: name, type and type hash of each velocity topic.
     """
@@ -254,7 +254,7 @@ class _Bases(threading.Thread):
     """Asks all modules with a base, and the gateway, to halt.
 
     Attributes:
-        answers: the modules that were asked, and why their bases may still move; "" if they stand.
+        answers: the modules that were asked, and why their bases may still move; "" if they have halted.
         trouble: why other bases may still move, "" otherwise.
     """
 

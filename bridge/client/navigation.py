@@ -29,7 +29,7 @@ _PATH_SECONDS = 1.0
 
 
 class Navigation:
-    """The gateway on the hub; raises `ClientError` if it is missing or does not answer."""
+    """The gateway on the hub; the methods raise `ClientError` if it is missing or does not answer."""
 
     def __init__(self, client: Client, types: Types) -> None:
         self._client, self._types = client, types

@@ -41,5 +41,5 @@ def daemon_names(client: Client, status: Sequence[WorkerAnswer]) -> DaemonNames:
 
 
 def distinct(client: Client, status: Sequence[WorkerAnswer]) -> list[WorkerAnswer]:
-    """Return all answers to ``status`` with distinct daemon names."""
+    """Return all answers to ``status``, with different names for different daemons of the same name."""
     return daemon_names(client, status).apply(status)

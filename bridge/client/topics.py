@@ -76,7 +76,7 @@ class HubTopic:
 
 
 def published(endpoints: Iterable[HubEndpoint], *, taps: bool = False) -> dict[TopicKey, HubTopic]:
-    """Return the topics of these publishers.
+    """Return the topics of these publishers, except of this session's own and of those whose origin is not known yet.
 
     Args:
         endpoints: publishers on the hub.
@@ -254,13 +254,13 @@ class HubTopics:
 
     Args:
         hub: the session, which stays open.
-        registry: of types.
+        registry: the known types.
         changed: called after each change of the hub's graph, on a thread of zenoh: it should only wake a thread, which
             then calls `refresh`.
         taps: include topics that stay on a side, and that its worker shows on request.
 
     Attributes:
-        definitions: of the topics' types.
+        definitions: the definitions of the topics' types.
     """
 
     def __init__(

@@ -67,7 +67,7 @@ class FrameMeter:
 
 
 QUIET, MOST = 0.15, 1.0
-"""Seconds without a new frame after which all are known, if every publisher has sent one; and the longest wait."""
+"""Seconds without a new frame after which all frames count as known, if every publisher has sent one; longest wait."""
 
 PATIENCE = 5.0
 """Seconds to wait for the first transform."""
@@ -99,7 +99,7 @@ class TransformListener:
         self._meters: dict[str, FrameMeter] = {}
         self._authorities = Authorities(client.hub.graph, side_name)
         self._known: set[tuple[str, str, bytes]] = set()  # frame, parent and publisher
-        self._news = 0.0  # when the last new one arrived (monotonic)
+        self._news = 0.0  # when the last new frame, parent or publisher arrived (monotonic)
         self._lock = threading.Lock()
         self._bad = ""
         namespace = absolute(namespace).rstrip("/") if namespace else ""
@@ -116,7 +116,7 @@ class TransformListener:
         self.refresh()
 
     def listen(self, seconds: float) -> None:
-        """Receive for some seconds."""
+        """Receive for ``seconds``, also from new publishers."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             time.sleep(min(left, _REFRESH_SECONDS))
