@@ -58,7 +58,7 @@ def warn(seen: str, cure: str = "") -> Finding:
 
 
 def fail(seen: str, cure: str = "") -> Finding:
-    """Return a finding that keeps topics from being bridged."""
+    """Return a finding for a problem that keeps something from working."""
     return Finding(Result.FAIL, seen, cure)
 
 

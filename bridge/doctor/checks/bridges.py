@@ -28,7 +28,7 @@ _CURE_FOREIGN = "stop the other bridge, or deny its topics in routing.rules"
 
 
 def check(context: CheckContext) -> Findings:
-    """Check the hub, ROS 1 and ROS 2."""
+    """Check the hub, ROS 1 and ROS 2 for other bridges."""
     findings = [*_on_hub(context), *_on_ros1(context), *_on_ros2(context)]
     if any(finding.result in ("warn", "fail") for finding in findings):
         return [finding for finding in findings if finding.result != "ok"]

@@ -23,7 +23,7 @@ def check_packages(context: CheckContext) -> Findings:
 
 
 def check_environment(context: CheckContext) -> Findings:
-    """Check that this shell's programs use the daemon's domain and discovery range."""
+    """Check that this shell's programs use the daemon's domain, discovery settings and security."""
     if context.config.ros2.enabled is False:
         return skip("ros2.enabled is false")
     text = context.environ.get("ROS_DOMAIN_ID") or "0"
