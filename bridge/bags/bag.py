@@ -23,7 +23,7 @@ USUAL = Qos()
 _BLOCK_BYTES, _BLOCK_MESSAGES = 1 << 20, 10_000
 
 MAX_TOPICS = 65_535
-"""Maximum topics of a bag, counted per publisher; MCAP has as many channel numbers."""
+"""Maximum topics of a bag, counted per publisher, because MCAP's channel numbers have 16 bits."""
 
 
 class BagError(Exception):

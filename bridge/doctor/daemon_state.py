@@ -31,7 +31,7 @@ ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, 
 _LOOPS = 3
 """Restarts from which a worker counts as crash-looping until it has recovered (`_SETTLED_SECONDS`)."""
 _SILENT_SECONDS = 2.0
-"""A worker hangs if its last heartbeat is older than this; it sends one each second."""
+"""A worker hangs if its last heartbeat is older than this; it sends at least one each second."""
 _SETTLED_SECONDS = 30.0
 """A worker that has run for longer than this since its last crash counts as recovered."""
 

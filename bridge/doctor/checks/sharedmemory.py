@@ -23,7 +23,7 @@ from bridge.hub.shared_memory import NAME, is_locked
 SMALL_BYTES = 128 * 1024 * 1024
 """Size in bytes below which large messages may not fit.
 
-Fast DDS needs half a megabyte for a default participant; Midspan uses an eighth of the free space, up to 64 MiB."""
+Fast DDS needs half a megabyte for a default participant; Midspan uses an eighth of the free space, up to 32 MiB."""
 FULL_BYTES = 8 * 1024 * 1024
 LITTER_BYTES = 16 * 1024 * 1024
 LITTER_FILES = 20
