@@ -64,7 +64,7 @@ class Copied:
 
     Attributes:
         messages: number of copied messages.
-        data: number of their bytes, as read.
+        data: number of their bytes, as read; for chunks that are copied as they are, with the heads of the records.
         unknown: topics that were left out because the format cannot hold them, with the reason.
         refused: number of messages by topic that were left out because their bytes do not match their type.
         lost: fields of ROS 1 types without a counterpart in ROS 2, by type.

@@ -14,7 +14,7 @@ class Authorities:
 
     Args:
         graph: the hub's graph.
-        side_name: converts the name of a side for the reader.
+        side_name: formats the name of a side for people.
     """
 
     def __init__(self, graph: HubGraph, side_name: Callable[[str], str] = str) -> None:

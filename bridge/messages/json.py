@@ -45,7 +45,7 @@ class _JsonReader(MessageReader):
 
     @override
     def plain(self, value: Any, base: str) -> Any:
-        """Return a number; a float32 has only its significant digits."""
+        """Return a number, or text for NaN and the infinities; a float32 has only its significant digits."""
         if isinstance(value, float):
             if not math.isfinite(value):
                 return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"

@@ -23,7 +23,7 @@ class CloudError(ConversionError, ValueError):
 
 
 def number_format(message: Mapping[str, Any], field: Mapping[str, Any]) -> str:
-    """Return numpy's format of a field that is one number; raises `CloudError` if it is not, or not within a point."""
+    """Return numpy's format of a field of one number; raises `CloudError` for another field, or one beyond a point."""
     name, step, kind = field["name"], int(message["point_step"]), FORMATS.get(int(field["datatype"]))
     if kind is None:
         raise CloudError(f"fields.{name}.datatype: {field['datatype']} is not between 1 and 8")
@@ -38,7 +38,7 @@ def number_format(message: Mapping[str, Any], field: Mapping[str, Any]) -> str:
 def records(
     message: Mapping[str, Any], names: Sequence[str], formats: Sequence[str], offsets: Sequence[int]
 ) -> NDArray[Any]:
-    """Return the points (height, width) with some of their fields, without a copy; `CloudError` if bytes are missing.
+    """Return some fields of the points, (height, width), without a copy; raises `CloudError` if bytes are missing.
 
     A cloud without points has the shape (0, 0), whatever its steps are.
     """

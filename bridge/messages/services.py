@@ -11,7 +11,7 @@ from bridge.messages.values import MessageReader, MessageWriter
 
 
 class ServiceCodec:
-    """The codec of one service, ``pkg/srv/Name``, ``pkg/action/Name_SendGoal`` or ``..._GetResult``, in ROS 2's names.
+    """The codec of one service, by its ROS 2 name: ``pkg/srv/Name``, ``pkg/action/Name_SendGoal``, ``..._GetResult``.
 
     ``type_hash`` selects a definition; "" selects the one known here. Raises `MessageTypeError` if the type is unknown.
     """

@@ -52,7 +52,7 @@ class MessageTemplate:
 
 
 class _PlaceWriter(MessageWriter):
-    """Records the offsets and types of the changing numbers, and the paths that lead to some."""
+    """Records the offsets and types of the changing numbers, and those of the given paths that lead to numbers."""
 
     def __init__(self, schema: Schema, changing: tuple[str, ...]) -> None:
         super().__init__(schema)

@@ -24,7 +24,7 @@ _NS = 1e9
 
 @dataclass(frozen=True)
 class PlayPart:
-    """The part to play: it begins ``start`` seconds after the first bag, and lasts ``duration`` seconds (None: all)."""
+    """The part to play: from ``start`` seconds after the first bag's start, for ``duration`` seconds or to the end."""
 
     start: float = 0.0
     duration: float | None = None

@@ -255,7 +255,8 @@ class ReleaseConversions:
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
         """Return the converter between two versions, given by their hashes; None if either is unknown or unusable.
 
-        ``part`` is ``Request`` or ``Response`` of a service. The converter raises `ConversionError`.
+        ``part`` is ``Request`` or ``Response`` of a service. The converter raises `ConversionError`; it is `same` if
+        either version is Humble's (`NO_HASH`), and Humble's equals Jazzy's.
         """
         key = type_name, source, target, part
         with self._lock:
@@ -274,7 +275,7 @@ class ReleaseConversions:
             return self._losses[key]
 
     def release(self, type_name: str, type_hash: str) -> str:
-        """Return the first release or folder that has the version ``type_hash``; "" if none has it."""
+        """Return the first release or folder that has this version ("humble" for `NO_HASH`); "" if none has it."""
         with self._lock:
             if type_hash == NO_HASH:
                 return "humble"
