@@ -129,7 +129,7 @@ def connect(
         session.close()  # type: ignore[no-untyped-call]
         raise
     try:
-        yield Client(hub, config, where)
+        yield Client(hub, config, where, here)
     finally:
         hub.close()
 

@@ -396,9 +396,9 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
         Return the hub topic, type, hash and zenoh key; {} if the side lacks the topic, too many topics are tapped, or
         no route exists within 2 s. Call it again to extend the time, which is at most 60 s.
         """
-        if len(self._taps) > _MAX_TAPS:
+        if len(self._taps) >= _MAX_TAPS:
             self._taps = {t: until for t, until in self._taps.items() if until > time.monotonic()}
-        if len(self._taps) > _MAX_TAPS or not any(
+        if (topic not in self._taps and len(self._taps) >= _MAX_TAPS) or not any(
             e.topic == topic and e.kind is Kind.PUBLISHER for e in self._context.edge.endpoints()
         ):
             return {}
