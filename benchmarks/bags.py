@@ -8,7 +8,7 @@ are the functions of ``midspan bag`` in a separate process; the peer's work runs
 
 The time runs from the start of the process (without the interpreter's start) until its file is on the disk.
 
-The last rows are the peak memory of these processes in megabytes, compared with a limit of 400.
+The last rows are the peak memory of Midspan's processes in MiB, compared with a limit of 400.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ WORK: dict[str, Callable[[Path, Path], None]] = {"ours": ours, "disk": disk, "zs
 
 
 def work(what: str, source: Path, target: Path) -> None:
-    """Run one process's work, and print the seconds and the peak memory in megabytes."""
+    """Run one process's work, and print the seconds and the peak memory in MiB."""
     begun = time.perf_counter()
     WORK[what](source, target)
     with target.open("rb") as file:
@@ -149,14 +149,14 @@ def work(what: str, source: Path, target: Path) -> None:
 
 
 def _peak() -> float:
-    """Return this process's peak memory in megabytes; `resource` would include that of its parent."""
+    """Return this process's peak memory in MiB; `resource` would include that of its parent."""
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     line = next(line for line in lines if line.startswith("VmHWM"))
     return int(line.split()[1]) / 1024
 
 
 def measure(what: str, source: Path, folder: Path, name: str) -> tuple[float, float]:
-    """Return the seconds and megabytes of a process that does the work once."""
+    """Return the seconds, and the peak memory in MiB, of a process that does the work once."""
     target = folder / name
     command = [sys.executable, __file__, "--work", what, str(source), str(target)]
     output = subprocess.run(command, check=True, capture_output=True, text=True).stdout

@@ -2,8 +2,9 @@
 
 The floor is the sum of the same round trip from rospy to rospy, from zenoh to zenoh and from rclpy to rclpy. Each round
 trip is measured in the same run, in turns with the whole path, as in `topic_latency.py`. The ends are standard: typed
-messages, actionlib, rclpy's executor (one for each end, so that they do not delay each other). So the floor includes
-the work of two more programs than the whole path, which explains ratios below 1. Each round starts new processes.
+messages, actionlib, rclpy's executor (one for each client and server, so that they do not delay each other). The floor
+is the work of six programs, the whole path that of two programs and two workers, which explains ratios below 1. Each
+round starts new processes.
 """
 
 from __future__ import annotations

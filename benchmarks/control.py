@@ -2,7 +2,7 @@
 
 The simulated R1 drives through the apartment in lock-step, so that both process realistic data. The peer's column is
 the period: RobotGoto's step runs every 10 ms (upstream's period), and receives scans at 10 Hz; the localizer's update
-(1,000 particles, 360 beams) runs at most once per scan, 100 ms. Everything runs on one core, and durations are
+(1,000 particles, 360 beams) runs at most once per scan, 100 ms. Everything runs on one thread, and durations are
 wall-clock time.
 
     python benchmarks/control.py [--json FILE] [--seconds 60]

@@ -32,7 +32,7 @@ FLOW = 100e6
 RATE = 100.0
 """Messages per second on each small topic."""
 LATEST_SECONDS = 2.0
-"""Seconds to wait for missing messages after the last was sent; images may be lost."""
+"""Seconds without another message after which the missing ones count as lost."""
 
 
 class Flood(Stage):

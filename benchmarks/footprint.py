@@ -44,11 +44,11 @@ from bridge.state_file import with_state
 from tests.support.ports import free_port
 
 PEERS = {"router": "zenoh", "ros1": "ros1", "ros2": "ros2", "yarp": "zenoh", "modules": "zenoh", "sim": "zenoh"}
-"""The bare peer of each worker; none for YARP, which has no Python library, nor for modules and simulator."""
+"""The bare peer of each worker; for YARP, which has no Python library, modules and simulator it is a zenoh session."""
 AIMS = {"router": 30.0, "ros1": 45.0, "ros2": 120.0, "yarp": 50.0, "modules": 80.0, "sim": 80.0, "daemon": 25.0}
 """Aims for PSS, MB."""
 IDLE, STANDING, RUN, HELP, VERB = 1.0, 25.0, 3.0, 0.25, 0.8
-"""Aims: percent of a core idle and with the robot at rest; seconds of `midspan run`, `midspan --help` and a verb."""
+"""Aims: percent of a core while idle and with the robot at rest; seconds of `midspan run`, `midspan --help`, a verb."""
 SIDES = ("ros1", "ros2", "yarp")
 DRIVER = "robot_goto"
 """The module that becomes ready last, because it waits for the simulator's laser."""

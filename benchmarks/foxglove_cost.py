@@ -1,8 +1,8 @@
 """The cost of the server for the Foxglove app: processor time and memory with one client, compared with a bare relay.
 
 The relay is a zenoh subscriber that passes each payload to a channel of the same SDK, and nothing else: no definitions,
-no hub, no check of clients. Router, publisher, relay and client are separate processes, which this file starts with
-``--role``.
+no hub, no check of clients. Publisher, relay and client are separate processes of this file, started with ``--role``;
+the router and the server are Midspan's workers.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def measure(seconds: float, rounds: int) -> list[Row]:
 
 
 def median(values: Sequence[float]) -> float:
-    """Return the median."""
+    """Return the median; of an even number of values, the higher of the middle two."""
     return sorted(values)[len(values) // 2]
 
 

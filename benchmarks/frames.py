@@ -1,8 +1,8 @@
 """Lookups and inserts of Midspan's transform buffer and of ROS 1's tf2 (tf2_py), each in a separate process.
 
-Both have the same transforms and the same lookups, and take turns, round by round. tf2's messages are created
-beforehand for the inserts, except for inserts from message bytes, as in a listener; its results are messages, as its
-users receive them. Each figure is the median over the rounds.
+Both have the same transforms and the same lookups, and take turns, round by round. For the inserts, tf2's messages are
+created beforehand; for the inserts from message bytes they are deserialized during the measurement, as in a listener.
+tf2's results are messages, as its users receive them. Each figure is the median over the rounds.
 
 With ``--relay``: the latency of transforms between ROS 1 and ROS 2 at 1 kHz through the daemon, compared with the floor
 of the same hops without it, as in `benchmarks.topic_latency`.
@@ -58,7 +58,7 @@ def samples() -> list[Sample]:
 
 
 def stamps(count: int) -> list[int]:
-    """Return times within the history."""
+    """Return random times within the history, in nanoseconds."""
     dice = random.Random(7)
     return [START + dice.randrange((SAMPLES - 1) * SECOND // RATE) for _ in range(count)]
 
@@ -186,7 +186,7 @@ def serve(side: str) -> None:
 
 
 class Side:
-    """One side's process."""
+    """The process with Midspan's buffer, or the one with tf2."""
 
     def __init__(self, side: str, python: str) -> None:
         command = [python, str(Path(__file__).resolve()), "--side", side]

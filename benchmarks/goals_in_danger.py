@@ -157,7 +157,7 @@ class Goal:
         return seen
 
     def reported_ends(self) -> int:
-        """Return the number of ends that other subscribers received, for the goal with most ends."""
+        """Return the number of ends that other subscribers received, for the goal with the most ends."""
         terminal = TERMINAL[self.sides[1]]
         return max((sum(s in terminal for s in states) for states in self._states().values()), default=0)
 
@@ -229,7 +229,7 @@ def worker_killed(worker: str, scene: Scene, server: str, client: str) -> End:
 
 
 def master_killed(scene: Scene, server: str, client: str) -> End:
-    """The ROS master is restarted, and then the server ends the goal: the end is reported unless one was before."""
+    """The ROS master is restarted, and then the server ends the goal: its end is reported, unless it was already."""
     goal = scene.goal(server, client)
     scene.kill_master()
     scene.start_master()

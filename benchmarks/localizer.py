@@ -2,8 +2,8 @@
 
 The drive runs in lock-step, so that the figures hold on any machine. The encoders have errors of 2 and 3 percent and
 noise; the laser is the R1's own, blind to the sides, with noise and lost echoes; people walk, and there are crates that
-the map lacks. The peer of each figure is its limit: 0.15 m and 5 degrees over 10 minutes, and the same within 60 s of
-driving from starts that are wrong by 3 m and 30 degrees.
+the map lacks. The peer of each figure is its limit: 0.15 m and 5 degrees over 10 minutes; the same within 60 s of
+driving from starts that are wrong by 3 m and 30 degrees; and 100 ms for a scan.
 
     python benchmarks/localizer.py [--json FILE] [--minutes 10] [--seeds 3] [--starts 10]
 """
@@ -40,13 +40,13 @@ WORLDS = ("apartment", "lab")
 DRIFT = EncodersSection(scale=(0.02, 0.03), noise=0.02)
 LASER = LaserSection(kind="robot", beams=720, noise=0.01, dropouts=0.02)
 METERS, DEGREES, RECOVERY = 0.15, 5.0, 60.0
-_FOR_GOOD = 30.0
-_CLEAR = 0.35
-_AHEAD = 0.3
-_FAR = 2.0
-_PERSON = 0.8
-_STUCK = 6.0
-_TURN_FIRST = 0.8
+_FOR_GOOD = 30.0  # seconds for which the errors must be within the limits after a recovery
+_CLEAR = 0.35  # meters between the path and obstacles
+_AHEAD = 0.3  # meters from a point of the path at which the robot heads for the next one
+_FAR = 2.0  # minimum length of a path, meters
+_PERSON = 0.8  # meters from a person ahead at which the robot stops
+_STUCK = 6.0  # seconds without progress after which the robot backs up and drives to another place
+_TURN_FIRST = 0.8  # radians off the path from which the robot turns in place
 _CONTROL = 10
 """Ticks of 10 ms between two commands."""
 
@@ -162,7 +162,7 @@ def held(
 
 
 def recovered(world: str, seed: int, settings: LocalizerSection) -> float:
-    """Return the seconds of driving from a start wrong by 3 m and 30 degrees until the limits hold for 30 s."""
+    """Return the seconds from a start wrong by 3 m and 30 degrees until the limits hold for 30 s; infinite if never."""
     rng = np.random.default_rng(1000 + seed)
     tour = Tour(simulated(world, seed), seed)
     for _ in range(round(10.0 * float(rng.random())) * 10):  # drive to a random place on the path first

@@ -1,7 +1,7 @@
-"""The cost of an engine's check of both graphs with many endpoints, after one of them was added or removed.
+"""The cost of an engine's check of both graphs with many endpoints, after one changed, or none did.
 
 Half of the endpoints are on the side (in memory), half on the hub (another session), each on a separate topic; one more
-is added and removed on either. The peer of each row is the same check with 50 endpoints: a check that processes only
+is added and removed on each. The peer of each row is the same check with 50 endpoints: a check that processes only
 changes costs the same with thousands.
 """
 
@@ -75,7 +75,7 @@ class EngineUnderLoad:
                 return
 
     def change(self, times: int) -> list[float]:
-        """Return the seconds of each check after one endpoint was added or removed."""
+        """Return the seconds of each check: an endpoint is added on the side, replaced by one on the hub, and removed."""
         self._settle()
         self.took.clear()
         for number in range(times):

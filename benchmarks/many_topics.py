@@ -1,10 +1,11 @@
 """Hundreds of topics between ROS 1 and ROS 2 through the daemon: their cost when idle and busy, and losses.
 
-Half of the topics go from ROS 1 to ROS 2, half back. First nothing is sent; then ten messages per second on each, all
-numbered and counted at the receiver; then one more topic runs at 250 Hz with the idle ones, and without them in
-separate rounds before and after; at last one topic of TF with 20 transforms runs at 2,000 Hz. If the project promises
-an absolute limit, this is the peer. Since the ends' cost depends on the machine, the busy topics also run through two
-bare relays (`benchmarks.latency.relay`), and strings at 2,000 Hz as the peer of TF, which they do not convert.
+Half of the topics go from ROS 1 to ROS 2, half back. The parts: nothing is sent (``idle``); one more topic runs at 250
+Hz beside the idle ones, and without them in separate rounds before and after (``fast``); ten messages per second are
+sent on each topic, all numbered and counted at the receiver (``busy``); one topic of TF with 20 transforms runs at
+2,000 Hz (``tf``). If the project promises an absolute limit, this is the peer. Since the cost depends on the machine,
+the busy topics also run through two bare relays (`benchmarks.latency.relay`). The relays do not convert TF, so its peer
+is a topic of strings at 2,000 Hz through them.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ from benchmarks.rows import Row, add_json_option, report
 
 WAYS = {THERE: ("ros1", "ros2", "ROS 1 to ROS 2"), BACK: ("ros2", "ros1", "ROS 2 to ROS 1")}
 IDLE_CPU, BUSY_CPU, BUSY_P99 = 1.0, 70.0, 3000.0
-"""The project's limits: all daemon processes and both workers in percent of a core; latency in microseconds."""
+"""The project's limits: CPU of all idle daemon processes, and of both busy workers, in percent of a core; p99 in us."""
 FAST = 250.0
 KINDS = ("ros1", "ros2")
 LANES = {"on": (True,), "off": (False,), "both": (True, False)}
 LATEST_SECONDS = 2.0
-"""Seconds to wait for missing messages."""
+"""Seconds without another message after which the missing ones count as lost."""
 
 
 class Crowd(Stage):

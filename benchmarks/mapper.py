@@ -55,9 +55,9 @@ FARTHEST = 10.0
 DRIFT = EncodersSection(scale=(0.006, -0.004), noise=0.01)
 """The setting in `configs/navigation.yaml`."""
 
-_STILL = 2.0  # seconds before a tour
-_DENSE = 14_400
-_FINE = 0.01
+_STILL = 2.0  # seconds for which the robot stands before a tour with drift
+_DENSE = 14_400  # beams with which the surface in sight is computed
+_FINE = 0.01  # meters between its points
 
 
 class Seen(NamedTuple):
@@ -69,7 +69,7 @@ class Seen(NamedTuple):
 
 
 def empty(name: str) -> Plan:
-    """Return a plan without people and movable things, with open doors."""
+    """Return a plan without people and without boxes that can be pushed, with open doors."""
     plan = load_plan(name)
     floors = {
         key: floor.model_copy(
@@ -85,7 +85,7 @@ def empty(name: str) -> Plan:
 
 
 def tour(simulation: Simulation, seconds: float = math.inf) -> Iterator[Seen]:
-    """Drive through the whole floor in lock-step, within a time."""
+    """Drive through the whole floor in lock-step, for at most ``seconds``, and yield the scans."""
     grid = true_grid(simulation.plan, simulation.floor)
     walls = grid.flags != MapFlag.FREE
     open_ = (distance_transform(walls) * grid.resolution > CLEARANCE).astype(np.uint8)
@@ -139,7 +139,7 @@ def _driven(simulation: Simulation, x: float, y: float) -> Iterator[Seen]:
 
 
 def mapped(scans: list[Seen], resolution: float = 0.05) -> Mapper:
-    """Return the map of a tour."""
+    """Return the map of a tour, from the true poses."""
     mapper = Mapper(Mapper2DSection(resolution=resolution, farthest=FARTHEST))
     for pose, scan, _ in scans:
         mapper.scan(pose, scan.ranges, scan.first, scan.step, scan.farthest)
@@ -255,7 +255,7 @@ def ours(scans: list[Seen]) -> float:
 
 
 def octomap(scans: list[Seen], seconds: float) -> float:
-    """Return the peer's scans per second, with the same beams, within a time."""
+    """Return the peer's scans per second with the same beams, measured for about ``seconds``."""
     tree: Any = importlib.import_module("pyoctomap").OcTree(0.05)
     begin, count = time.perf_counter(), 0
     for pose, scan, _ in scans:

@@ -1,4 +1,4 @@
-"""Mapper3D: a depth image updates the same tree as octomap from the same points, several times as fast.
+"""Mapper3D: it makes the same tree from a depth image as octomap does from the same points, several times as fast.
 
 The camera has a RealSense D435's field of view, and turns in a room with tables; its depth has noise. "Ours" is all
 that the module does with an image: depth to points, points to the map, rays, odds, and removals at their rate. The peer

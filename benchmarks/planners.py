@@ -1,4 +1,6 @@
-"""Grid paths: Midspan's A* compared with scipy, w9-pathfinding and pyastar2d, with and without the peer's graph.
+"""Grid paths: Midspan's A* compared with scipy, w9-pathfinding and pyastar2d.
+
+The peer's time is given without and with the time in which it builds its graph of the grid.
 
 w9-pathfinding and scipy find the optimum without cutting corners; pyastar2d counts a diagonal as one and cuts corners,
 so its path differs. `make bench-peers` installs the peers.

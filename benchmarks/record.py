@@ -4,12 +4,12 @@ One process sends, and another one subscribes to the same topics. Three cases ta
 subscriber that writes the same bytes with the library `mcap` on another thread, and no recorder. All are separate
 processes on one hub, with the hub's own session configuration. Rows:
 
-- messages lost: numbered by the sender and not in the file;
+- messages lost: gaps in the sender's numbers between a topic's first and last message in the file;
 - processor time of the recorder's process over the bare subscriber's, per sent gigabyte (the aim: 1.3);
 - latency of the small messages to the listener with the recorder, over that without (the aim: 1.1).
 
 Chunks are not compressed, except with ``--compression``: zstd, the default of `midspan record`, needs about 14
-processor seconds per gigabyte of these images, which is more than two cores at 200 MB/s for any writer with `mcap`.
+processor seconds per gigabyte of these images, so at 200 MB/s any writer with `mcap` would need more than two cores.
 Files are written into memory (/dev/shm), except with ``--folder``, so that the disk is not measured.
 """
 
@@ -243,7 +243,11 @@ class Program:
 
 
 class Turn(NamedTuple):
-    """One turn: processor seconds per GB, messages lost in the file, latency in ms, and the sent flow."""
+    """One turn's figures.
+
+    ``cpu``: the recorder's processor seconds per GB of images; ``lost``: messages missing in the file; ``p50``,
+    ``p99``: latency of the small messages, ms; ``megabytes`` of images, and ``small`` messages, sent per second.
+    """
 
     cpu: float
     lost: int
@@ -322,7 +326,10 @@ class Bench:
         ]  # fmt: skip
 
     def _flow(self, seconds: float) -> dict[str, Any]:
-        """Let the sender send, and wait until all messages have arrived and have been written."""
+        """Let the sender send for a time, and wait `SETTLE_SECONDS` for the last messages.
+
+        After one second, the warm-up, also clear the listener's latencies.
+        """
         self.sender.send(str(seconds))
         sent = self.sender.receive()
         Event().wait(SETTLE_SECONDS)

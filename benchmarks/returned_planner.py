@@ -78,7 +78,7 @@ class Watcher:
 
     Attributes:
         ready: whether it is.
-        since: when that began (monotonic).
+        since: when ``ready`` last changed (monotonic).
     """
 
     def __init__(self, node: ModuleNode, action: str) -> None:

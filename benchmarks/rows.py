@@ -1,6 +1,7 @@
 """Benchmark results as rows, with Midspan's and a peer's figures, as a table and as JSON.
 
-A row is ``{case, ours, peer, ratio, unit, better}``; ``ratio`` is ours over the peer's, ``better`` is "less" or "more".
+A row is ``{case, ours, peer, ratio, unit, better}``; ``ratio`` is ours over the peer's (infinite if that is 0),
+``better`` is "less" or "more".
 """
 
 from __future__ import annotations

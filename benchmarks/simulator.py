@@ -39,7 +39,7 @@ _RAYS = 100
 
 
 def plan(count: int) -> Plan:
-    """Return a plan with a number of walls, whose size grows with them, with space for a circle in the middle."""
+    """Return a plan whose size grows with the number of its walls, with space for a circle in the middle."""
     rng = np.random.default_rng(count)
     half = 10.0 * math.sqrt(count / 50)
     boxes: list[Box] = []

@@ -1,8 +1,9 @@
 """A subscriber that reads one message per second from a fast stream: its cost for the daemon, and others' delays.
 
 On each side a program's callback takes a second for each message of a large stream from another side. A second program
-on the same side reads the same stream, and a small one, without such a pause. The results are the daemon's peak memory,
-and the second program's lost messages and latency, with the slow program and (the peer's column) before it started.
+on the same side reads the same stream, and a small one, without such a pause. The results are the peak memory of each
+of the daemon's processes, and the second program's lost messages and latency, with the slow program and (the peer's
+column) before it started.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def measure(
         sides: the subscribers' sides.
         rate: images of 1 MB per second on each side.
         seconds: duration with the slow programs.
-        alone: duration without them before; by default the same.
+        alone: duration of the measurement before they start; by default ``seconds``.
     """
     streams = [Stream(deployment, side, rate) for side in sides]
     for stream in streams:

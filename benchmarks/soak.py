@@ -3,7 +3,7 @@
 Topics of many kinds and rates go from each side to both others; every message is numbered, and lost, duplicate and
 misordered messages are reported. Periodically a late joiner on each side subscribes to each latched topic. At the end,
 or after Ctrl-C, the slope of each process's memory, the change of threads and descriptors, and the drift of the latency
-are printed. Commands (Twist) are newest-only, so their losses are reported separately.
+are printed. Of commands (Twist) Midspan keeps only the newest, so their losses are reported separately.
 """
 
 from __future__ import annotations

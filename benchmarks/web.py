@@ -46,8 +46,8 @@ from bridge.messages.registry import Registry
 from bridge.web.feeds.map_pictures import TILE
 
 FIRST_VIEW, MAP_SEEN, AGE_MS, BACK, TEN_PERCENT = 1.0, 2.0, 100.0, 3.0, 15.0
-"""Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; seconds until the page reconnects
-after a restart of the console; percent of a core for ten pages."""
+"""Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; seconds from the first reply of a
+restarted console until the page is connected again; percent of a core for ten pages."""
 CELLS, METERS = 4000, 0.05
 TILES = math.ceil(CELLS / TILE) ** 2
 FEEDS = ("robot", "robots", "driving", "map", "laser", "path", "places")

@@ -15,7 +15,7 @@ from navigation.status import State
 from sim.base import TICK_NS
 
 NEAR_METERS, NEAR_DEGREES = 0.25, 10.0
-"""Distance from the goal within which a reached goal counts: the goal tolerance and the localizer's error."""
+"""True distance from a goal that counts as reached: the goal's tolerance plus the localizer's error."""
 
 _TURNING = 0.02  # rad/s; a robot that turns more slowly stands
 _SPEED = 0.1

@@ -26,7 +26,7 @@ Drift measured in the apartment (r1, seed 0): 72 degrees and 6.1 m after 270 s a
 """
 
 CAMERA = CameraSection(rate=5.0, width=160, height=120, noise=0.02)
-"""A D435's image at a quarter of its resolution, so that the error of 0.08 pixels becomes 0.02 pixels."""
+"""A D435's image at a quarter of its width and height, so that the error of 0.08 pixels becomes 0.02 pixels."""
 
 ENCODER_NOISE = 0.01
 _INPUT = "ros"

@@ -131,7 +131,7 @@ class Ours:
         self.driver.cancel()
 
     def put_elsewhere(self) -> None:
-        """Set the pose estimate to the true pose after the robot was carried."""
+        """Cancel the goal, and set the pose estimate to the true pose, after the robot was carried."""
         self.stop()
         self.driver.restart()
         if self.localizer is not None:

@@ -29,7 +29,7 @@ class Census:
         used: its processes' memory, threads and descriptors, by name.
         routes: routes of each worker.
         tokens: endpoints, nodes and origins in the hub's graph.
-        registrations: its publishers and subscribers on the ROS 1 master.
+        registrations: its publishers, subscribers and services on the ROS 1 master.
     """
 
     used: Mapping[str, Usage]
@@ -39,7 +39,7 @@ class Census:
 
 
 class Deployment(Stage):
-    """A stage with a running daemon, a program of each side (named after it), and a session that observes the hub."""
+    """A stage with a running daemon, a session that observes the hub, and the programs that `program` starts."""
 
     def __init__(self, cases: Sequence[Case] = CASES, config: Mapping[str, Any] | None = None) -> None:
         lane = {"hub": {"lane": os.environ.get("MIDSPAN_TEST_LANE") != "off"}}
@@ -113,7 +113,7 @@ class Deployment(Stage):
         return Census(self.usage(), self.routes("/"), tokens, self._registrations())
 
     def usage(self) -> dict[str, Usage]:
-        """Return the daemon's processes' memory, threads and descriptors; raises if one of them has exited."""
+        """Return the daemon's processes' memory, threads and descriptors; raises `RuntimeError` if one exited."""
         try:
             return Meter({name: self.pids[name] for name in DAEMON}).read()
         except FileNotFoundError as err:

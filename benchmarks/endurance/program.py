@@ -157,7 +157,7 @@ class Source:
 
 
 class Flow:
-    """A thread that sends each message when it is due, and skips messages that are late."""
+    """A thread that sends each message when it is due, and skips messages that are more than a second late."""
 
     def __init__(self) -> None:
         self._due: list[tuple[float, int, float, Callable[[], None]]] = []

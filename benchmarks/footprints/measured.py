@@ -16,9 +16,9 @@ class ProcessUsage:
     """A process's use so far.
 
     Attributes:
-        pss: memory in MB, with its share of shared pages; the sum over all processes is the total use.
-        rss: memory in MB, with all shared pages.
-        seconds: processor time.
+        pss: memory in MiB, with its share of shared pages; the sum over all processes is the total use.
+        rss: memory in MiB, with all shared pages.
+        seconds: processor time, seconds.
     """
 
     pss: float

@@ -1,4 +1,4 @@
-"""Starts one worker like the daemon, and measures the time until its first heartbeat and until it runs."""
+"""Starts one worker as the daemon does, and measures the time until its first heartbeat and until it runs."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ class StartedWorker:
         environ: the daemon's environment.
 
     Attributes:
-        first: seconds until its first heartbeat. running: seconds until it reported that it runs. cpu: processor time
-        until then, seconds.
+        first: seconds until its first heartbeat.
+        running: seconds until it reported that it runs.
+        cpu: processor time until it reported that, seconds.
     """
 
     def __init__(self, name: str, config: Config, environ: dict[str, str]) -> None:

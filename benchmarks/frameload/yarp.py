@@ -1,4 +1,7 @@
-"""The YARP program: yarp.py FRAMES NAMESERVER-PORT. It runs twice: one sets transforms, the other reads the stream."""
+"""The YARP program of `benchmarks.frames_load`: ``yarp.py COUNT NAMESERVER-PORT``, the number of frames per tick.
+
+It runs twice: one process sets transforms, the other reads the stream.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +59,7 @@ class Program:
         return {}
 
     def set(self, rate: float, ticks: int, first: int) -> dict[str, Any]:
-        """Start setting all frames in one request a tick, ``rate`` times a second; tick numbers start at ``first``."""
+        """Start to set all frames in one request per tick, at ``rate`` ticks per second, numbered from ``first``."""
         self.sent, self.took = 0, []
         transforms = [FrameTransform("base", f"load{n}") for n in range(self.frames)]
 
@@ -79,12 +82,16 @@ class Program:
         return {}
 
     def done(self, seconds: float) -> dict[str, Any]:
-        """Wait until all ticks are sent; return their number, and the median time of one in milliseconds."""
+        """Wait at most ``seconds`` until all ticks are sent; return how many were, and a request's median time in ms."""
         self.setting.join(seconds)
         return {"sent": self.sent, "ms": 1000 * statistics.median(self.took) if self.took else 0.0}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
-        """Join late ``count`` times; return in how many attempts all frames arrived, and the time of the slowest."""
+        """Connect to the server as a late joiner, ``count`` times, each with a new client.
+
+        Each attempt ends when all frames have arrived, or after ``seconds``. Return the number of attempts in which all
+        frames arrived, and the duration of the slowest attempt.
+        """
         whole, slowest = 0, 0.0
         for _ in range(count):
             start = time.monotonic()

@@ -17,7 +17,7 @@ _STORE = get_typestore(Stores.ROS2_JAZZY)
 _T: dict[str, Any] = dict(_STORE.types)
 _TEXT_MARK = "#" * DIGITS
 _NUMBER_MARK = 123456789.015625
-"""Placeholder of the stamp; occurs once in each message."""
+"""Placeholders of the stamp, in a text or in a float64; each message contains one of them, once."""
 
 
 @dataclass(frozen=True, slots=True)

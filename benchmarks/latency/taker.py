@@ -60,7 +60,7 @@ class Taker:
         return close
 
     def abandon(self) -> None:
-        """Stop receiving, without an orderly shutdown, whose objects the taking thread still uses."""
+        """Stop receiving, without destroying the subscriptions, because the taking thread still uses them."""
         for handle, _, _ in self._open.values():
             self._set_callback(handle.pointer, None, None)
             handle.__exit__(None, None, None)

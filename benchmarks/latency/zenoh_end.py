@@ -18,7 +18,7 @@ from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 
 
 class ZenohEnd(End):
-    """One session.
+    """A program with one zenoh session.
 
     Args:
         peer: endpoint of a router or another peer; None if the other peer connects.

@@ -17,7 +17,7 @@ PAUSE = 0.3
 AWAY = 1.0
 """Seconds until a killed roscore is restarted."""
 FORGET_SECONDS = 30.0
-"""Fast DDS removes a dead participant after 20 s, unless the participant's profile sets another time."""
+"""Seconds within which a dead participant is removed: Fast DDS needs 20 s, unless the participant's profile differs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def simulated_roscore(field: Field) -> Outcome:
 
 
 def program(field: Field, side: str, *, forget: bool = True) -> Outcome:
-    """Restart a program of a side; then kill it, and wait until it is removed (if ``forget``)."""
+    """Restart a program of a side; then kill it and wait until it is removed or, without ``forget``, stop it."""
     name = EXTRAS[side]
     field.start_programs(name)
     watch = _settled(field)

@@ -21,7 +21,7 @@ WORKERS = ("router", "ros1", "ros2")
 ANCHORS = ("ros1", "ros2", "hub")
 """Programs that survive most losses, by side."""
 EXTRAS = {"ros1": "ros1_extra", "ros2": "ros2_extra"}
-"""Programs that are killed."""
+"""Further programs of ROS 1 and ROS 2, which are killed."""
 JOINER = "ros1_joiner"
 """Joins ``/state`` late on ROS 1, repeatedly; on the other sides the anchors do."""
 
@@ -37,6 +37,7 @@ class Field(Processes):
 
     Attributes:
         states: the newest latched line of each publishing program.
+        lingering: latched lines of killed DDS participants, with the time until which late joiners may receive them.
         clock: whether the ROS 1 anchor publishes ``/clock``.
     """
 
@@ -93,7 +94,7 @@ class Field(Processes):
         return result
 
     def flows(self) -> list[Flow]:
-        """Return the flows that must never be interrupted."""
+        """Return all flows between the running programs, which must become steady again after a loss."""
         talking = [n for n in (*ANCHORS, *EXTRAS.values()) if n in self._children]
         flows = [
             (listener, f"/{talker}/{kind}")

@@ -17,7 +17,7 @@ GAP = 0.5
 QUIET = 1.5
 """Seconds without an interruption after which a flow counts as steady."""
 STALE = 0.75
-"""Seconds after which a command must no longer be delivered: its time-out of 0.5 s, and the transport."""
+"""Seconds after which a command must no longer be delivered: its time-out of 0.5 s, plus the transport."""
 STATE_SECONDS = 10.0
 
 Sound = tuple[float, float, float]

@@ -1,7 +1,7 @@
 """Base of the programs on each side, which publish continuously and subscribe to each other, controlled by JSON lines.
 
-Every program has a name and publishes ``/<name>/stream`` (a number every 20 ms), ``/<name>/cmd_vel`` (every second
-time) and one latched line on ``/state``, which all programs share. Times are CLOCK_MONOTONIC, which all processes of a
+Every program has a name and publishes ``/<name>/stream`` (a number every 20 ms), ``/<name>/cmd_vel`` (every 40 ms) and
+one latched line on ``/state``, which all programs share. Times are CLOCK_MONOTONIC, which all processes of a
 machine share. Standard library only.
 
 Commands (``do``), each answered by an event:
@@ -30,7 +30,7 @@ from benchmarks.latency.end import reply
 
 PERIOD = 0.02
 KEPT = 20_000
-"""Number of stored messages per topic: more than three minutes of a stream."""
+"""Number of stored messages per topic: more than six minutes of a stream."""
 MEGABYTE = "x" * 1_000_000
 _LARGE_EVERY = 10
 
@@ -59,7 +59,7 @@ class Program(ABC):
 
     @abstractmethod
     def publish(self, kind: str, sent: float, number: int) -> None:
-        """Publish on ``stream``, ``cmd_vel``, ``large`` or ``/clock`` (whose time is ``sent``)."""
+        """Publish on ``stream``, ``cmd_vel``, ``large`` or, with ``sent`` as the time, ``clock``."""
 
     @abstractmethod
     def publish_state(self, line: str) -> None:

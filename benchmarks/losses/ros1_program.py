@@ -58,7 +58,7 @@ class Ros1Program(Program):
             rospy.Subscriber(f"/{source}/{kind}", type_, self.hearer(source, kind), **more)
 
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
-        # only in programs without a subscription to it, which rospy would share
+        # only in programs without another subscription to /state, because rospy would share its connections
         subscriber = rospy.Subscriber("/state", String, lambda m: take(m.data))
         return lambda: subscriber.unregister()
 

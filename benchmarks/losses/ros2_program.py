@@ -44,7 +44,7 @@ class Ros2Program(Program):
     @override
     def publish(self, kind: str, sent: float, number: int) -> None:
         if kind == "clock":
-            return  # only ROS 1 has a clock here
+            return  # only the ROS 1 program publishes /clock
         point = Vector3(x=sent, y=float(number))
         large = kind == "large"
         message = String(data=MEGABYTE) if large else Twist(linear=point) if kind == "cmd_vel" else point

@@ -37,8 +37,8 @@ class Fault:
         says: text that the client's status reason must contain.
         ends: expected final state of the goal; None: any.
         code: expected error_code of the result; None: any.
-        tries: whether the robot may move briefly meanwhile to test whether the fault is over.
-        again: whether the goal is sent again after it.
+        tries: whether the robot may move briefly during the fault to test whether it is over.
+        again: whether another goal to the same place is sent after the fault.
         where: creates the deployment.
     """
 

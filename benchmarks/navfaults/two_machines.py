@@ -27,7 +27,7 @@ class TwoMachines(Chain):
 
     Args:
         folder: folder of its files.
-        split: whether planner and gateway run on the operator's computer, and only RobotGoto and the base on the robot.
+        split: whether planner and gateway run on the operator's computer; all other modules always run on the robot.
     """
 
     def __init__(self, folder: Path, *, split: bool = False) -> None:

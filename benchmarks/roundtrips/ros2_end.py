@@ -23,7 +23,7 @@ _task: Any = task
 
 
 class Ros2End(End):
-    """One rclpy node."""
+    """An rclpy program with several nodes."""
 
     def __init__(self) -> None:
         rclpy.init()

@@ -25,7 +25,7 @@ SMALL, GOAL = bytes(16), bytes(120)
 
 
 class ZenohEnd(End):
-    """One session."""
+    """A program with one zenoh session."""
 
     def __init__(self, router: str) -> None:
         tree = session_tree(router, shared_memory=True, max_payload=MAX_PAYLOAD)

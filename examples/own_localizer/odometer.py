@@ -36,7 +36,7 @@ class Odometer(PoseSource):
         self._start, self._correction, self._driven = pose, None, 0.0
 
     def estimate(self) -> PoseEstimate:
-        """Return the robot's pose on the map, or why it is unknown; called ten times a second."""
+        """Return the robot's pose on the map, or why it is unknown; called every `period` (by default 0.1 s)."""
         if self._start is None:
             return unknown("waiting for a start pose")
         try:

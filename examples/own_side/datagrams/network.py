@@ -1,10 +1,12 @@
 """The network: every program sends JSON in datagrams to one multicast group, and receives those of all others.
 
-``{"hello": ID, "node": NAME, "by": "", "ends": {ID: [KIND, TOPIC, TYPE, LATCHED, NUMBERS]}, "record": ""}`` twice a
-second, and at once when it changes; ``{"bye": ID}``; ``{"from": ENDPOINT, "topic": TOPIC, "message": {...}}``. Latched
-messages also have ``"source"`` and ``"number"``, and the publisher's hello lists the numbers that it retains. A late
+A program announces itself with ``{"hello": ID, "node": NAME, "by": "", "ends": {ID: [KIND, TOPIC, TYPE, LATCHED,
+NUMBERS]}, "record": ""}``, twice a second, and at once when it opens or closes an endpoint or changes its record. It
+leaves with ``{"bye": ID}``. A message is ``{"from": ENDPOINT, "topic": TOPIC, "message": {...}}``. Latched messages
+also have ``"source"`` and ``"number"``, and the publisher's hello lists the numbers of its retained messages. A late
 subscriber, or one that lost a datagram, sends ``{"again": [ENDPOINT]}``; the publisher then sends the retained messages
-to it only. A subscriber may receive a message twice and in any order, and detects that by the numbers.
+to this subscriber only. A subscriber may receive latched messages twice and in any order; it detects that by their
+numbers.
 """
 
 from __future__ import annotations
