@@ -25,8 +25,8 @@ from benchmarks.rows import Row, add_json_option, report
 FLOOR, THERE, BACK = "/floor", "/there", "/back"
 HOPS = ("ros1", "zenoh", "ros2")
 WAYS = {THERE: ("ROS 1 client, ROS 2 server", "ros1", "ros2"), BACK: ("ROS 2 client, ROS 1 server", "ros2", "ros1")}
-TURNS = 4
-WARM = 3
+TURNS = 4  # turns per round of each hop and direction
+WARM = 3  # first round trips of a turn, which do not count
 
 
 @dataclass(frozen=True, slots=True)

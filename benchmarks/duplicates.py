@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def measure(case: str, hubs: str, messages: int, rate: float) -> list[Row]:
-    """Measure one case, with a total number of messages on all networks."""
+    """Measure one case; ``messages`` and ``rate`` (per second) are the totals of all publishers."""
     with tempfile.TemporaryDirectory(prefix="midspan-duplicates-") as folder, Several(Path(folder)) as several:
         _, networks = CASES[case](several, joined=HUBS[hubs], node=NODES[hubs])
         all_flows = flows(several, networks)

@@ -31,13 +31,13 @@ from benchmarks.rows import Row, add_json_option, report
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 SECOND = 1_000_000_000
-FRAMES = 20
-SAMPLES = 500
-RATE = 100
+FRAMES = 20  # frames of the chain
+SAMPLES = 500  # samples of each frame
+RATE = 100  # samples per second
 START = 1_000_000 * SECOND
-BATCH = 720
-LOOKUPS = 5_000
-RELAY_RATE = 1000
+BATCH = 720  # times of one `lookup_many`
+LOOKUPS = 5_000  # lookups of a round
+RELAY_RATE = 1000  # messages per second with ``--relay``
 
 Sample = tuple[str, str, int, tuple[float, float, float], tuple[float, float, float, float]]
 Measure = Callable[[], float]

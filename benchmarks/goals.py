@@ -35,7 +35,7 @@ from benchmarks.rows import Row, add_json_option, report
 from sim.simulation import pose
 
 BASES = ("r1", "ikart_v1")
-NEEDED_FACTOR = 10.0
+NEEDED_FACTOR = 10.0  # aim for the real time factor
 ROWS = 10
 """Number of rows per case."""
 

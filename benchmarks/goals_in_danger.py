@@ -30,10 +30,10 @@ from tests.peers.daemon.deployment import Deployment
 from tests.peers.peer import Peer
 from tests.support.wait import until
 
-SECONDS = 60.0
+SECONDS = 60.0  # time-out of each wait
 SETTLE = 1.5
 """Seconds to wait for a second end: status lists and results are sent within one second."""
-TERMINAL = {ROS1: (2, 3, 4, 5, 8, 9), ROS2: (4, 5, 6)}
+TERMINAL = {ROS1: (2, 3, 4, 5, 8, 9), ROS2: (4, 5, 6)}  # final states, in the numbers of each side
 STATES = {0: "none", 4: "SUCCEEDED", 5: "CANCELED", 6: "ABORTED"}
 KEYS = {ROS1: "ros1", ROS2: "ros2"}
 

@@ -19,7 +19,7 @@ from tests.peers.daemon.calls_table import ROS1, ROS2, SUCCEEDED, Pair
 from tests.peers.daemon.deployment import Deployment
 
 WAYS = {"ROS 2 client, ROS 1 server": (ROS1, ROS2), "ROS 1 client, ROS 2 server": (ROS2, ROS1)}
-SLACK = 30.0
+SLACK = 30.0  # seconds that a goal may take in addition
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -75,7 +75,7 @@ class EngineUnderLoad:
                 return
 
     def change(self, times: int) -> list[float]:
-        """Return the seconds of each check: an endpoint is added on the side, replaced by one on the hub, and removed."""
+        """Return the seconds of each check: an endpoint is added on the side, moved to the hub, and removed."""
         self._settle()
         self.took.clear()
         for number in range(times):

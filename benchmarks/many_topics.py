@@ -36,7 +36,7 @@ from benchmarks.rows import Row, add_json_option, report
 WAYS = {THERE: ("ros1", "ros2", "ROS 1 to ROS 2"), BACK: ("ros2", "ros1", "ROS 2 to ROS 1")}
 IDLE_CPU, BUSY_CPU, BUSY_P99 = 1.0, 70.0, 3000.0
 """The project's limits: CPU of all idle daemon processes, and of both busy workers, in percent of a core; p99 in us."""
-FAST = 250.0
+FAST = 250.0  # messages per second on the fast topic
 KINDS = ("ros1", "ros2")
 LANES = {"on": (True,), "off": (False,), "both": (True, False)}
 LATEST_SECONDS = 2.0

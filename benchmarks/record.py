@@ -46,9 +46,9 @@ SMALL_TYPE = "geometry_msgs/msg/TwistStamped"
 SIDE = 1200
 """Pixels of an image's side; with three bytes each 4.3 MB."""
 
-SMALL_RATE = 1000.0
-FLOW = 200e6
-SETTLE_SECONDS = 2.0
+SMALL_RATE = 1000.0  # messages per second on each small topic
+FLOW = 200e6  # bytes per second of images
+SETTLE_SECONDS = 2.0  # until the last messages have arrived and have been written
 ROOT = Path(__file__).parents[1]
 RECORDERS = ("nobody", "midspan", "bare")
 

@@ -41,8 +41,8 @@ from bridge.modules.loop import EventLoop
 _PEERS = Path(__file__).parents[1] / "tests" / "peers"
 _TYPE = "nav2_msgs/action/NavigateToPose"  # move_base's too, on the hub
 _POLL_SECONDS = 0.002
-_IDLE_SECONDS = 10.0
-_STEADY_SECONDS = 3.0
+_IDLE_SECONDS = 10.0  # duration of a measurement of the load
+_STEADY_SECONDS = 3.0  # after the registration; a planner that stayed available until then was never lost
 
 
 @dataclass(frozen=True, slots=True)

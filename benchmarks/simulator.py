@@ -34,8 +34,8 @@ from sim.simulation import Simulation
 
 BEAMS = 1600
 WALLS = (50, 500, 2000)
-_TURN = 0.4
-_RAYS = 100
+_TURN = 0.4  # rad/s
+_RAYS = 100  # pixels for each ray that DART casts
 
 
 def plan(count: int) -> Plan:

@@ -26,8 +26,8 @@ SOURCE = {"ros1": "ros2", "ros2": "ros1", "zenoh": "ros2"}
 """The side that publishes for each side's subscribers."""
 
 BIG, SMALL = "/big", "/small"
-SMALL_RATE = 100.0
-PAUSE = 1.0
+SMALL_RATE = 100.0  # messages per second
+PAUSE = 1.0  # seconds that the slow program takes for each message
 
 
 @dataclass(frozen=True, slots=True)

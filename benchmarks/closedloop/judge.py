@@ -14,7 +14,7 @@ from benchmarks.closedloop.worlds import Rectangle
 Floats = NDArray[np.float64]
 
 STANDING = 0.01
-"""m/s; a slower robot is not at fault for a contact, because people walk up to it."""
+"""Speed below which the robot is not at fault for a contact, because people walk up to it, m/s."""
 
 _CHECK_TICKS = 5
 """Ticks between two distance checks: 1.5 cm at the R1's speed."""

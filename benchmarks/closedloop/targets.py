@@ -22,8 +22,8 @@ _ROOM = 0.25
 _TIGHT = 0.12
 """Minimum clearance on the path; narrower passages are not used."""
 
-_LEAST = 1.0
-_TRIES = 10_000
+_LEAST = 1.0  # minimum length of the path to a goal, meters
+_TRIES = 10_000  # maximum number of places that are drawn in all
 
 
 class Targets:

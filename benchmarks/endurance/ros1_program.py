@@ -28,7 +28,7 @@ class Ros1Publisher:
 
 
 class Ros1Program(Program):
-    """One rospy node."""
+    """A program with one rospy node."""
 
     def __init__(self) -> None:
         super().__init__()

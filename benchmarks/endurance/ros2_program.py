@@ -29,7 +29,7 @@ class Ros2Publisher:
 
 
 class Ros2Program(Program):
-    """One rclpy node."""
+    """A program with one rclpy node."""
 
     def __init__(self) -> None:
         super().__init__()

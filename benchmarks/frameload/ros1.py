@@ -25,7 +25,7 @@ _POSE = struct.Struct("<7d")
 
 
 def transforms(data: bytes) -> list[tuple[str, float]]:
-    """Return each child frame with its x."""
+    """Return the child frame and the x of the translation of each transform in a serialized ``TFMessage``."""
     at, result = _SIZE.size, []
     for _ in range(_SIZE.unpack_from(data)[0]):
         at += _HEAD.size + _HEAD.unpack_from(data, at)[3]
@@ -44,7 +44,7 @@ class Program:
         self.static: Any = None
 
     def count(self) -> dict[str, Any]:
-        """Start counting received frames."""
+        """Subscribe to ``/tf``, and start counting its messages and complete ticks."""
 
         def on_message(message: Any) -> None:
             self.tally.see([round(x) for child, x in transforms(message._buff) if child.startswith("load")])

@@ -37,7 +37,7 @@ class Program:
         self.spinning: threading.Thread | None = None
 
     def count(self) -> dict[str, Any]:
-        """Start counting received frames."""
+        """Subscribe to ``/tf``, and start counting its messages and complete ticks."""
 
         def on_message(data: bytes) -> None:
             transforms = read(bytes(data))

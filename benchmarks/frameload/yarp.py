@@ -82,7 +82,7 @@ class Program:
         return {}
 
     def done(self, seconds: float) -> dict[str, Any]:
-        """Wait at most ``seconds`` until all ticks are sent; return how many were, and a request's median time in ms."""
+        """Wait at most ``seconds`` until all ticks are sent; return their number, and the median of a request in ms."""
         self.setting.join(seconds)
         return {"sent": self.sent, "ms": 1000 * statistics.median(self.took) if self.took else 0.0}
 

@@ -11,7 +11,7 @@ from benchmarks.latency.stage import Stage
 FLOOR, THERE, BACK = "floor", "there", "back"
 """Prefixes of topic names: not bridged, from ROS 1 to ROS 2, from ROS 2 to ROS 1."""
 
-_WARM = 3
+_WARM = 3  # first messages of a measurement, which do not count
 
 
 class Network(Stage):

@@ -17,7 +17,7 @@ BUFFER = 16 << 20
 
 
 class Ros1End(End):
-    """One rospy node."""
+    """A program with one rospy node."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -18,7 +18,7 @@ DEPTH = 100
 
 
 class Ros2End(End):
-    """One rclpy node."""
+    """A program with one rclpy node."""
 
     def __init__(self) -> None:
         super().__init__()

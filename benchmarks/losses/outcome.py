@@ -18,7 +18,7 @@ QUIET = 1.5
 """Seconds without an interruption after which a flow counts as steady."""
 STALE = 0.75
 """Seconds after which a command must no longer be delivered: its time-out of 0.5 s, plus the transport."""
-STATE_SECONDS = 10.0
+STATE_SECONDS = 10.0  # within which every subscriber must have the newest latched lines
 
 Sound = tuple[float, float, float]
 

@@ -19,7 +19,7 @@ KINDS = {"stream": Vector3, "cmd_vel": Twist, "large": String}
 
 
 class Ros1Program(Program):
-    """One rospy node."""
+    """A program with one rospy node."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)

@@ -22,7 +22,7 @@ KINDS = {"stream": Vector3, "cmd_vel": Twist, "large": String}
 
 
 class Ros2Program(Program):
-    """One rclpy node."""
+    """A program with one rclpy node."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)

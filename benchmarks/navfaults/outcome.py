@@ -10,7 +10,7 @@ from typing_extensions import override
 
 @dataclass
 class Outcome:
-    """What happened, and the status that the client received.
+    """The motion of the robot, the end of the goal, and the status that the client received.
 
     Attributes:
         key: the fault's key.

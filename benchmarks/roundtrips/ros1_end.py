@@ -19,7 +19,7 @@ SECONDS = 30.0
 
 
 class Ros1End(End):
-    """One rospy node."""
+    """A program with one rospy node."""
 
     def __init__(self) -> None:
         rospy.init_node(f"end_{os.getpid()}", disable_signals=True, disable_rosout=True)

@@ -23,7 +23,7 @@ _task: Any = task
 
 
 class Ros2End(End):
-    """An rclpy program with several nodes."""
+    """A program with an rclpy node for each client and server."""
 
     def __init__(self) -> None:
         rclpy.init()
