@@ -301,6 +301,8 @@ class Bench:
                 assert program is not None
                 program.receive()
             self._flow(1.0)  # links, caches and the first file's channels
+            self.listener.send("forget")
+            self.listener.receive()
             before = program.cpu() if program is not None else 0.0
             sent = self._flow(self.args.seconds)
             self.listener.send("tell")
@@ -326,16 +328,10 @@ class Bench:
         ]  # fmt: skip
 
     def _flow(self, seconds: float) -> dict[str, Any]:
-        """Let the sender send for a time, and wait `SETTLE_SECONDS` for the last messages.
-
-        After one second, the warm-up, also clear the listener's latencies.
-        """
+        """Let the sender send for a time, and wait `SETTLE_SECONDS` for the last messages."""
         self.sender.send(str(seconds))
         sent = self.sender.receive()
         Event().wait(SETTLE_SECONDS)
-        if seconds == 1.0:
-            self.listener.send("forget")
-            self.listener.receive()
         return sent
 
     @staticmethod

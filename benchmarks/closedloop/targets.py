@@ -23,7 +23,7 @@ _TIGHT = 0.12
 """Minimum clearance on the path; narrower passages are not used."""
 
 _LEAST = 1.0  # minimum length of the path to a goal, meters
-_TRIES = 10_000  # maximum number of places that are drawn in all
+_TRIES = 10_000  # maximum number of places that are drawn for each goal
 
 
 class Targets:
@@ -82,12 +82,15 @@ class Targets:
     def __iter__(self) -> Iterator[tuple[Pose, float]]:
         """Yield goals, with the length of the shortest path from the robot's current position."""
         rows, columns = np.nonzero(self._around > self._robot.radius + _ROOM)
-        for _ in range(_TRIES):
+        tries = _TRIES
+        while tries:
+            tries -= 1
             place = int(self._random.integers(len(rows)))
             x, y = self._world.map.centers_of([(columns[place], rows[place])])[0]
             goal = Pose(float(x), float(y), float(self._random.uniform(-math.pi, math.pi)))
             length = math.inf if self._is_somebodys(goal) else self.path_length(self._robot.truth, goal)
             if math.isfinite(length) and _LEAST <= length <= self._farthest:
                 yield goal, length
+                tries = _TRIES
         msg = f"no reachable goal in {self._world.name} from {self._robot.truth}"
         raise RuntimeError(msg)

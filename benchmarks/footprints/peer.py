@@ -62,13 +62,6 @@ PEERS: dict[str, Callable[..., object]] = {
 
 
 if __name__ == "__main__":
-    peers: dict[str, Callable[..., object]] = {
-        "ros1": _ros1,
-        "ros2": _ros2,
-        "zenoh": _zenoh,
-        "router": _router,
-        "hub": _hub,
-    }
-    kept = peers[sys.argv[1]](*sys.argv[2:])
+    kept = PEERS[sys.argv[1]](*sys.argv[2:])
     print(json.dumps({"event": "ready"}), flush=True)
     sys.stdin.read()
