@@ -1,1 +1,1 @@
-"""The edges: one package per side, which alone imports the side's middleware; also the XML-RPC client for ROS 1."""
+"""The edges, one package per side, so that only a side's worker loads its middleware; and ROS 1's XML-RPC client."""

@@ -6,7 +6,7 @@ from collections import deque
 
 
 class LatchedCache:
-    """The last messages of each source."""
+    """The last ``depth`` messages of each source, at least one."""
 
     def __init__(self, depth: int) -> None:
         self._depth = max(depth, 1)

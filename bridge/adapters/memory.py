@@ -51,7 +51,7 @@ def keep_objects() -> None:
 
 
 class _Frozen:
-    """Freezes the survivors of each full collection, and unfreezes all of them once their number has grown by half."""
+    """Freezes the survivors of each full collection; if their number has grown by half, the next one scans them all."""
 
     def __init__(self) -> None:
         self._limit = self._least_limit()

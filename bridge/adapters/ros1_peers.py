@@ -1,7 +1,7 @@
 """An XML-RPC client for ROS 1 masters and nodes, with a deadline and a size limit for each response.
 
-Used by the ROS 1 side and by other parts that query a master. Each call returns ``[code, status message, value]``; code
-1 is success (https://wiki.ros.org/ROS/Master_API, https://wiki.ros.org/ROS/Slave_API).
+Used by the ROS 1 side and by other parts that query a master. Each method responds with ``[code, status message,
+value]``; code 1 is success (https://wiki.ros.org/ROS/Master_API, https://wiki.ros.org/ROS/Slave_API).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Ros1Error(Exception):
 
 
 class UnreachableError(Ros1Error):
-    """A master or node does not respond in time; ``refused``: its host refused the connection."""
+    """A master or node cannot be reached or does not respond in time; ``refused``: its host refused the connection."""
 
     def __init__(self, message: str, *, refused: bool = False) -> None:
         super().__init__(message)
@@ -35,7 +35,7 @@ class UnreachableError(Ros1Error):
 
 
 class Ros1ProtocolError(Ros1Error):
-    """A peer's response violates the ROS 1 protocols."""
+    """A peer's address or response violates the ROS 1 protocols."""
 
 
 class RefusedError(Ros1Error):
@@ -50,7 +50,7 @@ EXHAUSTED = f"this process has no file descriptor left for the connection; {reso
 
 
 def unanswered(message: str, err: OSError) -> Ros1Error:
-    """Return the error for a failed connection; if the peer is at fault, its text begins with ``message``."""
+    """Return the error for a failed connection: `ExhaustedError`, or `UnreachableError` with ``message`` and reason."""
     # without a descriptor the resolver cannot resolve host names either, and reports an arbitrary errno
     peers = isinstance(err, ConnectionError | TimeoutError)
     exhausted = err.errno in resources.OUT or (not peers and not resources.has_descriptor())
@@ -63,8 +63,8 @@ def unanswered(message: str, err: OSError) -> Ros1Error:
 class DeadlineSocket(socket.socket):
     """A TCP socket with one deadline for all operations.
 
-    A socket's timeout restarts with each operation, so a peer that sends a byte now and then would block a thread
-    forever.
+    The timeout of a plain socket restarts with each operation, so a peer that sends a byte now and then would block a
+    thread forever.
     """
 
     deadline = math.inf
@@ -146,7 +146,11 @@ class _Connection(http.client.HTTPConnection):
 
 
 class XmlRpcClient:
-    """A client of one XML-RPC server, with a persistent connection. Not thread-safe."""
+    """A client of one XML-RPC server, with a persistent connection. Not thread-safe.
+
+    ``timeout`` is the time in seconds for each request with its response, ``limit`` the size limit of a response in
+    bytes. Raises `Ros1ProtocolError` if ``uri`` is invalid.
+    """
 
     def __init__(self, uri: str, timeout: float, limit: int = MAX_ANSWER) -> None:
         try:
@@ -170,7 +174,7 @@ class XmlRpcClient:
         return len(self._last[1]) if self._last is not None else 0
 
     def call(self, method: str, *params: Any) -> Any:
-        """Call one method and return its value; raises `RefusedError` if the code is not 1."""
+        """Call one method and return its value; raises `RefusedError` for a code other than 1 and for a fault."""
         code, message, value = _triple(self._post(xmlrpc.client.dumps(params, method, allow_none=False)))
         if code != 1:
             raise RefusedError(message)

@@ -38,7 +38,7 @@ class SideEdge(Edge):
 
     @override
     def announce(self, record: bytes) -> None:
-        """Send a record to all Midspan workers on this network; dropped before the edge has joined it."""
+        """Send a record to all Midspan workers on this network; dropped if the edge has not joined the network yet."""
         presence = self._presence
         if presence is not None:
             presence.announce(record)
@@ -62,7 +62,7 @@ class SideEdge(Edge):
             self._listener.message_refused(topic, reason, why)
 
     def _own_type(self, type_name: str, type_hash: str) -> SideType:
-        """Return this machine's definition of a hub type; raises `MessageTypeError` if the publisher's differs."""
+        """Return this machine's definition of a hub type; raises `MessageTypeError` if the publisher's hash differs."""
         known = self._registry.ros2(type_name)
         if type_hash and type_hash != known.type_id:
             raise MessageTypeError(

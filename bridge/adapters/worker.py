@@ -92,7 +92,7 @@ class BridgeWorker(Worker):
 
     @override
     def reload(self, config: Config) -> bool:
-        """Apply new rules; other changes need a restart."""
+        """Apply new rules and the log level; return False if another change needs a restart."""
         old = self.config
         if old is None or not self.bridges:
             return False
@@ -110,7 +110,7 @@ class BridgeWorker(Worker):
 
     @override
     def health(self) -> Health:
-        """Return the combined health of the engines: running if any of them is."""
+        """Return the combined health of the engines: running if any engine is."""
         if self._failure:
             raise WorkerFailedError(self._failure)
         reports = {bridge.name: bridge.health() for bridge in self.bridges}
@@ -127,7 +127,7 @@ class BridgeWorker(Worker):
 
     @override
     def stop(self) -> None:
-        """Close all endpoints and sessions, once the goals of the gateway have ended."""
+        """Close all endpoints and sessions once no result of a navigation goal is pending, or after `DRAIN_SECONDS`."""
         bridges, self.bridges = self.bridges, []
         deadline = time.monotonic() + DRAIN_SECONDS
         for bridge in bridges:
@@ -141,7 +141,7 @@ class BridgeWorker(Worker):
 
 
 def _with_memory(config: Config) -> Config:
-    """Return the configuration, with shared memory disabled if pools of dead sessions still occupy it."""
+    """Return the configuration, without the hub's shared memory if programs still hold pools of dead sessions."""
     if sys.platform != "linux":  # other systems do not expose shared memory as files
         return config
     removed = shared_memory.clean()
@@ -246,7 +246,7 @@ class NetworkBridge:
     def drain(self, deadline: float) -> None:
         """Wait until no result of a navigation goal is pending; meanwhile the daemon's gateway stops the robot.
 
-        ``deadline`` is in monotonic seconds.
+        The wait ends at ``deadline``, in monotonic seconds, at the latest.
         """
         pending = any(map(_navigates, self._engine.routes()))
         while any(map(_navigates, self._engine.routes())) and time.monotonic() < deadline:

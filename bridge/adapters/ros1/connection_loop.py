@@ -33,7 +33,7 @@ class PolledConnection(ABC):
     """A TCP connection that the loop reads.
 
     While ``listens`` is true, its messages are read. Otherwise the loop calls it only so that the end of the connection
-    is detected, and the connection may call `ConnectionLoop.pause` if the peer sends more than it is willing to buffer.
+    is detected, and the connection may call `ConnectionLoop.pause` if its peer sends more than it can buffer.
     """
 
     joins: ClassVar[bool] = False
@@ -53,7 +53,7 @@ class PolledConnection(ABC):
 
     @abstractmethod
     def on_ready(self) -> Callable[[], None] | None:
-        """Read available data without blocking; return None, or a function to call once the loop no longer reads it."""
+        """Read available data without blocking; return None or, to leave the loop, a function to call after that."""
 
     @abstractmethod
     def abandon(self) -> None:
@@ -72,7 +72,7 @@ def keep_alive(sock: socket.socket) -> None:
 if hasattr(socket, "MSG_DONTWAIT"):
 
     def receive_now(sock: socket.socket, count: int, flags: int = 0) -> bytes:
-        """Receive without blocking; raises `BlockingIOError` without data."""
+        """Receive without blocking; raises `BlockingIOError` if there is no data."""
         return sock.recv(count, flags | socket.MSG_DONTWAIT)
 
     def send_now(sock: socket.socket, *parts: bytes) -> int:
@@ -82,7 +82,7 @@ if hasattr(socket, "MSG_DONTWAIT"):
 else:
 
     def receive_now(sock: socket.socket, count: int, flags: int = 0) -> bytes:
-        """Receive without blocking; raises `BlockingIOError` without data. Only one thread may read the socket."""
+        """Receive without blocking; raises `BlockingIOError` if there is no data. Only one thread may read a socket."""
         if not is_readable(sock):
             raise BlockingIOError
         return sock.recv(count, flags)
@@ -148,9 +148,9 @@ class ConnectionLoop(ThreadedLoop):
                 self._watch(source, readable=True)
 
     def pause(self, source: PolledConnection) -> None:
-        """Stop watching a source until its messages are read again; no effect if they are."""
+        """Stop watching a source until its messages are read again; no effect while they are being read."""
         with self._lock:
-            source.paused = True  # before the check: `listen`, on another thread, sets `listens` before it checks this
+            source.paused = True  # before the check: `listen`, on another thread, checks it after it has set `listens`
             if source.listens:
                 source.paused = False
             else:

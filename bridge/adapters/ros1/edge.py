@@ -161,7 +161,7 @@ class Ros1Edge(SideEdge):
 
     @override
     def network(self) -> str | None:
-        """Return the master's run id; None if it is unreachable and no connection to another node is left."""
+        """Return the master's run id; None if the master is unreachable and no connection to another node is left."""
         state = self._state
         return state.network if state is not None else None
 
@@ -190,7 +190,7 @@ class Ros1Edge(SideEdge):
 
     @override
     def settled(self, since: float) -> bool:
-        """Return whether the master was read since then, and lists this node's entry, which later nodes look for."""
+        """Return whether the master was read after ``since``, and lists this node's entry for nodes that join later."""
         if self._settled < since:
             self._wake_master()
             return False

@@ -38,7 +38,7 @@ def master_uri(config: Config, environ: Mapping[str, str]) -> str:
 
 
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:
-    """Return the environment of the ros1 worker; raises `RuntimeError` if it cannot run as configured."""
+    """Return the environment of the ros1 worker; raises `RuntimeError` if the worker cannot run as configured."""
     reason = available(config)
     if reason:
         raise RuntimeError(reason)
@@ -94,7 +94,10 @@ def _set_address(env: dict[str, str], config: Config) -> None:
 
 
 def is_local(host: str) -> bool:
-    """Return whether a master's host resolves only to loopback, so that no other machine can join."""
+    """Return whether no other machine can reach a master on this host.
+
+    True for localhost, a loopback address, and this machine's name if it resolves only to loopback addresses.
+    """
     if host == "localhost":
         return True
     with contextlib.suppress(ValueError):

@@ -60,7 +60,7 @@ def decode(body: bytes) -> dict[str, str]:
 
 
 def read_header(sock: DeadlineSocket) -> dict[str, str]:
-    """Read exactly one header, until the socket's deadline."""
+    """Read one header and nothing after it, at most until the socket's deadline."""
     (length,) = _LENGTH.unpack(read_exactly(sock, 4))
     if length > MAX_HEADER:
         raise Ros1ProtocolError(f"the connection header announces {length} bytes, but the limit is {MAX_HEADER}")
@@ -68,7 +68,7 @@ def read_header(sock: DeadlineSocket) -> dict[str, str]:
 
 
 def read_exactly(sock: DeadlineSocket, count: int) -> bytes:
-    """Read ``count`` bytes, until the socket's deadline; raises `Ros1ProtocolError` if the peer closes earlier."""
+    """Read ``count`` bytes until the socket's deadline at most; raises `Ros1ProtocolError` if the peer closes first."""
     parts: list[bytes] = []
     while count:
         part = sock.recv(min(count, 65536))

@@ -4,9 +4,10 @@ ROS 2's rule for a full topic name (rmw's validate_full_topic_name): absolute, l
 ``//``, no trailing ``/``, no part that starts with a digit, at most 247 characters. ROS 1's masters enforce nothing,
 and ROS 1's rule (rosgraph.names) allows parts that start with digits.
 
-The rule, part by part of a name:
+The mapping of an illegal name, part by part:
 
 1. empty parts are removed (``//`` becomes ``/``, a trailing ``/`` is dropped), and a leading ``/`` is added if missing;
+   a name without any other part becomes ``/_``;
 2. every character other than ``[A-Za-z0-9_]`` becomes ``_``;
 3. a part that starts with a digit is prefixed with ``n``: ``/camera/1/image`` becomes ``/camera/n1/image``;
 4. a name that is still longer than 247 characters is cut, and ends in ``_`` and eight hex digits of its SHA-256.
@@ -29,7 +30,7 @@ _FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
 
 
 def hub_name(side_name: str) -> str:
-    """Return the hub's spelling of a ROS 1 topic name, by the rule above."""
+    """Return the hub's spelling of a ROS 1 topic name, by the mapping above."""
     if _LEGAL.fullmatch(side_name) and len(side_name) <= MAX_LENGTH:
         return side_name
     parts = [_FORBIDDEN.sub("_", part) for part in side_name.split("/") if part]
@@ -43,8 +44,8 @@ def hub_name(side_name: str) -> str:
 class NameTable:
     """Maps hub names back to ROS 1 names that are or were on the ROS 1 graph.
 
-    A name on the graph that equals the hub name has precedence, else the first name in alphabetical order. Names that
-    are illegal on the hub stay in the table when they leave the graph, so that a topic keeps its name when its
+    A ROS 1 name that equals the hub name has precedence; otherwise the first name in alphabetical order is used. Names
+    that are illegal on the hub stay in the table when they leave the graph, so that a topic keeps its name when its
     subscriber is restarted.
     """
 

@@ -43,9 +43,9 @@ Message = Mapping[str, Any]
 
 
 class Ros1Program:
-    """A node with ``name`` and a random suffix as its name; ``master`` defaults to ``ROS_MASTER_URI``.
+    """A node whose name is ``name`` and a random suffix; ``master`` defaults to ``ROS_MASTER_URI``.
 
-    Raises `bridge.adapters.ros1_peers.Ros1Error` if the master does not answer, and
+    Its methods raise `bridge.adapters.ros1_peers.Ros1Error` if the master does not respond, and
     `bridge.messages.errors.MessageTypeError` for unknown types.
     """
 
@@ -65,19 +65,19 @@ class Ros1Program:
         self._node = PlainNode(self.name, self._uri, NodeAddress.of(environ), events)
 
     def publish(self, topic: str, side_type: SideType, *, latched: bool = False) -> Publication:
-        """Open a publication for messages as bytes."""
+        """Open a publication of serialized messages."""
         publication = self._node.publish(topic, side_type, latched=latched)
         self._call("registerPublisher", topic, side_type.name)
         self._registered.add(("unregisterPublisher", topic))
         return publication
 
     def unpublish(self, publication: Publication, *, latched: bool = False) -> None:
-        """End a publication; ``latched`` must be as in the call of `publish`."""
+        """End a publication; ``latched`` must be the same as in the call of `publish`."""
         self._node.unpublish(publication, latched=latched)
         self._unregister("unregisterPublisher", publication.topic)
 
     def subscribe(self, topic: str, side_type: SideType, deliver: Deliver) -> None:
-        """Subscribe to messages as bytes; ``deliver`` is called on any thread."""
+        """Subscribe to a topic's serialized messages; ``deliver`` is called on any thread."""
         self._node.subscribe(topic, side_type, deliver)
         self._types[topic] = side_type.name
         self._registered.add(("unregisterSubscriber", topic))
@@ -129,7 +129,10 @@ class Ros1Program:
         return to_json(self.registry, conversion.target.name, cdr)
 
     def wait(self, ready: Callable[[], bool], seconds: float) -> bool:
-        """Wait until ``ready()``, checked after each message and connection change, is true; return whether it is."""
+        """Wait until ``ready()`` is true, and return whether it is.
+
+        It is checked when connections change, and after each message of `wait_for_message` and of action clients.
+        """
         with self.changed:
             return self.changed.wait_for(ready, seconds)
 
@@ -214,7 +217,7 @@ class Ros1ActionClient:
         return self._program.wait(self._connected, seconds)
 
     def send_goal(self, goal: Message, on_feedback: Callable[[Message], None] | None = None) -> GoalOutcome:
-        """Send a goal and wait for its end; ``on_feedback`` receives each feedback, an interrupt cancels the goal."""
+        """Send a goal and wait for its end; ``on_feedback`` receives all feedback. An interrupt cancels the goal."""
         replies: list[bytes | CallError] = []
         goal_id = uuid.uuid4().bytes
         request = goal_id + self._program.encode(f"{self._type}Goal", goal)
@@ -229,7 +232,7 @@ class Ros1ActionClient:
             self._executor.submit(lambda: self._client.get_result(goal_id, replies.append))
             last = self._wait_for(replies, 2)
         except BaseException:
-            # not through the executor, which may be busy: the program may close before it runs the next job
+            # not through the executor, which may be busy: the program may close before the executor runs the next job
             self.publish(discovery.CANCEL, wire.goal_id(GoalId(ZERO, text_of(goal_id))))
             self._executor.submit(lambda: self._client.close("interrupted"))
             raise
@@ -242,7 +245,7 @@ class Ros1ActionClient:
         self._to_server[part].send(payload, str(next(self._numbers)), _DEPTH, retain=False)
 
     def deliver(self, part: str, payload: bytes) -> None:
-        """Pass feedback to the program; the states are not used."""
+        """Pass the goal's feedback to ``on_feedback``; the states are not used."""
         if part == discovery.FEEDBACK and self._feedback is not None:
             goal_id, body = wire.read_with_uuid(payload)
             if goal_id == self._feedback[0]:

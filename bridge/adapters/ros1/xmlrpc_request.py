@@ -26,7 +26,8 @@ class Limits:
     """Limits of a server.
 
     Attributes:
-        connections: number of open connections; beyond it, the one that has been idle longest is closed.
+        connections: number of open connections; beyond it, the one that has been idle longest is closed, or, if none
+            is idle, new clients wait.
         body: size of one request in bytes.
         buffered: total size in bytes of all requests that are being received or served.
         head: size of a request's HTTP header in bytes.
@@ -34,7 +35,7 @@ class Limits:
         values: number of values in one request.
         seconds: time for a whole request to arrive, and for a whole response to be accepted; large ones get more.
         threads: number of threads that run methods.
-        response: size of the response to one request in bytes.
+        response: size of the response to one ``system.multicall`` in bytes.
     """
 
     connections: int = 1024
@@ -82,7 +83,7 @@ class _Decoder(xmlrpc.client.Unmarshaller):
 
 
 def decode_call(body: bytes, limits: Limits) -> tuple[str, tuple[Any, ...]]:
-    """Return method and parameters of a request; raises `xmlrpc.client.Fault` if it is invalid."""
+    """Return the method and parameters of a request; raises `xmlrpc.client.Fault` if it is invalid."""
     decoder = _Decoder(limits)
     try:
         params = _parse(decoder, body)
@@ -95,7 +96,7 @@ def decode_call(body: bytes, limits: Limits) -> tuple[str, tuple[Any, ...]]:
 
 
 def decode_response(body: bytes, depth: int = DEFAULT_LIMITS.depth) -> Any:
-    """Return the value of a response; raises its `xmlrpc.client.Fault`, or `ValueError` if it is invalid."""
+    """Return the value of a response; raises `xmlrpc.client.Fault` if it is a fault, `ValueError` if it is invalid."""
     try:
         values = _parse(xmlrpc.client.Unmarshaller(), body)
     except xmlrpc.client.Fault:
@@ -112,7 +113,7 @@ def decode_response(body: bytes, depth: int = DEFAULT_LIMITS.depth) -> Any:
 
 
 def _parse(decoder: xmlrpc.client.Unmarshaller, body: bytes) -> tuple[Any, ...]:
-    decoder.xml("", None)  # the parser decodes
+    decoder.xml("", None)  # without an encoding, because expat has decoded the text
     parser = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler = decoder.start
@@ -128,7 +129,7 @@ def _refuse_doctype(*_: object) -> None:
 
 
 class HttpError(Exception):
-    """A request that is answered with an HTTP status; the connection is closed."""
+    """A request that the server rejects with an HTTP status; the connection is closed."""
 
     def __init__(self, status: http.HTTPStatus) -> None:
         super().__init__(status.phrase)
@@ -137,7 +138,11 @@ class HttpError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The parts of an HTTP header that matter: size of the body, whether the connection persists after the response."""
+    """The parts of an HTTP header that matter.
+
+    ``length`` is the size of the body in bytes; ``persistent``: the connection stays open after the response;
+    ``wants_continue``: the client waits for "100 Continue" before it sends the body.
+    """
 
     length: int
     persistent: bool
@@ -180,13 +185,13 @@ _TAIL = "</param>\n</params>\n</methodResponse>\n"
 
 
 def encode_response(result: object) -> bytes:
-    """Return the XML of a response; raises `TypeError` or `OverflowError` if XML-RPC lacks the value's type."""
+    """Return the XML of a response; raises `TypeError` or `OverflowError` if XML-RPC cannot represent the value."""
     fault = isinstance(result, xmlrpc.client.Fault)
     return _encode(xmlrpc.client.dumps(result if fault else (result,), methodresponse=True))  # type: ignore[arg-type]
 
 
 def encode_responses(results: Iterable[object], limits: Limits) -> bytes:
-    """Return the XML of a list of results; once it exceeds the limit, no further results are computed."""
+    """Return the XML of a list of results; raises `xmlrpc.client.Fault` at the first result that exceeds the limit."""
     parts, size = [], 0
     for result in results:
         part = encode_response(result)[len(_HEAD) : -len(_TAIL)]
@@ -199,5 +204,5 @@ def encode_responses(results: Iterable[object], limits: Limits) -> bytes:
 
 
 def _encode(text: str) -> bytes:
-    """Encode XML without the characters that it cannot represent; names of connected nodes may contain any bytes."""
+    """Encode XML; U+FFFD replaces characters that XML does not allow, since names of nodes may contain any bytes."""
     return _NO_XML.sub("\ufffd", text).encode()

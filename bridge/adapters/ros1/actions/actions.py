@@ -96,7 +96,7 @@ class Ros1Actions:
                     yield _endpoint(server, part, made_by)
 
     def learn(self, name: str) -> None:
-        """Learn the types of a part's action from its publishers' connection headers."""
+        """Learn the types of a part's action from the connection headers of the action's publishers."""
         action = name.rpartition("/_action/")[0]
         servers = self._found.servers.get(action)
         if servers:

@@ -20,7 +20,7 @@ from bridge.messages.errors import ConversionError
 from bridge.routing.edge import Deliver
 
 _QUEUE = Qos(depth=10_000)
-"""Goals and cancel requests are never dropped."""
+"""Goals and cancel requests must not be dropped."""
 
 _REJECTED = wire.goal_response(wire.ZERO, accepted=False)
 

@@ -25,9 +25,9 @@ from bridge.messages.errors import ConversionError
 _log = logging.getLogger(__name__)
 
 RESULT_SECONDS = 2.0
-"""How long a result may arrive after the status list reports its goal's end.
+"""How long after the status list has reported a goal's end its result may arrive.
 
-After that it counts as lost, and clients receive an empty result.
+After that, the result counts as lost, and clients receive an empty one.
 """
 
 CONNECT_SECONDS = 5.0
@@ -41,7 +41,7 @@ ALIVE_SECONDS = 1.0
 
 CALM_SECONDS = 0.05
 FEW_GOALS = 32
-"""With more goals, the status topic is published at most every `CALM_SECONDS`, because each message lists all goals."""
+"""With more goals, the status is published at most once per `CALM_SECONDS`, because each message lists all goals."""
 
 LOST = "lost sight of the goal: "
 """Prefix of the text of a goal whose state is no longer reported; clients may depend on it."""
@@ -177,8 +177,9 @@ class ActionlibClient:
     def lost(self, reason: str) -> None:
         """Handle the loss of contact with the server; until `discovered` is called, goals are rejected.
 
-        No state is published for its goals, because they may still be executing. Clients of get_result receive UNKNOWN,
-        with a text that begins with `LOST`.
+        A goal that the status list has reported as ended ends in that state with an empty result, and a goal that was
+        not sent yet is rejected. For all other goals no state is published, because they may still be executing;
+        clients of get_result receive UNKNOWN, with a text that begins with `LOST`.
         """
         self._ready, self._gone, self._listed = False, reason, False
         self._cancels.reachable = False
@@ -193,7 +194,7 @@ class ActionlibClient:
         self._changed = False
 
     def close(self, reason: str) -> None:
-        """Cancel the goals of this client, and stop tracking all goals."""
+        """Cancel the goals of this client if the server is connected, and stop tracking all goals."""
         if self._ready:
             for goal in self._goals.unfinished():
                 if goal.ours and goal.body is None and not goal.state.ended:
@@ -201,7 +202,7 @@ class ActionlibClient:
         self.lost(reason)
 
     def statuses(self, found: Iterable[GoalStatus]) -> None:
-        """Adopt the server's status list; publish the first one even if the server has no goals."""
+        """Adopt the server's status list; publish the states after the first list even if it has no goals."""
         self._changed, self._listed = self._changed or not self._listed, True
         named: set[str] = set()
         for status in found:
@@ -293,7 +294,7 @@ class ActionlibClient:
         return goal
 
     def _follow(self, goal: TrackedGoal, status: GoalStatus) -> None:
-        """Adopt a reported state, unless it precedes the goal's current state."""
+        """Adopt a reported state, unless it precedes the goal's current state or the goal has ended."""
         self._accept(goal, status)
         state = TO_ROS2[Ros1State.parse(status.state)]
         if goal.refused or state <= goal.state or goal.state.ended:
@@ -326,7 +327,7 @@ class ActionlibClient:
         done(_REFUSED)
 
     def _drop(self, goal: TrackedGoal, reason: str) -> None:
-        """Reject a goal that was not accepted."""
+        """Reject a goal that has not been accepted."""
         goal.refused, goal.body, goal.result = True, None, b""
         self._goals.end(goal, self._clock())
         asker, goal.asker = goal.asker, None

@@ -92,7 +92,7 @@ def _by_node(links: Iterable[Registration], own: str) -> dict[tuple[str, str, st
 
 
 def _type(name: str, types: Mapping[str, str]) -> str:
-    """Return the action's type if all known types of the five topics agree, else ""."""
+    """Return the action's type from that of its result topic, if all known types of the five topics fit; else ""."""
     result = types.get(f"{name}/{RESULT}", "")
     if not result.endswith(_SUFFIXES[RESULT]):
         return ""

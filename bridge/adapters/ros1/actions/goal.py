@@ -62,7 +62,7 @@ class TrackedGoal:
 
     @property
     def reason(self) -> str:
-        """Why the goal was not reached; "" if it was."""
+        """Why the goal did not succeed, as far as known; "" if it did."""
         return "" if self.state is GoalState.SUCCEEDED else self.text
 
     @property
@@ -73,7 +73,7 @@ class TrackedGoal:
 
     @property
     def accepted(self) -> bool:
-        """Whether the server accepted the goal."""
+        """Whether the server has accepted the goal; false again once the goal is lost."""
         return self.state is not GoalState.UNKNOWN and not self.refused
 
 
@@ -115,7 +115,7 @@ class GoalStore:
         self._bytes += len(goal.result or b"")
 
     def remove(self, goal: TrackedGoal) -> None:
-        """Drop a goal that has expired, or whose id a ROS 1 client reuses."""
+        """Drop a goal, for example one that has expired, or whose id a ROS 1 client reuses."""
         if self._ended.pop(goal.uuid, None) is not None:
             self._bytes -= len(goal.result or b"")
         self._open.pop(goal.uuid, None)
@@ -129,7 +129,7 @@ class GoalStore:
             yield goal
 
     def expire(self, now: float) -> None:
-        """Drop ended goals that are too old or too many."""
+        """Drop ended goals that are too old, too many, or too large together."""
         for ended, goal in list(self._ended.values()):
             crowded = len(self._ended) > MAX_ENDED or self._bytes > MAX_ENDED_BYTES
             if ended > now - KEEP_SECONDS and not crowded:

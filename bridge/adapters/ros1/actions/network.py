@@ -58,7 +58,8 @@ class ActionNetwork:
             node name, so a second subscription to a topic that may also be bridged appends a suffix to this node's
             name.
         publish: ``publish(topic, side_type, qos)``.
-        refuse: ``refuse(topic, reason, why)`` reports a bad message.
+        refuse: ``refuse(topic, reason, why)`` reports a rejected message; ``reason`` is a keyword such as ``bad``,
+            ``why`` the error's text.
         check_frames: whether goals in unknown frames are rejected.
     """
 
@@ -123,7 +124,7 @@ class OpenPart:
         self._close: Callable[[], None] | None = close
 
     def close(self) -> None:
-        """Close the part; pending goals of a service end. Safe to call twice."""
+        """Close the part; if it is a service, the action's goals end. Safe to call twice."""
         close, self._close = self._close, None
         if close is not None:
             close()

@@ -44,7 +44,7 @@ MAX_GOALS = 10_000
 
 CALM_SECONDS = 0.05
 FEW_GOALS = 32
-"""A status list with more entries is published at most every `CALM_SECONDS`, since each message contains them all."""
+"""A longer status list is published at most once per `CALM_SECONDS`, because each message contains all entries."""
 
 _CANCELED_EARLIER = "the goal's stamp is not after that of the last cancel request"
 _ANY = bytes(wire.UUID_SIZE)
@@ -56,7 +56,10 @@ class ServerOutput(Protocol):
     """Sends the messages and calls of an `ActionlibServer`; never blocks."""
 
     def publish(self, part: str, payload: bytes, source: str = "") -> None:
-        """Publish on ``status``, ``feedback`` or ``result``; later subscribers also receive each goal's result."""
+        """Publish on ``status``, ``feedback`` or ``result``; later subscribers also receive the stored results.
+
+        ``source`` is the id of a result's goal, for `drop_result`.
+        """
 
     def drop_result(self, goal: str) -> None:
         """Drop a goal's result."""
@@ -70,8 +73,8 @@ class _ListedGoal:
     """One goal of the status list.
 
     ``ours`` is whether a ROS 1 client sent it; otherwise a hub client did, and ROS 1 clients only see its status.
-    ``uuid`` is its id on the hub, None for a cancel request whose goal has not arrived; ``gone`` is the time at which
-    the goal ended.
+    ``uuid`` is its id on the hub, None for a cancel request whose goal has not arrived. ``gone`` is the time from which
+    `LIST_SECONDS` count: when the goal ended, an ended goal was sent again, or such a cancel request arrived.
     """
 
     id: str
@@ -139,7 +142,7 @@ class ActionlibServer:
         return listed
 
     def _again(self, entry: _ListedGoal) -> None:
-        """Handle a goal whose id is already listed: end it if its cancel request arrived first, else ignore it."""
+        """Handle a goal whose id is listed: end it if its cancel request arrived first, or list an ended one longer."""
         if entry.state is Ros1State.RECALLING and entry.uuid is None:
             self._end(entry, Ros1State.RECALLED, self._empty, "")
         elif entry.gone is not None:

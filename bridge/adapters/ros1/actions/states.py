@@ -52,7 +52,7 @@ TO_ROS2: Mapping[Ros1State, GoalState] = {
     Ros1State.REJECTED: GoalState.ABORTED,
     Ros1State.LOST: GoalState.ABORTED,
 }
-"""For accepted goals; a goal that is REJECTED or RECALLED before it was accepted is rejected on ROS 2."""
+"""For accepted goals; a goal of the hub that is REJECTED, RECALLED or LOST before it is accepted counts as rejected."""
 
 TO_ROS1: Mapping[GoalState, Ros1State] = {
     GoalState.UNKNOWN: Ros1State.ABORTED,

@@ -3,8 +3,8 @@
 ROS 1 (actionlib_msgs 1.13, https://github.com/ros/common_msgs/tree/noetic-devel/actionlib_msgs/msg): an ActionGoal is
 Header, GoalID, goal; an ActionResult and an ActionFeedback are Header, GoalStatus, body. ROS 2's parts
 (https://design.ros2.org/articles/actions.html, action_msgs 2.0) are serialized as ROS 1 would do it: without alignment,
-a UUID as 16 bytes, and a time as two 32-bit integers. A result is preceded by the status's text
-(`bridge.messages.definitions.parts.STATUS_TEXT`).
+a UUID as 16 bytes, and a time as two 32-bit integers. In a GetResult response, the text of the status precedes the
+result (`bridge.messages.definitions.parts.STATUS_TEXT`).
 """
 
 from __future__ import annotations

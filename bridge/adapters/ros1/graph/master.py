@@ -27,7 +27,10 @@ _STOP_TIMEOUT = 0.7
 _RETRY = 0.1
 _FAILURES = 2
 _PATIENCE = 5.0
-"""Seconds without a response, on a busy machine, before the master counts as unreachable."""
+"""Seconds without a response after which the master counts as unreachable; on a busy machine it may respond late.
+
+If it refuses connections, `_FAILURES` failures in a row suffice.
+"""
 
 Seen = Callable[[MasterState | None], None]
 Lost = Callable[[str], None]
@@ -36,9 +39,9 @@ Lost = Callable[[str], None]
 class Master:
     """Follows one master for one node.
 
-    ``seen`` is called on its thread after each read, with None once the master is unreachable. ``is_dead`` returns
-    whether a service's server is known to be dead, so that Midspan may register its name. ``trouble`` is why the master
-    is unreachable, else ""; ``polled_at`` is ``time.monotonic()`` before the latest read.
+    ``seen`` is called on its thread after each read, with None while the master is unreachable. ``is_dead`` returns
+    whether a service's server is known to be dead, so that Midspan may register the service. ``trouble`` is why the
+    master is unreachable, else ""; ``polled_at`` is ``time.monotonic()`` before the latest read.
     """
 
     def __init__(

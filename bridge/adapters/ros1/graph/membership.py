@@ -41,7 +41,7 @@ class Membership:
         return NodeEntry(self._ledger.owner, self._daemon, node.name, node.uri, os.getpid(), node.port)
 
     def join(self, state: MasterState) -> None:
-        """Join the network that is in this state: remove dead predecessors, choose a free name, and enter it."""
+        """Join the network of a master with this state: remove dead predecessors, choose a name, and set the entry."""
         entry = self.entry()
         dead = [e for e in self._ledger.predecessors(state, entry) if not is_alive(entry.node, e)]
         for batch in batches(removal_calls(state, dead)):

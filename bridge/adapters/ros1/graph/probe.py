@@ -45,9 +45,9 @@ _LONGEST_WAIT = 10.0
 class Ros1Context:
     """The shared state of the edge's endpoints.
 
-    ``pool`` calls other nodes, ``loop`` reads connections; ``book`` has this node's topics; ``node`` returns this
-    node's name, ``origin`` is the daemon's name; ``found`` is called on new facts about a publisher or server;
-    ``limit`` is the maximum message size in bytes.
+    ``pool`` calls other nodes, ``loop`` reads connections, ``timer`` delays calls; ``book`` has this node's topics;
+    ``node`` returns this node's name, ``origin`` is the daemon's name; ``found`` is called when the facts about a
+    publisher or server have changed; ``limit`` is the maximum message size in bytes.
     """
 
     pool: PeerPool
@@ -103,8 +103,8 @@ Handshake = Callable[[str, str, str, float], ProbedConnection]
 class Prober:
     """Probes every new publisher (or server), with growing pauses until it responds.
 
-    ``changed`` is called with each peer whose facts have changed. ``holds``: whether the connection to a native peer is
-    held for `take` for a while; otherwise it is closed at once.
+    ``changed`` is called with each peer whose facts have changed. ``holds``: whether the connection to a native peer
+    stays open for `HOLD_SECONDS`, for `take`; otherwise it is closed at once.
     """
 
     def __init__(
@@ -308,7 +308,7 @@ class Follower(ABC, Generic[AnyEnd]):
         """Inform one end."""
 
     def take_up(self, links: frozenset[Registration]) -> None:
-        """Update the publishers, or servers, that the master lists; called on its thread."""
+        """Update the publishers, or servers, that the master lists; called on the master's thread."""
         changed, self._links = links != self._links, links
         if changed or self.prober.waiting:
             self.prober.follow(links)

@@ -28,7 +28,7 @@ class NodeRegistrations:
     """The registrations of one node. Used on one thread.
 
     Args:
-        is_dead: returns whether a service's server is known to be dead, so that Midspan may register its name.
+        is_dead: returns whether a service's server is known to be dead, so that Midspan may register the service.
     """
 
     def __init__(self, node: Ros1Node, is_dead: Callable[[Registration], bool]) -> None:

@@ -4,8 +4,9 @@ A connection between two nodes needs no master. If the master is killed, the nod
 restarted master lists only nodes that register again, which rospy and roscpp nodes do not. Only the end of a connection
 shows that a node has left.
 
-- While the master is unreachable, its last state stays as long as any of its connections exists. Publishers and servers
-whose connections end are probed again, and are unknown if they do not respond (`bridge.adapters.ros1.graph.probe`).
+- While the master is unreachable, its last state stays as long as a connection proves any of its registrations.
+Publishers and servers whose connections end are probed again, and are unknown if they do not respond
+(`bridge.adapters.ros1.graph.probe`).
 - A registration that a master no longer lists stays while its connection exists. For a service this holds only after a
 restart of the master: a server that unregisters may leave its connections open.
 """

@@ -11,8 +11,9 @@ from bridge.adapters.ros1_peers import Ros1ProtocolError, XmlRpcClient
 _TRIES = 3
 
 _RATE = 200_000
-"""Bytes of state that are read from a master per second. The state of 500 topics has 250 kB, which costs ``rosmaster``
-4 ms of CPU time. Each read delays messages, and less than 1 % of them may be affected."""
+"""Most bytes of state that are read from a master per second, on average, up to `_LONGEST`. The state of 500 topics has
+250 kB, which costs ``rosmaster`` 4 ms of CPU time. Each read delays messages, and less than 1 % of them may be
+affected."""
 
 _LONGEST = 2.0
 """Longest time between two reads in seconds, unless the configuration sets a longer one."""
@@ -22,7 +23,7 @@ PRESENCE = "/midspan/nodes"
 
 
 class Registration(NamedTuple):
-    """One node's registration for one topic or service, under the name that is registered.
+    """One node's registration for one topic or service; ``topic`` is the topic's or service's name as registered.
 
     ``uri`` is the node's XML-RPC address, or a service's address (``rosrpc://host:port``); "" if unknown.
     """

@@ -25,7 +25,7 @@ _QUICK = (
     "registerPublisher", "unregisterPublisher", "registerSubscriber", "unregisterSubscriber", "registerService",
     "unregisterService", "lookupService", "lookupNode", "setParam", "hasParam", "searchParam", "getUri", "getPid",
 )  # fmt: skip
-"""Methods with short replies; ``getParam`` and ``getSystemState`` have long replies."""
+"""Methods with short replies, unlike ``getParam`` and ``getSystemState``, for example."""
 
 _DISTRIBUTION = {"/rosdistro": "noetic\n", "/rosversion": "1.16.0\n"}
 """Parameters that roscore sets, with the values of its last release."""

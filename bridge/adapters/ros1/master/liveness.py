@@ -26,14 +26,17 @@ UNREACHABLE_SECONDS = 600.0
 """Seconds until a node is removed if its machine does not answer at all, unless a longer time is configured."""
 
 RESTORED_SECONDS = 3.0
-"""Seconds until a node that was restored from the state file is removed, unless a shorter time is configured."""
+"""Seconds until a node restored from the state file is removed if its machine refuses the connection.
+
+A shorter configured time has precedence.
+"""
 
 _MIN_FAILURES = 3
 _TIMEOUT = 2.0
 _THREADS = 8
 _PERIODS = (0.1, 10.0)
 _HASTY_PERIOD = 1.0
-"""Longest time until the first check of a new node, and between two checks of restored nodes."""
+"""Longest time until the first check of a new node and, unless there are many, between two checks of restored nodes."""
 
 _CHECKS_PER_SECOND = 20.0
 _JOIN_SECONDS = 1.0
@@ -77,7 +80,7 @@ class Liveness:
         self._thread = threading.Thread(target=self._run, name="midspan-ros1-liveness", daemon=True)
 
     def start(self, restored: Nodes) -> None:
-        """Start checking; ``restored`` nodes have answered, and may have ended while the master was not running."""
+        """Start checking; ``restored`` nodes answered an earlier master, and may have ended while none was running."""
         self._restored = set(restored.items())
         self._answered = set(restored.items())
         if self._seconds > 0:
@@ -122,7 +125,7 @@ class Liveness:
             pass
         except UnreachableError as err:
             self._on_failure(node, refused=err.refused)
-        except Ros1Error:  # another program has its port
+        except Ros1Error:  # another program has the node's port
             self._on_failure(node, refused=True)
         else:
             self._on_answer(node)

@@ -2,7 +2,8 @@
 
 Each address has its own queue, which one thread of a pool empties in order; a newer value replaces a queued older one.
 A node that does not answer in time keeps its queue, and is called again later on a thread of another pool, so that it
-does not delay other nodes. A node that refuses the connection has ended, and its queue is dropped.
+does not delay other nodes. A node that refuses the connection has ended, and its queue is dropped; so is the queue of
+an address whose response is invalid, or that has failed more than `_TRIES` times in a row.
 """
 
 from __future__ import annotations

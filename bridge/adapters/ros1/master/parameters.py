@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from bridge.adapters.ros1.master.names import canonical, join, split
 
 MAX_BYTES = 256 * 2**20
-"""Limit of the approximate size of all parameters in memory, bytes."""
+"""Limit of the approximate size of all parameters in memory, in bytes."""
 
 MAX_DEPTH = 100
 """Limit of nested namespaces and values."""
@@ -96,9 +96,10 @@ class ParameterTree:
         self._size -= size
 
     def search(self, node: str, key: str) -> str:
-        """Return the name under which the closest enclosing namespace of a node has the key's first part, else "".
+        """Return a key's full name in the closest namespace of a node that has the key's first part, else "".
 
-        Raises `ValueError` if the key is private or the node's name is not global.
+        The search begins in the node's own namespace; a global key is returned if it is set. Raises `ValueError` if the
+        key is private or the node's name is not global.
         """
         if not key or key.startswith("~"):
             raise ValueError("invalid key")

@@ -34,9 +34,9 @@ _MAX_MESSAGE = 2**20
 
 
 def is_elsewhere(api: MasterApi) -> bool:
-    """Return whether another program's node of this name is registered and publishes.
+    """Return whether another program's node ``/rosout`` is registered and publishes ``/rosout_agg``.
 
-    The node is asked, because another node may have taken the port of a node that has ended.
+    The node is asked, because another node may now have the port of a registered node that has ended.
     """
     node = api.registrations.nodes.get(NODE)
     if node is None:

@@ -28,7 +28,7 @@ _MAX_OPEN = 1000
 """Maximum number of connections without a complete header; beyond it, new connections are closed."""
 
 _MAX_BYTES = 32 * 2**20
-"""Maximum total size of incomplete headers over all connections, bytes."""
+"""Maximum total size of the incomplete headers of all connections, in bytes."""
 
 _ACCEPTED_AT_ONCE = 64
 _ADMITTED_AT_ONCE = 16
@@ -111,7 +111,7 @@ class TcprosServer(PolledConnection):
     # -- called by the greetings, on the loop's thread -----------------------------------------------------------------
 
     def has_room(self, count: int) -> bool:
-        """Account for received bytes of a header; return False if there are too many."""
+        """Account for received bytes of a header; return False if the incomplete headers have too many in all."""
         self._bytes += count
         return self._bytes <= _MAX_BYTES
 

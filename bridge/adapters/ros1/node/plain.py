@@ -1,4 +1,4 @@
-"""A plain ROS 1 node, which publishes and subscribes to raw messages, including those of a Midspan's topics."""
+"""A plain ROS 1 node, which publishes and receives serialized messages, including those of Midspan's publishers."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class PlainNode:
         master_uri: the master's address, which the slave API reports.
         address: the address of this machine, and the address to listen on.
         events: the node's callbacks.
-        origin: the mark of a Midspan in the headers of the node's publications; "" for none.
+        origin: the daemon's name, which marks the node's publications as Midspan's in their headers; "" for none.
         label: the prefix of the names of the node's threads.
 
     Attributes:

@@ -20,13 +20,14 @@ from bridge.messages.registry import Registry
 _log = logging.getLogger(__name__)
 
 PERIOD = 1.0
-"""Seconds between two comparisons; the master reports changes in ROS 1 at once, but a ROS 2 node reports none."""
+"""Seconds between two comparisons; the master reports changes in ROS 1 at once, but changes of a ROS 2 node are found
+only by a comparison."""
 
 _SETTLE = 0.02
 """Minimum seconds between two comparisons, because several parameters are often set together."""
 
 MAX_JOBS = 1000
-"""Maximum number of calls and replies that wait for the thread."""
+"""Maximum number of jobs that wait for the thread; beyond it, calls are rejected, but nodes' replies still wait."""
 
 _BUSY = "too many calls of parameter services wait for ROS 1's parameter server"
 _MAX_SHOWN = 20

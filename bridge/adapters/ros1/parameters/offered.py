@@ -32,7 +32,7 @@ _EVENT_QOS = Qos(depth=1000)  # rmw_qos_profile_parameter_events
 
 
 class OfferedNode:
-    """A node on the hub with the parameters of ``rules``; ``token`` is its number within the session.
+    """A node on the hub with the parameters of ``rules``; ``token`` is the number of its token within the session.
 
     All but the constructor and `call` run on the parameters' thread.
     """

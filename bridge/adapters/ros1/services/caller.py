@@ -176,7 +176,7 @@ class Ros1Caller:
 
     @property
     def restless(self) -> bool:
-        """Whether there is a server but no connection to it."""
+        """Whether there is a server, but no connection to it, nor an attempt to connect in advance."""
         return self._link is not None and not self._connections and not self._warming
 
     @property

@@ -81,7 +81,10 @@ class ServiceConnection(PolledConnection):
             self.end(trouble)
 
     def cut(self) -> None:
-        """Shut the connection down after pending output. Thread-safe, and safe to call twice."""
+        """Shut the connection down; the system still sends what the socket has accepted. Safe to call twice.
+
+        Thread-safe.
+        """
         with self._lock:
             if not self._over:
                 with contextlib.suppress(OSError):
@@ -100,7 +103,7 @@ class ServiceConnection(PolledConnection):
         self._ended(trouble)
 
     def send(self, *parts: bytes) -> bool:
-        """Send without blocking; a thread sends what the socket does not accept. Return False if the peer has left."""
+        """Send without blocking; a thread sends what the socket does not accept at once. Return False if that fails."""
         with self._lock:
             if self._over:
                 return False

@@ -99,7 +99,10 @@ class _ClientConnection(ServiceConnection):
             self._reply(result)
 
     def _end_wait(self, turn: int = 0) -> tuple[Abandon | None, int]:
-        """End the wait for a reply, only of ``turn`` if given; return its abandon function and its turn."""
+        """End the wait for the pending call's reply, if ``turn`` is that call or 0.
+
+        Returns the call's abandon function and its turn; None and 0 if no such call is pending.
+        """
         with self._state:
             if not self._waits or turn not in (0, self._turn):
                 return None, 0

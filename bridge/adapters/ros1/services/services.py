@@ -41,7 +41,7 @@ class Ros1Services(Follower[Ros1Caller]):
         self.servers.close()
 
     def seen(self, state: MasterState | None) -> None:
-        """Adopt the master's state; called on its thread."""
+        """Adopt the master's state; called on the master's thread."""
         node = self._context.node()
         self.take_up(frozenset(s for s in state.servers if s.node != node) if state is not None else frozenset())
         self._check_rivals()

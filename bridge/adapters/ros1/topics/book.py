@@ -176,7 +176,7 @@ class TopicBook:
     # -- subscribers ---------------------------------------------------------------------------------------------------
 
     def rejected(self) -> dict[tuple[str, str], str]:
-        """Return why subscribers, by topic and node, are rejected: they use another definition of the type."""
+        """Return why subscribers, by topic and node, are rejected: they use another type or definition."""
         with self._lock:
             return dict(self._rejected)
 
@@ -207,7 +207,7 @@ class TopicBook:
         return f"{self._node()} is not a publisher of {topic}"
 
     def _note_rejected(self, publication: Publication, header: Header) -> None:
-        """Record a subscriber with another definition of the type; otherwise at most its own node would report it."""
+        """Record a subscriber with another type or definition; otherwise at most its own node would report it."""
         ours = publication.side_type
         theirs = f"{header.get('type', ours.name)} with md5 {header['md5sum']}"
         with self._lock:

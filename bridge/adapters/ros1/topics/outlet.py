@@ -18,14 +18,15 @@ from bridge.adapters.ros1.topics.bus import TopicConnection
 _log = logging.getLogger(__name__)
 
 MAX_WAITING = 64 * 2**20
-"""Maximum number of queued bytes for one subscriber, not counting the newest message."""
+"""Maximum number of queued bytes for one subscriber; the newest message of each source is queued even beyond it."""
 
 MAX_MESSAGES = 20_000
 """Maximum number of queued messages for one subscriber, over all sources."""
 
 _LENGTH = struct.Struct("<I")
 _MAX_UNEXPECTED = 64 * 1024
-"""Maximum number of bytes that a subscriber may send after its header; TCPROS defines none, so they are discarded."""
+"""Most bytes that a subscriber may send after its header without being disconnected; TCPROS defines none, so they are
+discarded."""
 
 
 class SubscriberConnection(TopicConnection):
@@ -33,8 +34,8 @@ class SubscriberConnection(TopicConnection):
 
     While the socket's buffer has room, the sender's thread writes. A slower subscriber gets a separate thread and a
     queue of at most ``depth`` messages per source and `MAX_WAITING` bytes; beyond that, the oldest messages of the same
-    source are dropped. ``node`` is the subscriber's name; ``ended`` is called when the loop detects that the subscriber
-    has disconnected.
+    source are dropped. ``node`` is the subscriber's name; ``ended`` is called when reading or the separate thread
+    detects that the connection has ended.
     """
 
     direction = "o"

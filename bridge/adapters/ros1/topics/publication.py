@@ -25,7 +25,7 @@ ANY = "*"
 
 
 class Publication:
-    """The connections to a topic's subscribers; ``changed`` is called when one joined or left.
+    """The connections to a topic's subscribers; ``changed`` is called when a subscriber has joined or left.
 
     Attributes:
         users: number of publishers that share the publication.

@@ -1,7 +1,8 @@
 """Subscriptions: connections to the native publishers of one topic.
 
 A subscription connects only to publishers that are known to be native and to have the subscription's type. Therefore
-messages of a Midspan are not even received, and a latched message is not lost while its publisher is still unknown.
+messages that Midspan publishes are not even received, and a latched message is not lost while its publisher is still
+unknown.
 """
 
 from __future__ import annotations
