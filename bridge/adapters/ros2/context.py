@@ -66,7 +66,7 @@ class Dds(ABC):
             service_class: its type, from ``types``.
             context: the edge's shared state.
             replied: called with each reply that does not arrive at the client's own reader.
-            type_id: the version of the type in which requests are; None if there is only one.
+            type_id: the version of the type that the requests have; None if the type has only one.
         """
 
     @abstractmethod
@@ -79,7 +79,7 @@ class Dds(ABC):
 
     @abstractmethod
     def refresh(self, prefix: bytes, dead: Sequence[bytes], also: int) -> None:
-        """Dispose dead participants, and prompt all others to announce themselves; ``also`` at this port, unless 0."""
+        """Dispose dead participants, and prompt all others to announce themselves, ``also`` at this port unless 0."""
 
     @abstractmethod
     def clean(self, prefix: bytes, past: Iterable[bytes]) -> None:
@@ -95,7 +95,7 @@ class Dds(ABC):
 
     @abstractmethod
     def warnings(self, endpoints: Collection[Endpoint], served: Collection[str]) -> list[str]:
-        """Return warnings of nodes on another DDS; ``served`` are the services that the bridge serves."""
+        """Return warnings about nodes on another DDS; ``served`` are the services that the bridge serves."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ _PORTS = 2 * PARTICIPANTS
 """Number of participants of this machine that are addressed by unicast; those of Midspan on Fast DDS are above 31."""
 
 _ANNOUNCEMENT, _LEASE = "500ms", "20s"
-"""Those of `bridge.adapters.ros2.profile`, so that Midspans discover each other equally fast on both."""
+"""As on Fast DDS (`bridge.adapters.ros2.profile`), so that Midspan daemons discover each other equally fast on both."""
 
 
 def settings(*, localhost_only: bool, interfaces: Iterable[str], peers: Iterable[str] = ()) -> str:
@@ -78,9 +78,10 @@ def settings(*, localhost_only: bool, interfaces: Iterable[str], peers: Iterable
 
 
 def use_settings(config: Config, peers: Iterable[str]) -> None:
-    """Set this process's environment for its participant. Your own ``CYCLONEDDS_URI`` is read after Midspan's.
+    """Set this process's environment for its participant.
 
-    It is ignored with ``localhost_only``, which it could undo.
+    Cyclone DDS reads a ``CYCLONEDDS_URI`` of the user after Midspan's settings; with ``localhost_only``, the user's is
+    ignored, because it could undo that restriction.
     """
     local = config.ros2.localhost_only
     own = "" if local else os.environ.get(URI, "")
@@ -252,7 +253,7 @@ class Discovery:
             self._enclaves.pop(self._departed.popleft(), None)
 
     def _taken(self, reader: int) -> Iterator[tuple[_Info, int]]:
-        """Take all samples, each with its address; the lock is held. None after the participant has been destroyed."""
+        """Yield all samples, each with its address; none once the participant is destroyed. The lock is held."""
         while True:
             self._buffers[0] = None  # Cyclone DDS lends the samples
             count = self._dds.dds_take(reader, self._buffers, self._infos, _BATCH, _BATCH)

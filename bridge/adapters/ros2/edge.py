@@ -296,7 +296,7 @@ class Ros2Edge(SideEdge):
         return self._versions.converter(side_type.name, side_type.type_id, version)
 
     def _announced(self, side_type: SideType) -> str:
-        """Return the hash that an endpoint announces: for a version of Humble, which has none, this machine's."""
+        """Return the hash that an endpoint announces: for Humble's version, which has none, this machine's."""
         return side_type.type_id or self._registry.ros2(side_type.name).type_id
 
     def _check_one_type(self, topic: str, type_name: str) -> None:
@@ -344,7 +344,7 @@ class Ros2Edge(SideEdge):
 
     @override
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
-        """Serve a name; a DDS client receives no errors and keeps waiting, as after a lost reply."""
+        """Serve a name; after a failed call, a client gets an action's rejection, or no reply for any other service."""
         service_class = self._service_class(side_type)
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
         if split(name)[1] == GET_RESULT:
@@ -413,7 +413,7 @@ class Ros2Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return warnings of QoS, of other versions of Fast DDS, of nodes on another DDS, and of new addresses."""
+        """Return warnings about QoS, versions of types and of Fast DDS, nodes on another DDS, and new addresses."""
         offers: dict[str, set[Qos]] = {}
         advertised: dict[str, str] = {}
         separated, served = set[str](), set[str]()

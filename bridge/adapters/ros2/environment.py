@@ -89,7 +89,8 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
     """Return the environment of a ros2 worker, derived from its parent's.
 
     rclpy comes from a sourced ROS 2 for this Python, else from the wheels in Midspan's environment, else from
-    ``/opt/ros``. A ROS 2 that is sourced for another Python is removed from the paths: its rclpy would be imported.
+    ``/opt/ros``, else from wherever this process finds it. A sourced ROS 2 for another Python is removed from the
+    paths, because its rclpy would be imported.
     """
     result = dict(environ)
     _without_ros1(result)

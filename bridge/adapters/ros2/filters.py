@@ -72,12 +72,12 @@ class VersionFilter:
 
 
 class VendorFilter:
-    """Restricts a client's request writer to servers of a vendor, or to all others, as at first.
+    """Restricts a client's request writer to the servers of a vendor or, at first, to all others.
 
     Keep it until the writer is destroyed. Raises `MessageTypeError` if Fast DDS does not have the writer.
 
     Args:
-        service: its name.
+        service: the service's name.
         writer: the writer's GID.
         vendor: the first two bytes of the servers' GIDs.
     """

@@ -56,7 +56,7 @@ class EndpointReader(ABC):
         raise NotImplementedError
 
     def destroy(self) -> None:
-        """Return the reader to the middleware; nothing may refer to it afterwards."""
+        """Release the reader to the middleware, which destroys it; nothing may use it afterwards."""
         self.handle.__exit__(None, None, None)
         self._participant.destroy(self.handle)
 

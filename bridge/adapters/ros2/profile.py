@@ -6,11 +6,12 @@ Measured with Fast DDS 2.14.5, against nodes with its default settings:
   shared-memory files are unreadable to others. If this end uses only UDP, data crosses in both directions, and the
   other end needs no change.
 - The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So this profile limits the range itself:
-  the white list admits only loopback. It discovers the machine's nodes by multicast on loopback, and nodes that do not
-  listen to multicast (their range is LOCALHOST) by unicast to the ports of the first 32 participants.
+  the white list admits only loopback. The participant discovers the machine's nodes by multicast on loopback, and nodes
+  that do not listen to multicast (their range is LOCALHOST) by unicast to the ports of the first 32 participants.
 - The default queue of a participant's shared memory (512) overflows in a burst. A reader reports lost messages after
   the writer's next heartbeat, by default every 3 s, and delivers no later message until then: ``/tf`` paused for up to
-  2.6 s, with a heartbeat every 0.5 s for up to 0.5 s. That costs no measurable processor time with 500 topics at 10 Hz.
+  2.6 s, with a heartbeat every 0.5 s for up to 0.5 s. The more frequent heartbeats cost no measurable processor time
+  with 500 topics at 10 Hz.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large segment.
 - With the range SYSTEM_DEFAULT, rmw_fastrtps ignores ``ROS_STATIC_PEERS``. So this profile contains the static peers.
 - By default (0 s) the NACK suppression of a reliable writer wakes the timer thread after each sample, which then waits
@@ -48,7 +49,8 @@ _QUEUE = "8192"
 _UDP_BUFFER = str(4 * 1024 * 1024)
 
 _HEARTBEAT_NS = "500000000"
-"""Nanoseconds between a writer's heartbeats while samples are not acknowledged: a lost one is resent after the next."""
+"""Nanoseconds between a writer's heartbeats while samples are not acknowledged; each prompts readers to request what
+they missed."""
 
 _NACK_SUPPRESSION_NS = "100000000"
 """Nanoseconds after a sample during which a NACK for it is ignored, and the timer thread sleeps.

@@ -1,9 +1,9 @@
 """Calls of rcl that rclpy does not offer, through ctypes.
 
-Structures as in the headers of all releases of the table (rcutils/types/uint8_array.h, rmw/types.h; see
-`bridge.adapters.ros2.releases`). A call through `_rcl_held` keeps the GIL:
-it is for calls of a few microseconds, for which releasing the GIL would cost more than the call. No Python code runs on
-a thread of the middleware: its callbacks are C, in ``taking.c`` and ``service_callbacks.c``.
+The structures are those in the headers of all releases in `bridge.adapters.ros2.releases` (rcutils/types/uint8_array.h,
+rmw/types.h). A call through `_rcl_held` keeps the GIL; it is for calls of a few microseconds, for which releasing the
+GIL would cost more than the call. No Python code runs on a thread of the middleware: its callbacks are C, in
+``taking.c`` and ``service_callbacks.c``.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class _Bytes(Structure):
 
 
 class _Content(Structure):
-    """The same structure over a Python object that outlives the call."""
+    """The structure of `_Bytes` over a Python object that outlives the call."""
 
     _fields_ = [("buffer", c_char_p), ("length", c_size_t), ("capacity", c_size_t), ("allocator", _Allocator)]
 
@@ -212,7 +212,7 @@ def _check(call: str, code: int) -> None:
 
 
 def is_compiled() -> bool:
-    """Return whether the extensions in C are compiled, so that messages are taken, and services cross."""
+    """Return whether the C extensions are compiled: the queue that takes messages, and the functions for services."""
     return service_callbacks is not None
 
 
@@ -265,8 +265,8 @@ def host_prefix() -> bytes:
     """Return the four bytes with which Fast DDS begins the GUID prefix of every participant of this host.
 
     Fast DDS recognizes neighbors (for shared memory) by them: vendor 01.0f and two bytes made of the host's addresses.
-    An internal function of Fast DDS returns them. If this one lacks it, they are the vendor's two bytes and zeros, and
-    only neighbors are not recognized.
+    An internal function of Fast DDS returns them. If the installed version lacks that function, the result is the
+    vendor's two bytes and zeros, and Fast DDS merely does not recognize its neighbors.
     """
     guid = (c_ubyte * _GID_BYTES)()
     participant = c_int32(-1)

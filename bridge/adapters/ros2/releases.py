@@ -1,4 +1,4 @@
-"""The releases of ROS 2 on which the ROS 2 side runs, with everything in which they differ for it.
+"""The releases of ROS 2 on which the ROS 2 side runs, with all their differences that matter to it.
 
 What the side calls by ctypes is the same in Jazzy and Kilted: the headers of rcl, rmw, rcutils and rosidl declare the
 same structures (compared: rclpy 7.1.6 with 9.1.2). Lyrical's row follows its sources (rosidl_typesupport_fastrtps and

@@ -31,7 +31,7 @@ from bridge.messages.errors import MessageTypeError
 
 _KEEP_LAST, _RELIABLE, _VOLATILE = 1, 1, 2
 _OPTIONS_BYTES = 64
-"""More than the size of ``rmw_subscription_options_t``, whose defaults are zeros."""
+"""More than the sizes of ``rmw_subscription_options_t`` and ``rmw_publisher_options_t``, whose defaults are zeros."""
 
 
 class _Time(Structure):
@@ -47,7 +47,7 @@ class _QosProfile(Structure):
 
 @cache
 def _library() -> tuple[CDLL, CDLL]:
-    """Return rcl and the worker's rmw; raises `OSError`, or `AttributeError` for another rmw."""
+    """Return rcl and the worker's rmw; raises `OSError`, or `AttributeError` for an rmw without these functions."""
     of_rcl, rmw = CDLL("librcl.so"), CDLL(f"lib{os.environ.get(RMW, FAST_DDS)}.so")
     for handle in (of_rcl.rcl_node_get_rmw_handle, of_rcl.rcl_publisher_get_rmw_handle):
         handle.restype, handle.argtypes = c_void_p, [c_void_p]
@@ -107,7 +107,7 @@ class RmwPublisher:
 
     Attributes:
         gid: its GID.
-        data: the address of what the middleware keeps for it.
+        data: the address of the middleware's own structure for it (``rmw_publisher_t.data``).
     """
 
     def __init__(self, node: int, support: int, topic: str, depth: int) -> None:
@@ -189,7 +189,7 @@ class RmwSubscription:
         return taker.payload() if taken.value else None
 
     def take_with_gid(self, taker: rcl.Taker) -> rcl.Taken | None:
-        """Return the next message, or None."""
+        """Return the next message with its publisher's GID, or None."""
         taken = c_bool()
         code = self._rmw.rmw_take_serialized_message_with_info(
             self.pointer, taker.buffer, byref(taken), taker.info, None

@@ -1,7 +1,7 @@
 """SROS 2: the enclave of the side's participant, and why it cannot join a secured domain.
 
-rcl reads these variables when it creates the context (rcl, security.c). With the strategy Permissive it would join
-unsecured if the enclave is missing, so that is checked for both strategies.
+rcl reads these variables when it creates the context (rcl, security.c). With the strategy Permissive the participant
+would join unsecured if its enclave is missing, so the enclave is checked for both strategies.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _ENCLAVE = "/midspan"
 
 
 def enclave(environ: Mapping[str, str]) -> dict[str, str]:
-    """Return the variable that gives a worker in a secured domain its own enclave; it may be set otherwise."""
+    """Return the variable that gives a worker in a secured domain its own enclave; a value that is set is kept."""
     return {_OVERRIDE: environ.get(_OVERRIDE) or _ENCLAVE} if is_enabled(environ) else {}
 
 

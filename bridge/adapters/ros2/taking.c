@@ -58,7 +58,7 @@ typedef struct Node {
     PyObject *reader;
     void *subscription; /* rcl_subscription_t *; NULL if the reader takes by itself */
     size_t last;        /* bytes of the last message, if it was large */
-    bool steady;        /* whether the one before had as many */
+    bool steady;        /* whether the message before the last had as many bytes */
 } Node;
 
 typedef struct {
@@ -167,8 +167,9 @@ static int32_t take_large(Queue *queue, Node *node, Slot *slot, char **exact, si
     return code;
 }
 
-/* Takes one message; returns whether there was one. It is in `exact`, which is NULL then, if it has that length. If
- * Fast DDS has dropped one, it takes the next. An unexpected error is left to the reader's own way of taking. */
+/* Takes one message; returns whether there was one. A message of `exact_length` bytes may be put where `exact` points;
+ * `exact` is NULL then. If Fast DDS has dropped a message, the next one is taken. An unexpected error is left to the
+ * reader's own way of taking. */
 static bool take_one(Queue *queue, Node *node, Slot *slot, char **exact, size_t exact_length)
 {
     slot->node = node;

@@ -1,8 +1,8 @@
 """LTTng in a ros2 worker on a machine whose shared memory is full.
 
-rclpy's libraries load LTTng-UST, whose threads read a page of ``/dev/shm/lttng-ust-wait-<version>``, again each 5 s.
-Without room for that page the process ends by SIGBUS (observed with the wheels' version 6). If LTTng cannot open the
-file, it only does not trace. A symbolic link in its place has that effect, and needs no room.
+rclpy's libraries load LTTng-UST, whose threads read a page of ``/dev/shm/lttng-ust-wait-<version>`` every 5 s. Without
+room for that page the process ends by SIGBUS (observed with the wheels' version 6). If LTTng cannot open the file, it
+merely does not trace. A symbolic link in place of the file has that effect, and needs no room.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ class _FastDdsCallbacks(Structure):
 
 
 class _BufferCallbacks(_FastDdsCallbacks):
-    """Those of a release with buffers; the lent type has none, so that rmw uses the callbacks above."""
+    """The callbacks of a release with buffers; the lent type has none, so rmw uses only the inherited callbacks."""
 
     _fields_ = [("has_buffers", c_bool), *_pointers("serialize_with_endpoint", "deserialize_with_endpoint")]
 
@@ -311,7 +311,7 @@ class TypeSupports:
         return ServiceStructures(self._lender, *self._for_services, name, part_hashes)
 
     def service_class(self, type_name: str, type_hash: str, part_hashes: Hashes) -> Any:
-        """Return a class that the inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
+        """Return a class that rclpy's inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
 
         Its ``request_support`` and ``response_support`` are the addresses of the type supports of its two messages.
         The type is ``package/srv/Name`` or ``package/action/Name_SendGoal``; DDS endpoints announce the

@@ -1,8 +1,9 @@
 """Versions of types on the DDS network: endpoints of other releases, whose messages have other fields than here.
 
 DDS matches endpoints by the name of their type, so an endpoint also receives messages of another version, and decodes
-them wrongly. Endpoints announce the hash of their version (those of Humble none). Messages that Midspan receives are
-converted from the version of their publisher or client; its own are in the version of the readers or server.
+them wrongly. Endpoints announce the hash of their version (those of Humble announce none). Midspan converts received
+messages from the version of their publisher, client or server, and sends messages in the version of the readers, server
+or client.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class EndpointVersions:
     def of_service(self, type_name: str, request: str, reply: str) -> str:
         """Return the hash of a service from those of its request and reply, which its endpoints announce.
 
-        If no known version has both, return one that is of no version. ``reply`` is "" before it is discovered.
+        If no known version has both, return a hash that belongs to no version. ``reply`` is "" before it is discovered.
         """
         if not request or request in self._releases.hashes(type_name):
             return request
@@ -72,7 +73,7 @@ class EndpointVersions:
         return type_id == NO_HASH or not self._differs(endpoint.type, NO_HASH)
 
     def _differs(self, type_name: str, type_id: str) -> bool:
-        """Whether a version is known, and another one than this machine's."""
+        """Return whether a version is known and differs from this machine's."""
         return self._releases.here(type_name, type_id) != type_id
 
     def to_hub(self, endpoint: Endpoint) -> Conversion | None:
@@ -87,7 +88,10 @@ class EndpointVersions:
         return Conversion(SideType(name, version, here.definition), here, convert)
 
     def service_to_hub(self, endpoint: Endpoint, here: ServiceConversion) -> ServiceConversion | None:
-        """Return the conversion of a server of another version; None if it has this machine's (``here``)."""
+        """Return the conversion of a server of another version.
+
+        None if the server has this machine's version, whose conversion is ``here``, or one without converters.
+        """
         name, version, own = endpoint.type, endpoint.type_id, here.hub.type_id
         if version == own or not self._differs(name, version):
             return None
@@ -105,12 +109,12 @@ class EndpointVersions:
         )
 
     def check_server(self, endpoint: Endpoint, here: str, request: str) -> None:
-        """Raise `MessageTypeError` unless a server has this machine's version of its type.
+        """Raise `MessageTypeError` unless a server has this machine's version of its type, or announces no hash.
 
         Args:
             endpoint: the server.
             here: hash of this machine's version.
-            request: hash of its requests.
+            request: hash of that version's requests.
         """
         name, version, varies = endpoint.type, endpoint.type_id, self.varies(endpoint.type)
         if version in ("", here if varies else request):
@@ -129,7 +133,8 @@ class EndpointVersions:
     def others(self, type_name: str, here: str) -> dict[str, Convert | None]:
         """Return the other versions of a type, each with the converter of this machine's messages.
 
-        It is None if the bytes are the same. Humble's version is among them as `NO_HASH`, if it differs.
+        The converter is None if the bytes are the same; versions without a converter are left out. Humble's version is
+        among them as `NO_HASH`, if it differs.
         """
         hashless = [NO_HASH] if self._differs(type_name, NO_HASH) else []
         versions = [v for v in (*self._releases.hashes(type_name), *hashless) if v != here]
@@ -141,7 +146,10 @@ class EndpointVersions:
         return frozenset(version for reader in readers if (version := self._known(reader)) is not None)
 
     def for_readers(self, here: str, readers: Iterable[Endpoint]) -> str:
-        """Return the version for a writer that sends to all readers: theirs, if they have one in common."""
+        """Return the version for a writer that sends to all readers.
+
+        This machine's (``here``) if any reader has it or no reader's version is known, else the most frequent.
+        """
         versions = Counter(version for reader in readers if (version := self._known(reader)) is not None)
         if not versions or here in versions:
             return here
@@ -164,7 +172,7 @@ class EndpointVersions:
         Args:
             type_name: the service.
             here: hash of this machine's version.
-            request_hash: hash of its requests.
+            request_hash: hash of that version's requests.
             client: what the client announced, as `of_service` returns it.
 
         Returns None if the client's version is unknown.
@@ -183,8 +191,8 @@ class EndpointVersions:
         """Return why servers cannot be called: they have different versions; None if they can.
 
         Args:
-            service: the name.
-            servers: all of it.
+            service: the service's name.
+            servers: all servers of the service.
             expected: the version of a client that is to call them, if it exists.
         """
         types: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))  # DDS matches equal names
@@ -216,10 +224,10 @@ class EndpointVersions:
         return self._releases.release(type_name, version) or version
 
     def notes(self, endpoints: Iterable[Endpoint], separated: Collection[str] = ()) -> Notes:
-        """Return the losses in messages of native endpoints with another version, and which cannot decode them.
+        """Return what is lost in messages of native endpoints with another version, and who decodes messages wrongly.
 
         Args:
-            endpoints: all of the graph.
+            endpoints: all endpoints of the graph.
             separated: the topics that Midspan publishes in each version of their subscriptions.
         """
         notes: dict[tuple[str, str, str], list[str]] = defaultdict(list)
@@ -245,9 +253,9 @@ class EndpointVersions:
         """Return the subscriptions that decode messages of Midspan wrongly.
 
         Args:
-            endpoints: all of the graph.
-            advertised: the types of Midspan's topics.
-            separated: those of them that it publishes in each version of their subscriptions.
+            endpoints: all endpoints of the graph.
+            advertised: the types of the topics that Midspan publishes.
+            separated: those topics that Midspan publishes in each version of their subscriptions.
         """
         readers: dict[tuple[str, str], list[Endpoint]] = defaultdict(list)
         for endpoint in endpoints:

@@ -125,11 +125,11 @@ class CycloneDds(Dds):
 
     @override
     def refresh(self, prefix: bytes, dead: Sequence[bytes], also: int) -> None:
-        """Do nothing: it receives before it announces itself, and responds to others' announcements."""
+        """Do nothing: Cyclone DDS receives before it announces itself, and responds to others' announcements."""
 
     @override
     def clean(self, prefix: bytes, past: Iterable[bytes]) -> None:
-        """Do nothing: it has no shared memory."""
+        """Do nothing: the participant has no shared memory."""
 
     @override
     def details(self, endpoints: Collection[Endpoint]) -> dict[str, Any]:

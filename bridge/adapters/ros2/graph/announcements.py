@@ -4,7 +4,7 @@ Fast DDS hides them from rmw, so two sockets receive them once more: the multica
 few seconds, and the responses to a prompt (`bridge.adapters.ros2.graph.spdp`), which participants without multicast
 send, too. Behind a discovery server neither arrives, and the versions remain unknown.
 
-Facts, read off the wire: Fast DDS 3.2 announces its version (parameter 0x8000, as RTI Connext does), Fast DDS 2.14 does
+Observed on the wire: Fast DDS 3.2 announces its version (parameter 0x8000, as RTI Connext does), Fast DDS 2.14 does
 not; Cyclone DDS 0.10 and 11.0 announce a text ``host/version/system/machine`` (parameter 0x8007). Wireshark's
 ``packet-rtps.c`` lists these parameters by vendor.
 """

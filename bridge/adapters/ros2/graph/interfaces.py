@@ -49,7 +49,7 @@ class InterfaceWatch:
 
     @property
     def text(self) -> str:
-        """Return the new addresses as a sentence; "" without any."""
+        """The new addresses as a sentence; "" without any."""
         new = ", ".join(f"{address} on {name}" for name, address in sorted(self._new))
         return f"this machine has a new address that the ROS 2 side does not use: {new}" if new else ""
 

@@ -1,10 +1,10 @@
-"""Decides whether a Midspan created an endpoint, by its participant's GUID prefix or enclave.
+"""Decides whether Midspan created an endpoint, by its participant's GUID prefix or enclave.
 
 A participant on Fast DDS has a marked GUID prefix (`bridge.adapters.ros2.graph.origins`). Cyclone DDS chooses GUIDs
 itself, so one on Cyclone DDS has only a marked enclave, which rmw announces with each participant. Cyclone DDS reports
 the enclave before any endpoint of the participant. rmw_fastrtps reports it by node only, so on Fast DDS the origin of
-an endpoint on Cyclone DDS is unknown until its participant has announced its nodes. Midspans on Fast DDS have the
-enclave, too, so that their nodes and those on Cyclone DDS may have the same name.
+an endpoint on Cyclone DDS is unknown until its participant has announced its nodes. Midspan's participants on Fast DDS
+have the enclave, too, so that their nodes and those of Midspan on Cyclone DDS may have the same name.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked
 from bridge.routing.edge import MadeBy
 
 ENCLAVE = "/_midspan/origin"
-"""The marked enclave. A node with it is Midspan's for all Midspans, so no program may use it."""
+"""The marked enclave. Every Midspan daemon takes a node with it for Midspan's, so no other program may use it."""
 
 _MOST = 2000
 

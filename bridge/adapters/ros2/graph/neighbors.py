@@ -7,7 +7,7 @@ participant that can share memory has a process on this host with such an id, of
 and with the same /dev/shm.
 
 Fast DDS 2 and 3 announce shared memory in different ways (locators of kind 0x10 and 0x13), and name its files
-differently. Neither uses the other's: their messages go over UDP, also between users.
+differently. Neither uses the other's files: messages between them go over UDP, also between users.
 
 A participant that was killed just after its start has no process either, and stays on the graph until its lease ends.
 While fewer of the domain's ports are bound than participants of this host are known, one of them has died (a container
@@ -115,7 +115,7 @@ class MemoryNeighbors:
     def _majors_of_other_user(self, process: Path) -> set[int]:
         """Return the majors of another user's Fast DDS from its live files, as its memory map is not readable.
 
-        Empty if it may share memory of this participant's major, since such files deliver nothing.
+        Empty if the user has live files of this participant's major version: Fast DDS uses them, but delivers nothing.
         """
         try:
             uid = process.stat().st_uid

@@ -49,7 +49,7 @@ class Origins:
         self._first_seen: dict[bytes, float] = {}
 
     def is_own(self, network: str) -> bool:
-        """Return whether the origin with this network identity (24 hex digits) is own."""
+        """Return whether the origin with this network identity (24 hex digits) counts as own."""
         try:
             prefix = bytes.fromhex(network)
         except ValueError:
@@ -98,8 +98,8 @@ _MARK = b"MSPN"
 
 
 _FIRST_NUMBER, _NUMBERS = 32, 30
-"""Other participants on a host count up from 0 and do not reach the first one. The ports of the last one are below
-65536 even in domain 232, the highest; Fast DDS ends the process if they are not."""
+"""Other participants on a host count up from 0 and do not reach the first of these numbers. The ports of the last
+number are below 65536 even in domain 232, the highest; Fast DDS ends the process if they are not."""
 _RECENT = 8
 
 

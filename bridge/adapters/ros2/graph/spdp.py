@@ -39,7 +39,7 @@ _BATCH = 40
 """Heartbeats in one message of 1.3 kB, which fits into an Ethernet frame."""
 
 _TO_INLINE_QOS = 16
-"""Bytes from the end of this field to the inline QoS."""
+"""The submessage field octetsToInlineQos: the bytes from the end of this field to the inline QoS."""
 _LAST = 0x7FFFFFFF
 """A sequence number above all that the dead participant used."""
 _PID_SENTINEL, _PID_LEASE, _PID_VERSION, _PID_VENDOR = 0x0001, 0x0002, 0x0015, 0x0016
@@ -78,10 +78,10 @@ def announcement(prefix: bytes, domain: int, number: int, also: int = 0) -> byte
 
 
 def heartbeats(written: Mapping[bytes, int]) -> list[bytes]:
-    """Return the RTPS messages that tell all readers of some writers how many samples each has written.
+    """Return the RTPS messages that announce to all readers how many samples each writer has written.
 
-    ``written`` is by the writers' GUIDs, all of one participant. The heartbeats are final: no reader responds to them
-    (DDSI-RTPS 2.5, 9.4.5.7). Their count is 0, so that readers on Fast DDS ignore them.
+    ``written`` has these numbers by the writers' GUIDs, all of one participant. The heartbeats are final: no reader
+    responds to them (DDSI-RTPS 2.5, 9.4.5.7). Their count is 0, so that readers on Fast DDS ignore them.
     """
     submessages = [_heartbeat(guid[12:16], last) for guid, last in written.items()]
     prefix = next(iter(written), bytes(16))[:12]

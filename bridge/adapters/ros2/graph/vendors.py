@@ -4,7 +4,7 @@ The first two bytes of a GUID prefix are its vendor's (DDSI-RTPS 2.5, 9.3.1.5): 
 Midspan uses, 01 10 is Eclipse Cyclone DDS. A server on Cyclone DDS would execute a request in Fast DDS's form shifted
 by 16 bytes, which for most types means all zeros (see `bridge.adapters.ros2.services.cyclone`). DDS delivers a request
 to all servers of a name, so the clients here filter it (`bridge.adapters.ros2.filters`): if a name has servers of both
-kinds, those on Cyclone DDS are not called. Without the filter none are.
+kinds, those on Cyclone DDS are not called. Without the filter, no server of such a name is called.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ class ClosedEndpoints:
     """Detects endpoints on Cyclone DDS that have closed, although Fast DDS still lists them; thread-safe.
 
     Cyclone DDS announces the end of an endpoint by its GUID in a parameter list, without a key hash. Fast DDS (2.14.5
-    and 3.2, ``MessageReceiver.cpp``) reads neither, as the list is longer than a key hash, and lists the endpoint until
-    its participant leaves. But a ROS program also announces which endpoints each of its nodes has. So an endpoint that
-    has belonged to a node, and no longer does, has closed. Older versions of rmw_cyclonedds_cpp do not announce that of
-    subscriptions (ros2/rmw_cyclonedds #594).
+    and 3.2, ``MessageReceiver.cpp``) does not read the list, which is longer than a key hash, and lists the endpoint
+    until its participant leaves. But a ROS program also announces which endpoints each of its nodes has. So an endpoint
+    that has belonged to a node, and no longer does, has closed. Older versions of rmw_cyclonedds_cpp do not announce
+    the end of subscriptions in this way (ros2/rmw_cyclonedds #594).
     """
 
     def __init__(self) -> None:

@@ -27,7 +27,7 @@ _MOST = SERVICE.depth // 2
 """Limit of pending calls; the engine allows fewer."""
 
 _MATCH_SECONDS = 5.0
-"""Endpoints on the DDS graph match within milliseconds, on a busy machine later."""
+"""Seconds that a call waits for its server to match. Endpoints match within milliseconds, on a busy machine later."""
 
 _log = logging.getLogger(__name__)
 
@@ -214,7 +214,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             self.refit()
 
     def _update_ended(self) -> set[bytes]:
-        """Update and return the set of servers whose processes have ended; a new one is recorded as alive."""
+        """Update and return the GUID prefixes of servers whose processes have ended; new servers count as alive."""
         self._ended = self._ended_among(self._graph.snapshot.servers.get(self.name, frozenset()))
         return self._ended
 

@@ -79,7 +79,7 @@ class CycloneCalls(EndpointReader):
         self._reader.wake(waker)
 
     def wait(self, poll: float, servers: Collection[bytes], last: int) -> float:
-        """Return the seconds until a request may be sent, 0 for now; ``poll`` while no server has matched.
+        """Return the seconds until a request may be sent, 0 for now, and ``poll`` while no server has matched.
 
         The first call after a match begins to prepare the servers; ``last`` is the number of requests written before.
         """
@@ -122,7 +122,7 @@ class ReplyReach:
     def reaches(self, gid: bytes) -> bool:
         """Return whether the client with this request writer can receive, as far as can be known.
 
-        It cannot at the first call, which sends a heartbeat.
+        The result is False at the first call, which begins to send heartbeats.
         """
         with self._lock:
             if gid in self._reached:

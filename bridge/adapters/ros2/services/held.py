@@ -82,7 +82,7 @@ class HeldRequests:
         if prefix in self._native:
             return MadeBy.NATIVE
         made_by = self._graph.client_made_by(service, prefix)
-        if made_by is MadeBy.NATIVE:  # without type hashes, which the marks do not remember
+        if made_by is MadeBy.NATIVE:  # a client without type hashes; the marks do not remember its participant
             with self._lock:
                 if len(self._native) >= _MOST_NATIVE:
                     self._native.clear()

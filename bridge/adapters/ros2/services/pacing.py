@@ -19,10 +19,10 @@ from bridge.adapters.ros2.rcl import RequestId
 from bridge.concurrency import DelayedCalls
 
 ROOM = 8
-"""Of the 10, which leaves room for other clients and servers."""
+"""Messages in flight at most, out of the 10: this leaves room for other clients and servers."""
 
 PATIENCE = 0.5
-"""Seconds after which a request counts as taken by a server that does not reply: it may execute all of them for hours.
+"""Seconds after which a request counts as taken by a server that does not reply: executing requests may take hours.
 A sequential server that needs longer for each may lose some of more than `ROOM` concurrent requests."""
 
 
@@ -66,7 +66,7 @@ _log = logging.getLogger(__name__)
 
 
 class ClientReplies:
-    """The replies to one client; ``write`` returns False while it is unreachable, ``later`` sends waiting ones."""
+    """The replies to one client; ``write`` returns False if the client is unreachable, ``later`` sends the waiting."""
 
     def __init__(self, write: Callable[[RequestId, bytes], bool], later: DelayedCalls) -> None:
         self._write, self._later = write, later

@@ -77,13 +77,13 @@ class RawClient(ClientPort):
 
     @override
     def close(self) -> None:
-        """Do nothing: the handle has all."""
+        """Do nothing: the handle holds everything."""
 
 
 class RawSender(RequestSender):
-    """Sends the requests of a client on Cyclone DDS, only while all native servers that it has matched are on it, too.
+    """Sends the requests of a client on Cyclone DDS, only while all servers that it has matched are there, too.
 
-    DDS delivers a request to all of them, and one on another DDS would execute it with wrong values.
+    DDS delivers a request to all of them, and a server on another DDS would execute it with wrong values.
     """
 
     def __init__(self, name: str, pair: Pair, client: bytes, context: Ros2Context, type_id: str | None) -> None:
@@ -93,7 +93,7 @@ class RawSender(RequestSender):
         self._first_matched: dict[bytes, float] = {}
 
     def _servers(self) -> frozenset[bytes]:
-        """Return the GUIDs of the native servers that have matched."""
+        """Return the GUIDs of the servers that have matched, except those of Midspan."""
         made_by = self._context.participant.marks.made_by
         return frozenset(gid for gid in self._pair.matched_readers() if made_by(gid) is not MadeBy.MIDSPAN)
 
@@ -107,7 +107,7 @@ class RawSender(RequestSender):
         if known is not None:
             return known
         matched = self._servers()
-        if not all(map(vendors.is_cyclone, matched)):  # the graph may list it later
+        if not all(map(vendors.is_cyclone, matched)):  # the graph may list the other server only later
             return refusal(vendors.not_on_cyclone(self._name))
         present = self._context.graph.snapshot.servers.get(self._name, frozenset())
         if (matched, present) != self._verified:
@@ -221,4 +221,4 @@ class RawServer(ServerPort):
 
     @override
     def close(self) -> None:
-        """Do nothing: the handle has all."""
+        """Do nothing: the handle holds everything."""

@@ -36,7 +36,7 @@ class FastSender(RequestSender):
         pointer: the client's ``rcl_client_t *``.
         response_support: the address of the type support of the responses.
         replied: called with each reply of a server on Cyclone DDS.
-        type_id: the version of the type in which requests are; None if there is only one.
+        type_id: the version of the type that the requests have; None if the type has only one.
     """
 
     def __init__(

@@ -25,9 +25,9 @@ from bridge.messages.unchanged import same
 from bridge.routing.edge import EdgeServer
 
 _LINGER = 1.0
-"""Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply. One
-that can refuse calls stays as long after `close`: a client that has not noticed may still call, for example for the
-result of a goal that was accepted just before.
+"""Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply. A
+server that can refuse calls stays that long after `close`: a client that has not noticed the close may still call, for
+example for the result of a goal that was accepted just before.
 """
 
 _CLOSED = "{} is no longer bridged"

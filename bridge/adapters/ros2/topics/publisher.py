@@ -95,12 +95,12 @@ class Ros2Publisher:
 
     Args:
         topic: the ROS topic.
-        message_class: for its type, from `TypeSupports`.
-        qos: of the writers.
+        message_class: the class of its type, from `TypeSupports`.
+        qos: the QoS of the writers.
         context: the edge's shared state.
         closed: called by `close`.
         heard: whether another participant subscribes to a topic.
-        for_readers: the conversion of all messages, if the writers send to subscriptions of all versions.
+        for_readers: returns the converter of all messages, if the writers send to subscriptions of all versions.
         only: the subscriptions that the writers send to; None for all.
     """
 
@@ -131,7 +131,7 @@ class Ros2Publisher:
         return self._heard(self.topic)
 
     def send(self, payload: bytes, source: str) -> None:
-        """Publish a source's message; raises `ConversionError` if it cannot be in its subscriptions' version."""
+        """Publish a source's message; raises `ConversionError` if the subscriptions' version cannot represent it."""
         writer = self._only or self._writers.get(source) or self._writer_for(source)
         if writer is None:
             return
@@ -152,7 +152,7 @@ class Ros2Publisher:
     def _make(self) -> _Writer:
         """Return a new writer. A latched one first waits until subscriptions on Cyclone DDS have matched.
 
-        They would lose a first message that is large (see `bridge.adapters.ros2.graph.heartbeats`), for ever.
+        Otherwise they would lose a large first message forever (see `bridge.adapters.ros2.graph.heartbeats`).
         """
         writer = self._new_writer()
         if self._prepared:

@@ -18,9 +18,10 @@ _log = logging.getLogger(__name__)
 class VersionedPublisher:
     """Publishes messages of the hub in each version that the subscriptions of a ROS 2 topic have.
 
-    Each version has a publisher whose writers send to subscriptions of this version only; that of this machine also
-    sends to those whose version is unknown. The others exist while there are such subscriptions. If the topic is
-    latched, a new one publishes the last messages of all sources first.
+    Each version has a publisher whose writers send to subscriptions of this version only; the publisher of this
+    machine's version also sends to subscriptions whose version is unknown. The other publishers exist while there are
+    subscriptions of their versions. If the topic is latched, a new one publishes the last messages of all sources
+    first.
 
     Args:
         here: the publisher of this machine's version.
