@@ -72,7 +72,7 @@ class CallBottles:
         return self._request[profile or self._profile].to_yarp(cdr).payload
 
     def request_to_hub(self, payload: Buffer, profile: Profile | None) -> tuple[bytes, Profile]:
-        """Convert a port's request; return its CDR and profile, detected if unknown. Raises `ConversionError`."""
+        """Convert a port's request; return its CDR, and its profile, which is detected. Raises `ConversionError`."""
         likely = profile or self._profile
         first: ConversionError | None = None
         for known in (likely, Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4):
@@ -179,7 +179,7 @@ class Contents:
         return Content(form, tuple(BottleEntry.parse(entry) for entry in fields), self.profile)
 
     def latched(self, topic: str) -> bool:
-        """Return whether the last message from YARP is cached for late joiners."""
+        """Return whether a topic's last message from YARP is cached for late joiners."""
         return any(rule.latched for pattern, rule in self._own if pattern.fullmatch(topic))
 
     def codec(self, content: Content, type_name: str, type_hash: str, profile: Profile) -> Codec:

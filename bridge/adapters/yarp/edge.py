@@ -1,7 +1,7 @@
 """The adapter of the YARP side: joins one YARP network, Midspan's own or an existing one.
 
-One thread, the name-server thread, polls the name server and opens, closes and connects ports. No other thread blocks
-on the network.
+One thread, the name-server thread, polls the name server and manages the ports; other threads make and close their
+connections. So no caller of the edge waits for the network, except for `YarpEdge.stop`.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ class YarpEdge(SideEdge):
 
     @override
     def settled(self, since: float) -> bool:
-        """Return whether the name server's full list has been read since then."""
+        """Return whether the name server's full list was requested and read after ``since``; if not, read it soon."""
         if self._presence.is_open and self._presence.settled(since):
             return True
         self._wake.set()

@@ -11,7 +11,7 @@ from yarp_compat.ports.naming import NamingConfigError
 
 
 def available(config: Config) -> str:
-    """Return why the worker is not needed; "" if YARP is used on this machine."""
+    """Return why the worker is not needed, or cannot read yarp.conf; "" if YARP is used on this machine."""
     if config.yarp.configured:
         return ""
     try:

@@ -41,7 +41,7 @@ _YOUNG = 3.0
 """For this many seconds after ports change, each update queries the master, which lists the ports a moment later."""
 
 _CARRIER = "tcpros"
-"""A carrier that ports of programs with YARP's ROS support offer; others are only registered at the master."""
+"""A carrier that ports of programs with YARP's ROS support offer; other ports are only registered at the master."""
 
 _ROSOUT = "/rosout"
 """A node of every roscore, not a YARP port: a name server that resolves this name has queried the master."""
@@ -50,8 +50,8 @@ _ROSOUT = "/rosout"
 class Ros1Ports:
     """Detects the ports that YARP 3's own ROS support has joined to ROS 1. Used on one thread.
 
-    A ``yarpserver --ros`` also registers the ports ``/topic@/node`` of its programs at a ROS 1 master, and they talk
-    TCPROS to all ROS 1 nodes (``RosNameSpace.cpp``, ``SubscriberOnSql.cpp``, ``Node.cpp`` of 3.9.1). If Midspan's
+    A ``yarpserver --ros`` also registers the ports ``/topic@/node`` of its programs at a ROS 1 master, and they connect
+    to all ROS 1 nodes over TCPROS (``RosNameSpace.cpp``, ``SubscriberOnSql.cpp``, ``Node.cpp`` of 3.9.1). If Midspan's
     ROS 1 side is on that master, it bridges their topics; if the YARP side did too, messages would arrive twice.
 
     Args:
@@ -267,7 +267,10 @@ class YarpGraph:
     # -- who made a port -----------------------------------------------------------------------------------------------
 
     def made_by(self, name: str) -> MadeBy:
-        """Return who created a port. Unregistered ports are native, because bridges register theirs."""
+        """Return who created a port.
+
+        A peer that is not in the name server's list is native, because Midspan registers its ports.
+        """
         if name.startswith(PRESENCE):
             return MadeBy.MIDSPAN
         if name not in self.contacts:

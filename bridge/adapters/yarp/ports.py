@@ -57,7 +57,7 @@ class OwnPort:
 
 
 class OwnPorts:
-    """The open ports. All methods except `input_ports` and `peers` are called on one thread.
+    """The open ports. The methods that open, connect or close ports are called on one thread, the others on any.
 
     Args:
         awake: returns whether another Midspan worker is present and not stalled.
@@ -245,7 +245,7 @@ class OwnPorts:
         self._context.changed()
 
     def close_replaced(self, contacts: Mapping[str, PortContact]) -> None:
-        """Close ports whose names other programs have registered: of two ports opened at once, the later one stays."""
+        """Close ports whose names other programs have registered since: of two ports, the one registered last stays."""
         owned = self.own
         replaced = [
             key

@@ -1,4 +1,4 @@
-"""The base class of the edges of zenoh dialects: session, other Midspans on the network, and endpoints."""
+"""The base class of the edges of zenoh dialects: session, other Midspan sessions on the network, and endpoints."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ RETRY_SECONDS = 1.0
 """Seconds between two attempts of a client to connect to its router."""
 
 _CLIENT_WAIT_MS = 1500
-"""Time limit of one such attempt, milliseconds."""
+"""Time limit of one such attempt in milliseconds."""
 
 LINK_SECONDS = 0.5
 """Seconds after which a new link has delivered all tokens; a query right after the link opens returns none."""

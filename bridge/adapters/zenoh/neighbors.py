@@ -36,7 +36,7 @@ def new_zid() -> str:
 
 
 def is_marked(zid: str) -> bool:
-    """Return whether a session belongs to a Midspan."""
+    """Return whether a session is Midspan's, by its id."""
     return len(zid) == _DIGITS and zid.endswith(MARK)
 
 

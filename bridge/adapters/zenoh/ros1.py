@@ -213,7 +213,7 @@ class Ros1KeyPublisher(KeyPublisher):
         self._due = self._since = time.monotonic()
 
     def newcomer(self, *, first: bool) -> None:
-        """Schedule the latched messages for a bridge that announces a subscription, the topic's first or another."""
+        """Schedule the latched messages for a bridge that announces a subscription; ``first``: the topic's first."""
         now = time.monotonic()
         if not self._qos.latched or self._due is not None:
             return

@@ -12,8 +12,8 @@ The beacons work like ALOHA. A bridge that has a topic puts an empty sample on t
 after three seconds without a beacon the topic counts as withdrawn. A bridge that receives another bridge's beacon on
 the same key may stop its own beacons, and resumes them after a second without any (``aloha_declaration.rs``,
 ``aloha_subscription.rs``). A native bridge that stopped because of Midspan would appear to be offline, so Midspan's
-beacons always yield. A bridge that receives Midspan's beacon first may still stop; therefore the Midspans on a key
-together leave enough time between beacons for the bridge to resume.
+beacons always yield. A bridge that receives Midspan's beacon first may still stop; therefore all Midspan sessions that
+announce a key leave, together, enough time between their beacons for the bridge to resume.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ PERIOD = 1.0
 
 _PAUSE = 2.25
 """Periods between Midspan's beacons. A bridge that stopped needs one period without beacons, and up to one more until
-it resumes. The interval is longer than both, and still shorter than the plugin's limit of three periods."""
+it resumes. The interval is longer than both together, and still shorter than the plugin's limit of three periods."""
 
 _LOST = 4
 """Periods without a beacon after which a topic is dropped: one more than the plugin's limit, because two beacons may
@@ -100,8 +100,8 @@ _SOON = 0.5
 """A second beacon on the same key within this many periods comes from another bridge."""
 
 _FORGOTTEN = 60
-"""Periods without a beacon after which a bridge counts as new: a bridge may pause for long while another one sends
-beacons."""
+"""Periods without a beacon after which a bridge counts as new: a bridge may pause for a long time while another one
+sends beacons."""
 
 _MAX_TOPICS = 20_000
 _MAX_BRIDGES = 100
@@ -122,7 +122,7 @@ class _Beacon:
         self._publisher.put(b"", source_info=next(self._infos))
 
     def postpone(self, now: float) -> None:
-        """Postpone the next beacon, because this or another Midspan has just sent one on the key."""
+        """Postpone the next beacon, because this or another Midspan session has just sent one on the key."""
         self.due = now + _PAUSE * PERIOD
 
     def close(self) -> None:
@@ -174,7 +174,7 @@ class Aloha:
         return withdraw
 
     def tick(self, now: float) -> None:
-        """Send due beacons, and drop bridges without beacons; pauses of this process are not counted."""
+        """Send due beacons, and drop topics without beacons; time while this process is suspended does not count."""
         with self._lock:
             suspended, self._ticked = now - self._ticked, now
             if suspended > PERIOD:
@@ -190,7 +190,7 @@ class Aloha:
             self._changed()
 
     def warnings(self) -> list[str]:
-        """Return a warning with the number of invalid beacons."""
+        """Return a warning with the number of invalid beacons, if there are any."""
         return [f"{self._refused} beacons of ros1 bridges are ignored: see the log"] if self._refused else []
 
     def close(self) -> None:

@@ -90,7 +90,7 @@ class Ros2ddsGraph:
         return f"{endpoint_id(zid, key)} {number}"
 
     def warnings(self) -> list[str]:
-        """Return a warning with the number of invalid tokens."""
+        """Return a warning with the number of invalid tokens, if there are any."""
         return [f"{self._refused} tokens of ros2dds bridges are ignored: see the log"] if self._refused else []
 
     def close(self) -> None:
@@ -219,7 +219,7 @@ class TokenAnnouncer:
             del self._wanted[place]
 
     def close(self) -> None:
-        """Withdraw the token of this bridge."""
+        """Withdraw the token that shows that this bridge is alive."""
         with self._lock:
             undeclare(self._alive)
 

@@ -13,7 +13,10 @@ from bridge.hub.endpoints.calls import Call, CallClient, CallError
 
 
 class KeyCaller(CallClient):
-    """Calls all servers of a key and uses the first reply, like the plugins; ``attached`` returns the attachment."""
+    """Calls the servers of a key that zenoh selects (`BEST_MATCHING`), and uses the first reply, like the plugins.
+
+    ``attached`` returns the attachment of a request, by its number.
+    """
 
     where = "this zenoh network"
 
