@@ -53,7 +53,7 @@ class PolledConnection(ABC):
 
     @abstractmethod
     def on_ready(self) -> Callable[[], None] | None:
-        """Read available data without blocking; return None or, to leave the loop, a function to call after that."""
+        """Read available data without blocking; return None or, to leave the loop, a function to call afterwards."""
 
     @abstractmethod
     def abandon(self) -> None:

@@ -320,7 +320,7 @@ class MasterApi:
                 self._changed()
 
     def remove_dead(self, node: str, api: str) -> bool:
-        """Remove a dead node's registrations and inform subscribers; return False if another node has its name now."""
+        """Remove a dead node's registrations, and inform subscribers; return False if it is no longer registered."""
         with self.lock:
             entry = self.registrations.nodes.get(node)
             if entry is None or entry.api != api:

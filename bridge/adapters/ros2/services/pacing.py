@@ -66,7 +66,7 @@ _log = logging.getLogger(__name__)
 
 
 class ClientReplies:
-    """The replies to one client; ``write`` returns False if the client is unreachable, ``later`` sends the waiting."""
+    """The replies to one client; ``write`` returns False if the client is unreachable, ``later`` sends queued ones."""
 
     def __init__(self, write: Callable[[RequestId, bytes], bool], later: DelayedCalls) -> None:
         self._write, self._later = write, later
