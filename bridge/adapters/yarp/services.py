@@ -231,7 +231,8 @@ class _PortCall:
         except ConversionError as err:
             result = CallError(f"malformed reply: {err}")
         except (OSError, WireError) as err:
-            result = CallError(f"the port disappeared before it replied: {err}")
+            what = "cannot be reached" if fresh is None else "disappeared before it replied"
+            result = CallError(f"the port {what}: {err}")
             if fresh is not None:
                 fresh.close()
                 fresh = None

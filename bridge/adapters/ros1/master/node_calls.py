@@ -15,7 +15,14 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from bridge.adapters.ros1.master.registrations import Link
-from bridge.adapters.ros1_peers import MAX_NODE_ANSWER, RefusedError, Ros1Error, UnreachableError, XmlRpcClient
+from bridge.adapters.ros1_peers import (
+    MAX_NODE_ANSWER,
+    ExhaustedError,
+    RefusedError,
+    Ros1Error,
+    UnreachableError,
+    XmlRpcClient,
+)
 from bridge.concurrency import DelayedCalls, WorkerPool
 
 _log = logging.getLogger("midspan.ros1.master")
@@ -161,7 +168,8 @@ class NodeCalls:
 
     def _failed(self, api: str, queue: _Queue, err: Ros1Error) -> None:
         queue.failures += 1
-        final = not isinstance(err, UnreachableError) or err.refused or queue.failures > _TRIES
+        may_pass = not err.refused if isinstance(err, UnreachableError) else isinstance(err, ExhaustedError)
+        final = not may_pass or queue.failures > _TRIES
         with self._lock:
             done = final or not queue.calls
             if done:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -92,15 +93,17 @@ class ParameterSharing:
         self._wake.set()
 
     def _run(self) -> None:
+        compare_at = time.monotonic()
         while not self._stopping.is_set():
-            timely = self._wake.wait(self._period)
+            self._wake.wait(max(0.0, compare_at - time.monotonic()))
             self._wake.clear()
             while self._jobs and not self._stopping.is_set():
                 self._try(self._jobs.popleft())
-            if self._due or not timely:
+            if self._due or time.monotonic() >= compare_at:
                 self._due = False
                 self._try(self._compare)
                 self._stopping.wait(_SETTLE)
+                compare_at = time.monotonic() + self._period
         self._close()
         while self._jobs:
             self._try(self._jobs.popleft())

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from bridge.adapters.ros1.master import node_calls
 from bridge.adapters.ros1.master.node_calls import NodeCalls
 from bridge.adapters.ros1.master.registrations import Link
+from bridge.adapters.ros1_peers import ExhaustedError, XmlRpcClient
 from tests.peers.ros1.fake_node import FakeNode
 from tests.support.ports import free_port
 from tests.support.wait import until
@@ -101,6 +103,21 @@ def test_a_node_that_has_ended_is_not_called_again(calls: NodeCalls, other: Fake
     until(lambda: calls.waiting == 0, "calls to invalid addresses are dropped")
     calls.publisher_update(other.api, "/t", [])
     until(lambda: other.calls, "other nodes are called")
+
+
+def test_a_call_is_repeated_once_this_process_has_file_descriptors_again(
+    calls: NodeCalls, node: FakeNode, monkeypatch: pytest.MonkeyPatch
+):
+    failures = [ExhaustedError("no file descriptor left")] * 2
+
+    def connect(*arguments: Any) -> XmlRpcClient:
+        if failures:
+            raise failures.pop()
+        return XmlRpcClient(*arguments)
+
+    monkeypatch.setattr(node_calls, "XmlRpcClient", connect)
+    calls.publisher_update(node.api, "/t", [node.api])
+    until(lambda: node.calls == [("publisherUpdate", "/t", [node.api])], "the call has arrived")
 
 
 def test_calls_that_wait_are_bounded(calls: NodeCalls, node: FakeNode, monkeypatch: pytest.MonkeyPatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -163,15 +164,21 @@ def test_a_ros2_node_sets_ros1_parameters(master: RosMaster, hubs: tuple[Hub, Hu
     assert master.call("getParam", "/set/new") is None
 
 
-@needs_ros1
-def test_changes_of_ros1_parameters_are_published_as_events(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+def events(hub: Hub) -> list[dict[str, Any]]:
+    """Return a list to which the parameter events on the hub are appended."""
     kind = REGISTRY.ros2("rcl_interfaces/msg/ParameterEvent")
     received: list[dict[str, Any]] = []
 
     def on_sample(sample: Any) -> None:
         received.append(MessageReader(REGISTRY.schema(kind.name), sample.payload.to_bytes()).message())
 
-    hubs[1].subscription("/parameter_events", kind.name, kind.type_id, Qos(depth=100), on_sample)
+    hub.subscription("/parameter_events", kind.name, kind.type_id, Qos(depth=100), on_sample)
+    return received
+
+
+@needs_ros1
+def test_changes_of_ros1_parameters_are_published_as_events(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    received = events(hubs[1])
     master.call("setParam", "/told", {"stays": 1, "changes": 2, "goes": 3})
     share(rule("ros1", "/told", "/told_node"))
     ParameterClient(hubs[1], "/told_node")
@@ -191,6 +198,23 @@ def test_changes_of_ros1_parameters_are_published_as_events(master: RosMaster, h
         "the new parameter is published",
     )
     assert {event["node"] for event in received} == {"/told_node"}
+
+
+@needs_ros1
+def test_frequent_calls_do_not_postpone_the_comparison(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    received = events(hubs[1])
+    master.call("setParam", "/called", {"speed": 0})
+    share(rule("ros1", "/called", "/called_node"))
+    client = ParameterClient(hubs[1], "/called_node")
+
+    def changed_between_calls() -> bool:
+        master.call("setParam", "/called/speed", master.call("getParam", "/called/speed") + 1)
+        end = time.monotonic() + 3 * PERIOD
+        while time.monotonic() < end:
+            client.call("list_parameters", prefixes=[], depth=0)
+        return any(event["node"] == "/called_node" and event["changed_parameters"] for event in received)
+
+    until(changed_between_calls, "the change is published", 5, every=0)
 
 
 @needs_ros1
