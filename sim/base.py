@@ -97,7 +97,7 @@ class Base(ABC):
 
 
 def clipped(velocities: Sequence[float], names: Sequence[str], greatest: float) -> list[float]:
-    """Limit wheel velocities to the joints' maximum; raises `SimError` if one is not finite or the number is wrong."""
+    """Limit wheel velocities to ``greatest``; raises `SimError` if one is not finite, or not every wheel has one."""
     if len(velocities) != len(names):
         raise SimError(f"the base has {len(names)} wheels, not {len(velocities)}")
     if not all(math.isfinite(v) for v in velocities):
@@ -106,16 +106,19 @@ def clipped(velocities: Sequence[float], names: Sequence[str], greatest: float) 
 
 
 def power(joint: Any, axis: int) -> float:
-    """Return a servo's power about an axis of its joint, in watts; DART reports its force as the impulse of a step."""
+    """Return a servo's power about an axis of its joint, in watts.
+
+    DART reports the servo's force only as its impulse during one step.
+    """
     return abs(float(joint.getConstraintImpulse(axis) * joint.getVelocity(axis))) * 1e9 / STEP_NS
 
 
 class Differential(Base):
-    """Two driven wheels and casters, free in space: it rolls, slips, tips and is stopped by obstacles.
+    """A base with two driven wheels and casters, free in space: it can roll, slip and tip, and obstacles stop it.
 
-    On the floor a wheel is a sphere: a cylinder would touch it in two points and scrub (half a meter of error in a loop
-    of 20 m, measured). Against walls it is a box on the body. Motors are velocity servos with limited torque, so that a
-    wall stalls them.
+    For contacts with the floor a wheel is a sphere: a cylinder would touch the floor at two points and scrub (half a
+    meter of error in a loop of 20 m, measured). For contacts with walls it is a box on the body. The motors are
+    velocity servos with limited torque, so that a wall stalls them.
     """
 
     def __init__(self, robot: RobotDescription) -> None:

@@ -1,8 +1,9 @@
 """The wheels as a YARP control board, for scripts that command a robot's ``/cer/mobile_base`` (`docs/yarp/boards.md`).
 
-Units are degrees and degrees per second; modes are position, position direct, velocity, PWM and idle. A velocity or
-duty cycle expires after the same time as a command on ``/cmd_vel``; a position is held once reached. While a command to
-a wheel is active here, other command sources are ignored; the emergency stop cancels all commands.
+Units are degrees, degrees per second and, for duty cycles, percent; the modes are position, position direct, velocity,
+PWM and idle. A velocity or duty cycle expires after the same time as a command on ``/cmd_vel``; a position is held once
+it is reached. While the board has an active command for a wheel, other command sources are ignored; the emergency stop
+cancels all commands.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from yarp_compat.dev.controlboard.board import JointBoard
 from yarp_compat.dev.controlboard.streams import JointData
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 
-_SPEED, _RAMP = 30.0, 60.0  # defaults of position moves: degrees per second (squared)
+_SPEED, _RAMP = 30.0, 60.0  # defaults of position moves: degrees per second, and per second squared
 _THERE = 0.2  # a wheel has reached its target within this many degrees
 _MODES = frozenset(
     (
@@ -47,7 +48,7 @@ class WheelCommands:
         self.targets: list[float | None] = [None] * count  # targets of position moves, degrees
         self.velocities = np.zeros(count)  # last commanded, degrees per second
         self._until = [0] * count
-        self.zero = np.zeros(count)  # angles at which the encoders were reset, degrees
+        self.zero = np.zeros(count)  # wheel angles at which the reported positions are 0, degrees
         self.now_ns = now_ns
         self._encoders = Encoders(0, np.zeros(count), np.zeros(count))
         self._moving = np.zeros(count)
@@ -115,7 +116,10 @@ class WheelCommands:
         return self.now_ns < self._until[wheel]
 
     def _towards(self, wheel: int, distance: float, seconds: float) -> float:
-        """Return the velocity of a trapezoidal move to a position, or of the shortest move in position direct mode."""
+        """Return the velocity (degrees per second) of a trapezoidal move over ``distance`` (degrees).
+
+        In position direct mode, return the velocity of the fastest possible move.
+        """
         if self.modes[wheel] == modes.VOCAB_CM_POSITION_DIRECT:
             fastest = self.greatest
         else:
@@ -127,7 +131,7 @@ class WheelCommands:
 
 
 class WheelBoard(JointBoard):
-    """YARP's methods for the commands; ``call`` runs them on the simulation's thread."""
+    """The control board's methods, which YARP clients call; ``call`` runs them on the simulation's thread."""
 
     def __init__(self, commands: Callable[[], WheelCommands], call: Callable[[Callable[[], Any]], Any]) -> None:
         super().__init__(len(commands().names))

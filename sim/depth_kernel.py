@@ -1,4 +1,4 @@
-"""Casts a depth camera's rays on upright boxes and cylinders, and on the floor, in compiled code.
+"""Casts a depth camera's rays against upright boxes and cylinders and the floor, in compiled code.
 
 A ray's direction has length 1 along the camera's axis, so that the ray parameter of a hit is its depth. Each solid is
 processed once, and only for the pixels in the bounding rectangle of its outline. Depths are exact.
@@ -25,8 +25,8 @@ _PARALLEL = cython.declare(cython.double, 1e-12)
 @cython.initializedcheck(False)
 @cython.cdivision(True)  # divisors are compared with 0 first, and focal lengths are checked
 def render(
-    # (n, 8) x, y of the middle, cosine and sine of its direction, half length, half width (0: a cylinder with the half
-    # length as its radius), lowest and highest z; meters
+    # (n, 8) x, y of the middle, cosine and sine of the yaw, half length, half width (0: a cylinder with the half length
+    # as its radius), lowest and highest z; lengths in meters
     solids: cython.const[cython.double][:, ::1],
     drops: cython.const[cython.double][:, ::1],  # (m, 8) boxes cut out of the floor, which is at z = 0; same columns
     eye: cython.const[cython.double][::1],  # (3) the camera's position, meters
@@ -37,7 +37,7 @@ def render(
     farthest: cython.double,  # meters; greater depths become infinite
     out: cython.float[:, ::1],  # (rows, columns) receives the depths, meters
 ) -> None:
-    """Compute each pixel's depth. Solids that are not finite, or contain the camera, are ignored.
+    """Compute each pixel's depth. Solids that are empty, not finite, or contain the camera are ignored.
 
     Raises:
         ValueError: the arrays' shapes do not fit, or the camera's pose or lens is invalid.

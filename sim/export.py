@@ -1,6 +1,6 @@
 """Exports a floor plan's maps, locations and areas for planners, and draws the floor from above.
 
-On a map doors are open; movable things, and things that a laser at the R1's height misses, are left out. The drawing
+On a map doors are open; movable things, and things that the R1's laser misses at its height, are left out. The drawing
 code is Midspan's own, because DART's package needs a display.
 """
 
@@ -30,7 +30,10 @@ SEEN = 0.19  # height of the mapping laser above the floor, meters
 
 
 def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
-    """Return a floor's map; cells unreachable from all places are unknown. Raises `SimError` if it is too large."""
+    """Return a floor's map; cells that cannot be reached from the start or from any place are unknown.
+
+    Raises `SimError` if the map is too large.
+    """
     plan_floor = plan.floors[floor]
     x0, y0, x1, y1 = plan_floor.extent
     left, bottom = (math.floor((v - _MARGIN) / resolution) * resolution for v in (x0, y0))
@@ -116,7 +119,7 @@ def _range(middle: float, reach: float, origin: float, resolution: float, count:
 
 
 def _reached(wall: NDArray[np.bool_], starts: list[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Return the cells that are 4-connected to the start cells."""
+    """Return the free cells that are 4-connected to the start cells."""
     height, width = wall.shape
     free = np.zeros(wall.shape, np.bool_)
     ahead = deque((int(y), int(x)) for x, y in starts if 0 <= x < width and 0 <= y < height)

@@ -20,7 +20,7 @@ class Laser:
 
     Args:
         mount: the positions of the robot's own scanners.
-        rng: the random generator for noise and lost echoes.
+        rng: the random generator for noise and dropouts.
     """
 
     def __init__(self, section: LaserSection, mount: Mount, rng: np.random.Generator) -> None:

@@ -1,4 +1,4 @@
-"""Casts a laser's beams on segments and circles, in compiled code.
+"""Casts a laser's beams against segments and circles, in compiled code.
 
 Each segment is processed once, and only for the beams that it spans, so the cost grows with the nearby segments, not
 with beams times segments. Distances are exact.
@@ -40,7 +40,7 @@ def cast(
     farthest: cython.double,  # meters; greater distances become infinite
     out: cython.double[::1],  # (k) receives the distances, meters
 ) -> None:
-    """Compute each beam's distance. Nothing is seen from a pose that is not finite; such shapes are ignored.
+    """Compute each beam's distance. A pose that is not finite sees nothing; shapes that are not finite are ignored.
 
     Raises:
         ValueError: the step is not above 0, or the arrays' shapes do not fit.
@@ -150,7 +150,7 @@ def _beam(value: cython.double, most: cython.longlong) -> cython.longlong:
 def _end(
     high: cython.longlong, part: cython.longlong, around: cython.longlong, count: cython.longlong
 ) -> cython.longlong:
-    """Return the end of the beam range in a circle's first or second part; a shape spans the beams up to ``high``."""
+    """Return the end (exclusive) of a shape's beams up to ``high``: before the wrap or, with ``part``, after it."""
     if part:
         return min(high - around + 1, count)
     return min(high + 1, around, count)
@@ -167,7 +167,7 @@ def blend(
     at_x: cython.double,  # position of the scanner on the base, meters; also ``at_y``
     at_y: cython.double,
     turned: cython.double,
-    merged: cython.double[::1],  # meters, in the base's frame, from its front; updated
+    merged: cython.double[::1],  # meters, in the base's frame, counterclockwise from the base's front; updated
     merged_step: cython.double,  # radians between slots
 ) -> None:
     """Merge one scanner's scan into a virtual scanner's slots, as cerDoubleLidar does: the last hit in a slot wins.

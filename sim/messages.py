@@ -24,7 +24,7 @@ _FLOAT32 = 7  # sensor_msgs/PointField
 CAMERA_FRAME, OPTICAL_FRAME = "camera_link", "camera_depth_optical_frame"
 FOOTPRINT_FRAME = "base_footprint"  # the floor below the base (REP 120), the origin of heights
 DEPTH, DEPTH_INFO, DEPTH_POINTS = "/camera/depth/image_rect_raw", "/camera/depth/camera_info", "/camera/depth/points"
-"""Frames and topics of the realsense2_camera driver."""
+"""Topics of the camera; they and the camera's frames have the names of the realsense2_camera driver's."""
 _POSE_VARIANCE = np.diag([0.01, 0.01, 1e6, 1e6, 1e6, 0.03]).ravel()
 """Typical covariance of a mobile base's odometry, which does not observe height and tilt."""
 
@@ -41,7 +41,7 @@ def header(time_ns: int, frame: str) -> Message:
 
 
 def turned(yaw: float) -> Message:
-    """Return a geometry_msgs/Quaternion of a rotation about the vertical."""
+    """Return a geometry_msgs/Quaternion of a rotation by ``yaw`` radians about the vertical."""
     return {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
 
 
@@ -74,7 +74,10 @@ def _placed(pose: BasePose) -> tuple[float, ...]:
 
 
 def mount(time_ns: int, base: str, laser: str, height: float, camera: CameraSection | None, middle: float) -> Message:
-    """Return a tf2_msgs/TFMessage with the sensors' frames; the base's frame is ``middle`` meters above the floor."""
+    """Return a tf2_msgs/TFMessage with the laser's frame and, if there is a camera, its frames and `FOOTPRINT_FRAME`.
+
+    The base's frame is ``middle`` meters above the floor.
+    """
     message = transform(time_ns, base, laser, BasePose(0.0, 0.0, 0.0), height - middle)
     if camera is not None:
         x, y, z = camera.at
@@ -95,7 +98,10 @@ def tilted(yaw: float, pitch: float) -> Message:
 
 
 def depth(time_ns: int, seen: Depths, encoding: str) -> Message:
-    """Return a sensor_msgs/Image of depths: meters (REP 118), or like the D435's driver millimeters, 0 for no value."""
+    """Return a sensor_msgs/Image of depths, in meters (REP 118).
+
+    With the encoding 16UC1, depths are in millimeters and 0 means no value, as in the D435's driver.
+    """
     height, width = seen.shape
     if encoding == "16UC1":
         with np.errstate(invalid="ignore"):

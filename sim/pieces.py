@@ -173,7 +173,10 @@ class Walker:
         return of_person(self.person).moved(self.x, self.y, 0.0)
 
     def walk(self, seconds: float, robot: Point, room: float) -> bool:
-        """Walk for a time, but not closer to the robot than ``room`` meters; return whether the person moved."""
+        """Walk for a time, but stop before person and robot are too close; return whether the person moved.
+
+        ``room``: minimum distance from the robot's center to the edge of the person, meters.
+        """
         if self._rest > 0.0:
             self._rest -= seconds
             return False

@@ -147,7 +147,7 @@ class Floor(Section):
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """The bounds of all walls and things, in meters: x0, y0, x1, y1."""
+        """The bounds of all walls, doors, boxes, tables and round things, in meters: x0, y0, x1, y1."""
         points = [p for wall in self.walls for p in wall] + [p for door in self.doors for p in door.line]
         square: tuple[Box | Table, ...] = (*self.boxes, *self.tables)
         for box in square:
@@ -172,7 +172,7 @@ class Link(Section):
 
     @property
     def split(self) -> tuple[tuple[str, str], tuple[str, str]]:
-        """Both ends as floor and location."""
+        """Both ends, each as (floor, location)."""
         first, second = (end.partition("/") for end in self.ends)
         return (first[0], first[2]), (second[0], second[2])
 
@@ -212,7 +212,10 @@ _DARK = 128
 
 
 def of_map_file(file: Path) -> Plan:
-    """Return a plan with the walls of a YARP (.map) or ROS map (.yaml); raises `SimError` if invalid or too large."""
+    """Return a plan with the walls of a map of YARP (.map) or ROS (.yaml).
+
+    Raises `SimError` if the map is invalid or has too many walls.
+    """
     try:
         grid = MapGrid2D.load(file)
     except (MapFileError, OSError, ValueError) as err:
@@ -227,7 +230,11 @@ def of_grid(grid: MapGrid2D, name: str) -> Plan:
 
 
 def of_image(file: Path, resolution: float) -> Plan:
-    """Return a plan of an image in meters per pixel: dark pixels are walls, the origin is the lower left corner.
+    """Return a plan from an image: dark pixels are walls, the origin is the lower left corner.
+
+    Args:
+        file: the image.
+        resolution: meters per pixel.
 
     Raises:
         SimError: the image is invalid or too large.
@@ -245,7 +252,10 @@ def of_image(file: Path, resolution: float) -> Plan:
 
 
 def _plan(name: str, solid: NDArray[np.bool_], resolution: float, origin: Pose) -> Plan:
-    """Return a plan of cells, with the top row first; the origin (meters, radians) is the lower left corner."""
+    """Return a plan from solid cells, the top row first.
+
+    ``resolution``: meters per cell. ``origin``: the pose of the lower left corner, meters and radians.
+    """
     c, s = math.cos(origin[2]), math.sin(origin[2])
     boxes = []
     for left, bottom, right, top in rectangles(solid[::-1]):
@@ -263,9 +273,9 @@ def _plan(name: str, solid: NDArray[np.bool_], resolution: float, origin: Pose) 
 
 
 def rectangles(solid: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
-    """Yield rectangles that cover each solid cell once: left, bottom, right, top, the last two exclusive.
+    """Yield rectangles that cover each solid cell once: left, bottom, right, top in cells, the last two exclusive.
 
-    Runs with the same ends in consecutive rows are merged.
+    The first row of ``solid`` is the bottom one. Runs with the same ends in consecutive rows are merged.
     """
     growing: dict[tuple[int, int], int] = {}
     for row, cells in enumerate(solid):

@@ -1,8 +1,8 @@
 """The simulator's YARP ports, named like the robot's (``/cer/...``) or its Gazebo model's (``/SIM_CER_ROBOT/...``).
 
 A laser (`rangefinder2D_nws_yarp`), odometry (`odometry2D_nws_yarp`), the battery (`battery_nws_yarp`, for each reader
-in the field order of its YARP release), and the wheels as a control board (`controlBoard_nws_yarp`) for clients of
-YARP 3 and 4.
+in the field order of its YARP release), the depth camera's images (`rgbdSensor_nws_yarp`), and the wheels as a control
+board (`controlBoard_nws_yarp`) for clients of YARP 3 and 4.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ class _Board:
 
     @staticmethod
     def _halt(simulation: Simulation) -> dict[str, bool]:
-        """Cancel all commands; later commands are executed."""
+        """Cancel the commands of the velocity drive and of the board; later commands are executed."""
         simulation.wheels.halt()
         return {"halted": True}
 

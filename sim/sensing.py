@@ -56,7 +56,7 @@ class Sensing:
         return reading
 
     def observe(self, world: FloorWorld, time_ns: int) -> None:
-        """Scan and take a picture if they are due."""
+        """Scan if a scan is due, and record the time if a picture is due; `depth` computes the picture."""
         since = time_ns - self._begun
         if since % self._scan_ns == 0 and "laser_silent" not in self.faults:
             self.scan = self._scan(world, time_ns)

@@ -33,13 +33,13 @@ class WheelEncoders:
         """Return a reading; called at a steady rate. ``rests`` means that nothing has moved since the last call."""
         if rests and self._unchanged is not None and not self.frozen:
             if self._noise:
-                # as in motion, because later noise must not depend on rests
+                # draw as many numbers as in motion, because later noise must not depend on rests
                 self._rng.normal(0.0, 1.0, len(self._reading))
             return Encoders(time_ns, self._unchanged.positions, self._unchanged.velocities)
         self._unchanged = None
         positions, velocities = self._base.joints()
         if self.frozen:
-            # such encoders count steps; missed steps are lost
+            # the encoders are incremental: they lose the steps that they miss
             self._last = positions
             return Encoders(time_ns, self._reading.copy(), np.zeros(len(velocities)))
         turned = (positions - self._last) * self._scale
@@ -86,7 +86,7 @@ class Odometry:
         return self.now
 
     def repeat(self, time_ns: int) -> None:
-        """Repeat the last reading at a later time."""
+        """Repeat the last estimate with a later time."""
         self.now = replace(self.now, time_ns=time_ns)
 
     def reset(self) -> None:

@@ -113,9 +113,9 @@ _BUNDLE = 50  # ticks between two rounds of message handling
 
 
 class Stepping:
-    """Serves ``/sim/step``: the reply follows once all named participants have acknowledged the time of the step.
+    """Serves ``/sim/step``: it replies once all named participants have acknowledged the step's time, or time runs out.
 
-    It runs one step at a time, and is used only on the module's thread.
+    Only one step runs at a time. Used only on the module's thread.
 
     Args:
         tick: runs one tick, and returns its stamp in ns.
@@ -159,7 +159,7 @@ class Stepping:
             self._finish()
 
     def give_up(self, why: str) -> None:
-        """End the step in progress."""
+        """End the step in progress; ``why`` is the reason for its failure, "" if it succeeded."""
         answer, self._answer = self._answer, None
         self._left, self._acknowledged = 0, {}
         if self._timer is not None:

@@ -130,7 +130,10 @@ class Simulation:
         self.world.place(to)
 
     def ride(self, name: str) -> str:
-        """Use a link from near one of its ends, and return the new floor; raises `SimError` if no end is near."""
+        """Use a link whose end is near the robot, and return the new floor.
+
+        Raises `SimError` if the link is unknown, or neither end is near the robot.
+        """
         link = next((link for link in self.plan.links if link.name == name), None)
         if link is None:
             msg = f"unknown link {name!r}; links: {', '.join(link.name for link in self.plan.links) or 'none'}"
@@ -157,5 +160,5 @@ _LINK_REACH = 1.0
 
 
 def pose(x: float, y: float, degrees: float) -> BasePose:
-    """Return a pose of a plan, whose direction is in degrees."""
+    """Convert a pose of a plan, with the direction in degrees."""
     return BasePose(x, y, math.radians(degrees))

@@ -184,7 +184,7 @@ _FIXED = ("name", "state", "hub", "types", "limits", "clock")
 
 
 class SimWorker(Worker):
-    """One simulation in a separate process, because DART holds Python's lock while it computes."""
+    """One simulation in a separate process, because DART holds Python's GIL while it computes."""
 
     def __init__(self) -> None:
         self._config: Config | None = None
@@ -200,7 +200,10 @@ class SimWorker(Worker):
 
     @override
     def reload(self, config: Config) -> bool:
-        """Restart the simulation with another section; return False if only a restart of the worker can apply it."""
+        """Apply a configuration, and restart the simulation if its section differs.
+
+        Return False if only a restart of the worker can apply the configuration.
+        """
         old, running = self._config, self._running
         if old is None or running is None or not ports_stay(config, old):
             return False

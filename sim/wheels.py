@@ -80,7 +80,7 @@ class VelocityDrive:
         self._until = 0
 
     def wheels(self, now_ns: int, seconds: float) -> Floats:
-        """Return wheel velocities (radians per second) for the next seconds."""
+        """Return wheel velocities (radians per second) for the next ``seconds``."""
         wanted = self._wanted if now_ns < self._until else np.zeros(3)
         linear = self._limits.linear_acceleration * seconds
         change = wanted - self._now
@@ -113,7 +113,7 @@ class WheelControls:
         self._velocity = velocity
 
     def targets(self, time_ns: int, seconds: float) -> list[float]:
-        """Return the wheels' target velocities (radians per second) for the next seconds."""
+        """Return the wheels' target velocities (radians per second) for the next ``seconds``."""
         self.motors.now = self.board.now_ns = time_ns
         wheels = self.drive.wheels(time_ns, seconds) if self._velocity else self.motors.wheels()
         commanded = self.board.next_velocities(seconds)

@@ -1,4 +1,4 @@
-"""A floor with a base in DART; DART's world contains only nearby things."""
+"""One floor and the base in DART. To save time, only things near the base, or near a box that it may push, collide."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from sim.plan import Box, Floor, Person
 
 Floats = NDArray[np.float64]
 
-_NEAR = 3.0  # meters within which movable boxes are in DART's world; farther boxes stand still
-_ROOM = 0.05
-_REST = 1e-9  # meters or radians per second of a body at rest; a standing base slows down tenfold in 50 ticks
-_BUMP_HEIGHT = 0.03  # lower contacts are with the floor, meters
-_SPAWNED = 200  # maximum number of added things
+_NEAR = 3.0  # movable boxes within this many meters of the base's center are in DART's world; farther ones stand still
+_ROOM = 0.05  # meters around the base within which people wait, and contacts count as the base's
+_REST = 1e-9  # a slower body is at rest, m/s or rad/s; the residual speed of a standing base falls tenfold in 50 ticks
+_BUMP_HEIGHT = 0.03  # meters; contacts below this height are with the floor
+_SPAWNED = 200  # maximum number of added things, movable boxes and people, including those of the plan
 
 
 @dataclass
@@ -44,10 +44,10 @@ class FloorWorld:
     """One floor, whose things are identified by name.
 
     Args:
-        laser_height: meters; the laser does not see lower things.
+        laser_height: meters above the floor; the laser sees only things at this height, and people.
 
     Attributes:
-        pieces: the fixed pieces: walls and things, then the doors' leaves, then people.
+        pieces: everything but movable boxes: walls and fixed things, then the doors' leaves, then people.
         first_leaf: index of the first leaf.
         doors: whether each door is open.
         people: walking people.
@@ -117,7 +117,7 @@ class FloorWorld:
         self._solids = solids_of(self.pieces[: self.first_leaf])
 
     def solids(self) -> Floats:
-        """Return the current solids for a camera, (n, 8) meters, in the format of `sim.depth_kernel.render`."""
+        """Return the current solids for a camera, (n, 8), in the format of `sim.depth_kernel.render`."""
         moving = [*(crate.now() for crate in self.crates.values()), *self.leaves(is_open=False)]
         moving += [walker.piece() for walker in self.people.values()]
         return np.vstack([self._solids, solids_of(moving)])
@@ -167,7 +167,7 @@ class FloorWorld:
                 self._rests = False
 
     def update_near(self) -> None:
-        """Update which nearby things are in DART's world; call this 20 times per simulated second."""
+        """Update which things near the base can collide; call this 20 times per simulated second."""
         x, y, _ = self.base.pose()
         reach = self.base.robot.body.radius
         bodies = [(x, y, reach)]
@@ -198,7 +198,7 @@ class FloorWorld:
         ]
 
     def open(self, door: str, *, is_open: bool) -> None:
-        """Open or close a door; raises `SimError` if it is unknown, or cannot be closed because it is occupied."""
+        """Open or close a door; raises `SimError` if it is unknown, or something stands in it when it should close."""
         if door not in self.doors:
             raise SimError(f"unknown door {door!r}; doors: {', '.join(self.doors) or 'none'}")
         index = self.first_leaf + list(self.doors).index(door)
@@ -221,7 +221,10 @@ class FloorWorld:
         return ""
 
     def spawn(self, thing: Box | Person | Piece, name: str) -> None:
-        """Add a box, a person or a fixed piece; raises `SimError` if name or place is taken, or there are too many."""
+        """Add a box, a person or a fixed piece.
+
+        Raises `SimError` if the name is empty or taken, the place is occupied, or there are too many things.
+        """
         if not name or name in self.names:
             raise SimError(f"the name {name!r} is taken" if name else "a thing needs a name")
         if len(self.extra) + len(self.crates) + len(self.people) >= _SPAWNED:
@@ -309,17 +312,17 @@ MARGIN = 0.5
 
 
 class Window:
-    """The fixed pieces, and which of them currently collide.
+    """All pieces except movable boxes, and which of these pieces can currently collide.
 
-    DART's collision detection slows down with the number of objects (tenfold with 500 walls). So the fixed pieces are
-    not part of the world: only those near the base, and near the boxes that it may push, are in its collision group.
+    DART's collision detection slows down with the number of objects (tenfold with 500 walls). So the pieces are not
+    part of DART's world: only those near the base, and near the boxes that it may push, are in the collision group.
 
     Args:
         nodes: the pieces' shape nodes.
         pieces: the pieces, in the same order.
 
     Attributes:
-        count: number of pieces that currently collide.
+        count: number of pieces that can currently collide.
     """
 
     def __init__(self, group: Any, nodes: list[Any], pieces: list[Piece]) -> None:
@@ -359,7 +362,7 @@ class Window:
         return away
 
     def move(self, index: int, piece: Piece) -> bool:
-        """Move a piece; return whether it currently collides."""
+        """Move a piece; return whether it can currently collide."""
         self._nodes[index].setRelativeTransform(place_of(piece))
         self._middles[index] = piece.x, piece.y
         return bool(self._in[index])
