@@ -110,9 +110,9 @@ class VerbParser(argparse.ArgumentParser):
 
 
 def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None = None) -> str:
-    """Return ``. Did you mean status?``, "" if no known name is similar; ``described`` has the help of each command.
+    """Return a hint such as ``. Did you mean status?``; "" if no known name is similar, or the text is very short.
 
-    A word in a command's help also suggests that command: ``echo`` suggests ``topic``.
+    ``described`` has the help of each command; a word in it also suggests the command: ``echo`` suggests ``topic``.
     """
     from bridge.text import near  # needed only here
 

@@ -34,7 +34,7 @@ def pressed(terminal: int, seconds: float) -> Iterator[str]:
 
 @contextlib.contextmanager
 def raw(terminal: int) -> Iterator[int]:
-    """Put a terminal into raw mode: each key at once, without echo; only if `AVAILABLE`."""
+    """Put a terminal into cbreak mode: each key at once, without echo; only if `AVAILABLE`."""
     before = termios.tcgetattr(terminal)
     try:
         tty.setcbreak(terminal)

@@ -1,4 +1,4 @@
-"""The program ``midspan``: finds the command, imports its module, runs it, and turns errors into one line.
+"""The program ``midspan``: finds the command, imports its module, runs it, and reports errors without a traceback.
 
 Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done in part (`midspan import` and
 `midspan config migrate` only), 130 interrupted by Ctrl-C, 143 ended by SIGTERM, 129 by SIGHUP.
@@ -119,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 2
         return _run(args)
     except KeyboardInterrupt as err:
-        return getattr(err, "code", INTERRUPTED)  # `bridge.cli.graph.goal.Interrupted` knows the signal
+        return getattr(err, "code", INTERRUPTED)  # `bridge.cli.graph.goal.Interrupted` has the code of its signal
     except BrokenPipeError:
         # the reader has closed the pipe, as `| head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

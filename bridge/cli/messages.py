@@ -55,7 +55,7 @@ def _shaped(value: Any, *, full: bool) -> Any:
 
 
 def yaml_fields(text: str) -> dict[str, Any]:
-    """Parse a message's fields from YAML 1.2 or JSON; raises `CliError`."""
+    """Parse a message's fields from YAML 1.2 or JSON; raises `CliError` if the text is neither, or not a map."""
     import yaml
 
     from bridge.config.document import Yaml12Loader

@@ -91,7 +91,8 @@ def _moment(text: str) -> tuple[bool, int]:
 
 
 _ended: list[int] = []
-"""Received signals, because Python loses an exception that is raised in one of its callbacks, as during an import."""
+"""The received signals; stored because Python loses an exception that is raised inside some of its callbacks, as during
+an import."""
 
 
 def _end(number: int, _frame: object) -> None:
@@ -103,7 +104,7 @@ def _end(number: int, _frame: object) -> None:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Bag]:
-    """Open a bag, and report its errors as `CliError`. After SIGTERM and Ctrl-C, half-written files are removed.
+    """Open a bag, and report its errors as `CliError`. SIGTERM and Ctrl-C exit after removing half-written files.
 
     Ignored signals stay ignored, because Ctrl-C in a shell script must not end a background command.
     """

@@ -1,1 +1,1 @@
-"""The commands that run the daemon, one worker, one module or the simulator."""
+"""The commands that run or use the daemon and its workers: ``run``, ``worker``, ``module``, ``record`` and others."""

@@ -155,7 +155,7 @@ def _echo(args: argparse.Namespace) -> int:
 
 
 def _next(args: argparse.Namespace, listener: TransformListener) -> Transform:
-    """Wait for a transform, and print why it is missing; raises `CliError` after the timeout."""
+    """Wait for a transform, and print why it is missing; raises `CliError` after the timeout or for an invalid name."""
     end = math.inf if args.timeout is None else time.monotonic() + args.timeout
     printed = ""
     while True:
@@ -229,7 +229,7 @@ def _monitor(args: argparse.Namespace) -> int:
 
 
 def connecting_frames(frames: Mapping[str, FrameInfo], one: str, other: str) -> list[str]:
-    """Return the frames on the path from one to another, without their common ancestor."""
+    """Return the frames on the path from one to the other, without their common ancestors."""
     ups: list[list[str]] = []
     for name in (one, other):
         up: list[str] = []

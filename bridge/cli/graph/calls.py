@@ -23,7 +23,7 @@ _VALUES = re.compile(r"[{\[]|\w+:")
 
 
 def type_and_values(words: list[str]) -> tuple[str, str]:
-    """Split ``[TYPE] [VALUES]`` into the type, "" if missing, and the values' text; raises `CliError`."""
+    """Split ``[TYPE] [VALUES]`` into type ("" if missing) and text of the values; raises `CliError` for other words."""
     has_type = bool(words) and _TYPE.fullmatch(words[0]) is not None
     values = words[1:] if has_type else words
     if len(values) > 1:

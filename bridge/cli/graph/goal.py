@@ -16,7 +16,8 @@ from bridge.client.types import Types
 from bridge.messages.actions import GoalState
 
 CONFIRM_SECONDS = 5.0
-"""Seconds that an ended command waits for the goal's end; container runtimes kill after 10 s, systemd after 90 s."""
+"""Seconds that a command waits for the canceled goal's end after SIGTERM, SIGHUP or an error; container runtimes kill
+after 10 s, systemd after 90 s."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -31,7 +32,8 @@ class Interrupt:
     """Holds the first SIGINT, SIGTERM or SIGHUP until `check` raises it: other code might swallow an exception.
 
     After Ctrl-C, the next signal raises at once. SIGTERM and SIGHUP often come together; signals after them are
-    ignored, because their handling is bounded. A SIGHUP that the caller ignores (``nohup``) stays ignored.
+    ignored, because the command then ends within `CONFIRM_SECONDS`. A SIGHUP that the caller ignores (``nohup``) stays
+    ignored.
     """
 
     def __init__(self) -> None:

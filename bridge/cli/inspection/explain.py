@@ -53,7 +53,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Decisions on one topic with their routes' status, and its endpoints, notes, YARP ports and connections."""
+    """The decisions on one topic with their routes' status, and the topic's endpoints, notes, ports and connections."""
 
     topic: str
     decisions: Sequence[tuple[Decision, RouteStatus | None]]
@@ -131,7 +131,7 @@ def _namesakes(names: DaemonNames) -> list[Note]:
 
 
 def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
-    """Return the decisions on a topic; if it has another name on the hub, also those on that name."""
+    """Return the decisions on a topic; if it has another name on the hub, also those from that name to the sides."""
 
     def known_as(name: str) -> list[Decision]:
         return [d for d in everything if any(name in (known, split(known)[0]) for known in (d.topic, d.hub_topic))]
@@ -144,7 +144,7 @@ def _decisions(everything: Sequence[Decision], topic: str) -> list[Decision]:
 
 
 def _connections(answers: Sequence[WorkerAnswer], names: set[str]) -> list[tuple[WorkerAnswer, ConnectionStatus]]:
-    """Return the connections of topics with one of the names, including topics of an action on ROS 1."""
+    """Return the connections of topics with one of the names, including the topics of a ROS 1 action."""
     actions = {split(name)[0] for name in names if split(name)[1]}
     return [
         (answer, connection)
@@ -214,7 +214,10 @@ def _warnings(names: set[str], documents: Sequence[StatusDocument]) -> list[Note
 def _worker_notes(
     decisions: Sequence[Decision], documents: Sequence[StatusDocument], sides: Collection[tuple[str, str]]
 ) -> list[Note]:
-    """Return notes on the sides without a decision; ``sides`` has the daemon and the worker of every side."""
+    """Return notes on the sides that are unavailable, on standby or without a decision.
+
+    ``sides`` has the daemon and the worker of every side that answered.
+    """
     if not documents:
         return [Note("no worker answers, so nothing is bridged now", "start the daemon: midspan run")]
     notes: list[Note] = []
@@ -353,7 +356,7 @@ def by_rules(config: Config, name: str) -> Iterator[str]:
 
 
 def _denies_all(rule: Rule) -> bool:
-    """Return whether a rule keeps everything with its name out of the hub, whatever its kind, side and type."""
+    """Return whether a rule keeps everything that its name matches off the hub, whatever its kind, side and type."""
     return rule.deny and rule.to in (None, ENTRY) and (rule.kind, rule.from_, rule.type) == (None, None, None)
 
 

@@ -33,7 +33,7 @@ class Refusal:
     """Commands on one topic, or calls to one service, from one machine that another machine refuses.
 
     ``daemon`` is the one that refuses; ``machine`` is the name in the certificate, "" without one; ``messages`` is the
-    number that the machine's bridge has sent, None if no bridge counts.
+    number of messages or calls that the machine's bridge has sent, None if no bridge counts them.
     """
 
     daemon: str
@@ -81,9 +81,9 @@ def refusals(client: Client, documents: Sequence[StatusDocument]) -> list[Refusa
 
 
 def warn_of_refusals(client: Client, published: Iterable[tuple[str, str, str]]) -> bool:
-    """Report on stderr which machines refuse what this program publishes: name, type and type hash of each topic.
+    """Report on stderr which machines refuse what this program publishes.
 
-    Return whether a machine refuses any of it.
+    ``published`` has the name, type and type hash of each topic. Return whether a machine refuses any of them.
     """
     answers = client.ask("status", worker="router")
     routers = routers_of(read_status(a.value, a.daemon, a.worker, a.error) for a in answers)
@@ -135,8 +135,9 @@ def _sessions(
 ) -> set[str]:
     """Return the sessions that reach a router through its link with a machine, from ``known`` and from the documents.
 
-    These are the machine's own, and those of the routers that are connected to it, even if it is a router without a
-    status document, such as zenohd. If it is the only machine, these are all sessions except the router's own.
+    These are the machine's own sessions and those of the routers connected to the machine, even if the machine is a
+    router without a status document, such as zenohd. If the router has no other machine, these are all sessions except
+    the router's own.
     """
     links: dict[str, set[str]] = defaultdict(set)
     members: dict[str, set[str]] = {}

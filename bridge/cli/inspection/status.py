@@ -123,7 +123,7 @@ def show(
 
 
 def _refusals_of(document: StatusDocument, refused: Sequence[Refusal]) -> list[Refusal]:
-    """Return the refusals of a router's external listener."""
+    """Return the commands that a router's external listener refused; none for other workers."""
     return [r for r in refused if isinstance(document, RouterStatus) and document.daemon == r.daemon]
 
 

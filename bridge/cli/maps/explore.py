@@ -229,7 +229,7 @@ class _Explorer:
                 return _Ending(STOPPED, "a signal ended the exploration"), code
 
     def _ending(self) -> _Ending | None:
-        """Return why the exploration ends before it is complete."""
+        """Return why the exploration ends before it is complete; None if it continues."""
         if self._late:
             return _Ending(LIMIT, self._late)
         if self._trapped:

@@ -198,7 +198,7 @@ def _add(args: argparse.Namespace) -> int:
 
 
 def robot_pose(client: Client, map_frame: str, base_frame: str) -> tuple[float, float, float]:
-    """Return the robot's pose in meters and degrees; raises `CliError` if it is unknown."""
+    """Return the robot's pose in meters and degrees; raises `CliError` if it is unknown or too old."""
     try:
         with listening(client) as transforms:
             transforms.wait()

@@ -64,7 +64,10 @@ def show(args: argparse.Namespace) -> int:
 
 
 def layer(name: str, value: Map3D, height: float) -> MapGrid2D:
-    """Return the slice of an octomap at a height (m), with occupied leaves as walls; raises `CliError` if empty."""
+    """Return the slice of an octomap at a height (m), with occupied leaves as walls.
+
+    Raises `CliError` if the map is a cloud, or the slice is empty or too large.
+    """
     if isinstance(value, PointCloud):
         raise CliError(f"{name!r} is a cloud, which has no free space; export it as .bt, and import that")
     if not math.isfinite(height):
@@ -111,7 +114,7 @@ def export(args: argparse.Namespace) -> int:
 
 
 def named_map3d(stored: StoreClient, name: str | None) -> tuple[str, Map3D]:
-    """Return a 3D map by its name, or the only one; raises `CliError`."""
+    """Return a 3D map by its name, or the only one; raises `CliError` if it is missing, or there are several."""
     names = stored.names(MAP3D)
     name = name or (names[0] if len(names) == 1 else "")
     value = stored.get(MAP3D, name) if name else None

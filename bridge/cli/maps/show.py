@@ -1,6 +1,6 @@
 """``midspan map show``: draws a map with flags, locations and areas, or a slice of a 3D map, on the terminal or as PNG.
 
-The drawing code loads slowly and is imported only when needed: commands that do not draw use this file's arguments.
+The drawing code loads slowly and is imported only when needed, because commands that do not draw import this file too.
 """
 
 from __future__ import annotations
@@ -67,7 +67,10 @@ def draw(
     grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], args: argparse.Namespace,
     path: Sequence[tuple[float, float]] = (),
 ) -> None:  # fmt: skip
-    """Draw a map, given `add_drawing_arguments`' values, with a line along ``path`` (meters); raises `CliError`."""
+    """Draw a map, with a line along ``path`` (meters); ``args`` has the arguments of `add_drawing_arguments`.
+
+    Raises `CliError` if they are invalid.
+    """
     if not 0 <= args.scale <= _MOST_SCALE or (args.width is not None and not 0 < args.width <= 1000):
         raise CliError(f"--scale must be from 1 to {_MOST_SCALE}, --width from 1 to 1000")
     if args.png is not None:

@@ -1,1 +1,1 @@
-"""The commands that drive the robot: ``goto``, ``nav``, ``halt`` and ``teleop``."""
+"""The commands that drive or stop the robot, such as ``goto``, ``dock``, ``nav``, ``teleop`` and ``halt``."""

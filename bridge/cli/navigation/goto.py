@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _numbers(words: list[str]) -> list[float] | None:
-    """Return the numbers of a pose, None for names of places; raises `CliError`."""
+    """Return the numbers of a pose, None for names of places; raises `CliError` if the words are neither."""
     numbers = [number for number in map(_number, words) if number is not None]
     if not numbers or len(words) == 1:
         return None

@@ -45,7 +45,7 @@ _DOCKING = (
     "waiting for the charge",
     "retrying",
 )
-"""The feedback's ``state``, from 1."""
+"""Texts for the ``state`` in the feedback, whose values begin at 1."""
 
 
 def register_dock(parser: argparse.ArgumentParser) -> None:
@@ -139,7 +139,7 @@ def _run(
     done: str,
     missed: Callable[[Mapping[str, Any]], str] = lambda _result: "",
 ) -> int:
-    """Send a goal to one of the planner's actions, and print each step until its end."""
+    """Send a goal to one of the planner's actions, and print each step until the goal ends; return the exit code."""
     with open_client(args) as client, Interrupt() as interrupt:
         check_daemon(client)
         action = _action(client, name)
@@ -165,7 +165,7 @@ def _run(
 
 
 def _action(client: CliClient, name: str) -> str:
-    """Return the planner's action ``name``; raises `CliError` if a stop would not cancel it, or the robot may move."""
+    """Return the planner's action ``name``; raises `CliError` if a stop cannot cancel it, or the robot is not idle."""
     planner_name = gateway_status(client).other(GatewayKeys).planner
     planner = client.config.navigation.other(planner_name)
     motion = () if planner is None else planner.motion

@@ -110,7 +110,7 @@ def _replace_file(file: Path, text: str) -> None:
         raise CliError(f"{old} already exists from an earlier migration; move it away")
     new.write_text(text, encoding="utf-8", newline="")
     shutil.copymode(file, new)
-    with contextlib.suppress(AttributeError, PermissionError):  # Windows lacks it; elsewhere only root may
+    with contextlib.suppress(AttributeError, PermissionError):  # Windows lacks chown; elsewhere only root may use it
         os.chown(new, file.stat().st_uid, file.stat().st_gid)
     shutil.copy2(file, old)
     new.replace(file)

@@ -147,7 +147,7 @@ and on {names}, so that it may command there: hub.open.trusted: [{name}]"""
 
 
 def _endpoint(certificate: Certificate) -> str:
-    """Return the endpoint of a listening machine by its first given address; IPv6 has brackets and quotes."""
+    """Return a listening machine's endpoint, by the first ADDRESS of its certificate; IPv6 has brackets and quotes."""
     names = (certificate.name, f"{certificate.name}.local")
     address = next(name for name in certificate.names if name not in names)
     return f"'tls/[{address}]:7448'" if ":" in address else f"tls/{address}:7448"
@@ -183,7 +183,7 @@ def _row(certificate: Certificate) -> tuple[str, ...]:
 def _certificates(place: Path) -> list[Certificate]:
     from bridge.hub.security.certificates import read_certificate
 
-    # the default folder may be missing
+    # decided by the suffix, because the default folder may be missing
     files = [place] if place.suffix else sorted(place.glob("*.pem"))
     return [read_certificate(file) for file in files]
 
