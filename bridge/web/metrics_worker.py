@@ -52,7 +52,7 @@ class MetricsWorker(Worker):
             raise RuntimeError(f"metrics.listen: {conflict}")
         self._link = HubLink(config, "metrics", self._status)
         if section.reached:
-            from bridge.web.serving.tls import ServerTls  # saves its memory on loopback
+            from bridge.web.serving.tls import ServerTls  # not imported on loopback, to save memory
 
             self._tls = ServerTls(config)
         # without a login page, no cookie is valid
@@ -72,7 +72,7 @@ class MetricsWorker(Worker):
 
     @override
     def health(self) -> Health:
-        """Return the address; joins the hub unless it has joined already."""
+        """Return the address, and join the hub if necessary; raises `RuntimeError` if the server has ended."""
         assert self.server is not None
         assert self._link is not None
         assert self._config is not None

@@ -22,7 +22,7 @@ _log = logging.getLogger("midspan.web")
 
 MOST_FEEDS = 64
 MOST_CALLS, MOST_STOPS = 16, 64
-"""Maximum number of pending calls of a page; stops have a separate limit."""
+"""Number of pending calls of a page from which a further call, or a further stop, is refused."""
 MOST_ERRORS = 20
 _POLICY = 1008
 _check_speed = number_between(-1e9, 1e9)

@@ -54,7 +54,7 @@ class WebWorker(Worker):
 
     @override
     def start(self, config: Config) -> None:
-        """Open the node and the server; raises `RuntimeError` if the address is in use."""
+        """Open the node and the server; raises `RuntimeError` if the server cannot listen or store its secret."""
         self._config = config
         self._console = Console(config)
         self._console.start()
@@ -67,7 +67,10 @@ class WebWorker(Worker):
 
     @override
     def health(self) -> Health:
-        """Return the address; raises `TimeoutError` if the module's thread hangs."""
+        """Return the address and the number of open pages.
+
+        Raises `TimeoutError` if the module's thread hangs, and `RuntimeError` if the server has ended.
+        """
         assert self._console is not None
         console = self._console
         console.host.loop.computes()

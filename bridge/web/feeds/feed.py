@@ -107,7 +107,7 @@ Make = Callable[[str], Feed]
 
 
 class Feeds:
-    """All feeds of the console by name; feeds of topics (``topic:/name``) are created on request.
+    """All feeds of the console by name; some, such as those of topics (``topic:/name``), are created on request.
 
     Args:
         fixed: the feeds that always exist.
@@ -119,7 +119,7 @@ class Feeds:
     """
 
     MOST_TOPICS = 100
-    """Maximum number of topics that all pages together may watch."""
+    """Maximum number of feeds created on request that all pages together may watch."""
 
     def __init__(self, fixed: list[Feed], factories: Mapping[str, Make]) -> None:
         self.fixed = {feed.name: feed for feed in fixed}

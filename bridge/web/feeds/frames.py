@@ -106,9 +106,9 @@ class FramesFeed(FrameFeed):
 
 
 class FramePoseFeed(FrameFeed):
-    """The pose of one frame in another, at the newest time that all frames between the two have.
+    """The pose of one frame in another, at the newest time for which all frames between the two have data.
 
-    While a frame is unknown, the value is None with the reason. Raises `LookupError` if the name lacks two frames.
+    While the pose is unknown, the value is None with the reason. Raises `LookupError` if the name lacks two frames.
     """
 
     def __init__(self, host: Host, follower: FrameFollower, name: str) -> None:

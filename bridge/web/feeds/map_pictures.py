@@ -22,7 +22,7 @@ TILE = 1024
 _CACHED_IMAGES = 2
 """Number of cached images of each kind, because a page may still fetch the previous one."""
 _LEVELS, _UNKNOWN_CELL = 101, 101
-"""Grays for 0 to 100 percent occupied, and the color of unknown cells."""
+"""Number of grays, for 0 to 100 percent occupied, and the cell value for unknown cells."""
 _DARK_FREE, _DARK_WALL = (0x14, 0x19, 0x1E), (0xA0, 0xB0, 0xBE)
 _TINTS = {
     MapFlag.KEEP_OUT: (214, 40, 40, 110),

@@ -38,7 +38,10 @@ POLL_SECONDS = 1.0
 
 @dataclass(frozen=True)
 class StoreView:
-    """The content of the store that pages see."""
+    """The content of the store that pages see.
+
+    ``name`` and ``grid``: the current map; ``grid`` is None if the store does not have it.
+    """
 
     maps: dict[str, Any]
     places: dict[str, Any]

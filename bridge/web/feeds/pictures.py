@@ -64,7 +64,7 @@ _OCTETS: Mapping[str, tuple[int, Callable[[Cells], Image.Image]]] = {
 """Encodings with 8-bit channels: the number of channels, and the conversion to an image."""
 
 _MEASURES = {"mono16": "u2", "16UC1": "u2", "16SC1": "i2", "32SC1": "i4", "32FC1": "f4", "64FC1": "f8"}
-"""Encodings with one number per pixel, shown from the smallest (black) to the largest (white)."""
+"""Encodings with one number per pixel, shown from the smallest (black) to the largest (white); 0 means unknown."""
 
 _BAYER = {
     "bayer_rggb8": ((0, 0), (1, 1)), "bayer_bggr8": ((1, 1), (0, 0)),

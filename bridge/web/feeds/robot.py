@@ -33,7 +33,7 @@ MOST_POINTS = 2000
 """Maximum number of points of a path or scan; of a longer one only every second (third ...) point is sent."""
 _CORNERS = 16
 _LASER_GAP = 0.8 * ROBOT_SECONDS
-"""Minimum time between two scans, seconds; an earlier scan is delayed, which is rare at 10 Hz."""
+"""Minimum time between two scans, seconds; a scan that arrives sooner waits for the timer, which is rare at 10 Hz."""
 
 
 class RobotFeed(FrameFeed):
@@ -54,7 +54,7 @@ class RobotFeed(FrameFeed):
 
 
 class TopicsFeed(Feed):
-    """A feed made from topics of the hub, subscribed while it is watched."""
+    """A feed made from topics of the hub, which are subscribed while the feed is watched."""
 
     def __init__(self, host: Host, name: str) -> None:
         super().__init__(name)
@@ -307,14 +307,15 @@ def points_of_path(path: dict[str, Any]) -> list[float]:
 
 
 def place(pose: Pose) -> dict[str, float]:
-    """Return a pose for pages, rounded to millimeters."""
+    """Return a pose for pages, rounded to millimeters and 0.1 milliradians."""
     return {"x": round(pose.x, 3), "y": round(pose.y, 3), "theta": round(pose.theta, 4)}
 
 
 def points_of(scan: dict[str, Any], laser: Pose) -> list[float]:
     """Return the ends of a ``LaserScan``'s beams on the map, rounded to centimeters: x, y, x, y ...
 
-    Beams without a valid range are omitted. Source: sensor_msgs/LaserScan.
+    Beams without a valid range are omitted, and of more than `MOST_POINTS` only every second (third ...) one is
+    returned. Source: sensor_msgs/LaserScan.
     """
     ranges = np.asarray(scan["ranges"], np.float64)
     angles = laser.theta + scan["angle_min"] + scan["angle_increment"] * np.arange(len(ranges))

@@ -121,7 +121,7 @@ class TimedHttp(H11Protocol):
 
     @override
     def on_response_complete(self) -> None:
-        """Restart the request's time; see uvicorn."""
+        """Restart the time limit for the next request; see uvicorn."""
         super().on_response_complete()
         self._since = self.loop.time()
 
@@ -159,7 +159,7 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
 
     @override
     def handle_ping(self) -> None:
-        """Answer a ping unless the connection is closing; see uvicorn."""
+        """Answer a ping unless the connection is closing, and abort it if too much is unread; see uvicorn."""
         if not self.transport.is_closing():
             super().handle_ping()
         if self.transport.get_write_buffer_size() > MOST_UNREAD:
@@ -167,7 +167,7 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
 
     @override
     def handle_cont(self, event: Frame) -> None:
-        """Count the parts of a message; see uvicorn."""
+        """Accept a further part of a message, up to `MOST_PARTS`; see uvicorn."""
         if len(self.frames) >= MOST_PARTS:
             self.transport.abort()
         else:

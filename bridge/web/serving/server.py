@@ -1,8 +1,8 @@
 """An HTTP server with its own thread, for the console and for metrics. It refuses requests caused by other sites.
 
 A foreign page in the operator's browser must not drive a robot: each request's ``Host`` must be one of this server's
-names (against DNS rebinding), and a socket's ``Origin`` must be this server's own page (against cross-site WebSocket
-hijacking; both are OWASP's terms).
+names (against DNS rebinding), and its ``Origin``, which browsers send with each socket, must be this server's own
+(against cross-site WebSocket hijacking; both are OWASP's terms).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _DEFAULT_PORTS = {"http": ":80", "https": ":443"}
 
 
 class OwnOnly:
-    """Passes requests whose ``Host`` is this server, and sockets only from this server's own page; see `refusal`."""
+    """Passes only the requests to this server's names that no foreign page has caused; see `refusal`."""
 
     def __init__(self, app: ASGIApp, hosts: frozenset[str], names: frozenset[str]) -> None:
         self._app, self._hosts, self._names = app, hosts, names
@@ -132,7 +132,10 @@ def refusal(scope: Scope, hosts: frozenset[str], names: frozenset[str] = frozens
 
 
 def _schemes(scope: Scope, forwarded: Sequence[str] | None) -> Collection[str]:
-    """Return the schemes of a server's own pages; ``forwarded`` is None without a proxy, which may add TLS."""
+    """Return the schemes of a server's own pages.
+
+    ``forwarded``: the values of ``X-Forwarded-Proto``, because a proxy may add TLS; None if the host is not a proxy's.
+    """
     if scope.get("scheme") in ("https", "wss"):
         return ("https",)
     if forwarded is None:
@@ -160,7 +163,7 @@ def _with_headers(send: Send) -> Send:
 
 
 class HttpServer:
-    """An HTTP server with its own thread.
+    """An HTTP server with its own thread. Raises `RuntimeError` if it cannot listen.
 
     Args:
         listen: address and port.

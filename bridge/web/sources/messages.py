@@ -8,7 +8,7 @@ MOST_ITEMS, MOST_TEXT, MOST_DEPTH = 32, 2000, 16
 
 
 def cut(value: Any, depth: int = 0) -> Any:
-    """Truncate long arrays and texts of a message for pages; ``{"...": 360}`` shows the full length."""
+    """Truncate a message's long arrays, long texts and deep fields; ``{"...": 360}`` has an array's full length."""
     if isinstance(value, dict):
         return {key: cut(item, depth + 1) for key, item in value.items()} if depth < MOST_DEPTH else {"...": len(value)}
     if isinstance(value, list):

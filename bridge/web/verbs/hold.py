@@ -1,4 +1,4 @@
-"""Manual driving: publishes a velocity while a page repeats it, then zero at once."""
+"""Manual driving: publishes a velocity while a page repeats it, then zero once."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Velocity = tuple[float, float, float]
 
 
 class HandDriver(Protocol):
-    """The page that drives; called on the module's thread."""
+    """A page, or a client of the Foxglove app's server, that drives; called on the module's thread."""
 
     who: str
 

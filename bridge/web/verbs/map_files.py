@@ -42,7 +42,10 @@ _NAME = re.compile(r"[\w\- ().]{1,200}")
 
 
 class Transfers:
-    """Transfers of files by unguessable keys; only a few at once, removed when idle. Safe to use from any thread."""
+    """Transfers of files by unguessable keys. Safe to use from any thread.
+
+    At most `MOST_AT_ONCE` are stored; a new transfer first removes those that were idle for `IDLE_SECONDS`.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -60,7 +63,7 @@ class Transfers:
             return key
 
     def files(self, key: str) -> dict[str, bytearray]:
-        """Return the files of a key; raises `VerbError` if they have expired."""
+        """Return the files of a key; raises `VerbError` if they are no longer stored."""
         with self._lock:
             if key not in self._files:
                 raise VerbError("this transfer has expired; start again")
@@ -74,7 +77,10 @@ class Transfers:
             self._files.pop(key, None)
 
     def add(self, key: str, file: str, at: int, data: bytes) -> int:
-        """Append a part to a file, and return the file's length. Raises `VerbError`."""
+        """Append a part to a file, and return the file's length.
+
+        Raises `VerbError` if the part does not follow the previous one, or a limit is exceeded.
+        """
         files = self.files(key)
         with self._lock:
             content = files.get(file, bytearray())
@@ -97,14 +103,14 @@ def file_of(value: Any) -> str:
 
 
 def place_of(value: Any) -> int:
-    """Check a position in a file."""
+    """Check a position in a file, in bytes."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MOST_BYTES:
         raise ValueError(f"must be an integer up to {MOST_BYTES}")
     return value
 
 
 def data_of(value: Any) -> bytes:
-    """Check a part of a file."""
+    """Check a part of a file, and decode it from base64."""
     try:
         if isinstance(value, str) and len(value) <= MOST_PART:
             return base64.b64decode(value, validate=True)
@@ -140,7 +146,10 @@ def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
 
 
 def root_files(names: Iterable[str]) -> list[str]:
-    """Return the files that refer to the others: YARP's maps and lists of maps, or else ROS maps."""
+    """Return the files that refer to the others: .ini files except extras, and YARP's maps, or else ROS maps.
+
+    Maps are not included if there is a collection of maps, which refers to them.
+    """
     by_form: dict[str, list[str]] = {}
     for name in sorted(names):
         by_form.setdefault(Path(name).suffix.lower(), []).append(name)

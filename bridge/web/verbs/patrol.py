@@ -2,7 +2,7 @@
 
 The patrol sends one goal at a time to the gateway's action, each after the previous goal was reached. Without stops,
 one goal has the places of several rounds, and planners that can pass places drive through them. A stop, another
-client's goal or an unreachable place ends the patrol. It continues if the page that started it is closed.
+client's goal or an unreachable place ends the patrol. A patrol continues if the page that started it is closed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from navigation.messages import NAVIGATE, THROUGH
 
 MOST_PLACES = 50
 SHORTEST, USUAL, LONGEST = 1.0, 2.0, 3600.0
-"""Seconds of the stop between two goals; the minimum lets a pending stop command arrive before the next goal."""
+"""Minimum, default and maximum seconds of the stop between two goals; the minimum lets a pending stop command arrive
+before the next goal."""
 
 MOST_PASSED = 20
 """Maximum number of places in a goal of several rounds, because planners repeatedly plan the path through them all."""
@@ -120,7 +121,7 @@ class Patrol:
     def __init__(self, host: Host, gateway: Gateway, publish: Callable[[Mapping[str, Any]], None]) -> None:
         self._host, self._gateway, self._publish_state = host, gateway, publish
         self._locate: ServiceClient | None = None
-        self._goals: dict[str, ActionClient] = {}  # by the type of goals
+        self._goals: dict[str, ActionClient] = {}  # by the action's name
         self._route = PatrolRoute((), USUAL)
         self._step = 0  # increases with each step; callbacks of earlier steps are ignored
         self._active = self._held = self._seen = False
@@ -263,7 +264,7 @@ class Patrol:
     # -- status of the gateway -----------------------------------------------------------------------------------------
 
     def _on_status(self) -> None:
-        """Check the gateway's status, which shows a stop or another client's goal between two goals of the patrol."""
+        """Check the gateway's status, which shows a pause of the goal, a stop, or another client's goal."""
         if not self._active:
             return
         state, of = self._gateway.state, self._gateway.goal_id

@@ -16,7 +16,7 @@ from yarp_compat.sig.vec2d import Vec2D
 
 MOST_CORNERS = 500
 _SMALLEST = 1e-4
-"""Minimum area in square meters; corners that enclose less are treated as being on one line."""
+"""Square meters: if no corner makes a parallelogram of this area with the first and its farthest, all are on a line."""
 
 _KINDS: dict[str, ValueKind[Any]] = {kind.name: kind for kind in (LOCATION, AREA, PATH)}
 _WORDS = {LOCATION.name: "place", AREA.name: "area", PATH.name: "path"}
@@ -46,7 +46,7 @@ def corners_of(value: Any) -> Corners:
 
 
 def _on_a_line(corners: Corners) -> bool:
-    """Return whether corners enclose no area."""
+    """Return whether all corners are on one line, or nearly so."""
     first = corners[0]
     far = max(corners, key=lambda corner: math.dist(first, corner))
     across, up = far[0] - first[0], far[1] - first[1]

@@ -40,7 +40,7 @@ class RobotVerbs:
 
     Args:
         on_planner: called with the chosen planner, on the module's thread.
-        pause_or_resume: pauses or resumes a patrol between two goals; returns the reply, or "" if the gateway has to.
+        pause_or_resume: pauses or resumes a patrol between two goals; returns the reply, or "" to ask the gateway.
     """
 
     def __init__(

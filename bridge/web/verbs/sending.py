@@ -83,7 +83,7 @@ class Sending:
         return ""
 
     def _publisher(self, topic: str, name: str, type_hash: str) -> HubPublisher:
-        """Return the topic's publisher, once subscribers have discovered it. The caller holds the lock."""
+        """Return the topic's publisher, a new one after a short wait for subscribers. The caller holds the lock."""
         now, key = time.monotonic(), (topic, name)
         if key in self._publishers:
             publisher, _ = self._publishers.pop(key)

@@ -20,7 +20,7 @@ from bridge.stores.entry import StoreError
 _log = logging.getLogger("midspan.web")
 
 BEGIN_SECONDS = 3.0
-"""A call that has waited for other calls this long is not executed."""
+"""A call other than a stop that has waited for other calls this long is not executed."""
 THREADS = 4
 """Number of concurrent calls, without slow verbs and stops."""
 _STOP_THREADS = 2
@@ -103,7 +103,7 @@ class Verbs:
         self._newest: dict[str, Future[Any]] = {}
 
     def is_stop(self, verb: str) -> bool:
-        """Return whether a verb stops robots; its calls are never refused because of the load."""
+        """Return whether a verb stops robots; its calls have separate threads, and never expire while they wait."""
         return verb in self.known and self.known[verb].stops
 
     def is_command(self, verb: str) -> bool:
@@ -111,7 +111,10 @@ class Verbs:
         return verb in self.known and self.known[verb].commands
 
     def begin(self, verb: str, args: Mapping[str, Any], who: str) -> Future[Any]:
-        """Run a verb on a thread that may block; the future has the result or a `VerbError`. Raises `VerbError`."""
+        """Run a verb on a thread that may block; the future has the result or a `VerbError`.
+
+        Raises `VerbError` at once if the verb is unknown or an argument is invalid.
+        """
         page_verb = self.known.get(verb)
         if page_verb is None:
             raise VerbError(f"unknown verb {verb[:80]!r}; known: {', '.join(self.known)}")
