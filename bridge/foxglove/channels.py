@@ -63,7 +63,7 @@ class TopicChannel:
 
     def resend_latched(self) -> None:
         """Send each latched publisher's newest message again for a late client; the SDK sends it to all watchers."""
-        with self._lock:  # so that a newer message, which is cached before it is sent, follows
+        with self._lock:  # so that a newer message, which is cached before it is sent, follows the cached ones
             for data, at in self._cached.values():
                 self.channel.log(data, at or None)
 

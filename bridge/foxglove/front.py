@@ -1,11 +1,11 @@
-"""The server in front of the SDK's: it authenticates clients, and checks which page connects.
+"""The server in front of the SDK's server: it authenticates clients or, without tokens, checks the ``Origin`` of pages.
 
 The SDK accepts every client: it checks neither tokens nor the ``Origin`` header, so that any page in this machine's
 browser could drive the robot (OWASP, "Cross-site WebSocket hijacking"). So the SDK listens on an unpublished loopback
 address, and this server forwards bytes after it has checked the request's head. It parses no messages.
 
-The output buffer of each client is bounded in bytes (`MOST_UNREAD`), unlike the SDK's queue; a client that reads
-nothing for `STILL_SECONDS` is disconnected.
+The output buffer of each client is bounded in bytes (`MOST_UNREAD`), unlike the SDK's queue; a client whose buffer
+stays full for `STILL_SECONDS` is disconnected.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MOST_CONNECTIONS = 4 * MOST_CLIENTS
 """Maximum number of connections, including those that are not authenticated yet; further ones are closed."""
 MOST_HEAD = 16 << 10
 HEAD_SECONDS = 5.0
-"""Time limit of a request's head, and of the SDK's response."""
+"""Time limit for each step of a handshake: TLS, the request's head, the SDK's response, and sending a refusal."""
 MOST_UNREAD = 8 << 20
 STILL_SECONDS = 20.0
 _STEP = 256 << 10
@@ -95,13 +95,13 @@ class RequestHead:
 
     @property
     def token(self) -> str:
-        """The token, from ``?token=`` of the address or from the header ``Authorization``; "" without one."""
+        """The token of the header ``Authorization: Bearer``, else of ``?token=`` in the target; "" without one."""
         scheme, _, credentials = self.headers.get("authorization", "").partition(" ")
         parameter = parse_qs(self.target.partition("?")[2]).get("token", [""])[0]
         return credentials.strip() if scheme.lower() == "bearer" else parameter
 
     def forwarded(self) -> bytes:
-        """Return the head for the SDK's server, without the token."""
+        """Return the head for the SDK's server, without token, cookies, path and query."""
         names = (name for name in self.headers if name not in ("authorization", "cookie"))
         lines = ["GET / HTTP/1.1", *(f"{name}: {self.headers[name]}" for name in names)]
         return "\r\n".join([*lines, "", ""]).encode("latin-1")
@@ -122,7 +122,7 @@ class ConnectionGuard:
         if request.headers.get("upgrade", "").lower() != "websocket" or PROTOCOL not in protocols:
             raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"{_NOT_THE_APP}, with the subprotocol {PROTOCOL}")
         if self._access is None:
-            self._check_page(request.headers)  # needless with tokens, which a foreign page lacks
+            self._check_page(request.headers)  # not needed with tokens, because a foreign page has none
             return Grant("", "drive" if self._section.drive else "watch")
         hint = "use a token of foxglove.tokens: wss://robot:8765/?token=..."
         headers = {"authorization": f"Bearer {request.token}", "user-agent": request.headers.get("user-agent", "")}
@@ -151,7 +151,7 @@ class Front:
         section: the configuration.
         inner: address of the SDK's server.
         visitors: registry of the clients.
-        announces: whether to send the SDK each client's mark, which it accepts only if clients may publish.
+        announces: whether to send each client's mark to the SDK, which accepts marks only if clients may publish.
         tls: certificate and key; None without TLS.
 
     Attributes:
@@ -229,7 +229,7 @@ class Front:
         address = str(writer.get_extra_info("peername")[0])
         try:
             async with asyncio.timeout(HEAD_SECONDS):
-                # also before a refusal, whose response might be lost otherwise
+                # read the whole head even for a refusal: closing with unread bytes could lose the response
                 head = await reader.readuntil(b"\r\n\r\n")
             request = RequestHead.read(head)
             visitor = Visitor(self._guard.grant(request, address), address)
@@ -274,7 +274,7 @@ class Front:
 
 
 async def _either(*jobs: Coroutine[Any, Any, None]) -> None:
-    """Run until one of them completes, and cancel the others."""
+    """Run the jobs until one of them completes, and cancel the others."""
     tasks = [asyncio.create_task(job) for job in jobs]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

@@ -31,7 +31,7 @@ _log = logging.getLogger("midspan.foxglove")
 
 FRESH_SECONDS = 1.0
 WAIT_SECONDS = 0.5
-"""Maximum time that a first request waits for values, or a change for its completion; only one of them waits."""
+"""Maximum time that a first request waits for values, or a change for its completion; only one waits at a time."""
 IDLE_SECONDS = 60.0
 """Values that no client has requested for this long are discarded."""
 MOST_NODES, MOST_PARAMETERS = 200, 5_000
@@ -39,7 +39,8 @@ NODE_SECONDS = 5.0
 """A node that has not answered for this long is skipped."""
 
 READY_TRIES, READY_SECONDS = 40, 0.02
-"""A new client is called only once it has discovered its server."""
+"""How often and at what interval a new service client is checked: it is called once it has discovered its server, or
+after the last check."""
 
 LIST, GET, SET = "ListParameters", "GetParameters", "SetParameters"
 _SERVICES = {LIST: "list_parameters", GET: "get_parameters", SET: "set_parameters"}
@@ -86,7 +87,7 @@ class Parameters:
         ]
 
     def _await(self, begin: Callable[[Future[None]], None], *, wait: bool) -> None:
-        """Start an operation; wait for it unless another call waits, so that at most one SDK thread blocks."""
+        """Start an operation; if ``wait``, wait for it unless another call waits: at most one SDK thread may block."""
         done: Future[None] = Future()
         waits = wait and self._waiting.acquire(blocking=False)
         try:
@@ -231,7 +232,7 @@ class Parameters:
         self._server.warn(text, "parameters")
 
     def close(self) -> None:
-        """Close the service clients of all nodes."""
+        """Close the service clients of all nodes, and discard the values."""
         clients, self._clients, self._values, self._read = self._clients, {}, {}, -IDLE_SECONDS
         for client in clients.values():
             self._host.node.release(client)

@@ -1,8 +1,8 @@
 """Publishes clients' messages on the hub: each channel that a client advertises is a publisher while it is advertised.
 
 Velocities use the console's manual driving (`bridge.web.verbs.hold`): only on the base's own topic, one client at a
-time, within the console's speed limits, for 0.3 s after each message, then zero once. So they also end when their
-client disconnects.
+time, within the console's speed limits, for 0.3 s after each message, then zero once. So they also end when the client
+disconnects.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class PublishedChannel(ABC):
     def __init__(self, channel: Advertised, visitor: Visitor | None) -> None:
         self.channel, self.visitor = channel, visitor
         self.counters = Counters()
-        self.reason = ""  # why nothing is published; "" if messages are
+        self.reason = ""  # why messages are not published; "" if they are published
 
     @abstractmethod
     def send(self, message: ClientMessage) -> None:
@@ -81,7 +81,7 @@ class Coder:
     """Converts a client's messages to CDR.
 
     Raises:
-        UnknownYetError: the type's definition has been requested.
+        UnknownYetError: the type's definition is not known yet, and has been requested.
         NotPublishedError: the type is unknown.
     """
 
@@ -93,7 +93,7 @@ class Coder:
         self._schema = registry.schema(self.type_name, self.type_hash)
 
     def _kind(self, host: Host, definitions: Definitions, channel: Advertised) -> tuple[str, str]:
-        """Return the type's name and hash: of the version that others on the hub use, else of the installed one."""
+        """Return the type's name and hash: of the version on the hub if that is known, else of the installed one."""
         try:
             name = ros2_name(self._registry, channel.type_name)
         except ClientError as err:
@@ -140,7 +140,7 @@ class ClientTopic(PublishedChannel):
 
     @override
     def send(self, message: ClientMessage) -> None:
-        """Check the message, and publish it unchanged."""
+        """Publish the message: CDR unchanged after a check, JSON converted to CDR."""
         try:
             cdr = self._coder.cdr(message.data)
             self._end.put(cdr)
@@ -155,7 +155,7 @@ class ClientTopic(PublishedChannel):
 
 
 class ClientVelocity(PublishedChannel):
-    """The base's velocity; a `bridge.web.verbs.hold.HandDriver`."""
+    """A client's channel for the base's velocity; implements `bridge.web.verbs.hold.HandDriver`."""
 
     def __init__(self, driving: HandDriving, channel: Advertised, visitor: Visitor, coder: Coder) -> None:
         super().__init__(channel, visitor)
@@ -191,7 +191,7 @@ class ClientVelocity(PublishedChannel):
 
     @override
     def close(self) -> None:
-        """Command zero velocity if the client drives."""
+        """Command zero velocity if the client is driving."""
         self._driving.release(self)
 
 

@@ -1,4 +1,4 @@
-"""Data of the store that ROS types cannot express: the robot's shape, places and areas, and keep-out zones.
+"""The robot's shape from the configuration, and the store's places, areas, paths and keep-out zones, as channels.
 
 Two channels of this server, updated while a client watches them: `SCENE` (``foxglove.SceneUpdate``: the robot in its
 own frame; places, areas and paths of the current map) and `KEEP_OUT` (``nav_msgs/OccupancyGrid``: 100 in keep-out
@@ -98,7 +98,7 @@ class Scene(Feed):
 
     @override
     def put(self, value: Any, reason: str = "") -> None:
-        """Clear the shown content if the store cannot be read."""
+        """Store the reason if the store cannot be read, and clear the shown content."""
         self.error = reason
         if value is None and self._view is not None:
             self._view = None
@@ -155,7 +155,7 @@ class Scene(Feed):
         return entities
 
     def _mask(self, now: int) -> bytes | None:
-        """Return the keep-out zones by the flags of the current map; None without a map."""
+        """Return the keep-out zones, from the flags of the current map, as a message; None without a map."""
         grid = None if self._view is None else self._view.grid
         if grid is None:
             return None

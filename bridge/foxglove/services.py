@@ -35,7 +35,7 @@ MOST_CALLS = 16
 
 REPEAT_SECONDS = 10.0
 _OF_NODES = ("rcl_interfaces/", "type_description_interfaces/")
-"""Services that every node has; parameters are offered separately."""
+"""Prefixes of the types of services that every node has; parameters are offered separately."""
 
 
 class CallRefusedError(Exception):
@@ -127,7 +127,7 @@ class Services:
     # -- on threads of the SDK, which may block ------------------------------------------------------------------------
 
     def _serve(self, key: ServiceKey, request: foxglove.ServiceRequest) -> bytes:
-        """Call the service; raises `CallRefusedError`."""
+        """Call the service; raises `CallRefusedError` if the call is refused or has no reply."""
         visitor = self._visitors.visitor_of(request.client_id)
         if visitor is None or not visitor.grant.may_drive:
             raise CallRefusedError("you may watch, but not call services (see foxglove.drive, or your token's role)")

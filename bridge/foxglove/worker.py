@@ -54,7 +54,7 @@ class FoxgloveWorker(Worker):
 
     @override
     def start(self, config: Config) -> None:
-        """Open the node and the server; raises `RuntimeError` if the address is in use."""
+        """Open the node and the server; raises `RuntimeError` if the server cannot listen."""
         self._config = config
         SdkLog.install()
         self._live = Live(config)
@@ -68,7 +68,10 @@ class FoxgloveWorker(Worker):
 
     @override
     def health(self) -> Health:
-        """Return the server's address and load; raises `TimeoutError` if the worker's thread hangs."""
+        """Return the server's address and load.
+
+        Raises `TimeoutError` if the worker's thread hangs, and `RuntimeError` if the server has ended.
+        """
         assert self._live is not None
         self._live.host.loop.computes()
         self._live.check()
@@ -135,14 +138,14 @@ class Live:
         """Do nothing: only `DrivingFeed.busy` is used."""
 
     def check(self) -> None:
-        """Load a new certificate; raises `RuntimeError` if the server has ended."""
+        """Reload a certificate that has changed; raises `RuntimeError` if the server has ended."""
         if self._tls is not None:
             self._tls.refresh()
         if self.front.trouble:
             raise RuntimeError(self.front.trouble)
 
     def text(self) -> str:
-        """Return the address and the numbers of clients and topics, for people."""
+        """Return a text with the address and the numbers of clients and topics."""
         clients = len(self.visitors.all())
         shown = f"{self._channels.count} topics, {self._channels.watched} watched"
         return f"{self.front.address}, {clients} client{'' if clients == 1 else 's'}, {shown}"
@@ -211,7 +214,7 @@ def _tls(config: Config) -> ServerTls:
 
 
 def _capabilities(section: FoxgloveSection) -> list[Capability]:
-    """Return the capabilities that the app may offer; a client that may only watch is refused when it uses others."""
+    """Return the capabilities that the app may offer; a client that may only watch is refused when it uses them."""
     commands = [Capability.ClientPublish, Capability.Services] if section.commanded else []
     return [Capability.Parameters, *commands]
 

@@ -90,7 +90,7 @@ def publish_while(wanted: Callable[[], bool], closing: threading.Event, config: 
     """Publish while there are subscribers and it is this worker's turn, on a session that exists only for that time.
 
     The worker's own session cannot be used. Messages on a side's session count as coming from that side, so they would
-    not be sent to it; and a node does not receive its own messages, which the console needs.
+    not be sent to that side; and a node does not receive its own messages, which the console needs.
     """
     link, publisher = HubLink(config, f"{worker}_diagnostics"), None
     try:

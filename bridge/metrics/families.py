@@ -103,7 +103,11 @@ class Families:
     def add_histogram(
         self, name: str, bounds: Sequence[float], counts: Sequence[int], total: float, *labels: object
     ) -> None:
-        """Add a histogram: the upper bounds of all buckets but the last (unbounded), and each bucket's own count."""
+        """Add a histogram.
+
+        ``bounds``: upper bounds of all buckets except the last, which is unbounded. ``counts``: values in each bucket
+        alone, not cumulative. ``total``: sum of all values.
+        """
         buckets, below = [], 0
         for bound, count in zip((*(f"{bound:g}" for bound in bounds), "+Inf"), counts, strict=True):
             below += count

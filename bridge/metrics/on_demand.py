@@ -1,4 +1,4 @@
-"""Lets a worker that bridges messages publish on ``/diagnostics`` if no other process of the daemon does.
+"""Lets a worker publish on ``/diagnostics`` if no other process of the daemon does.
 
 Without subscribers the worker has no thread, session or topic for this, and does not import the publishing code.
 """
