@@ -75,7 +75,7 @@ class SharedMemory:
     def remove(self) -> None:
         """Remove the files once the processes have ended; may be called on any thread.
 
-        Another program's zenoh session holds all of these files for a moment when it opens.
+        This is retried, because another program's zenoh session uses all of these files for a moment when it opens.
         """
         end = time.monotonic() + _END_SECONDS
         while True:

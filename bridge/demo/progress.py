@@ -1,4 +1,4 @@
-"""One run of a demo, and its progress, which shows in its parts' states, its robot's motion and starting processes."""
+"""One run of a demo, and its progress: new states and output of its parts, the robot's motion, and processor time."""
 
 from __future__ import annotations
 

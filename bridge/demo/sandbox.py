@@ -42,7 +42,8 @@ _LONGEST_BASE = 50
 _DOMAINS = range(10, 101)
 _PORT_BASE, _DOMAIN_GAIN = 7400, 250  # DDSI-RTPS 2.5, 9.6.2.4: ports of a domain
 _TCP_BASE, _TCP_EACH = 30_000, 20
-"""Below the ports that Linux assigns to outgoing connections (from 32768), which could occupy a server's port."""
+"""First TCP port, and TCP ports per domain; all are below the ports that Linux assigns to outgoing connections (from
+32768), which could occupy a server's port."""
 
 
 class Sandbox:
@@ -147,7 +148,7 @@ class Sandbox:
         return load(self.config_file)
 
     def embed_master(self) -> None:
-        """Let Midspan run the ROS 1 master, because this machine has no roscore."""
+        """Let Midspan run the ROS 1 master, for a machine without roscore."""
         document = yaml.safe_load(self.config_file.read_text(encoding="utf-8"))
         ros1 = {"master": EMBEDDED, "listen": f"127.0.0.1:{self.master_port}"}
         self.config = self._written(_merged(document, {"ros1": ros1}))
@@ -160,7 +161,7 @@ class Sandbox:
 
 
 def _base() -> str | None:
-    """Return the folder's parent: a user's long path would make the names of the daemon's sockets too long."""
+    """Return /tmp if the default folder's path is so long that the daemon's socket names would be too long."""
     short = Path("/tmp")  # noqa: S108 - mkdtemp creates a private folder in it
     return str(short) if len(tempfile.gettempdir()) > _LONGEST_BASE and short.is_dir() else None
 
@@ -236,7 +237,7 @@ def too_slow() -> list[str]:
 
 
 def ros1_packages(config: Config) -> Path:
-    """Return the folder of ROS 1's Python packages; only valid if nothing is `missing`."""
+    """Return the folder of ROS 1's Python packages; only valid if rospy is installed."""
     folder = packages_folder(config, os.environ)
     assert folder is not None
     return folder

@@ -111,7 +111,7 @@ class Shutdown:
             raise KeyboardInterrupt
 
     def _watch(self) -> None:
-        """Wait for the signal itself, which the main thread may not have handled yet."""
+        """Wait for the signal itself, which the main thread may not have handled yet; exit if that takes too long."""
         numbers = os.read(self._reads, 1)
         while numbers and numbers[0] not in _SIGNALS:
             numbers = os.read(self._reads, 1)

@@ -14,7 +14,7 @@ from bridge.text import arrow, clean, duration, milliseconds, plural, rate, side
 
 
 def routes_table(documents: Iterable[StatusDocument], *, errors: bool = True) -> Table:
-    """Return a table of all routes of these workers by topic, with the last errors if asked for."""
+    """Return a table of all routes of these workers by topic; with ``errors``, also their last errors."""
     rows = sorted(
         ((document, route) for document in documents for route in document.routes),
         key=lambda row: (row[1].hub_topic, row[1].direction, str(row[0].side)),
@@ -39,7 +39,7 @@ def routes_table(documents: Iterable[StatusDocument], *, errors: bool = True) ->
 
 
 def _errors(routes: Iterable[RouteStatus]) -> dict[int, str]:
-    """The last error of each route; what several have in common stands under the first of them, with their topics."""
+    """Return the routes' last errors by the route's id; errors with one cause appear once, with the other topics."""
     groups: dict[str, list[RouteStatus]] = {}
     for route in routes:
         if route.error:
@@ -60,7 +60,7 @@ def topic_text(route: RouteStatus) -> str:
 
 
 def transport_text(route: RouteStatus) -> str:
-    """``by the lane``, or ``over zenoh, as ...``; "" if nothing crosses the hub."""
+    """Return how messages cross the hub: ``by the lane``, ``over zenoh, as ...``, or both; "" if none do."""
     if route.way == "lane":
         return "by the lane"
     because = f", as {clean(route.why)}" if route.why else ""
@@ -73,7 +73,7 @@ def drops_text(route: RouteStatus) -> str:
 
 
 def _call_text(route: RouteStatus) -> str:
-    """Calls of a service that have no reply, or none yet."""
+    """Return the numbers of a service's calls without a reply: pending, failed and abandoned."""
     counts = {"pending": route.pending, "errors": route.errors, "abandoned": route.abandoned}
     return ", ".join(f"{name} {count}" for name, count in counts.items() if count)
 
@@ -104,7 +104,7 @@ _BYTES = {"yarp3": "YARP 3's bytes", "yarp4": "YARP 4's bytes"}
 
 
 def content_text(port: PortStatus) -> str:
-    """``sensor_msgs/msg/LaserScan as YARP's own type, YARP 3's bytes``; "" if that is unknown."""
+    """Return a port's content: ``sensor_msgs/msg/LaserScan as YARP's own type, YARP 3's bytes``; "" if unknown."""
     parts = []
     if port.type and port.carries:
         parts.append(f"{port.type} as {_form(port.carries)}")
@@ -120,7 +120,7 @@ def _form(carries: str) -> str:
 
 
 def port_lines(port: PortStatus) -> list[str]:
-    """Sentences on one port, a line for each of its peers."""
+    """Return a sentence about one port, and a line for each of its peers, with cures."""
     does = _DOES.get(port.direction, "answers calls")
     content, peers = content_text(port), port.peers
     connected = plural(len(peers), "port") + " connected" if peers else "no connection"

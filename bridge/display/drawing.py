@@ -20,7 +20,7 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 LOCATION_COLOR, AREA_COLOR, PATH_COLOR = (0, 110, 0), (0, 90, 200), (200, 0, 120)
 
 _WANTED = 1200
-"""Pixels of the longer side of a small map's picture."""
+"""Maximum pixels of the longer side of a picture that is enlarged; a larger map has one pixel per cell."""
 
 _ARROW = 14
 _FONT = 14
@@ -104,7 +104,7 @@ def lines(
     grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], width: int, *,
     colored: bool, path: Sequence[tuple[float, float]] = (),
 ) -> list[Text]:  # fmt: skip
-    """Return the map as lines of ``width`` columns, with a legend of the marks.
+    """Return the map as lines of at most ``width`` columns, with a legend of the marks.
 
     With ``colored``, it is drawn in half blocks, else with a letter for each flag; ``path`` is positions in meters.
     """

@@ -53,7 +53,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """What a bridged topic must deliver: the minimum number of messages, and a text in each."""
+    """What a bridged topic must deliver: the minimum number of messages, and a text in the last one's description."""
 
     name: str
     topic: str

@@ -13,7 +13,7 @@ SCAN, ODOM, TF, TF_STATIC, MAP, IMAGE = "/scan", "/odom", "/tf", "/tf_static", "
 CMD_VEL = "/cmd_vel"
 FROM_ROS1, FROM_ROS2 = "/hello/from_ros1", "/hello/from_ros2"
 FROM_ZENOH, FROM_YARP = "/hello/from_zenoh", "/hello/from_yarp"
-"""On each of these, one program publishes a greeting periodically, and the others subscribe."""
+"""On each of these, one program publishes a greeting periodically, and all four subscribe."""
 
 HELLOS = (FROM_ROS1, FROM_ROS2, FROM_ZENOH, FROM_YARP)
 

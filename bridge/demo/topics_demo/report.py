@@ -57,7 +57,7 @@ class TopicReceived:
 
 
 class TopicsProgram:
-    """A program that publishes greetings, drives, and joins late; each side has one."""
+    """A program that publishes greetings, drives, and joins late; each side but ROS 1, the robot's, has one."""
 
     def __init__(self) -> None:
         self._pose: list[float] | None = None

@@ -1,7 +1,7 @@
 """A zenoh program of the demo: ROS 2 topics without ROS 2, with zenoh-ros2-sdk, which shares no code with Midspan.
 
 Usage: ``python -m bridge.demo.topics_demo.zenoh_program ROUTER_PORT DOMAIN``. Message definitions and type hashes come
-from rosbags and are passed to the SDK, which would otherwise fetch them from the network.
+from the Python package rosbags and are passed to the SDK, which would otherwise fetch them from the network.
 """
 
 from __future__ import annotations
