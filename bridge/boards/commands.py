@@ -1,7 +1,8 @@
 """Commands for the joints of one control board: the newest command, and the joints that it moves.
 
-A command is valid for a limited time; after that, zero velocity is sent once. A new command replaces the previous one,
-without a queue: commands that arrive while the board does not answer would be stale once it answers, and are dropped.
+A command is valid for a limited time; when a velocity expires, zero is sent once. A new command replaces the previous
+one, without a queue: commands that arrive while the board does not answer would be stale once it answers, and are
+dropped.
 """
 
 from __future__ import annotations
@@ -103,7 +104,7 @@ class Execution(Enum):
     DONE = auto()
     REJECTED = auto()
     LATE = auto()
-    """The command expired, or the joints cannot be commanded in this mode."""
+    """The command expired, or the joints cannot be switched to its control mode."""
 
 
 class JointDrive:

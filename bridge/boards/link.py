@@ -27,7 +27,7 @@ _HALT_SECONDS = 2.0  # time limit of a halt
 
 @dataclass(frozen=True)
 class Joints:
-    """The joints of a board on the hub; ``scales`` convert its values from YARP's degrees to radians (1 for meters)."""
+    """A board's joints on the hub; ``scales`` convert the board's values from degrees to radians (1 for meters)."""
 
     names: tuple[str, ...]
     scales: tuple[float, ...]
@@ -72,7 +72,10 @@ class BoardLink:
             self._thread.join()
 
     def command(self, velocities: Sequence[float], positions: Sequence[float], names: Sequence[str]) -> str:
-        """Move the named joints (radians, radians per second); return why the command is invalid, "" if it is valid."""
+        """Move the named joints at velocities or, without any, to positions, in radians or meters (per second).
+
+        Return why the command is refused, "" if it is accepted.
+        """
         board = self.joints
         if board is None:
             return self.trouble

@@ -1,7 +1,7 @@
 """Performs lookups for programs without a buffer: the action ``/tf2_buffer_server`` and the service ``/tf2_frames``.
 
-They match BufferServer and Buffer of tf2_ros, so that its BufferClient works with them, in ROS 1 and ROS 2. As in
-tf2_ros, the goal of a failed lookup succeeds, with the error in its result.
+They match BufferServer and Buffer of tf2_ros, so that tf2_ros's BufferClient works with them, in ROS 1 and ROS 2. As in
+tf2_ros, the goal of a failed lookup succeeds, with the error in the result.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ _DAY = 86_400.0
 class YarpClock:
     """The time of YARP programs, in seconds, and the conversion of their stamps to the run's time.
 
-    In a simulated run, YARP programs may use its clock (a network clock) or the system's; the time scale of a stamp
-    shows which clock its writer uses.
+    In a simulated run, YARP programs may use the run's clock (a network clock) or the system's; a stamp more than a day
+    from the system's time shows that its writer uses the run's clock.
 
     Args:
         follows: whether the YARP programs that read frames use the run's clock; else they use the system's.
@@ -106,7 +106,7 @@ class View:
         return entry is not None and entry.ours and bool(entry.transform.isStatic)
 
     def remember_spelling(self, name: str) -> None:
-        """Store how the first YARP program that sets a frame spells its name: it looks only for that spelling."""
+        """Store how the first YARP program that sets a frame spells the frame: programs look only for that spelling."""
         plain = name.lstrip("/")
         if plain in self._spelled:
             return
@@ -146,7 +146,7 @@ class View:
         return given
 
     def delete(self, first: str, second: str) -> list[str]:
-        """Delete the transforms between two frames (in either order, or `ANY`) that YARP programs set.
+        """Delete the transforms between two frames (in either order; parent and child with `ANY`) of YARP programs.
 
         Return the children.
         """
