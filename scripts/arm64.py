@@ -3,10 +3,10 @@
     python scripts/arm64.py [RELEASE...]
 
 Each release gets a system in .cache/arm64/, with the wheel that `make dist ARCH=arm64` built and its libraries in a
-virtual environment. It runs the kernels' tests, and the kernels with fixed inputs, whose results must equal those of
-this machine. Then `midspan run` carries a topic across each pair of YARP, zenoh and ROS 1, and RobotPathPlanner,
-RobotGoto and the localizer drive to goals in lock-step with the simulator. ROS 2 is not tested: it has no wheels for
-arm64.
+virtual environment. There the script runs the kernels' tests, and the kernels with fixed inputs, whose results must
+equal those of this machine. `midspan run` carries a topic across each pair of YARP, zenoh and ROS 1, and
+RobotPathPlanner, RobotGoto and the localizer drive to goals in lock-step with the simulator. ROS 2 is not tested: it
+has no wheels for arm64.
 Needs root, debootstrap and qemu; is not part of CI. The output is in .cache/arm64/.
 """
 

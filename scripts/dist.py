@@ -8,10 +8,10 @@ A checkout contains `yarp_compat`, so that it is installed without an index. Eac
 two with the same files would overwrite each other, and uninstalling one would break the other. So `midspan` does not
 contain `yarp-compat`, but requires it in the same version.
 
-Each distribution is laid out in a separate folder, from the files that git tracks. The wheels are built from the source
-distribution, with the installed setuptools and Cython. Each wheel has a bill of materials (`scripts.sbom`), its
-archive depends only on its contents and the commit (`scripts.reproducible`), and ``--arch`` compiles the kernels for
-another processor.
+Each distribution is laid out in a separate folder, from the files that git does not ignore. The wheels are built from
+the source distribution, with the installed setuptools and Cython. Each wheel has a bill of materials (`scripts.sbom`),
+its archive depends only on its contents and the commit (`scripts.reproducible`), and ``--arch`` compiles the kernels
+for another processor.
 """
 
 from __future__ import annotations
@@ -66,7 +66,10 @@ def replaced(text: str, old: str, new: str) -> str:
 
 
 def without_local_links(text: str) -> str:
-    """Replace Markdown links to files of the repository by their text, because a package index has no such files."""
+    """Replace Markdown links to files of the repository by their text, and drop lines that begin with an image.
+
+    A package index has no such files.
+    """
     kept = "\n".join(line for line in text.split("\n") if not line.startswith("!["))
     return _LINK.sub(r"\1", kept)
 

@@ -23,7 +23,7 @@ SEED = "midspan/seed"
 """Name of the order's seed in that cache, written by tests/conftest.py."""
 
 MOST = 5
-"""Maximum number of failed tests that may be races."""
+"""Maximum number of failed tests that are rerun; more are not taken for races."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
