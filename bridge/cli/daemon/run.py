@@ -133,7 +133,7 @@ def _enter_environment(kind: WorkerKind, config: Config, args: argparse.Namespac
 
 def _go_on_as(command: list[str], env: Mapping[str, str]) -> NoReturn:
     """Replace this process with another Midspan command."""
-    if sys.platform == "win32":  # exec would end this process for those that wait for it
+    if sys.platform == "win32":  # exec would end this process for the programs that wait for its end
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the new process also gets a Ctrl-C; its exit code is used
         sys.exit(subprocess.call(command, env=dict(env)))
     os.execve(command[0], command, dict(env))  # noqa: S606  our own interpreter and module

@@ -31,7 +31,7 @@ def open_listener(args: argparse.Namespace) -> Iterator[TransformListener]:
 
 @contextmanager
 def listening(client: Client, namespace: str = "", side: str | None = None) -> Iterator[TransformListener]:
-    """Subscribe to the frames; at the end, report on stderr what was wrong with them."""
+    """Subscribe to the frames; at the end, report problems with them on stderr."""
     listener = TransformListener(client, namespace, side)
     try:
         listener.open()

@@ -96,7 +96,7 @@ class FollowedGoal(AwaitedGoal):
             reason, code = f"{timeout:g} s have passed", 0
         except ClientError:
             raise
-        except BaseException as err:  # without its client the robot would drive on, for example after `| head`
+        except BaseException as err:  # without this command the robot would drive on, for example after `| head`
             self._give_up("the output was closed" if isinstance(err, OSError) else type(err).__name__)
             raise
         self.cancel()

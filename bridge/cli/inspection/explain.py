@@ -335,7 +335,7 @@ _EVERYTHING = (None, "**", "/**")
 def planner_note(
     config: Config, name: str, endpoints: Iterable[HubEndpoint], documents: Sequence[StatusDocument]
 ) -> Note | None:
-    """Return why the configured planner is missing if ``name`` is its action on its side or on the hub, else None."""
+    """Return why the configured planner is missing if ``name`` is its action, on its side or the hub; else None."""
     section = config.navigation
     other = section.others.get(section.planner)
     if not section.planner or name not in (section.at(section.planner), other and other.action):
@@ -356,7 +356,7 @@ def by_rules(config: Config, name: str) -> Iterator[str]:
 
 
 def _denies_all(rule: Rule) -> bool:
-    """Return whether a rule keeps everything that its name matches off the hub, whatever its kind, side and type."""
+    """Return whether a rule keeps all that its pattern matches off the hub, of any kind, side and type."""
     return rule.deny and rule.to in (None, ENTRY) and (rule.kind, rule.from_, rule.type) == (None, None, None)
 
 

@@ -18,7 +18,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 @contextmanager
 def open_stored(args: argparse.Namespace) -> Iterator[tuple[CliClient, StoreClient]]:
-    """Join the hub and find a store; raises `CliError` or `StoreError` without one."""
+    """Join the hub and find a store; raises `CliError` or `StoreError` if either is missing."""
     with open_client(args) as client:
         yield client, store_of(client)
 

@@ -45,7 +45,7 @@ def check_daemon(client: CliClient) -> None:
 
 
 def no_answer(client: CliClient) -> str:
-    """Return why no gateway answers: the daemon is down, none is configured, its worker does not run, or it is late."""
+    """Return why no gateway answers: the daemon is down, no gateway is configured or runs, or it is too slow."""
     documents = _documents(client.ask("status"))
     state = client.daemon(documents)
     if state.trouble:

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         client.settle()
         result = halt(client, Types(client), args.seconds)
         refused = warn_of_refusals(client, result.published)
-        warn_of_daemon(args, client.config, workers=False)  # only now: a daemon that hangs delays this by a second
+        warn_of_daemon(args, client.config, workers=False)  # last, because a daemon that hangs delays it by a second
     if args.json:
         errors = {cancel.name: cancel.error for cancel in result.failed}
         errors |= {base: reason for base, reason in result.bases.items() if reason}
