@@ -1,7 +1,7 @@
 """Images of ``sensor_msgs``, scaled down for display.
 
 Source: sensor_msgs/image_encodings.hpp for the encodings, REP 118 for depth, compressed_depth_image_transport for the
-12 bytes before its PNG.
+12 bytes before the PNG of a compressed depth image.
 """
 
 from __future__ import annotations

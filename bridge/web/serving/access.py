@@ -219,7 +219,7 @@ class WrongTokens:
 
 
 def stored_secret(folder: Path) -> bytes:
-    """Return this console's secret, created if it is missing or invalid; raises `RuntimeError` if its file fails."""
+    """Return this console's secret, created if missing or invalid; raises `RuntimeError` if it cannot be stored."""
     from bridge.hub.security.certificates import write_private
 
     file = folder / "web.secret"

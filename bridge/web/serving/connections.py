@@ -1,7 +1,7 @@
 """Limits of the console's connections: their number, the number per address, a request's duration, unread data.
 
-uvicorn itself limits only the size of a request's head and of a message. It waits for a head or a body without a time
-limit, and answers pings even if the replies are not read.
+uvicorn itself limits only the size of a request's head and of a message, and the number of all connections. It waits
+for a head or a body without a time limit, and answers pings even if the replies are not read.
 """
 
 from __future__ import annotations

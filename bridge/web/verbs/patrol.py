@@ -59,7 +59,7 @@ class PatrolRoute:
         wait: seconds of the stop at each place; 0 for no stop.
         at: index of the place that the robot drives to or stands at.
         round: the current round, from 1.
-        last: index of the current goal's last place; it counts on past the last place of a round.
+        last: index of the current goal's last place; in a goal of several rounds, it exceeds the number of places.
         poses: the poses of the next goal's places that are known so far.
     """
 
