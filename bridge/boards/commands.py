@@ -104,7 +104,7 @@ class Execution(Enum):
     DONE = auto()
     REJECTED = auto()
     LATE = auto()
-    """The command expired, or the joints cannot be switched to its control mode."""
+    """The command expired, or the joints cannot be switched to the command's control mode."""
 
 
 class JointDrive:
@@ -112,7 +112,7 @@ class JointDrive:
 
     Attributes:
         moving: the joints whose velocity is not zero, as far as known; until a stop is confirmed they count as moving.
-        until: when their command expires (monotonic seconds).
+        until: when the command of the moving joints expires (monotonic seconds).
     """
 
     def __init__(self) -> None:

@@ -25,7 +25,7 @@ _MOST_COMMANDERS = 32  # commanders whose clocks are followed
 
 
 class ControlBoards(Module):
-    """Connects the boards of its configuration section."""
+    """Connects the boards of the configuration section."""
 
     name = "control_boards"
 

@@ -1,7 +1,7 @@
 """Runs a command and ends it when the guard's standard input ends, so that nothing outlives a killed demo.
 
 Usage: ``python guard.py COMMAND...``. Standard library only. Processes left by the command are killed (Linux): a killed
-daemon leaves its router, and a roscore its master, which have their own sessions and do not receive its signals.
+daemon leaves its router, and a roscore its master; these have their own sessions and do not receive the signals.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def _children() -> list[int]:
     """Return the process ids of the remaining children; empty without proc(5)."""
     pids = []
     for file in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):  # it has ended
+        with contextlib.suppress(OSError):  # the process has ended
             if int(file.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[1]) == os.getpid():
                 pids.append(int(file.parent.name))
     return pids

@@ -101,7 +101,7 @@ class DemoChild(DemoProcess):
             super().__init__(command, env, folder, log)
 
     def last_output(self) -> str:
-        """Return the last complete lines of its error output, and its exit code if it has ended."""
+        """Return the last complete lines of the process's error output, and its exit code if it has ended."""
         text = self._log.read_text(encoding="utf-8", errors="replace").strip() if self._log.exists() else ""
         if len(text) > _MOST_TEXT:
             text = text[-_MOST_TEXT:]

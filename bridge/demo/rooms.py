@@ -223,7 +223,7 @@ def overrides(template: Path) -> dict[str, Any]:
 
 
 def replace_ros1(sandbox: Sandbox) -> str:
-    """Replace the parts of ROS 1 that this machine lacks with Midspan's; return a line about them, "" for none."""
+    """Replace the parts of ROS 1 that this machine lacks with Midspan's; return a line that names them, "" if none."""
     own_master, own_client = roscore(sandbox.config) is None, bool(without_rospy(sandbox.config, CLIENT))
     if own_master:
         sandbox.embed_master()

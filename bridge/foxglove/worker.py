@@ -214,7 +214,10 @@ def _tls(config: Config) -> ServerTls:
 
 
 def _capabilities(section: FoxgloveSection) -> list[Capability]:
-    """Return the capabilities that the app may offer; a client that may only watch is refused when it uses them."""
+    """Return the capabilities to announce to all clients.
+
+    A client that may only watch can read parameters, but is refused when it sets them, publishes or calls services.
+    """
     commands = [Capability.ClientPublish, Capability.Services] if section.commanded else []
     return [Capability.Parameters, *commands]
 

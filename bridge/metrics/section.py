@@ -35,7 +35,7 @@ class MetricsSection(ServerSection):
 
     @override
     def conflict(self, config: Any) -> str:
-        guarded: bool = config.web.guarded  # a lower layer cannot import its model
+        guarded: bool = config.web.guarded  # untyped: this lower layer cannot import the console's section
         if not self.enabled or not self.reached or guarded:
             return ""
         return (

@@ -108,7 +108,7 @@ class _Lookup:
         self._until = now + _nanoseconds(goal.goal["timeout"])
 
     def expired(self, now: int) -> bool:
-        """Return whether its time limit is over, or the clock was set back."""
+        """Return whether the time limit is over, or the clock was set back."""
         return not self._began <= now < self._until
 
     def run(self, buffer: TransformBuffer) -> Transform:
