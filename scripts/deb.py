@@ -66,7 +66,9 @@ RELEASES = {
 
 
 def libraries(release: Release, arch: str, extras: Sequence[str] = EXTRAS, more: Sequence[str] = ()) -> list[str]:
-    """Return the locked libraries of Midspan and its extras, in the installed versions (tests/setup/test_lock.py).
+    """Return the libraries of Midspan and its extras with their versions.
+
+    The versions are the installed ones, which match the lock files (tests/setup/test_lock.py).
 
     Args:
         release: the target release, whose Python may not need all of them.

@@ -4,9 +4,9 @@
   limited API); and one for any system without compiled kernels, which then run as Python.
 - ``yarp_compat-VERSION.tar.gz`` and its wheel, pure Python.
 
-A checkout contains `yarp_compat`, so that it is installed without an index. Each module is in only one distribution:
-two with the same files would overwrite each other, and uninstalling one would break the other. So `midspan` does not
-contain `yarp-compat`, but requires it in the same version.
+A checkout contains `yarp_compat`, so its installation does not need `yarp-compat` from an index. Each module is in only
+one distribution: two with the same files would overwrite each other, and uninstalling one would break the other. So
+`midspan` does not contain `yarp-compat`, but requires it in the same version.
 
 Each distribution is laid out in a separate folder, from the files that git does not ignore. The wheels are built from
 the source distribution, with the installed setuptools and Cython. Each wheel has a bill of materials (`scripts.sbom`),

@@ -161,7 +161,10 @@ def _without_marker(text: str) -> str:
 
 
 def write(file: str, of_systems: Mapping[System, Versions], own: Mapping[str, str]) -> None:
-    """Write one lock file, sorted by name; ``own``: markers by package name to keep, since newer Pythons need them."""
+    """Write one lock file, sorted by name.
+
+    ``own``: markers of pyproject.toml by package name, which replace the computed ones, because newer Pythons need them.
+    """
     systems_of: dict[tuple[str, str], list[System]] = {}
     for system, versions in of_systems.items():
         for pin in versions.items():

@@ -113,9 +113,10 @@ _BUNDLE = 50  # ticks between two rounds of message handling
 
 
 class Stepping:
-    """Serves ``/sim/step``: it replies once all named participants have acknowledged the step's time, or time runs out.
+    """Serves ``/sim/step``: it replies once all named participants have acknowledged the time of the step.
 
-    Only one step runs at a time. Used only on the module's thread.
+    After the request's ``patience``, it replies that some have not. Only one step runs at a time. Used only on the
+    module's thread.
 
     Args:
         tick: runs one tick, and returns its stamp in ns.
