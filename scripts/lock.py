@@ -163,7 +163,7 @@ def _without_marker(text: str) -> str:
 def write(file: str, of_systems: Mapping[System, Versions], own: Mapping[str, str]) -> None:
     """Write one lock file, sorted by name.
 
-    ``own``: markers of pyproject.toml by package name, which replace the computed ones, because newer Pythons need them.
+    ``own``: markers of pyproject.toml by package name, which replace the computed ones: newer Pythons need them.
     """
     systems_of: dict[tuple[str, str], list[System]] = {}
     for system, versions in of_systems.items():

@@ -143,7 +143,7 @@ def _reached(wall: NDArray[np.bool_], starts: list[tuple[float, float]]) -> NDAr
 
 
 _LONGEST = 800  # pixels of the picture's longer side
-_PICTURE_MARGIN = 0.3
+_PICTURE_MARGIN = 0.3  # meters around the floor's extent
 _FLOOR, _WALL, _DOOR, _CRATE = (250, 250, 247), (60, 62, 70), (190, 140, 80), (200, 165, 110)
 _PERSON, _ROBOT, _NOSE, _HIT, _BUMP = (60, 120, 200), (40, 160, 90), (255, 255, 255), (220, 60, 60), (255, 120, 0)
 

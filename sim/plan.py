@@ -206,9 +206,9 @@ class Plan(Section):
         return self
 
 
-_MOST_PIECES = 20_000
-_HEIGHT = 2.0
-_DARK = 128
+_MOST_PIECES = 20_000  # maximum number of walls made from a map or an image
+_HEIGHT = 2.0  # height of these walls, meters
+_DARK = 128  # darker pixels (gray values) are walls
 
 
 def of_map_file(file: Path) -> Plan:

@@ -57,7 +57,7 @@ class Estimate:
     """An estimate of the odometry."""
 
     time_ns: int  #: on the simulation's clock
-    pose: BasePose  #: the pose since the start, in the odometry frame
+    pose: BasePose  #: the pose since the start or the last `Odometry.reset`, in the odometry frame
     twist: Twist  #: the velocity in the base's frame
     traveled: float  #: meters
     turned: float  #: radians, the sum of turns to both sides

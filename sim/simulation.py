@@ -160,5 +160,5 @@ _LINK_REACH = 1.0
 
 
 def pose(x: float, y: float, degrees: float) -> BasePose:
-    """Convert a pose of a plan, with the direction in degrees."""
+    """Convert a pose of a plan, with the direction in degrees, to a base's pose."""
     return BasePose(x, y, math.radians(degrees))

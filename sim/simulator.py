@@ -180,7 +180,7 @@ class Simulator(Module):
         return "paused" if self._paused else "running"
 
 
-_FIXED = ("name", "state", "hub", "types", "limits", "clock")
+_FIXED = ("name", "state", "hub", "types", "limits", "clock")  # changes need a restart of the worker
 
 
 class SimWorker(Worker):

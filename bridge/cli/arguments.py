@@ -112,7 +112,7 @@ class VerbParser(argparse.ArgumentParser):
 def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None = None) -> str:
     """Return a hint such as ``. Did you mean status?``; "" if no known name is similar, or the text is very short.
 
-    ``described`` has the help of each command; a word in it also suggests the command: ``echo`` suggests ``topic``.
+    ``described`` has the help of each command; its words also suggest the command: ``echo`` suggests ``topic``.
     """
     from bridge.text import near  # needed only here
 

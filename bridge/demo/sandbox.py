@@ -38,7 +38,7 @@ _SETTINGS = ("FASTDDS_", "FASTRTPS_", "MIDSPAN_", "RMW_", "ROS_", "YARP_", "ZENO
 _KEPT = {"MIDSPAN_CACHE"}
 """Variables that a demo does not ignore: the folder of built message packages."""
 
-_LONGEST_BASE = 50
+_LONGEST_BASE = 50  # characters of the default temporary folder's path
 _DOMAINS = range(10, 101)
 _PORT_BASE, _DOMAIN_GAIN = 7400, 250  # DDSI-RTPS 2.5, 9.6.2.4: ports of a domain
 _TCP_BASE, _TCP_EACH = 30_000, 20

@@ -15,7 +15,7 @@ from threading import Lock
 from bridge.web.serving.access import Grant
 
 MARK = 0xFFFF_FFFF
-"""The number of the channel that the front advertises; a client that uses this number itself becomes unknown."""
+"""The number of the channel that the front advertises; a client that closes this channel itself becomes unknown."""
 
 
 @dataclass(eq=False)

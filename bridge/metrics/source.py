@@ -46,7 +46,7 @@ class Snapshot:
         documents: the status documents of the workers and modules that answered.
         daemon: the daemon's own document; None if it does not answer.
         hub: whether the hub could be queried.
-        seconds: duration of the query.
+        seconds: duration of the queries of the workers and of the daemon.
     """
 
     name: str

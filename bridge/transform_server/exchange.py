@@ -22,7 +22,7 @@ YARP = "yarp"
 _HARMLESS = (None, FrameRefusal.OLD_DATA, FrameRefusal.REPEATED_DATA)
 """Refusals that are not reported to the client, because YARP's own server silently keeps the newest transform."""
 
-_LAST_SECOND = float(1 << 31)
+_LAST_SECOND = float(1 << 31)  # the seconds of builtin_interfaces/Time are a signed 32-bit integer
 
 Publish = Callable[[bytes], None]
 

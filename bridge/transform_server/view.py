@@ -146,9 +146,9 @@ class View:
         return given
 
     def delete(self, first: str, second: str) -> list[str]:
-        """Delete the transforms between two frames (in either order; parent and child with `ANY`) of YARP programs.
+        """Delete the transforms between two frames, in either order, that YARP programs set; return the children.
 
-        Return the children.
+        With `ANY` as one of the names, ``first`` is the parent and ``second`` the child.
         """
         children = [
             child for child, entry in self._entries.items() if entry.ours and _between(entry, child, first, second)

@@ -24,7 +24,7 @@ MOST_FEEDS = 64
 MOST_CALLS, MOST_STOPS = 16, 64
 """Number of pending calls of a page from which a further call, or a further stop, is refused."""
 MOST_ERRORS = 20
-_POLICY = 1008
+_POLICY = 1008  # WebSocket's close code for a policy violation (RFC 6455, 7.4.1)
 _check_speed = number_between(-1e9, 1e9)
 _WATCHES = "this page has the role 'watch'"
 

@@ -60,7 +60,7 @@ def run_run(args: argparse.Namespace) -> int:
     return 0
 
 
-_KEPT = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
+_KEPT = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")  # systemd's variables for a service
 
 
 def register_worker(parser: argparse.ArgumentParser) -> None:

@@ -23,10 +23,10 @@ SHOW_SECONDS = 20.0
 """Minimum duration of a run, so that a person sees the table change."""
 
 ASK_AGAIN = 1.5
-"""Seconds after which a late subscriber that received nothing subscribes again."""
+"""Seconds after which the zenoh program, as a late subscriber, subscribes again to topics that it has not received."""
 
 LATE_SECONDS = 5.0
-"""Seconds for which each late subscriber waits for earlier messages."""
+"""Maximum seconds for which each late subscriber waits for earlier messages."""
 
 CROSS_SECONDS = 10.0
 """Seconds to wait for missing messages at the end, once no more messages arrive."""
