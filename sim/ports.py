@@ -27,7 +27,7 @@ from yarp_compat.sig.vector import Vector
 _ODOMETRY = 2
 _BATTERY = 100  # ticks between two messages: 50 Hz, 1 Hz
 _IN_USE = BatteryStatus.BATTERY_OK_IN_USE
-_TEMPERATURE = 30.0
+_TEMPERATURE = 30.0  # of the battery, degrees Celsius
 _FIXED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
 
 

@@ -16,7 +16,7 @@ from sim.simulation import Simulation
 
 Request = dict[str, Any]
 _MOST_POINTS = 1000
-_BOX, _ROUND, _PERSON = 0, 1, 2
+_BOX, _ROUND, _PERSON = 0, 1, 2  # constants of midspan_msgs/srv/Spawn
 
 
 def answered(do: Callable[[Request], str]) -> Callable[[Request, Answer], None]:
@@ -108,7 +108,7 @@ def _finite(*values: float) -> tuple[float, ...]:
     return values
 
 
-_LONGEST_STEP = 3600.0
+_LONGEST_STEP = 3600.0  # seconds
 _BUNDLE = 50  # ticks between two rounds of message handling
 
 

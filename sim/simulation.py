@@ -17,7 +17,7 @@ from sim.wheels import WheelControls
 from sim.world import FloorWorld
 
 _STEPS = TICK_NS // STEP_NS
-_UPDATE_NS = 50_000_000
+_UPDATE_NS = 50_000_000  # between two updates of the near things and the battery
 
 
 class Simulation:
@@ -156,7 +156,7 @@ class Simulation:
         self.world.place(at)
 
 
-_LINK_REACH = 1.0
+_LINK_REACH = 1.0  # maximum distance from the end of a link, meters
 
 
 def pose(x: float, y: float, degrees: float) -> BasePose:

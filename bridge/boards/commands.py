@@ -15,7 +15,7 @@ from enum import Enum, auto
 from typing import Any, Protocol
 
 _HALT_METHOD = "stopAllRPC"
-_LATE_SECONDS = 1.0
+_LATE_SECONDS = 1.0  # after a reconnection, until the joints that moved are stopped once more
 
 
 class Board(Protocol):

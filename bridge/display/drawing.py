@@ -22,8 +22,8 @@ LOCATION_COLOR, AREA_COLOR, PATH_COLOR = (0, 110, 0), (0, 90, 200), (200, 0, 120
 _WANTED = 1200
 """Maximum pixels of the longer side of a picture that is enlarged; a larger map has one pixel per cell."""
 
-_ARROW = 14
-_FONT = 14
+_ARROW = 14  # length of a location's arrow, pixels
+_FONT = 14  # size of texts, pixels
 
 
 def draw(

@@ -38,13 +38,13 @@ PROTOCOL = "foxglove.sdk.v1"
 MOST_CLIENTS = 32
 MOST_CONNECTIONS = 4 * MOST_CLIENTS
 """Maximum number of connections, including those that are not authenticated yet; further ones are closed."""
-MOST_HEAD = 16 << 10
+MOST_HEAD = 16 << 10  # bytes of a request's head
 HEAD_SECONDS = 5.0
 """Time limit for each step of a handshake: TLS, the request's head, the SDK's response, and sending a refusal."""
 MOST_UNREAD = 8 << 20
 STILL_SECONDS = 20.0
-_STEP = 256 << 10
-_STOP_SECONDS = 1.5
+_STEP = 256 << 10  # maximum bytes that are forwarded at once
+_STOP_SECONDS = 1.5  # to wait for the thread's end
 _NOT_THE_APP = "this WebSocket is for the Foxglove app"
 _CONTROL = re.compile(r"[\x00-\x08\n-\x1f\x7f]")
 _REQUEST = re.compile(r"GET (\S+) HTTP/1\.1")

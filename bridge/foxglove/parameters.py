@@ -34,7 +34,7 @@ WAIT_SECONDS = 0.5
 """Maximum time that a first request waits for values, or a change for its completion; only one waits at a time."""
 IDLE_SECONDS = 60.0
 """Values that no client has requested for this long are discarded."""
-MOST_NODES, MOST_PARAMETERS = 200, 5_000
+MOST_NODES, MOST_PARAMETERS = 200, 5_000  # parameters of one change; a tenth of them are read from each node
 NODE_SECONDS = 5.0
 """A node that has not answered for this long is skipped."""
 

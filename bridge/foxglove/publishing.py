@@ -37,7 +37,7 @@ from bridge.web.verbs.hold import HandDriving
 _log = logging.getLogger("midspan.foxglove")
 
 ENCODINGS = ("cdr", "json")
-DEPTH = 10
+DEPTH = 10  # of the publishers' QoS
 
 
 class NotPublishedError(Exception):

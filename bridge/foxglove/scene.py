@@ -49,8 +49,8 @@ _ROBOT, _PLACE, _AREA, _PATH = (
     Color(r=0.1, g=0.5, b=0.9, a=1.0), Color(r=0.9, g=0.5, b=0.1, a=1.0), Color(r=0.2, g=0.7, b=0.3, a=1.0),
     Color(r=0.6, g=0.4, b=0.8, a=1.0),
 )  # fmt: skip
-_LINE = 0.03
-_LETTERS = 0.2
+_LINE = 0.03  # width of lines and their height above the floor, meters
+_LETTERS = 0.2  # size of texts and their height above the floor, meters
 
 
 class Scene(Feed):

@@ -33,7 +33,7 @@ CALL_SECONDS = 15.0
 MOST_CALLS = 16
 """Maximum number of concurrent calls of all clients; each blocks one of the SDK's threads."""
 
-REPEAT_SECONDS = 10.0
+REPEAT_SECONDS = 10.0  # between two requests for the same definition
 _OF_NODES = ("rcl_interfaces/", "type_description_interfaces/")
 """Prefixes of the types of services that every node has; parameters are offered separately."""
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from bridge.bags.play.topics import LeftOut, PlayTopic
 
 CLOCK_HZ = 40.0
-MATCH_SECONDS = 1.0
+MATCH_SECONDS = 1.0  # to wait for subscribers on the hub before playing
 _EPILOG = """\
 Keys in a terminal: space pauses and resumes, '.' or 's' plays one message while paused, 'q' ends.
 The services /midspan/play/pause (std_srvs/SetBool) and /midspan/play/step (std_srvs/Trigger) also work without one.
@@ -41,7 +41,7 @@ _LINGER_SECONDS = 0.3
 """Seconds for which the publishers stay after the last message, so that it arrives."""
 
 _POLL_SECONDS = 0.1
-_END_SECONDS = 0.5
+_END_SECONDS = 0.5  # to wait for the playing thread at the end
 _REMAP = re.compile(r"(?P<old>[^:=\s]+):=(?P<new>[^:=\s]+)")
 
 

@@ -20,7 +20,7 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.sig.vec2d import Vec2D
 
 _FLAGS = {flag.name.lower().replace("_", "-"): flag for flag in MapFlag}
-_CORNERS = 64
+_CORNERS = 64  # of the polygon for a circle
 
 
 def register(verbs: Any) -> None:

@@ -25,7 +25,7 @@ from bridge.config.sections.navigation import ACTION, THROUGH_POSES
 from bridge.text import clean
 from navigation.nav2_errors import reason_text
 
-_PERIOD, _PERIOD_SCREEN = 5.0, 0.5
+_PERIOD, _PERIOD_SCREEN = 5.0, 0.5  # seconds between distances, in a pipe and on a terminal
 _MOST_NEWS = 100
 _TERMINATED = (129, 143)
 """Exit codes for SIGHUP and SIGTERM."""

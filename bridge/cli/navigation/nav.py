@@ -20,7 +20,7 @@ from bridge.config.sections.navigation import ACTION
 from bridge.status import GatewayKeys
 from bridge.text import clean, plural
 
-_ZERO_SECONDS = 1.0
+_ZERO_SECONDS = 1.0  # for which zero velocity is published
 _DONE = {"stop": "stopped: no goal is under way", "pause": "paused", "resume": "resumed"}
 
 

@@ -25,7 +25,7 @@ from bridge.web.serving.scarce_log import ScarceLog
 
 COOKIE = "__Host-midspan"
 LOGIN_SECONDS = 30 * 86400
-MOST_TOKEN = 200
+MOST_TOKEN = 200  # characters of a token
 _SECRET_BYTES = 32
 
 FIRST_WAIT, LONGEST_WAIT = 1.0, 60.0
@@ -33,8 +33,8 @@ FIRST_WAIT, LONGEST_WAIT = 1.0, 60.0
 maximum."""
 MOST_WRONG = 20
 """Number of wrong tokens of one address that are counted separately; further tokens share one entry."""
-MOST_ENTRIES = 1000
-FORGET_SECONDS = 600.0
+MOST_ENTRIES = 1000  # of counted wrong tokens, in all
+FORGET_SECONDS = 600.0  # after its last use, a wrong token is no longer counted
 LOG_SECONDS = 600.0
 """Minimum time between two log lines about the same wrong token of an address."""
 

@@ -25,7 +25,7 @@ from bridge.web.serving.scarce_log import ScarceLog
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 300, 100
 REQUEST_SECONDS = 20.0
 """Time limit of a request's head, body and response together, after which the connection is closed."""
-HANDSHAKE_SECONDS = 5.0
+HANDSHAKE_SECONDS = 5.0  # time limit of the TLS handshake
 MOST_UNREAD = 2 << 20
 """Bytes that may be queued for a page that sends pings and reads nothing."""
 MOST_PARTS = 1000

@@ -16,7 +16,7 @@ MOST_RETURNED = 500
 LOG_SECONDS = 0.5
 """Interval at which the feed ``log`` checks for new lines."""
 
-_ROUNDS = 50
+_ROUNDS = 50  # maximum number of queries for one reading of the new lines
 
 
 class LogFollower:

@@ -36,8 +36,8 @@ KEEP_SECONDS = 60.0
 """How long a topic's publisher stays, so that the next message need not wait for discovery."""
 
 _MOST_PUBLISHERS = 8
-_SETTLE_SECONDS = 1.0
-_END_SECONDS = 0.5
+_SETTLE_SECONDS = 1.0  # to wait for subscribers to discover a new publisher
+_END_SECONDS = 0.5  # to wait for a publishing thread at the end
 
 
 class Sending:
