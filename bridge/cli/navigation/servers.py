@@ -114,7 +114,7 @@ def run_undock(args: argparse.Namespace) -> int:
 
 def run_waypoints(args: argparse.Namespace) -> int:
     if not 0 <= args.repeat < 2**32:
-        raise CliError(f"--repeat must be 0 or more, not {args.repeat}")
+        raise CliError(f"--repeat must be from 0 to {2**32 - 1}, not {args.repeat}")
     places: list[str] = args.places
 
     def step(feedback: Mapping[str, Any]) -> str:

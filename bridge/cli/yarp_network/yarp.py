@@ -47,7 +47,7 @@ def _register_server(verbs: Any) -> None:
     parser.add_argument("--port", type=int, metavar="N", help=f"TCP port (default: yarp.conf's, {config.DEFAULT_PORT})")
     parser.add_argument("--write", action="store_true", help="write the address to yarp.conf, for programs to find")
     parser.add_argument(
-        "--state", type=Path, metavar="FILE", help="file of its state (default: names.json next to yarp.conf)"
+        "--state", type=Path, metavar="FILE", help="file of its state (default: yarp.names.json next to yarp.conf)"
     )
     parser.add_argument("--forget", action="store_true", help="store nothing across restarts")
     parser.add_argument(
