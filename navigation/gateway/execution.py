@@ -191,10 +191,7 @@ class Execution:
             self._send(drive, None)
 
     def cancel(self, drive: ClientDrive) -> None:
-        """Cancel a drive's goal, and the actions that move the base for it, unless the planner has released the goal.
-
-        If the planner also has goals from its own clients, the actions go on.
-        """
+        """Cancel a goal that the planner has not released, and actions that move the base unless others have goals."""
         if drive.released:
             return
         if drive.sent is not None:
@@ -221,10 +218,7 @@ class Execution:
         self._changed()
 
     def _give_up_waiting(self, drive: ClientDrive) -> None:
-        """End a drive if its planner has been unavailable for too long.
-
-        The time counts from when the planner was last seen or the goal was requested, whichever is later.
-        """
+        """End a drive if its planner was last seen, and the goal requested, too long ago."""
         if self._link.reachable:
             return
         patience = self._choice.section.patience

@@ -23,7 +23,7 @@ _MOST_NATIVE = 1000
 _UNKNOWN = "the origin of its client is still unknown"
 
 
-class Server(Protocol):
+class RequestHandler(Protocol):
     """A server that receives requests of native clients."""
 
     name: str
@@ -36,7 +36,7 @@ class Server(Protocol):
 
 
 class _Held(NamedTuple):
-    server: Server
+    server: RequestHandler
     request: RequestId
     payload: bytes
     backlog: int
@@ -61,7 +61,7 @@ class HeldRequests:
         self._held: dict[bytes, deque[_Held]] = {}  # by the GUID prefix of the client's participant
         self._native: set[bytes] = set()
 
-    def receive(self, server: Server, request: RequestId, payload: bytes, backlog: int) -> None:
+    def receive(self, server: RequestHandler, request: RequestId, payload: bytes, backlog: int) -> None:
         """Let a server execute a request of a native client; hold one of an unknown client, and all that follow it."""
         if request.gid[:PREFIX_BYTES] in self._held:
             made_by = MadeBy.UNKNOWN
