@@ -340,7 +340,7 @@ def test_space_without_valid_ranges_is_not_free():
     scene = Scene()
     scene.edit = lambda ranges: np.where(np.arange(len(ranges)) < 20, ranges, np.nan)  # the rear of the scan
     scene.driver.goal(Pose(2.0, 0.0, math.nan))
-    scene.run(6.0)
+    scene.run(20.0)
     assert scene.pose.distance(Pose(0.0, 0.0, 0.0)) < 0.02
     assert "cannot see" in scene.reasons
     scene.edit = lambda ranges: np.full_like(ranges, np.inf)  # no echo within its range means free
