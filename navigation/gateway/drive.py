@@ -39,7 +39,7 @@ class ClientDrive:
     followed: SentGoal | None = None  #: the goal whose result was requested again after a loss of contact
     sent_at: float = 0.0  #: when the goal was last sent (monotonic)
     released: bool = True  #: whether the planner is known to have none of the drive's goals
-    path_canceled: bool = False  #: whether another action that may move the base (Nav2's controller) was canceled
+    path_canceled: bool = False  #: whether another action that moves the base (Nav2's controller) was asked to cancel
     reason: str = ""  #: the reason for stopping or waiting
     aborted: tuple[int, str] | None = None  #: code and reason of an abort that is reported when the base stands
     pause_seconds: float = math.inf  #: the length of the pause

@@ -54,7 +54,7 @@ class NavigateAction:
             return
         node = f"{other.namespace.rstrip('/')}/{other.node.lstrip('/')}"
         before, self._seen = self._seen, node
-        if self._server is not None and node != before:
+        if node != before:
             return  # its other services, by which a gateway is recognized, may not be known yet
         if node != self.served_by:
             self._host.log.warning("%s is served by %s: the gateway accepts no goals under that name", ACTION, node)

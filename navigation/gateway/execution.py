@@ -197,8 +197,7 @@ class Execution:
         if drive.sent is not None:
             self._link.end(drive.sent)
         if not self._link.foreign:
-            drive.path_canceled |= self._link.may_move
-            self._link.end_motion()
+            drive.path_canceled |= self._link.end_motion()
 
     def stop_drive(self, reason: str) -> None:
         """End the drive as soon as the planner has released its goal, or the stop is confirmed or takes too long."""

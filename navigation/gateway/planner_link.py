@@ -166,10 +166,14 @@ class PlannerLink:
         for action in (self._goals, *self._motion):
             action.end_all()
 
-    def end_motion(self) -> None:
-        """Cancel the goals of the other actions that move the base."""
+    def end_motion(self) -> bool:
+        """Cancel the goals of the other actions that move the base, also those that are not in their lists yet.
+
+        Return whether that may end a path of the planner's goal, which Nav2 then counts as reached.
+        """
         for action in self._motion:
             action.end_all()
+        return any(action.is_present for action in self._motion if action is not self._through_goals)
 
     def end_no_more(self) -> None:
         """End the stop: goals that appear from now on may continue."""

@@ -171,7 +171,9 @@ def test_clients_of_three_sides_send_the_robot_to_rooms(folder: Path, ros1: str)
         until(lambda: "\n" in printed.read_text(), "the demo prints the console's address", 60.0)
         address = re.match(r"console: (http://127\.0\.0\.1:\d+/) ", printed.read_text())
         assert address, printed.read_text()
-        until(lambda: demo.poll() is not None or responds(address[1]), "the console responds", 60.0)
+        place = address[1]
+        until(lambda: responds(place) or demo.poll() is not None, "the console responds", 60.0)
+        assert demo.poll() is None, printed.read_text()
         assert demo.wait(300) == 0, printed.read_text()
     finally:
         demo.kill()

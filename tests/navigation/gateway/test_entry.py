@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,6 +20,7 @@ from bridge.doctor.checks.hub import check_workers
 from bridge.messages.actions import GoalState, names
 from bridge.modules.worker import ModulesWorker
 from bridge.status import read_status
+from navigation.gateway.entry import NavigateAction
 from navigation.status import State
 from tests.doctor.parts import around, every, hub
 from tests.peers.hub.endpoints import endpoint
@@ -226,6 +229,18 @@ def test_another_gateway_may_become_known_in_two_steps(rig: Rig, monkeypatch: py
     with monkeypatch.context() as monkeypatch:
         assert rig.worker.running("gateway").host.loop.call(poll_twice) == [True, True]
     assert rig.module.status()["served_by"] == ""
+
+
+def test_a_gateway_that_starts_beside_a_server_names_it_only_once_it_is_known_to_be_no_gateway(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    host: Any = SimpleNamespace(loop=SimpleNamespace(every=lambda *_arguments: None), log=logging.getLogger("test"))
+    other = endpoint(names(ACTION).send_goal, b"gid")
+    monkeypatch.setattr(NavigateAction, "_other_server", lambda _action: other)
+    action = NavigateAction(host, lambda _goal: True, lambda _goal: True, lambda _goal, _reason: None)
+    assert action.served_by == ""
+    action.poll()
+    assert action.served_by == f"{other.namespace.rstrip('/')}/{other.node.lstrip('/')}"
 
 
 def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -> None:

@@ -193,6 +193,22 @@ def test_a_goal_that_nav2_counts_as_reached_when_its_path_is_canceled_ends_cance
     robot.rig.state(State.IDLE)
 
 
+def test_a_goal_that_nav2_counts_as_reached_ends_canceled_although_its_path_is_not_listed_yet(
+    robot: Scene, controller: Controller
+) -> None:
+    """The cancel request for all paths also ends one that controller_server has just accepted."""
+    controller.end()
+    until(lambda: not robot.rig.gateway.link.may_move, "the list has no path")
+    robot.planner.cancels = False
+    client_goal = robot.drive()
+    client_goal.cancel()
+    until(lambda: robot.planner.canceled, "the planner's goal is canceled")
+    robot.planner.end(GoalState.SUCCEEDED)
+    robot.base.speed = 0.0
+    assert client_goal.end()[0] == "CANCELED"
+    robot.rig.state(State.IDLE)
+
+
 def test_a_pause_does_not_end_a_goal_that_nav2_counts_as_reached(robot: Scene, controller: Controller) -> None:
     robot.planner.cancels = False
     robot.drive()

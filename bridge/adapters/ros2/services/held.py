@@ -63,7 +63,7 @@ class HeldRequests:
 
     def receive(self, server: RequestHandler, request: RequestId, payload: bytes, backlog: int) -> None:
         """Let a server execute a request of a native client; hold one of an unknown client, and all that follow it."""
-        if request.gid[:PREFIX_BYTES] in self._held:
+        if self._held and request.gid[:PREFIX_BYTES] in self._held:
             made_by = MadeBy.UNKNOWN
         else:
             made_by = self._created_by(server.name, request.gid)
