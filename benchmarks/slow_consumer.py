@@ -27,7 +27,7 @@ SOURCE = {"ros1": "ros2", "ros2": "ros1", "zenoh": "ros2"}
 
 BIG, SMALL = "/big", "/small"
 SMALL_RATE = 100.0  # messages per second
-PAUSE = 1.0  # seconds that the slow program takes for each message
+PAUSE = 1.0  # seconds for which the slow program pauses after each message
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,7 +59,7 @@ def named(config: Config, environ: Mapping[str, str] = os.environ, *others: Path
 
 
 def _stored_name(folder: Path) -> str:
-    """Return the daemon's name that a state folder contains, "" if there is no valid one."""
+    """Return the daemon's name that a state folder contains, "" if it contains no valid name."""
     try:
         name = (folder / _NAME_FILE).read_text(encoding="utf-8").strip()
     except (OSError, ValueError):

@@ -1,6 +1,6 @@
 """Halts everything on the hub: publishes zero velocities, cancels all goals, and asks bases and the gateway to halt.
 
-No step waits for another, or fails because another fails; the goals of each action are a step of their own.
+No step waits for another, or fails because another fails; each action's goals are a separate step.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ class ZeroVelocities:
     """Publishes zero velocity on every velocity topic of the hub, and on those that nodes of a side subscribe to.
 
     A side has one type for each topic. So a topic with subscribers to one form gets only that form, and any form that
-    a route already carries: the base behind the route may not be announced. A failure on one topic does not affect the
-    others.
+    a route already carries, because the base that it leads to may not be announced. A failure on one topic does not
+    affect the others.
     """
 
     def __init__(self, client: Client, types: Types) -> None:
@@ -184,7 +184,7 @@ class ZeroVelocities:
         return {topic: len(self._hub.graph.subscriptions(topic)) for topic, _, _ in self.published}
 
     def trouble(self) -> str:
-        """Return the topics on which zero failed, or does not reach nodes of a side; "" if there are none."""
+        """Return the topics on which zero failed, or does not reach nodes of a side, as text; "" for none."""
         graph = self._hub.graph
         failed = [
             f"{topic}: zero could not be published as {name} ({error}): the robot may still be moving"

@@ -72,7 +72,7 @@ def keep_alive(sock: socket.socket) -> None:
 if hasattr(socket, "MSG_DONTWAIT"):
 
     def receive_now(sock: socket.socket, count: int, flags: int = 0) -> bytes:
-        """Receive without blocking; raises `BlockingIOError` if there is no data."""
+        """Receive without blocking; raises `BlockingIOError` if nothing has arrived."""
         return sock.recv(count, flags | socket.MSG_DONTWAIT)
 
     def send_now(sock: socket.socket, *parts: bytes) -> int:
@@ -82,7 +82,7 @@ if hasattr(socket, "MSG_DONTWAIT"):
 else:
 
     def receive_now(sock: socket.socket, count: int, flags: int = 0) -> bytes:
-        """Receive without blocking; raises `BlockingIOError` if there is no data. Only one thread may read a socket."""
+        """Receive without blocking; raises `BlockingIOError` if nothing has arrived. Only one thread may read it."""
         if not is_readable(sock):
             raise BlockingIOError
         return sock.recv(count, flags)

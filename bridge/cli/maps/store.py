@@ -33,7 +33,7 @@ def store_of(client: CliClient) -> StoreClient:
 
 
 def named_map(stored: StoreClient, name: str | None) -> MapGrid2D:
-    """Return a map by its name, by default the one in use; raises `CliError` if there is no such map."""
+    """Return a map by its name, by default the one in use; raises `CliError` if the store does not have it."""
     wanted = name or stored.current_map()
     if not wanted:
         raise CliError("no map is in use: give a name, or choose one with 'midspan map use NAME'")

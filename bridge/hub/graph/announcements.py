@@ -1,4 +1,4 @@
-"""The announcements of Midspan's sessions: their origin, their network's members, velocities and versions."""
+"""What Midspan sessions announce: their origin, the members of their network, velocities and versions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _log = logging.getLogger(__name__)
 
 
 class SessionAnnouncements:
-    """The announcements of Midspan's sessions in one graph. Not thread-safe: the lock of the graph guards them.
+    """What Midspan sessions announce in one graph. Not thread-safe: the lock of the graph guards them.
 
     Args:
         max_tokens: the maximum number of tokens of each kind.

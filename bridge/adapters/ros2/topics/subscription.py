@@ -79,7 +79,7 @@ class Ros2Subscription:
     def refit(self) -> None:
         """Create a reader for each class of the current native publishers, and remove the others.
 
-        If there are no publishers, the readers stay; the first one has the requested QoS.
+        Without publishers, the readers stay; the first one has the requested QoS.
         """
         with self._lock:  # includes reading the graph: an older snapshot must not be applied last
             if self.closed:
