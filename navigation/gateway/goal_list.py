@@ -26,6 +26,7 @@ class GoalList:
         self._always = always
         self._publishers: dict[bytes, float] = {}  # GIDs of the topic's publishers on the hub: when each appeared
         self._publisher = b""  # the publisher of the newest list
+        self._shown = False  # whether the graph has shown that publisher
         self._received = 0.0  # when the newest list arrived (monotonic); 0: never
         self.active_since = 0.0  # since when any goal has been active (monotonic); 0: none is
         self._statuses: dict[bytes, GoalState] = {}
@@ -53,6 +54,7 @@ class GoalList:
     def receive(self, publisher: bytes, statuses: Mapping[bytes, GoalState]) -> bool:
         """Store a list; return whether it differs from the previous one."""
         changed = self._statuses != statuses
+        self._shown = publisher in self._publishers or (self._shown and publisher == self._publisher)
         self._publisher, self._statuses, self._received = publisher, dict(statuses), time.monotonic()
         self.active_since = (self.active_since or self._received) if self.active else 0.0
         self.known, self._empty = True, False
@@ -64,8 +66,8 @@ class GoalList:
         self._publishers = {gid: before.get(gid, now) for gid in publishers}
         self._empty = self._empty and bool(self._publishers) and self._publishers.keys() <= before.keys()
         if self._publisher in self._publishers:
-            self.known = True
-        elif self._publishers and self._publisher not in before and now < self._received + EARLY_SECONDS:
+            self.known = self._shown = True
+        elif self._publishers and not self._shown and now < self._received + EARLY_SECONDS:
             self.known = True  # the graph does not show its publisher yet
         elif not self._always and self._publishers and now >= self._latest_sign() + EMPTY_SECONDS:
             self._publisher, self._statuses, self._empty = b"", {}, True

@@ -161,3 +161,15 @@ def test_only_a_list_that_differs_is_a_change(clock: Clock) -> None:
     assert goals.receive(SERVER, {NEXT: GoalState.ACCEPTED})
     assert goals.active == (NEXT,)
     assert goals.status(GOAL) is None
+
+
+def test_the_fresh_list_of_a_server_that_has_just_gone_does_not_apply_to_its_successor(clock: Clock) -> None:
+    goals = GoalList(always=True)
+    later(clock, goals, 0.1, SERVER)
+    goals.receive(SERVER, DRIVING)
+    later(clock, goals, 0.1)
+    later(clock, goals, 0.1, OTHER)
+    assert not goals.known, "the graph has shown the publisher of the list, so it is not merely late"
+    goals.receive(OTHER, {})
+    assert goals.known
+    assert goals.active == ()

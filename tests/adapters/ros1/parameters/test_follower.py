@@ -136,7 +136,8 @@ def test_ros1_parameters_appear_on_a_node(master: RosMaster, hubs: tuple[Hub, Hu
         (2, True, "ROS 1 parameter /own_one"),
     ]
     until(lambda: any("/own/odd" in warning for warning in parameters.warnings()), "the odd list is reported")
-    assert parameters.details()[0] == {"ros1": "/own", "node": "/ns/own_node", "owner": "ros1", "shared": 4}
+    all_shared = {"ros1": "/own", "node": "/ns/own_node", "owner": "ros1", "shared": 4}
+    until(lambda: parameters.details()[0] == all_shared, "the comparison has found all parameters")
 
 
 @needs_ros1
