@@ -27,7 +27,7 @@ The services' environment, such as ROS_MASTER_URI; NAME.environment overrides it
 The services' state: maps, places, latched messages.
 .SH EXIT STATUS
 0 done, 1 failed, 2 wrong usage, 3 done in part (\\fBmidspan import\\fR, \\fBmidspan config migrate\\fR),
-130 interrupted.
+130 ended by SIGINT (Ctrl-C), 143 by SIGTERM, 129 by SIGHUP.
 """
 
 

@@ -208,7 +208,7 @@ class FloorWorld:
         self.window.set_present(index, present=not is_open)
         self.update_near()
 
-    def _within(self, piece: Piece, leave_out: str = "") -> str:
+    def _within(self, piece: Piece) -> str:
         """Return what occupies the place of a piece, "" if it is free."""
         x, y, _ = self.base.pose()
         things = [("the robot", x, y, self.base.robot.body.radius)]
@@ -216,7 +216,7 @@ class FloorWorld:
         things += [(name, (p := crate.now()).x, p.y, p.reach) for name, crate in self.crates.items()]
         for name, x, y, reach in things:
             low = name == "the robot" and piece.above >= self.base.robot.body.tall
-            if name != leave_out and not low and _distance(piece, x, y) < reach:
+            if not low and _distance(piece, x, y) < reach:
                 return name
         return ""
 

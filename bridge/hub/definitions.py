@@ -19,6 +19,6 @@ def definition_among(answers: Iterable[WorkerAnswer], type_hash: str = "") -> st
         value = answer.value if isinstance(answer.value, dict) else {}
         definition = value.get("definition")
         fits = not type_hash or value.get("hash") == type_hash
-        if fits and isinstance(definition, str) and len(definition) < MAX_DEFINITION:
+        if fits and isinstance(definition, str) and len(definition) <= MAX_DEFINITION:
             return definition
     return None

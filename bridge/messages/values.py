@@ -199,7 +199,8 @@ class MessageWriter:
             raise ConversionError(f"{where} cannot be encoded: {err}") from None
         length = len(content) // 2 if wide else len(content)
         if kind.string_bound and length > kind.string_bound:
-            raise ConversionError(f"{where} must have at most {kind.string_bound} characters, not {length}")
+            unit = "UTF-16 units" if wide else "bytes"
+            raise ConversionError(f"{where} must have at most {kind.string_bound} {unit}, not {length}")
         if wide:
             self.number("uint32", length, where)
             units = bytearray(2 * len(content))

@@ -100,6 +100,7 @@ def test_the_command_writes_maps_and_pictures(tmp_path: Path, capsys: pytest.Cap
         (["--speed", "fast"], "a number, 'max' or 'step'"),
         (["--speed", "-1"], "0.01 to 1000"),
         (["--export", "x", "--resolution", "99"], "0.001 to 10 meters"),
+        (["--export", "x", "--resolution", "0"], "0.001 to 10 meters"),
     ):
         assert main(["sim", "--config", str(config), *wrong]) == 1
         assert message in capsys.readouterr().err

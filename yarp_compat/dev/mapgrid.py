@@ -67,8 +67,8 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         """Make a map from arrays of cells, without copying uint8 arrays.
 
         Raises:
-            ValueError: the shapes differ or are not two-dimensional, the map is too large, or the resolution or origin
-                is invalid.
+            ValueError: the shapes differ or are not two-dimensional, a value exceeds a byte, the map is too large, or
+                the resolution or origin is invalid.
         """
         grid = cls()
         grid.set_cells(flags, occupancy)
@@ -90,12 +90,12 @@ class MapGrid2D(MapGrid2DInfo, Portable):
 
     def set_cells(self, flags: ArrayLike, occupancy: ArrayLike | None = None) -> None:
         """Replace the cells; for the arguments, see :meth:`of`."""
-        new = np.asarray(flags, np.uint8)
+        new = _bytes(flags)
         if new.ndim != 2:
             raise ValueError(f"the cells of a map must have the shape (height, width), not {new.shape}")
         if new.size > MAX_CELLS:
             raise ValueError(too_large(new.shape[1], new.shape[0]))
-        cells = occupancy_of(new) if occupancy is None else np.asarray(occupancy, np.uint8)
+        cells = occupancy_of(new) if occupancy is None else _bytes(occupancy)
         if cells.shape != new.shape:
             raise ValueError(f"the flags have the shape {new.shape}, but the occupancy {cells.shape}")
         self._flags, self._occupancy = new, cells
@@ -388,6 +388,13 @@ def _cells(data: memoryview, count: int, *, compressed: bool) -> NDArray[np.uint
     if len(content) != count:
         raise WireError(f"a map of {count} cells must not have {len(content)}")
     return np.frombuffer(content, np.uint8).copy()
+
+
+def _bytes(values: ArrayLike) -> NDArray[np.uint8]:
+    try:
+        return np.asarray(values, np.uint8)
+    except OverflowError as err:
+        raise ValueError(f"the values of cells must be 0 to 255: {err}") from None
 
 
 def enlarge(flags: NDArray[np.uint8], cells: int) -> None:

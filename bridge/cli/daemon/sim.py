@@ -81,7 +81,7 @@ def _export(config: Config, args: argparse.Namespace) -> int:
     from sim.plan import load_plan
     from sim.section import SimSection
 
-    resolution = args.resolution or 0.05
+    resolution = 0.05 if args.resolution is None else args.resolution
     if not 0.001 <= resolution <= 10:
         raise CliError(f"--resolution {resolution} is not from 0.001 to 10 meters")
     section = config.section(SimSection)

@@ -67,7 +67,8 @@ def _list(args: argparse.Namespace) -> int:
         print_json(rows)
         return 0
     if not rows:
-        print("no locations are stored; 'midspan location add' adds one, 'midspan map import' imports files")
+        chosen = f"no {args.kind or 'entry'} is stored" + ("" if args.map is None else f" on the map {clean(args.map)}")
+        print(f"{chosen}; 'midspan location add' adds a location, 'midspan map import' imports files")
         return 0
     table = Table(box=None, pad_edge=False)
     for column in ("kind", "name", "map", "where", "", "description"):

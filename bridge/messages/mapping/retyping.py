@@ -183,6 +183,6 @@ class _Writer(MessageWriter):
             return
         content = value.encode("utf-8", "surrogateescape")
         if kind.string_bound and len(content) > kind.string_bound:
-            raise ConversionError(f"{where} must have at most {kind.string_bound} characters, not {len(content)}")
+            raise ConversionError(f"{where} must have at most {kind.string_bound} bytes, not {len(content)}")
         self.number("uint32", len(content) + 1, where)
         self.data += content + b"\0"

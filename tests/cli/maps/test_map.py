@@ -196,7 +196,9 @@ def test_all_kinds_are_listed_and_removed(midspan: Midspan, store: Store) -> Non
         "round",
         "lift",
     ]
+    assert midspan("location", "list", "--map", "cellar").out.startswith("no entry is stored on the map cellar; ")
     assert midspan("location", "remove", "zone", "--kind", "area").code == 0
+    assert midspan("location", "list", "--kind", "area").out.startswith("no area is stored; ")
     assert (store.names(AREA), store.names(BEHAVIOR)) == ([], [])
     done = midspan("location", "remove", "aa")
     assert (done.code, done.err) == (1, "midspan: no location 'aa' is stored; those that are: a\n")

@@ -124,6 +124,8 @@ def test_the_size_and_name_of_a_map_are_set_and_read() -> None:
     assert (grid.getOrigin(), grid.getMapName()) == ((-1.0, 2.0, 3.0), "m")
     with pytest.raises(ValueError, match="shape"):
         MapGrid2D.of(np.zeros((2, 2)), np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="0 to 255"):
+        MapGrid2D.of([[0, 256]])
     with pytest.raises(ValueError, match="meters wide"):
         MapGrid2D.of(np.zeros((2, 2)), resolution=0)
 
