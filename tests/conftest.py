@@ -56,7 +56,7 @@ def _processes() -> dict[object, str]:
 
 
 def _threads() -> dict[object, str]:
-    # without the dummy threads for zenoh's, which belong to the process and not to a session
+    # without the dummy threads that stand for zenoh's, which belong to the process and not to a session
     real = [t for t in threading.enumerate() if not isinstance(t, threading._DummyThread)]
     return {t: f"thread {t.name}" for t in real if t is not threading.main_thread() and t not in _at_start}
 
@@ -131,7 +131,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_runtest_logfinish(nodeid: str) -> None:
-    """Remember the test after which a thread first appears; to list processes after each test is too slow."""
+    """Remember the test after which a thread first appears; listing processes after each test would be too slow."""
     for thread in _threads():
         _started_by.setdefault(thread, nodeid)
 

@@ -278,7 +278,7 @@ def test_a_sandboxes_ports_are_outside_the_ephemeral_range() -> None:
         taken.bind(("127.0.0.1", first.router_port))
         free = sandbox.free_ports(3, domain)
         assert first.router_port not in free
-        assert max(*free, first.yarp_port) < 32_768  # net.ipv4.ip_local_port_range, as Linux has it
+        assert max(*free, first.yarp_port) < 32_768  # where Linux's default net.ipv4.ip_local_port_range begins
         assert low == free[0]
 
 

@@ -1,4 +1,4 @@
-"""Folders whose files nest types with names that are legal in only one ROS version."""
+"""Folders whose files nest types whose syntax or names are legal in only one ROS version."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ THREE_D = [
 
 @pytest.mark.parametrize("name", THREE_D)
 def test_maps_and_clouds_come_back_from_ros1_as_they_were(name: str):
-    """No packages are installed. Fields that Jazzy added to Marker, which ROS 1 lacks, have default values."""
+    """No ROS 1 packages are installed. The fields that only ROS 2's Marker has are left at their default values."""
     registry = Registry(ros1_packages=Path("/nonexistent"))
     message = sample(registry.schema(name), 3)
     for marker in message.get("markers", []):
@@ -178,7 +178,7 @@ def test_a_definition_from_the_hub_serves_its_hash():
 
 
 def test_ros1_goes_to_the_definition_that_others_use():
-    """ROS 1 has no bounds, so the hub's own definition is used; its subscribers then receive the topic."""
+    """ROS 1 has no bounds, so its type maps to the hub's bounded definition, whose subscribers then receive it."""
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Thing", "string<=5 text\n")
     registry.learn_ros1("my_msgs/Thing", "string text\n")
@@ -404,7 +404,7 @@ def test_registry_is_thread_safe():
 
 
 def with_ros2(tmp_path: Path, text: str) -> Registry:
-    """Return a registry with ROS 2's my_msgs/msg/Thing in a folder, whose text ROS 1 cannot read."""
+    """Return a registry that knows my_msgs/msg/Thing only for ROS 2, from an installation prefix."""
     folder = tmp_path / "share" / "my_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Thing.msg").write_text(text)
@@ -463,7 +463,7 @@ def test_fingerprints_of_empty_services_are_their_definitions():
 
 
 def test_a_nested_empty_type_has_a_line_of_text():
-    """Genpy reads the name of a nested type up to the end of the line (genpy/dynamic.py)."""
+    """Genpy reads a nested type's name up to a line end; without one, it drops the last letter (genpy/dynamic.py)."""
     registry = Registry()
     text = f"Ping ping\nFlag flag\n{SEPARATOR}MSG: my_robot/Ping\n{SEPARATOR}MSG: my_robot/Flag\nbool on\n"
     registry.learn_ros1("my_robot/Both", text)

@@ -42,9 +42,9 @@ class Server:
 
 
 class FakeNetwork:
-    """Writers and readers that share a name, in memory. Latched writers retain one message per source.
+    """An in-memory network that connects writers and readers of the same topic.
 
-    A call goes to the last server of the name.
+    Latched writers retain one message per source. A call goes to the last server of the service's name.
     """
 
     def __init__(self) -> None:

@@ -62,7 +62,7 @@ def test_a_stalled_base_neither_climbs_nor_slides() -> None:
 
 
 def test_wheels_do_not_collide_with_a_wall_alongside() -> None:
-    """In DART a wheel is a sphere, which protrudes from the base by 0.16 m."""
+    """In DART a wheel is a sphere, which protrudes from the base's cylinder by 0.125 m."""
     sim = simulation(start=(-1.5, INSIDE - REACH - 0.03, 0.0))
     drive(sim, 5, 0.3)
     assert sim.base.pose().x > -0.2

@@ -73,7 +73,7 @@ def test_depths_out_of_range_are_infinite() -> None:
 
 
 def test_pitch_and_yaw_of_the_mount() -> None:
-    """The middle pixel's ray hits the floor at the distance of the pitch and the direction of the yaw."""
+    """The middle pixel's ray hits the floor at the distance given by the pitch, in the direction of the yaw."""
     depth_camera = camera(at=(0.2, 0.1, 1.2), pitch=30.0, yaw=20.0, width=17, height=17)
     box = (1.2 / math.tan(math.radians(30.0))) * np.array([math.cos(math.radians(20.0)), math.sin(math.radians(20.0))])
     spot = np.array([(box[0] + 0.2, box[1] + 0.1, 1.0, 0.0, 0.01, 0.0, 0.0, 1e-4)])

@@ -31,7 +31,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 1 << 18
 PADDING = " " * 400
-"""Last argument of this program: a forked program's command replaces all of them in the list of processes."""
+"""Last argument of this program: in the list of processes, a forked program's command replaces this program's."""
 
 _PR_SET_PDEATHSIG = 1
 
@@ -126,7 +126,7 @@ def prepare(request: dict[str, Any]) -> None:
 
 
 def wait_for_quiet(request: dict[str, Any]) -> None:
-    """Wait until no other thread can hold a lock: Python has no threads, and those of an absent LTTng tracer sleep."""
+    """Wait until no other thread can hold a lock: Python has none, and those of LTTng, without its daemon, sleep."""
     deadline = time.monotonic() + 10.0
     while time.monotonic() < deadline and threading.active_count() == 1:
         tasks = [task for task in Path("/proc/self/task").iterdir() if task.name != str(os.getpid())]

@@ -2,8 +2,8 @@
 
 For each interpreter and start environment (variables read by Python or the dynamic linker), one process imports the
 programs' modules (`tests.support.fork_server`), and is forked for each program. A program has its own environment,
-session, output and exit code, and shares no state with others: the forked process does not use the modules that it
-imports.
+session, output and exit code, and shares no state with others: the process that is forked does not use the modules that
+it imports.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def close() -> None:
 
 
 def command_of(pid: int) -> str:
-    """Return the command of a forked program, which its process does not show."""
+    """Return the command of a forked program, which its process may show only in part."""
     return _commands.get(pid, "")
 
 
@@ -115,8 +115,8 @@ def server_for(python: str, env: Mapping[str, str], *, workers: bool = False) ->
         if server is None or server.ended:
             if server is not None:
                 server.close()
-            # other variables keep the test process's values, by which it is recognized; but an edge in that process has
-            # set its own rmw, which rcl checks when it is imported
+            # other variables keep the test process's values, except ROS's: an edge in that process has set its own rmw,
+            # which rcl checks when it is imported
             foreign = (*_AT_START, "ROS_", "RMW_")
             others = {name: value for name, value in os.environ.items() if not name.startswith(foreign)}
             server = _servers[key] = Server(python, {**others, **early})

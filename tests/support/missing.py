@@ -112,7 +112,7 @@ def cause(error: BaseException | None) -> str:
 
 
 def judge(report: pytest.TestReport | pytest.CollectReport, error: BaseException | None) -> str:
-    """Turn such a failure into a skip, or, in CI, such a skip into a failure; return the reason, or empty."""
+    """Skip what failed or was skipped because a part is missing; in CI, fail it. Return the reason, or empty."""
     reason = cause(error) if report.failed else ""
     if report.skipped and isinstance(report.longrepr, tuple):
         skipped = str(report.longrepr[2]).removeprefix("Skipped: ")

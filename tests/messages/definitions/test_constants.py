@@ -36,7 +36,7 @@ CONSTANTS = [
 
 
 def genmsg(items: list[dict[str, str]]) -> list[dict[str, Any]]:
-    """Return the answer of ``genmsg_peer.py``."""
+    """Return the answers of ``genmsg_peer.py``, one for each item."""
     peer = Path(__file__).parents[2] / "peers" / "ros1" / "genmsg_peer.py"
     done = subprocess.run(
         [SYSTEM_PYTHON, peer], input=json.dumps(items), capture_output=True, text=True, timeout=60, check=False

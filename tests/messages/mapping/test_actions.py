@@ -97,9 +97,9 @@ def test_pairs_hold_both_ways(ros1: str, ros2: str, registry: Registry):
 
 @needs_genpy
 def test_ros1_bytes_are_those_of_genpy(registry: Registry):
-    """Genpy writes the parts with ROS 2's structure, for pairs of equal fields and for derived ones in both directions.
+    """Genpy encodes the parts of actions with the same fields on both sides, and of derived ones, in both directions.
 
-    The text of the status, which genpy's results lack, is derived from the state, and is empty here.
+    Midspan adds the status text to the ROS 1 result (`STATUS_TEXT`). Genpy's results lack it, and it is empty here.
     """
     text_field, no_text = f"string {STATUS_TEXT}\n", bytes(4)
     items, cdrs, backs = [], [], []
@@ -130,7 +130,7 @@ def test_ros1_bytes_are_those_of_genpy(registry: Registry):
 
 
 def pose(seed: int) -> dict[str, Any]:
-    """A pose with another value in each field."""
+    """Return a pose with a different value in each field."""
     return {
         "header": {"stamp": {"sec": seed, "nanosec": seed + 1}, "frame_id": f"map{seed}"},
         "pose": {

@@ -37,7 +37,7 @@ def ros2_services() -> list[str]:
 
 
 def parts(name: str, conversion: ServiceConversion) -> Iterator[tuple[str, Callable[..., bytes], Callable[..., bytes]]]:
-    """Return both messages of a service, with the converters to ROS 1 and back."""
+    """Yield the name of each of a service's two messages, with its converters to ROS 1 and to the hub."""
     for part in ("Request", "Response"):
         both = (getattr(conversion, f"{part.lower()}_to_{where}") for where in ("side", "hub"))
         yield f"{name}_{part}", *both
@@ -255,7 +255,7 @@ def test_services_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_p
 
 
 def test_the_service_of_ros1_bridges_example_is_the_one_of_example_interfaces(tmp_path: Path):
-    """It follows the mapping rule of example_interfaces; without a definition on this machine it is derived."""
+    """TwoInts follows example_interfaces' mapping rule; without an AddTwoInts definition, its ROS 2 type is derived."""
     for name in ("roscpp_tutorials/srv/TwoInts.srv", "example_interfaces/srv/AddTwoInts.srv"):
         (tmp_path / name).parent.mkdir(parents=True)
         (tmp_path / name).write_text("int64 a\nint64 b\n---\nint64 sum\n")

@@ -34,7 +34,7 @@ FUZZ = settings(max_examples=60)
 
 
 def converters(name: str) -> dict[str, tuple[Callable[[bytes], bytes], bytes]]:
-    """Each direction's converter and a good message for it."""
+    """Return each direction's converter and a valid message for it."""
     cdr = from_json(REGISTRY, name, sample(REGISTRY.schema(name)))
     to_ros1 = REGISTRY.hub_to_ros1(name)
     to_cdr = REGISTRY.ros1_to_hub(to_ros1.target.name, to_ros1.target.type_id)
@@ -81,7 +81,7 @@ def test_noise_is_refused_or_converts(case: tuple[str, str], noise: bytes):
 
 
 def assert_refused_or_converted(convert: Callable[[bytes], bytes], message: bytes) -> None:
-    """Convert, or raise an error that names the position."""
+    """Check that the message is converted, or refused with an error that names the position."""
     try:
         outcome: bytes | ConversionError = convert(message)
     except ConversionError as err:

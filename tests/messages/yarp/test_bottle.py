@@ -143,7 +143,7 @@ def test_a_bottle_with_a_byte_changed_harms_nothing(data: st.DataObject) -> None
 
 
 def test_handwritten_bottle_is_accepted() -> None:
-    """``yarp write`` converts the line ``(1 0 0) (0 0 0.5)`` to integers, and to lists of one type."""
+    """``yarp write`` sends ``(1 0 0)`` in the line ``(1 0 0) (0 0 0.5)`` as a list of one type, integers."""
     twist = codec("geometry_msgs/msg/Twist").to_hub(binary.encode([[1, 0, 0], [0, 0, 0.5]], Profile.YARP3), None, None)
     assert to_json(REGISTRY, "geometry_msgs/msg/Twist", twist)["linear"] == {"x": 1.0, "y": 0.0, "z": 0.0}
     hello = codec("std_msgs/msg/String").to_hub(binary.encode(["hello"], Profile.YARP4), Profile.YARP4, None)

@@ -1,4 +1,4 @@
-"""The natural YARP types: compared with the bytes of a real YARP and with values, and round trips."""
+"""The natural YARP types: compared with bytes that YARP itself wrote and with expected values, and in round trips."""
 
 from __future__ import annotations
 
@@ -352,7 +352,7 @@ def test_a_turned_map_has_its_cells_in_the_same_places() -> None:
     info = back(GRID, grid.to_bytes(Profile.YARP4))["info"]
     turn, place = info["origin"]["orientation"], info["origin"]["position"]
     yaw = 2 * math.atan2(turn["z"], turn["w"])
-    # in ROS, this is the center of the cell in column 2 of the second row from the bottom
+    # in ROS, this is the center of the third cell in the second row from the bottom
     x, y = 2.5 * 0.5, 1.5 * 0.5
     ros = place["x"] + x * math.cos(yaw) - y * math.sin(yaw), place["y"] + x * math.sin(yaw) + y * math.cos(yaw)
     assert ros == pytest.approx(tuple(grid.centers_of((2, 2))))

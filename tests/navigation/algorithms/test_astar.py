@@ -24,7 +24,7 @@ python_lines = uncompiled("navigation.algorithms.shortcut")
 
 
 def dijkstra(weights: Grid, start: tuple[int, int], goal: tuple[int, int]) -> float:
-    """Return the lowest cost in the same integer unit as A*; infinity if there is no path."""
+    """Return the lowest cost in `astar`'s unit, a straight step onto a cell of weight 1; infinity without a path."""
     rows, columns = weights.shape
 
     def free(row: int, column: int) -> bool:

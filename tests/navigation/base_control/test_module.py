@@ -30,7 +30,10 @@ QUICK = {"max_linear_acc": 100.0, "max_angular_acc": 7000.0, "max_motor_vel": 36
 
 
 class Wheels:
-    """A motor driver on the hub that follows commands, and stops 0.1 s after the last one."""
+    """A motor driver on the hub that follows commands.
+
+    Its ``velocity`` is zero from 0.1 s after the last command on; its joint angles follow that command without a limit.
+    """
 
     def __init__(self, place: Place) -> None:
         self._hub, self._registry = place.far.hub, place.far.registry

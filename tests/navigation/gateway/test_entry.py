@@ -259,7 +259,7 @@ def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -
         assert parts(rig) == parts(rig, worker) == set(PARTS)
         assert [running.module.status()["served_by"] for running in gateways] == ["", ""]
         with contextlib.closing(nav2(rig)):
-            until(lambda: not parts(rig) and not parts(rig, worker), "both step aside for a planner")
+            until(lambda: not parts(rig) and not parts(rig, worker), "both gateways withdraw the action")
         until(lambda: parts(rig) == parts(rig, worker) == set(PARTS), "both gateways serve the name again")
     finally:
         worker.stop()

@@ -1,4 +1,4 @@
-"""The gateway with planners on the hub: the results of clients, and the goals of planners."""
+"""The gateway with planners on the hub: the results that clients receive, and the goals that planners receive."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_an_abort_comes_with_its_reason(rig: Rig) -> None:
 
 
 def test_a_reason_without_a_code_is_believed_of_a_reachable_planner(rig: Rig) -> None:
-    """The reasons of move_base have no code, and a bridge that lost its planner, which may return, gives none."""
+    """Neither move_base nor a bridge that has lost its planner gives a code; but a lost planner is unreachable."""
     client_goal = ClientGoal(rig.client, pose(3.0))
     rig.planner.give_up(rig.planner.until(1), "Failed to find a valid plan.", 0)
     assert client_goal.end() == ("ABORTED", "Failed to find a valid plan.")
@@ -183,7 +183,7 @@ def test_a_planner_that_stays_unreachable_ends_the_goal_with_the_reason(rig: Rig
 
 def test_a_rejection_is_believed_of_a_planner_that_has_been_reachable_for_a_while(rig: Rig) -> None:
     rig.planner.rejects = 1
-    rig.gateway.link.presence.unreachable_at = math.inf  # just appeared: its bridge may not have found it yet
+    rig.gateway.link.presence.unreachable_at = math.inf  # as if it had just appeared, unknown to its own bridge
     client_goal = ClientGoal(rig.client, pose(1.0))
     rig.planner.reach(rig.planner.until(1))
     assert client_goal.end() == ("SUCCEEDED", "")

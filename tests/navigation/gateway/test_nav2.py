@@ -58,7 +58,7 @@ class Controller(HubNode):
         client = self._own.on(lambda: self._own.node.action_client(action, TYPES[action]))
         until(lambda: client.ready, f"{action} is served")
         self._own.on(lambda: client.send({}, lambda *_end: None))
-        until(lambda: self.goals, "its client's goal is accepted")
+        until(lambda: self.goals, "bt_navigator's goal is accepted")
 
     def _accept(self, goal: Goal) -> bool:
         self.goals.append(goal)
@@ -338,7 +338,7 @@ def test_a_planner_that_returns_without_the_goal_receives_it_again(robot: Scene)
 
 
 def test_a_goal_that_only_the_list_of_a_killed_planner_has_is_sent_again(robot: Scene) -> None:
-    """The parts of a killed bt_navigator and its last goal list remain for its DDS lease, next to the new server's."""
+    """The parts and last goal list of a killed bt_navigator remain until its DDS lease expires, next to new ones."""
     rig, planner = robot.rig, robot.planner
     client_goal = robot.drive()
     planner.tell()

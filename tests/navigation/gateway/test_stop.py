@@ -54,7 +54,7 @@ def rig(running: Rig, odometry: Odometry) -> Iterator[Rig]:
     odometry.speed = 0.0
     running.planner.cancels = running.planner.cancel
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(actions, "CANCEL_ALL_SECONDS", 0.0)  # no effect on the next test's planner
+        patched.setattr(actions, "CANCEL_ALL_SECONDS", 0.0)  # do not repeat the request to the next test's planner
         running.fresh()
     running.planners.pop(PLANNER).close()
     until(lambda: not running.gateway.link.reachable, "the planner is unreachable", 20)
@@ -73,7 +73,7 @@ def ignore_cancel(_goal: object) -> bool:
 
 
 class FarPlanner:
-    """A planner behind a link that can be cut; for the gateway, a cut looks like a killed worker of the side."""
+    """A planner behind a link that can be cut; to the gateway, a cut looks as if the side's worker was killed."""
 
     def __init__(self, rig: Rig, link: FaultProxy) -> None:
         rig.planners.pop(PLANNER).close()
@@ -129,9 +129,9 @@ def test_a_stop_without_the_planner_is_unconfirmed_until_it_is_back(rig: Rig, od
         until(lambda: not goal.active, "the planner has ended the goal", 30)
         assert client_goal.end()[0] == "CANCELED"
         rig.state(State.IDLE, "it was stopped")
-        assert len(planner.goals) == 1, "the goal was not sent again"
+        assert len(planner.goals) == 1, "the goal must not be sent again"
         until(lambda: holds[-1] == {"data": False}, "velocities are no longer held", 20)
-        assert odometry.speed, "the planner confirmed the stop although the base moves"
+        assert odometry.speed, "the base still moves: only the planner confirmed the end of the goal"
 
 
 def test_a_yarp_client_gets_no_success_for_an_unconfirmed_stop(rig: Rig, odometry: Odometry) -> None:
@@ -231,11 +231,11 @@ def test_a_goal_list_that_arrives_before_the_graph_shows_the_planner_is_believed
 
 
 def test_a_goal_of_another_client_continues_while_the_planner_is_unreachable(rig: Rig, odometry: Odometry) -> None:
-    """The worker of the planner's side is killed: its client's goal and the robot continue."""
+    """A cut link, as if the worker of the planner's side was killed: the other client's goal and the robot continue."""
     with FaultProxy(rig.hubs.port) as link:
         planner = FarPlanner(rig, link).planner
         ClientGoal(rig.client, pose(1.0))
-        planner.reach(planner.until(1))  # an earlier stop does not apply to goals from now on
+        planner.reach(planner.until(1))  # a new goal lifts the stop of an earlier test
         ClientGoal(rig.client, pose(1.0), f"/planner/{PLANNER}/navigate_to_pose")
         goal = planner.until(2)
         rig.state(State.MOVING, "its own client")
@@ -293,7 +293,7 @@ def test_a_planner_that_disappears_before_its_answer_may_have_accepted_the_goal(
 def test_a_stop_right_after_a_start_waits_for_the_planners_goal_list(
     rig: Rig, odometry: Odometry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The modules were killed and restarted, while a goal of the planner's own client continues."""
+    """As if the modules were killed and restarted while a goal of the planner's own client continues."""
     rig.planner.cancels = ignore_cancel
     ClientGoal(rig.client, pose(5.0), f"/planner/{PLANNER}/navigate_to_pose")
     goal = rig.planner.until(1)
@@ -330,7 +330,7 @@ def test_a_planner_without_messages_is_reported_as_not_answering(rig: Rig) -> No
     goal = rig.planner.until(1)
     rig.state(State.MOVING)
     assert rig.gateway.link.telemetry.silent == 0.0, (
-        "a planner that has never published telemetry is not regarded as silent"
+        "a planner that has never published telemetry must not be regarded as silent"
     )
     rig.planner.on(lambda: goal.feedback({"current_pose": pose(0.5)}))
     status = rig.state(State.MOVING, "move_base does not answer: no status or feedback for 0.5 s")

@@ -32,7 +32,7 @@ LONG = 600.0
 
 
 def command(kind: str, velocity: float, frame: str = "base_link") -> bytes:
-    """Return the CDR of a velocity forward."""
+    """Return the CDR of a forward velocity in m/s; ``frame`` is used only for a stamped one."""
     twist = {"linear": {"x": velocity}}
     message = twist if kind == TWIST else {"header": {"frame_id": frame}, "twist": twist}
     return MessageWriter(REGISTRY.schema(kind)).message(message)

@@ -227,7 +227,7 @@ def test_a_goal_of_another_daemons_gateway_is_foreign(robot: Scene) -> None:
 
 @pytest.fixture
 def stopping(robot: Scene) -> Iterator[threading.Thread]:
-    """A thread that stops the gateway when the test starts it; the gateway runs again afterwards."""
+    """A thread that stops the gateway once the test starts the thread; the gateway runs again afterwards."""
     running = robot.rig.worker.running("gateway")
     thread = threading.Thread(target=running.stop)
     yield thread

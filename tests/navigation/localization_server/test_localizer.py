@@ -210,7 +210,7 @@ def test_the_robot_stays_localized_when_the_system_clock_is_set() -> None:
     assert np.array_equal(localizer.cloud(), cloud)
     assert localizer.check(0)[1] == "odometry is not arriving"
     assert before.pose is not None
-    odometry = Pose(*run.there.estimate.pose)._replace(stamp_ns=S)  # a stamp of 1970, decades before the previous one
+    odometry = Pose(*run.there.estimate.pose)._replace(stamp_ns=S)  # 1 s: seconds before the previous stamp
     localizer.odometry(odometry)
     assert error_of(localizer, run)[0] < METERS
     assert max(error[0] for _, *error in drive(run, localizer, 5.0, [])) < METERS

@@ -67,7 +67,7 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
     until(published, "the pose is published", 20)
 
     def corrected() -> bool:
-        """Whether map to odom, combined with the odometry, gives the true pose."""
+        """Return whether map to odom, combined with the odometry, gives the true pose."""
         for message in reversed(place.far.wait(frames, 1)):
             for transform in message["transforms"]:
                 if transform["child_frame_id"] == "odom":
@@ -78,7 +78,7 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
     until(corrected, "the correction is on /tf", 20)
 
     def ahead() -> bool:
-        """Whether transforms are half a second ahead of the poses, more than a period and any usual delay."""
+        """Return whether transforms are half a second ahead of the poses, more than a period and any usual delay."""
         times = {stamp_ns(message["header"]) for message in place.far.wait(poses, 1)}
         transforms = [frame for message in place.far.wait(frames, 1) for frame in message["transforms"]]
         return any(stamp_ns(t["header"]) - 500_000_000 in times for t in transforms if t["child_frame_id"] == "odom")
@@ -134,10 +134,10 @@ def test_localization_continues_at_the_last_pose(place: Place, robot: Robot) -> 
     robot.silent = set()
     until(reports(place, OK), "the robot is localized on the topic's map", 20)
     until(lambda: status_of(place)["updates"], "scans are used", 20)
-    robot.silent = {"scan"}  # so that a restart of the localizer shows in its updates
+    robot.silent = {"scan"}  # so that only a restart of the localizer changes its count of updates
     until(reports(place, "error", "the laser is silent"), "no further scan arrives", 20)
     updates, maps = status_of(place)["updates"], messages_on(place, "/map")
-    repeated = to_grid(robot.grid)  # mapping programs publish it every other second
+    repeated = to_grid(robot.grid)  # mapping programs publish their map again every other second
     repeated["info"]["resolution"] = float(np.float32(repeated["info"]["resolution"]))
     out.publish(repeated)
     until(lambda: messages_on(place, "/map") > maps, "the map arrives again", 20)

@@ -130,7 +130,7 @@ def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypa
     corrected = lambda: "odom" in str(place.far.wait(frames, 1, 0.1))  # noqa: E731
     until(lambda: (place.far.publish(out, message), corrected())[1], "the correction is on /tf", 20)
     until(reports(place, "error", "/uwb has been silent for"), "silence is reported", 20)
-    assert place.worker.reload(by("port"))  # a change of one setting restarts nothing else
+    assert place.worker.reload(by("port"))  # the worker applies the change without a restart of its process
     with NameServer(port=place.port, gc_seconds=0), Writer("/test/pose:o", naming=place.names) as writer:
         until(lambda: place.names.query("/localizationServer/pose:i"), "the port is registered", 20)
         until(lambda: "waiting" not in str(status_of(place).get("ports")), "all ports are open", 20)

@@ -55,11 +55,11 @@ class Served(Place):
 
     @property
     def store(self) -> Store:
-        """The store of the module's process, which is this one."""
+        """The module's store; the module runs in this process."""
         return self.worker.store
 
     def fresh(self) -> None:
-        """Empty the store."""
+        """Empty the store, and wait until the module has no current map."""
         for kind in KINDS.values():
             self.store.clear(kind)
         until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "there is no current map", 20)

@@ -149,7 +149,7 @@ def test_the_module_publishes_the_odometry_on_the_map(
             return any((pose @ seen.odometry).distance(truth) < 0.02 for pose in on_map)
 
         for seen in driven[:60:2]:
-            # the origin of the map's frame is the pose of the odometry frame at the first scan
+            # at the first scan, the map's frame coincides with the odometry frame
             truth = first.odometry @ (first.truth.inverse @ seen.truth)
             until(lambda seen=seen, truth=truth: corrected(seen, truth), "the robot is at its place on the map", 40)
         assert seen.odometry.distance(truth) > 0.1

@@ -59,7 +59,7 @@ def test_removed_obstacles_are_cleared_by_rays():
 
 
 def test_visible_voxels_that_are_no_longer_seen_are_forgotten():
-    """For example, a person has left in front of open space."""
+    """For example, a person who stood in front of open space has left."""
     kept, mapped = space(), space(forget_after=5.0)
     for target in (kept, mapped):
         target.add(wall(1.0, middle=(-0.5, 0.0), size=0.2), CAMERA, WIDE, 1.0)  # on the left

@@ -45,7 +45,7 @@ def test_with_blind_sectors_the_robot_turns_before_it_drives():
     assert scene.goto(2.57, 1.19) is State.REACHED
     assert not scene.touched
     turns = [c for _, c in scene.commands[:100] if c.omega and not c.speed]
-    assert turns, "its lasers do not see its sides"
+    assert turns, "the robot's lasers do not see its sides, so it must turn first"
 
 
 def test_a_goal_without_heading_and_with_its_own_tolerance():
@@ -144,7 +144,7 @@ def test_a_gap_that_is_free_on_the_grid_but_too_narrow_for_the_robot_blocks_the_
     assert scene.driver.status.fault is Fault.BLOCKED
     scene.until(lambda: scene.driver.status.state.ended or scene.now > begin + 20.0, 30)
     still = sum(now > begin and command == (0.0, 0.0, 0.0) for now, command in scene.commands) * 0.01
-    assert still < 2.0, "it looks for another way"
+    assert still < 2.0, "the robot must look for another way"
     assert not scene.touched
 
 
@@ -172,7 +172,7 @@ def test_with_on_obstacle_wait_the_robot_waits_and_drives_on_slowly():
     assert scene.driver.spoken[-1] == "Obstacles removed, thank you"
     begun = scene.now
     scene.until(lambda: scene.commands[-1][1].speed >= 0.29, 5)
-    assert scene.now - begun > 0.7, "the robot accelerates within a second"
+    assert scene.now - begun > 0.7, "the robot must accelerate gradually, over about a second"
     scene.until(lambda: scene.driver.status.state.ended, 30)
     assert scene.driver.status.state is State.REACHED
     assert not scene.touched
@@ -259,7 +259,7 @@ def test_a_silent_laser_stops_the_robot_until_it_returns():
     ],
 )
 def test_a_lost_laser_ends_the_goal_and_is_reported_as_the_cause(ranges, cause, known):
-    """Also if localization, which needs the laser, is lost as well."""
+    """The laser is the cause also if localization, which needs the laser, is lost as well."""
     scene = Scene(max_waiting_time=3.0)
     scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(2.0)
@@ -338,12 +338,12 @@ def test_a_lost_pose_stops_the_robot_until_it_is_known_again():
 
 def test_space_without_valid_ranges_is_not_free():
     scene = Scene()
-    scene.edit = lambda ranges: np.where(np.arange(len(ranges)) < 20, ranges, np.nan)  # the rear of the scan
+    scene.edit = lambda ranges: np.where(np.arange(len(ranges)) < 20, ranges, np.nan)  # only the rear is valid
     scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(20.0)
     assert scene.pose.distance(Pose(0.0, 0.0, 0.0)) < 0.02
     assert "cannot see" in scene.reasons
-    scene.edit = lambda ranges: np.full_like(ranges, np.inf)  # no echo within its range means free
+    scene.edit = lambda ranges: np.full_like(ranges, np.inf)  # no echo within the laser's range means free
     scene.until(lambda: scene.driver.status.state.ended, 30)
     assert scene.driver.status.state is State.REACHED
 

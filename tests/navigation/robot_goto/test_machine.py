@@ -74,6 +74,7 @@ class Robot:
         slips: whether the odometry moves and the robot does not.
         offset: the odometry frame's pose on the map.
         wall: meters to a wall in front of the robot.
+        lit: whether the laser sends scans.
     """
 
     def __init__(self, **settings: Any) -> None:

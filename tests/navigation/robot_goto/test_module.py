@@ -1,4 +1,4 @@
-"""The module on a hub, with YARP, and a robot in a room that follows its commands."""
+"""The module on a hub, with YARP, and with a robot in a room that follows the module's commands."""
 
 from __future__ import annotations
 
@@ -306,7 +306,7 @@ def test_clouds_and_layers_on_the_hub(tmp_path: Path) -> None:
         robot.cloud = None
         until(lambda: "the cloud /points is silent" in driver.status.reason, "the silent cloud is reported", 30)
         robot.cloud = seen(-0.2)
-        until(lambda: place.module.health().state == "running", "a latched layer is published once", 30)
+        until(lambda: place.module.health().state == "running", "a latched layer that is published once suffices", 30)
         place.far.drop(layer)
         until(lambda: "has no publisher" in place.module.health().text, "the layer's publisher is gone", 30)
         until(lambda: "the layer /layer is silent" in driver.status.reason, "the robot does not drive", 30)

@@ -52,11 +52,11 @@ def test_a_step_down_is_detected_below_the_floor():
     voxels.add(1.0, np.concatenate((surface(1.0, 0.0, 0.0), surface(1.6, 0.0, -0.12))), EYE, HERE)
     places = voxels.places(1.0)
     assert len(places)
-    # the rays pass the floor's height a little before they end, and beyond the floor that is voxels
+    # the rays cross the floor's height a little before they end, and become voxels where no floor was seen
     ahead = 0.1 + 1.5 * 1.1 / 1.22
     assert near(places, ahead, 0.0)
     assert places[:, 0].min() > 1.15
-    voxels.add(2.0, surface(ahead, 0.0, 0.0, 0.8, 0.8), EYE, HERE)  # it was covered
+    voxels.add(2.0, surface(ahead, 0.0, 0.0, 0.8, 0.8), EYE, HERE)  # the step is covered by floor
     assert not len(voxels.places(2.0))
 
 

@@ -36,7 +36,7 @@ def area(left: float, bottom: float, right: float, top: float, name: str = "floo
 
 
 def test_upstreams_recorded_path_is_matched_to_within_a_cell() -> None:
-    """The waypoints are those of a real run (facts/yarp.md, section g).
+    """The waypoints are those of a real run of robotPathPlannerDev (robotology/navigation, branch YARP4, b8f251c4).
 
     Upstream uses a cell's corner, Midspan its center. Upstream also keeps the first computed cell (1.05, 2.5) and the
     goal's own (3.95, 2.5) as waypoints, and enlarges walls to squares, while Midspan keeps the robot's radius around
@@ -223,7 +223,7 @@ def test_echoes_of_mapped_walls_are_not_obstacles() -> None:
 
 
 class Two:
-    """Two maps with a cheap stair and an expensive lift between them; the stair leads to a closed room."""
+    """Two maps, connected by the given links; on ``up``, a wall separates the end of `STAIR` from that of `LIFT`."""
 
     def __init__(self, *links: LinkedPlaces) -> None:
         closed = floor((0.0, 2.0, 5.0, 2.2), name="up")

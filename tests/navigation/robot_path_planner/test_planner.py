@@ -132,7 +132,7 @@ def test_a_braked_goal_sends_no_waypoint_while_a_path_is_planned(then: str) -> N
 
 @pytest.mark.parametrize("patience", [5.0, math.inf])
 def test_a_door_that_closes_during_the_drive_is_bypassed(patience: float) -> None:
-    """The planner replans once the local navigator fails, or earlier if it waits for long."""
+    """The planner replans once the local navigator fails, or earlier, if the navigator waits for long."""
     drive = Drive(floor(*ROOMS), WEST)
     drive.laser = True
     drive.local.crates, drive.local.patience = [LOW_DOOR], patience

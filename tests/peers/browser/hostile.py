@@ -35,7 +35,7 @@ TWIST = "geometry_msgs/msg/Twist"
 SPEED, TURN = 0.3, 0.6
 MOST_GROWTH = 32 << 20
 """Allowed growth in bytes after the warm-up. Measured: 14 MB over 135,000 requests and frames, 18 MB over 426,000.
-Cyclic garbage waits for Python's collector, and growth by any one kind of request stops after some thousand."""
+Cyclic garbage waits for Python's collector, and growth by any one kind of request stops after a few thousand."""
 
 _WARM = 1000
 _LOOK = 200
@@ -109,7 +109,7 @@ class HostileConsole:
     # -- HTTP ----------------------------------------------------------------------------------------------------------
 
     def ask(self, requests: Sequence[bytes]) -> None:
-        """Send each request on a separate connection, all at once; each connection must get a valid response."""
+        """Send each request on a separate connection, all at once; each must get a valid response or be closed."""
         open_ = [socket.create_connection(("127.0.0.1", self.port), 10) for _ in requests]
         received = dict.fromkeys(open_, b"")
         try:
@@ -148,7 +148,7 @@ class HostileConsole:
     # -- WebSocket -----------------------------------------------------------------------------------------------------
 
     def converse(self, pieces: Sequence[bytes]) -> None:
-        """Open a WebSocket as a page does, and send frames; the first byte of each piece gives its kind."""
+        """Open a WebSocket as a page does, and send frames; the first byte of a piece is its kind, as in `_frames`."""
         with socket.create_connection(("127.0.0.1", self.port), 10) as sock:
             sock.sendall(opening(self.host))
             received = _Frames(sock)
@@ -167,7 +167,7 @@ class HostileConsole:
                 sock.sendall(client_frame(9, b"the end"))
                 received.until_pong(b"the end", 10.0 if whole else 0.02)
             except OSError:
-                pass  # the console has closed it
+                pass  # the console has closed the connection
         if self._may_drive == math.inf:
             self._may_drive = time.time_ns() + _LATER_NS
         self._after(1 + sum(piece[1] if piece[:1] == b"m" and len(piece) > 1 else 1 for piece in pieces))
@@ -306,7 +306,7 @@ class _Frames:
         return head
 
     def until_pong(self, content: bytes, seconds: float) -> None:
-        """Read until a pong or the end; each text must be a valid message of the protocol."""
+        """Read until this pong, a close frame or the end; each text must be a JSON message with a known ``op``."""
         end = time.monotonic() + seconds
         while True:
             while (frame := self._next()) is not None:

@@ -19,7 +19,7 @@ Run = Annotated[list[int | None], Field(min_length=4, max_length=5)]
 
 
 class Model(BaseModel):
-    """An object with exactly these keys."""
+    """An object with these keys and no others."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 

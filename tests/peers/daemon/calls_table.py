@@ -43,7 +43,7 @@ JSON = "zenoh, JSON"
 YARP = "YARP RPC"
 HUB = "zenoh, Midspan's module"
 """zenoh-ros2-sdk has no actions, so on the hub they end at the classes that Midspan's modules use. The actions of the
-plugins end at bridges; see `tests.peers.zenoh.programs`."""
+ros2dds plugin end at a bridge; see `tests.peers.zenoh.programs`."""
 
 KEYS = {
     ROS1: "ros1", ROS2: "ros2", ZENOH: "zenoh", ROS2DDS: "ros2dds", ROS1_KEYS: "ros1_keys", JSON: "json", YARP: "yarp",
@@ -72,7 +72,7 @@ class ServiceSide(Protocol):
     """A program that serves and calls services."""
 
     def serve(self, service: str, message: str) -> None:
-        """Serve a service that replies true with this text, and rejects False if the side supports errors."""
+        """Serve a service whose reply to True is success with this text."""
 
     def call(self, service: str, *, data: bool) -> dict[str, Any]:
         """Return the reply, or {} after an error."""

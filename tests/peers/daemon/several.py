@@ -108,7 +108,7 @@ class Daemon:
         return next((a.value for a in answers if isinstance(a.value, dict) and a.worker == side), {})
 
     def explain(self, side: str, topic: str) -> list[dict[str, Any]]:
-        """Return the decision of one of the daemon's workers on a topic."""
+        """Return the decisions of one of the daemon's workers on a topic."""
         assert self.watch is not None
         answers = self.watch.ask("explain", {"topic": topic}, daemon=self.name, timeout=ANSWER_SECONDS)
         return next((a.value for a in answers if isinstance(a.value, list) and a.worker == side), [])

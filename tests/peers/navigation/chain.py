@@ -118,7 +118,7 @@ class Client(HubNode):
 
 
 class Chain(MidspanDaemon):
-    """The deployment, and a client that records its status.
+    """The deployment, and a client that records the navigation status and the true pose.
 
     Args:
         folder: for the deployment's files.
@@ -169,7 +169,7 @@ class Chain(MidspanDaemon):
         self.statuses: list[tuple[float, str, str]] = []
 
     def start(self) -> None:
-        """Start the daemon, and a client that records its status."""
+        """Start the daemon, and a client that records the navigation status and the true pose."""
         self.write()
         self.run()
         self.client = self.join("client")

@@ -115,7 +115,7 @@ class ClientGoal:
 
 
 class Rig(Place):
-    """The modules worker, a name server, a client and planners; ``planner`` is the configured planner."""
+    """The modules worker, a name server, a client and planners; ``planner`` is robot_goto until a test changes it."""
 
     def __init__(self, folder: Path, **navigation: Any) -> None:
         super().__init__(folder)

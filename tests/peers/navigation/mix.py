@@ -48,7 +48,7 @@ SPEED, PATIENCE = 2.0, 0.5
 """Of the stand-ins: speed in m/s, and seconds until an unreachable goal is aborted."""
 
 MOST_KILLS = 4
-"""Kills of one worker, which pauses 0.2 s before its first restart, for several drives with one daemon."""
+"""Kills of one worker after which a test starts a new daemon: the pause before a restart, first 0.2 s, doubles."""
 
 QUICK = {
     "max_lin_speed": SPEED,
@@ -111,7 +111,7 @@ class Mix:
         self._hub.node.subscription("/navigation/status", STATUS, self._on_status, LATCHED)
         self.clients = self._clients()
         self.callers: dict[str, Caller] = {**self.clients, COMMAND: CommandLine(deployment)}
-        """Return the clients that can request a stop."""
+        """The clients that can request a stop, by name."""
 
     @classmethod
     def over(cls, deployment: Deployment, planner: str, **options: Any) -> Self:
@@ -209,7 +209,7 @@ class Mix:
         self.masterless = True
 
     def restart(self) -> None:
-        """Restart move_base. The ROS master still lists the dead node, so only the output shows that it is up again."""
+        """Restart move_base; as the ROS master still lists the dead node, only the new one's output shows it is up."""
         self.start(MOVE_BASE)
         until(lambda: "ready" in self.planner.output(), "move_base is up again", SECONDS)
 

@@ -37,7 +37,7 @@ MAY_MOVE = "aborted, and may still be moving"
 """A reported end that does not claim that the robot stands."""
 
 UNOBSERVED = ""
-"""State between two polls of which the second returned another state."""
+"""The state between two polls, the second of which returned another state than the first."""
 
 _POLL = 0.05
 
@@ -282,7 +282,7 @@ def _stop(watch: Watch, client: Client, fault: Fault) -> None:
     """Request stops at once; end the fault after their replies."""
     callers = (
         (YARP, ROS2, ZENOH) if fault.planner == MOVE_BASE else (YARP, ROS1, ROS2, ZENOH)
-    )  # clients that can reach services
+    )  # clients that can reach the gateway's services during the fault
     watch.ask("stop", callers if fault.stopped else [watch.client], lost=fault.gateway_dies)
     for name, (_, answer) in watch.answers.items():
         if answer and answer != "not ok":  # YARP's reply has no text

@@ -139,7 +139,7 @@ class Trials:
                 self.mix.clients[YARP].cancel()
             return not self.mix.driving() and self.mix.state() == "idle"
 
-        until(stands, "the robot was stopped", SECONDS, 0.3)  # the newest goal may arrive later
+        until(stands, "the robot was stopped", SECONDS, 0.3)  # repeated: a published goal may arrive after a stop
         return "yes"
 
     def _unknown_frame(self, _planner: str, client: Client) -> str:

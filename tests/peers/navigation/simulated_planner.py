@@ -15,7 +15,7 @@ from bridge.messages.actions import GoalState, names
 from tests.peers.navigation.simulated_hub import Clock, Hub
 
 SPEED, BRAKE = 0.5, 0.6  # m/s, m/s²
-MOVING = 0.03  # m/s from which the base counts as moving
+MOVING = 0.03  # m/s above which the base counts as moving
 TICK = 0.05
 
 
@@ -84,7 +84,7 @@ class PlannerSide(ABC):
         now = self.clock.now
         if self.commanded:
             self._commanded_at = now
-        # if the planner falls silent, the base keeps its last velocity until its timeout, then brakes
+        # if the planner falls silent, the base keeps its last velocity for 0.5 s, its timeout, then brakes
         silent = not self.planner_alive or self.planner_hangs
         driven = self.commanded or (silent and self.v > 0.0 and now < self._commanded_at + 0.5)
         self.v = SPEED if driven else max(0.0, self.v - BRAKE * TICK)
@@ -332,6 +332,6 @@ class PlannerSide(ABC):
             self.clock.after(0.5, self._find)
 
     def foreign_goal(self) -> None:
-        """Send a goal from the planner's own client, which has discovered the planner through the master."""
+        """Send a goal from the planner's own client, which on ROS 1 finds the planner through the master."""
         if self.planner_alive and not self.planner_hangs and self.planner_registered:
             self._accept(self.random.randbytes(16))

@@ -228,7 +228,10 @@ class World(PlannerSide):
         self.clock.after(1.0, self._find)
 
     def finish(self) -> None:
-        """Heal all faults, wait until the robot rests, and check that each goal has ended once."""
+        """Heal all faults, wait until the robot rests, and check the ends of all goals.
+
+        Each goal must have ended once; a goal of a killed gateway may have no end.
+        """
         self.heal()
         for _ in range(3):
             self._run_until_quiet(25.0)

@@ -4,7 +4,7 @@ Runs on the system's Python. Actions are ``actionlib/TestAction`` (goal, feedbac
 another type is named. Usage: action_peer.py NODE
 
 A goal's number determines how an ``ActionServer`` here handles it; see `OUTCOMES`. A held goal waits for ``finish``.
-A cancel request ends a goal as canceled, unless its thousands digit is odd.
+A cancel request ends a goal as canceled, unless its number is 1,000,000 or more.
 """
 # ruff: noqa: A002, ANN003, ANN204, ARG002  # parameters are named as in the commands; it runs without Midspan
 
@@ -83,7 +83,7 @@ class Server(Record):
 
 
 class Simple:
-    """An actionlib.SimpleActionServer whose goals run until they are preempted or finished by number."""
+    """An actionlib.SimpleActionServer whose goal runs until it is preempted or ``finish`` is called."""
 
     def __init__(self, name, type):
         self.type, self.done = type, threading.Event()
@@ -179,7 +179,7 @@ class Peer(Commands):
         return {}
 
     def finish_all(self, id):
-        """End each held goal according to the hundreds digit of its number."""
+        """End each goal that has arrived; its number // 100 modulo 3 selects succeed, abort or preempt."""
         server = self.parts[id]
         for goal_id, number in list(server.items):
             server.finish(goal_id, ("succeed", "abort", "preempt")[number // 100 % 3])
@@ -201,7 +201,7 @@ class Peer(Commands):
         return {}
 
     def outcomes(self, id, numbers, seconds=40.0, state="DONE"):
-        """Return the outcomes of goals, once all goals are in a client state or the time is over."""
+        """Return the outcomes of goals, once all goals have reached a client state or the time is over."""
         client = self.parts[id]
         with client.ready:
             client.ready.wait_for(lambda: all(state in client.goals[n]["states"] for n in numbers), seconds)

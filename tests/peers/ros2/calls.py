@@ -97,7 +97,7 @@ def depths(profile: Any, *parts: str) -> dict[str, Any]:
 
 
 class Acting(Record):
-    """An action server: each goal gives its feedback, waits if it is held, and ends with the given outcome."""
+    """An action server: it publishes each goal's feedback, waits if the goal is held, and ends it as ``outcome``."""
 
     def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
         super().__init__()

@@ -9,8 +9,8 @@ DDS; ``subscribe`` topic, type -> id; ``publish`` id, payload; ``matched`` id ->
 ``wait`` id, count, seconds -> payloads; ``serve`` service, type, reply -> id; ``requests`` id -> payloads of all
 requests as received; ``call`` service, type, request -> id, once a server has matched; ``result`` id, seconds -> reply
 ("" without one); ``act`` action, type, result -> id: three services and two topics; each goal is accepted, ``result``
-is the reply to requests for its result, and a request to cancel is rejected. The argument is the participant's user
-data.
+is the reply to requests for its result, and a request to cancel is rejected; ``gid`` id -> gid of a writer. The
+program's argument is the participant's user data.
 Types are spelled ``package/Name`` for topics and services alike, ``package/action/Name_Feedback`` for parts of actions.
 """
 # ruff: noqa: A002  # parameters are named as in the commands

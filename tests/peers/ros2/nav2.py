@@ -174,7 +174,7 @@ class Navigator(Node):
             time.sleep(PERIOD)
 
     def step(self, handle: Any, began: float, *, plans: bool) -> int | None:
-        """Run one control cycle; return an error code if the goal failed, -1 if it was reached."""
+        """Run one control cycle; return an error code if the goal failed, -1 if it was reached, else None."""
         goal = handle.request.pose
         if self.following is not None and self.transforms is not None:
             pose = self.transforms.pose()

@@ -125,11 +125,11 @@ class Program:
             part.undeclare()
 
     def serve(self, service: str, type_: str, params: dict[str, Any]) -> tuple[Serving, list[Any]]:
-        """Return a server of the dialect, and the entities that must be undeclared with it."""
+        """Start a server in the program's dialect; return it, and the entities to undeclare together with it."""
         raise NotImplementedError
 
     def call(self, service: str, type_: str, request: dict[str, Any] | bytes | None) -> Calling:
-        """Call a server of the dialect."""
+        """Call a server in the program's dialect."""
         raise NotImplementedError
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
@@ -274,7 +274,10 @@ def _is_cdr(query: zenoh.Query) -> bool:
 
 
 class Beacon:
-    """A plugin's beacon on one key, which pauses when others send beacons there (``aloha_declaration.rs``)."""
+    """A plugin's beacon on one key.
+
+    Each period in which others send beacons there, it pauses with a probability of 1/2 (``aloha_declaration.rs``).
+    """
 
     def __init__(self, session: zenoh.Session, key: str, period: float, *, sending: bool = True) -> None:
         self._period, self._sending = period, sending
@@ -328,7 +331,7 @@ class Ros1Bridge(Program):
         )
 
     def ignore_beacons(self) -> None:
-        """Ignore all beacons except those of this bridge's topics."""
+        """Stop recording beacons; each of the bridge's own beacons still reacts to others on its key."""
         self.watch.undeclare()
         self.watch = self.session.declare_subscriber("nothing", zenoh.handlers.Callback(self._on_beacon))
 
@@ -390,7 +393,7 @@ class Ros1Bridge(Program):
         return Calling(self.session, self.key(service, type_, MD5[type_]), self.wire, type_, request)
 
     def beacons(self) -> list[str]:
-        """Return the keys of all beacons received in the last three periods, including the bridge's own."""
+        """Return the keys of all beacons received from other sessions in the last three periods."""
         now = time.monotonic()
         return sorted(key for key, received_at in self._beacons.items() if now - received_at < 3 * self._period)
 

@@ -166,8 +166,8 @@ class ReleasePublisher:
     """A publisher. If the type has buffers, it publishes as Lyrical's ``PublisherData::publish`` does.
 
     It stores each subscription that it discovers, and never removes one. Subscriptions that announce only the CPU share
-    a group key; each other subscription has the key ``<key>/_buf/<GID>``. The topic's key is used only while more
-    subscriptions match than were discovered. Each put has a new number.
+    a group key; each other subscription has the key ``<key>/_buf/<GID>``. Lyrical uses the topic's key only while more
+    subscriptions match than were discovered, which never happens here. Each put on a key has a new number.
     """
 
     def __init__(self, node: ReleaseNode, topic: Topic) -> None:
@@ -225,7 +225,7 @@ class ReleasePublisher:
         return keys
 
     def put_serialized(self, payload: bytes) -> None:
-        """Publish as ``publish_serialized_message`` does, always on the key itself."""
+        """Publish as ``publish_serialized_message`` does, always on the topic's key."""
         self._sequence += 1
         self._declared(self.key).put(payload, attachment=attachment(self._sequence, self.gid))
 

@@ -192,7 +192,7 @@ class RmwPublisher(_Announced):
         self._sequence += 1
 
     def matched(self) -> bool:
-        """Return whether another session subscribes to the key."""
+        """Return whether the key has a subscription."""
         status: Any = self._matching.matching_status  # an object, although the wheel's stubs promise a bool
         return bool(status.matching)
 

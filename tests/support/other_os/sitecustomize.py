@@ -1,4 +1,4 @@
-"""Makes each Python process with a certain folder on ``PYTHONPATH`` run Midspan as on Windows or macOS.
+"""Makes each Python process with this folder on ``PYTHONPATH`` run Midspan as on Windows or macOS.
 
 With ``HIDDEN_OS=windows`` or ``macos``, Midspan's own modules get restricted modules of the standard library: names
 that the other system lacks are missing, and functions that differ there behave as there. Libraries get the real
@@ -65,7 +65,7 @@ NO_NAMES = {
 """The missing names by module; a star stands for any ending. macOS has ``os.waitid`` from Python 3.13 on."""
 
 NO_FOLDERS = ("/proc", "/dev/shm", "/dev/fd", "/sys", "/run", "/usr/share/zoneinfo", "/etc")
-"""Windows has none of these modules, and macOS only the last three."""
+"""The folders that are missing on simulated Windows; on simulated macOS, only the first two are missing."""
 
 _replaced: dict[str, dict[str, object]] = {}
 _proxies: dict[str, types.ModuleType] = {}
@@ -250,11 +250,11 @@ def _is_socket(file: Any) -> bool:
 
 
 def _windows() -> None:
-    """Define what Windows has in another form."""
+    """Define the functions and classes that behave differently on Windows."""
     exclusive, new_group = -5, 0x200  # SO_EXCLUSIVEADDRUSE and CREATE_NEW_PROCESS_GROUP
 
     def kill(pid: int, number: int) -> None:
-        # CTRL_C_EVENT is 0, CTRL_BREAK_EVENT 1; any other number ends the process, and is its exit code
+        # CTRL_C_EVENT is 0, CTRL_BREAK_EVENT 1; on Windows, any other number ends the process and is its exit code
         if number in {0, 1}:
             os.kill(pid, signal.SIGINT)
         else:
@@ -363,7 +363,7 @@ def _msvcrt() -> types.ModuleType:
 
 
 def _macos() -> None:
-    """Define what macOS has in another form."""
+    """Define the functions and classes that behave differently on macOS."""
 
     class Socket(socket.socket):
         def shutdown(self, how: int) -> None:
