@@ -31,7 +31,7 @@ pytestmark = [needs(ROS1), needs(ROS2), needs(DART), needs(COMPILER)]
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """Return a folder for the demo's temporary files; pytest's own path would be too long for it."""
+    """Yield a folder for the demo's temporary files; in pytest's own, the names of its sockets would be too long."""
     with tempfile.TemporaryDirectory(prefix="midspan-t-") as name:
         yield Path(name)
 
@@ -52,7 +52,7 @@ def start(folder: Path, *options: str, what: str = "topics", out: Any = subproce
 
 
 def processes_of(folder: Path) -> list[str]:
-    """Return the names of the living processes of a demo with this temporary folder."""
+    """Return the commands of the living processes of a demo with this temporary folder."""
     processes = []
     for process in psutil.process_iter():
         try:

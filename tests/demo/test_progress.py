@@ -93,7 +93,7 @@ def test_processor_time_of_a_starting_process_is_progress() -> None:
 
 @pytest.fixture
 def daemon_status(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Set the daemon's status of its workers."""
+    """The status that the daemon reports of its workers, which the test changes."""
     status: dict[str, Any] = {"workers": []}
     monkeypatch.setattr(progress_module, "ask_daemon", lambda _config: read_daemon_status(status))
     monkeypatch.setattr(progress_module, "_ASK_EVERY", -1.0)

@@ -1,4 +1,4 @@
-"""Sample messages with another value in each field, made by walking a type's definition."""
+"""Sample messages with a different value in each field, made by walking a type's definition."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ PLAN = Plan.model_validate({"name": "rooms", "floors": {"rooms": {
 
 
 class Mapping:
-    """A robot on a floor whose planner uses the map that it draws."""
+    """A robot whose planner uses the map that is drawn from the robot's own scans."""
 
     def __init__(self) -> None:
         self.robot = robot = Robot(PLAN, seed=1)

@@ -70,7 +70,7 @@ class Peer(Process):
         return int(self.ask("subscribe", topic=topic, type=type_, **qos)["id"])
 
     def publish(self, endpoint: int, message: dict[str, Any], times: int = 1) -> None:
-        """Publish a message ``times`` in a row, given by its fields."""
+        """Publish a message, given by its fields, ``times`` times in a row."""
         self.ask("publish", id=endpoint, message=message, times=times)
 
     def wait(self, endpoint: int, count: int, seconds: float = 40.0, since: int = 0) -> list[dict[str, Any]]:

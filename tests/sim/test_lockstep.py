@@ -14,7 +14,7 @@ from tests.support.wait import until
 
 
 class Driver(Module):
-    """Turns the wheels depending on their last encoder reading, 50 times per second of its clock."""
+    """Turns the wheels depending on their last encoder reading, 50 times per simulated second."""
 
     name = "driver"
 

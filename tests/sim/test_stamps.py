@@ -131,7 +131,10 @@ def stamp_ns(message: dict[str, Any]) -> int:
 
 
 def evenly(stamps_ns: list[int], every: int) -> bool:
-    """Return whether stamps (ns) are multiples of a period apart, because messages may be lost and time skipped."""
+    """Return whether stamps (ns) are whole ticks apart: never fewer than ``every``, and often exactly that many.
+
+    There may be more, because messages may be lost and time skipped.
+    """
     steps = [(after - before) / TICK_NS for before, after in itertools.pairwise(stamps_ns)]
     whole = all(abs(step - round(step)) < 1e-3 for step in steps)
     return (

@@ -44,7 +44,7 @@ def socketpair(*_):
 socket.socket, socket.socketpair = Socket, socketpair
 selectors.DefaultSelector = selectors.SelectSelector
 """
-"""To run in a process before yarp_compat is imported, which then has no libraries that need the hidden functions."""
+"""To run in a process before yarp_compat is imported; no library that yarp_compat imports then needs what is hidden."""
 
 LIBRARIES = """
 import cryptography.x509, numpy, psutil, pydantic, rich.console, rosbags.typesys, ruamel.yaml, xxhash, yaml, zenoh

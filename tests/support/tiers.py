@@ -23,7 +23,7 @@ _IMPORT = re.compile(r"^\s*(?:from (\S+) import (\([^)]*\)|.*)|import (.*))", re
 
 
 def is_fast(file: Path) -> bool:
-    """Return whether a test file and its helpers use neither a middleware nor another process."""
+    """Return whether a test file and its helpers use no middleware, no other process and no simulated drive."""
     seen: set[Path] = set()
     ahead = [file]
     while ahead:

@@ -51,7 +51,7 @@ class Turns:
         self._file, self._place = file, self._RUNNING + place
 
     def take(self) -> None:
-        """Wait until another file may start. Processes decide in turn, each once the last one's load shows."""
+        """Wait until another file may start. Processes decide one by one, so that each sees the last one's load."""
         self._lock(self._GATE)
         while self._others_run() and ready() > READY * CORES:
             pass

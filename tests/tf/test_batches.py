@@ -40,7 +40,7 @@ def stamped(parent: str, child: str, stamp: int, moved: tuple, turned: tuple) ->
 
 
 def everything(buffer: TransformBuffer, names: list[str], stamps: list[int]) -> list:
-    """Return a buffer's content and all its lookups."""
+    """Return a buffer's content, and its lookups of all names at up to 20 stamps."""
     answers: list[object] = [buffer.frames(), buffer.refused]
     for name in names:
         for stamp in stamps[:20]:

@@ -25,7 +25,7 @@ TYPES = [
 
 
 def programs(registry: Registry, name: str) -> list[tuple[ConversionProgram, bytes]]:
-    """The three programs of a type, each with a valid message."""
+    """Return the three programs of a type, each with a valid message."""
     rules = Rules()
     ros2 = registry.schema(name)
     back = registry.hub_to_ros1(name)

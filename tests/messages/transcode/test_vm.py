@@ -22,7 +22,7 @@ ROUNDS = 400
 
 
 def ready(form: Any, program: ConversionProgram) -> Any:
-    """Return a program in one form of the machine, which raises faults as numbers."""
+    """Return a program in one form of the machine, which raises `ValueError` with a fault's numbers."""
     return form.VirtualMachine(*program.assemble(), ValueError)
 
 
@@ -102,7 +102,7 @@ def test_large_messages_are_converted_while_other_threads_run():
     thread = threading.Thread(target=lambda: go.wait() and ran.set(), name="other")
     thread.start()
     try:
-        sys.setswitchinterval(100.0)  # no thread can request the GIL from this one: it must release it
+        sys.setswitchinterval(100.0)  # so that this thread keeps the GIL unless `convert` releases it
         go.set()
         for _ in range(200):
             convert(message)

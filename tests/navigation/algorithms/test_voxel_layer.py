@@ -59,7 +59,7 @@ def test_the_heights_of_obstacles():
     room = Room().box(FAR, FAR, 0.7, 0.75).box(FAR, slice(50, 55), 0.1, 0.2).box(FAR, slice(50, 55), 0.9, 1.0)
     layer = room.box(slice(50, 55), FAR, 1.3, 1.35).columns()
     hits = layer.hits.transpose(1, 0, 2)
-    # heights above the floor's voxel of the lowest and highest voxels that the robot would touch
+    # heights of the lowest and the highest voxel that the robot would touch, measured from the floor's voxel
     assert hits[35, 35] == pytest.approx([0.75, 0.75])
     assert hits[35, 52] == pytest.approx([0.15, 1.0])
     assert np.isnan(hits[52, 35]).all(), "the robot fits under the bar"

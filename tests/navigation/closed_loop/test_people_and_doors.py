@@ -26,7 +26,7 @@ GOAL = Pose(5.2, 1.2, 0.0)
 
 
 def loop_in(**floor: object) -> Loop:
-    """A robot in one of two rooms with two doors between them."""
+    """Return a robot in one of two rooms with two doors between them."""
     plan = Plan(name="rooms", floors={"rooms": Floor(**{"walls": WALLS, "start": START, **floor})})
     there = World("rooms", plan, export.grid(plan, "rooms"), ())
     robot = Robot(plan, "r1")

@@ -17,7 +17,7 @@ TENTH = 100_000_000
 
 
 class Odometry:
-    """Stands in for `RobotFrames`: the next pose at each call, or an error."""
+    """Stands in for `RobotFrames`: returns the pose that the test has set, or raises an error."""
 
     def __init__(self) -> None:
         self.x, self.stamp, self.known = 0.0, 0, True

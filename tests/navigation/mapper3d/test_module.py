@@ -332,7 +332,7 @@ def test_octomap_servers_topics_and_services_are_served(place: Place) -> None:
         return make(data, message["resolution"])
 
     def shown(name: str) -> bool:
-        """Whether the table is in the newest message; the first ones may show the map from before the cloud."""
+        """Return whether the table is in the newest message; the first ones may show the map from before the cloud."""
         newest = far.wait(topics[name], 1, 0.3)[-1:]
         if name != "point_cloud_centers":
             return any(tree(message).search(2.0, 0.0, 0.74) > 0 for message in newest)

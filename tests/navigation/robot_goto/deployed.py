@@ -1,4 +1,4 @@
-"""RobotGoto on a hub, and a robot in a room that follows its commands."""
+"""RobotGoto on a hub, and a robot in a room that follows RobotGoto's commands."""
 
 from __future__ import annotations
 

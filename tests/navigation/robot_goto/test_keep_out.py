@@ -16,7 +16,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 
 NEAR_KEEP_OUT = Constraints(beside_keep_out="floor")
 AREA = (1.0, -2.0, 2.0, -0.45)
-"""A keep-out area to the right of the line ahead, left, bottom, right, top, meters."""
+"""A keep-out area to the right of the line ahead: left, bottom, right and top, in meters."""
 
 
 def keep_out(*areas: tuple[float, float, float, float], resolution: float = 0.05) -> MapGrid2D:

@@ -40,7 +40,7 @@ return [...document.querySelectorAll(selector)].filter((button) => {
   return button.checkVisibility() && names.some((name) => (name ?? "").trim() === text);
 });
 """
-"""Finds the buttons that may have a text or name in one request; a page has dozens of buttons."""
+"""Finds, in one request, the buttons that may have a text or name; a page has dozens of buttons."""
 until = partial(wait.until, every=0.2)
 """Checks rarely, because each check is a request to the browser, and reading pixels costs as much as drawing them."""
 

@@ -111,7 +111,7 @@ class TlsSocket:
     """A socket over TLS that only one thread uses.
 
     websockets' blocking client reads and writes on two threads, but an OpenSSL object is not thread-safe: on a busy
-    machine, one of some hundred connections received no response, or the process crashed.
+    machine, one of several hundred connections received no response, or the process crashed.
     """
 
     def __init__(self, address: str, **options: Any) -> None:

@@ -1,7 +1,7 @@
 """Workers that record their events, and that misbehave as ordered by a file.
 
 They run in real processes of the real daemon, configured by ``$MIDSPAN_WORKERS``. Files in ``$FAKE_FOLDER``:
-``<worker>.events`` is written, one event per line; ``<worker>.do`` is read before each start and heartbeat.
+``<worker>.events`` is written, one event per line; ``<worker>.do`` is read at each start, heartbeat, reload and stop.
 """
 
 from __future__ import annotations

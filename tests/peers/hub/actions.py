@@ -16,7 +16,7 @@ from tests.support.wait import until as wait_until
 
 
 class Acting(Record):
-    """An action server: each goal publishes feedback, waits if held, and ends as configured."""
+    """An action server: it publishes each goal's feedback, waits if the goal is held, and ends it as ``outcome``."""
 
     def __init__(self, node: ModuleNode, params: dict[str, Any]) -> None:
         super().__init__(lambda goal: goal.goal)
@@ -113,7 +113,7 @@ class Sent(PolledGoal):
 
 
 class HubActions(Commands):
-    """The program."""
+    """The program, which executes the commands."""
 
     def __init__(self, settings: HubSettings, registry: Registry = REGISTRY) -> None:
         super().__init__()

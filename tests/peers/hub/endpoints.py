@@ -57,7 +57,7 @@ def advertise(hub: Hub, topic: str, qos: Qos = STREAM, *texts: str, **more: Any)
 
 
 def see_each_other(*hubs: Hub) -> None:
-    """Wait until each session discovers every other's node, and has a direct link to it."""
+    """Wait until each session discovers the node of every other session."""
     zids = {hub.zid for hub in hubs}
     for hub in hubs:
         until(lambda hub=hub: zids <= {node.zid for node in hub.graph.nodes()}, "all nodes are seen")

@@ -106,7 +106,7 @@ class Planning(Served):
         return self.answer("robot_path_planner")
 
     def put(self, x: float, y: float) -> None:
-        """Put the robot at a place, and wait until the planner has its pose: a jump would repeat a goal's waypoint."""
+        """Put the robot at a place, and wait until the planner has its pose: a later jump would resend a waypoint."""
         self.robot.x, self.robot.y, self.robot.yaw = x, y, 0.0
         at = pytest.approx((x, y, 0.0), abs=1e-6)
         until(lambda: pose_of(self.module)[:3] == at, "the planner has the robot's pose", 30)

@@ -27,7 +27,7 @@ class Scene:
     Attributes:
         driver: the driver.
         sim: the simulation.
-        touched: the number of collisions.
+        touched: the number of contacts, summed over all ticks.
         states: the driver's states in order, with their reasons.
         commands: all commands, with their times.
         edit: changes a scan's ranges before the driver receives it; None drops the scan.

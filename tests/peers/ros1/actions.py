@@ -25,7 +25,7 @@ def part(type_, name):
 
 
 class Acting(Record):
-    """An action server: each goal gives its feedback, waits if it is held, and ends with the given outcome."""
+    """An action server: it publishes each goal's feedback, waits if the goal is held, and ends it as ``outcome``."""
 
     def __init__(self, params, fill, plain):
         super().__init__()

@@ -3,7 +3,7 @@
 Like the real one (navigation 1.17.3), it publishes /map_metadata and serves /static_map and /change_map, but never
 changes the map.
 
-map_server.py apartment.yaml
+Usage: map_server.py apartment.yaml
 """
 
 import sys

@@ -3,8 +3,9 @@
 Beyond the common commands: ``define`` type, definition (full text: own fields, then each nested type's after a line of
 ``=`` and ``MSG: name``; a service's request and response with a line ``---`` between) makes a type known that is not
 installed; ``advertise`` and ``subscribe`` take ``queue``
-(rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names;
-``now`` -> seconds: the node's time, 0 until /clock arrives;
+(rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``connections`` id -> count;
+``parameters`` -> names; ``set_param`` name, value; ``get_param`` name -> value;
+``now`` -> seconds: the node's time; with simulated time, 0 until /clock arrives;
 ``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service.
 
 Messages are dicts of their fields; arrays of bytes are lists of integers, times are ``{"secs": .., "nsecs": ..}``.

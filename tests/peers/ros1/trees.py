@@ -9,7 +9,7 @@ import random
 
 SECOND = 10**9
 START = 1_000_000 * SECOND
-"""Tolerance in ns: tf2_py converts each time to seconds as a double, which rounds present dates by up to 120 ns."""
+"""An early time in ns: tf2_py converts each time to seconds as a double, which rounds present dates by up to 120 ns."""
 
 
 def rotation(dice, length=1.0):

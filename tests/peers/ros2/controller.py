@@ -9,7 +9,8 @@ simple_action_server.hpp, timed_behavior.hpp and the behavior plugins):
 - A behavior first stops the robot, then ends. A second goal of a behavior ends the first one ABORTED.
 - assisted_teleop repeats the last velocity of ``/cmd_vel_teleop`` until it receives another one.
 
-Only the path's last pose matters. A behavior with a target of 0 runs until its time is over.
+Only the path's last pose matters. A behavior with a target of 0 runs until its time is over, as do spin and
+assisted_teleop.
 Usage: controller.py controller_server|behavior_server SPEED [--braking S] [--tf-tolerance S]
 """
 

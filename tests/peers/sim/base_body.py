@@ -1,7 +1,7 @@
 """The body of a simulated robot base, without middleware; the programs `base.py` connect it to ROS 1 or ROS 2.
 
-It prints ``moves`` and ``stands``, each with ``time.monotonic()`` and x, whenever that changes. Tests compare reported
-states and replies with this output. Runs on the system's Python without Midspan.
+It prints ``moves`` and ``stands``, each with ``time.monotonic()`` and x, whenever the base starts or stops moving.
+Tests compare reported states and replies with this output. Runs on the system's Python without Midspan.
 """
 # ruff: noqa: ANN204  # it runs without Midspan
 

@@ -59,7 +59,9 @@ class ReleaseTypes:
 
 
 class ReleaseActionServer:
-    """An action server that accepts each goal, publishes feedback until the result is requested, and succeeds.
+    """An action server that accepts each goal, and replies to each request for a result that the goal succeeded.
+
+    It publishes feedback of the last goal until it is closed.
 
     Attributes:
         goals: the goals received so far.

@@ -101,7 +101,7 @@ class Sent(PolledGoal):
 
 
 class Ros2ddsActions(Commands):
-    """The nodes.
+    """Nodes with action servers and clients behind one bridge.
 
     Args:
         bridge: their bridge.
