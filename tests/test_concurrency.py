@@ -55,7 +55,7 @@ def test_closing_a_bounded_queue_drops_what_waits() -> None:
     queue.put(2, 1)
     closer = threading.Thread(target=queue.close)
     closer.start()
-    until(lambda: queue.waiting == 0, "closing")
+    until(lambda: queue.waiting == 0, "the waiting message is dropped")
     go_on.set()
     closer.join(40)
     queue.put(3, 1)

@@ -174,7 +174,7 @@ def test_a_forked_daemon_forks_its_workers(tmp_path: Path) -> None:
         ]
         assert inodes[0] & inodes[1] == set(), "the worker has no socket of the daemon"
         router.kill()
-        until(lambda: "router killed by SIGKILL" in process.output(), "the daemon reports its end")
+        until(lambda: "router killed by SIGKILL" in process.output(), "the daemon reports the router's end")
     end_router(tmp_path / "state")
 
 

@@ -53,7 +53,7 @@ def test_every_kernel_is_imported_compiled() -> None:
 
 
 def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cython makes a new `Extension` for each kernel, without ``optional``, which lets the build continue."""
+    """Cython makes new `Extension` objects without ``optional``, so that one failure would end the whole build."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "kernels", kernels)
     monkeypatch.setattr(
@@ -68,7 +68,7 @@ def test_a_kernel_that_cannot_be_compiled_is_left_out(tmp_path: Path, monkeypatc
 
 @pytest.mark.parametrize(("name", "calls"), [("__main__", 1), ("__mp_main__", 0)])
 def test_only_the_script_itself_builds(name: str, calls: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Processes of Cython that are not forked import it: on macOS, Windows, and with Python 3.14."""
+    """Cython's processes import setup.py if they are not forked: on macOS, Windows, and with Python 3.14."""
     monkeypatch.setitem(sys.modules, "kernels", kernels)
     called: list[object] = []
     monkeypatch.setattr("setuptools.setup", lambda **settings: called.append(settings))

@@ -50,7 +50,7 @@ def test_values_are_taken() -> None:
     assert config.routing.rules[1].qos.reliability == "best_effort"
 
 
-# the text of a configuration, and the complete lines of the report
+# the text of a configuration, and all lines of the report, without the file's name
 CASES = [
     ("hubb: {}", ["1:1: hubb: unknown key 'hubb'; did you mean 'hub'?"]),
     (

@@ -1,6 +1,6 @@
 """The whole daemon on another system: on Linux with everything hidden that Windows and macOS lack, or on that system.
 
-`tests.support.other_os` hides it in the daemon, in each worker and in the commands. With ``MIDSPAN_TEST_SYSTEMS=here``
+`tests.support.other_os` hides it from the daemon, each worker and the commands. With ``MIDSPAN_TEST_SYSTEMS=here``
 nothing is hidden, as `.github/workflows/every_os.yml` runs it on each system, with the installed wheel.
 """
 
@@ -193,7 +193,7 @@ def assert_restarts_a_killed_worker(other: OtherOs) -> None:
 
 
 def assert_stops(other: OtherOs) -> None:
-    """Ctrl-C stops all workers in order, and leaves no socket."""
+    """Ctrl-C stops all workers by request, and leaves no socket."""
     workers = [other.pids(worker)[-1] for worker in WORKERS]
     other.interrupt()
     assert other.process.wait(30 * SLOWNESS) == 0

@@ -86,7 +86,7 @@ def test_worker_whose_loop_hangs_is_replaced(daemon: Daemon, order: str) -> None
     process = daemon.quick(2, heartbeat=HEARTBEAT)
     daemon.wait_ready(process)
     daemon.order("ros1", order)
-    until(lambda: "ros1 sent no heartbeat" in process.output(), "noticed")
+    until(lambda: "ros1 sent no heartbeat" in process.output(), "the daemon notices the missing heartbeats")
     if order == "hang":
         assert "fakes.py" in process.output()  # the file in which the worker hangs
     daemon.order("ros1")

@@ -47,7 +47,7 @@ class Supervised:
         self.popen.stdin.flush()
 
     def read(self) -> dict[str, Any]:
-        """Return the worker's next report, except reports of its current step."""
+        """Return the worker's next report that is not about its current step."""
         while "busy" in (report := self.read_any()):
             pass
         return report
@@ -153,7 +153,7 @@ def test_end_of_input_stops_even_a_hanging_worker(daemon: Daemon, supervised: Su
     supervised.send(config(daemon))
     supervised.read()
     daemon.order("ros1", "hang")
-    until(lambda: daemon.events("ros1", "hang"), "hangs")
+    until(lambda: daemon.events("ros1", "hang"), "the worker hangs")
     supervised.end_of_input()
     assert supervised.popen.wait(15) == 1
 
@@ -162,7 +162,7 @@ def test_a_worker_reports_whether_a_reload_needs_a_restart(daemon: Daemon, super
     supervised.send(config(daemon))
     supervised.read()
     supervised.send(config(daemon, routing={"default": "deny"}))
-    until(lambda: "reloaded" in supervised.read(), "applied")
+    until(lambda: "reloaded" in supervised.read(), "the worker reports that the configuration is applied")
     assert daemon.events("ros1", "reload") == [["reload", "deny"]]
     daemon.order("ros1", "refuse-reload")
     supervised.send(config(daemon))
@@ -391,7 +391,7 @@ def test_state_folder_too_long_for_a_socket(daemon: Daemon) -> None:
 
 
 class Reporting(Worker):
-    """Reports the given texts."""
+    """A worker that reports the given texts, one for each heartbeat."""
 
     def __init__(self, texts: list[str]) -> None:
         self._texts = texts

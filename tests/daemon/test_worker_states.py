@@ -63,7 +63,7 @@ def test_each_state_is_reached() -> None:
 
 
 class _Channel:
-    """A channel to a process that does nothing."""
+    """A stand-in for the channel to a process; it only records commands and kills."""
 
     pid, owner, started_here = 7, "daemon", True
 

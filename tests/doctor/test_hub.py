@@ -30,7 +30,7 @@ from tests.support.ports import free_port
 def endpoint(
     node: str, type_name: str, digit: str, kind: EndpointKind = EndpointKind.PUBLISHER, topic: str = "/topic"
 ) -> HubEndpoint:
-    """Return an endpoint whose type hash consists of one repeated digit."""
+    """Return an endpoint whose type hash consists of one repeated digit; ``0`` is an unknown hash, "" none."""
     type_hash = {"0": UNKNOWN_HASH, "": NO_HASH}.get(digit, f"RIHS01_{digit * 64}")
     return HubEndpoint(
         "ab", node, "/", kind, topic, type_name, type_hash, Qos(), bytes(16), origin=None, pending=False, own=False

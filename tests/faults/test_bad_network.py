@@ -29,7 +29,7 @@ pytestmark = pytest.mark.thorough
 TWIST, IMAGE = "geometry_msgs/msg/Twist", "sensor_msgs/msg/Image"
 TIMEOUT = 0.3
 LATE = 0.6
-"""Seconds: twice the rule's timeout, to allow for a busy machine."""
+"""Maximum delay of a delivered command, in seconds: twice the rule's timeout, to allow for a busy machine."""
 
 
 @dataclass

@@ -94,7 +94,7 @@ def test_a_late_client_receives_latched_messages(desk: Desk) -> None:
 
 
 class RecordingChannel:
-    """A channel of the SDK that records the logged messages; it calls ``before`` once, before the next one."""
+    """A stand-in for the SDK's channel that records messages; it calls ``before`` once, before the next message."""
 
     def __init__(self) -> None:
         self.logged: list[bytes] = []

@@ -28,7 +28,7 @@ _HANG_SECONDS = 4.0
 """Processor time after which an input counts as a hang, seconds."""
 
 _STUCK_SECONDS = 60.0
-"""Real time after which an input counts as a hang, seconds: it waits forever."""
+"""Real time after which an input counts as a hang, seconds, if it waits instead of using the processor."""
 
 _STACKS_SECONDS = 2.0
 _PIECE = 150_000

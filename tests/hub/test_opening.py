@@ -200,7 +200,7 @@ sender.close(), receiver.close()
     ],
 )
 def test_large_messages_arrive_with_a_full_folder(case: str, how: str, trouble: str) -> None:
-    """``how``: whether the pool's metadata is created when the session opens, or before the first large message."""
+    """The pool's metadata is created when the session opens (``at once``) or before the first large message."""
     if not shutil.which("unshare"):
         pytest.skip("needs unshare")
     mount = 'mount -t tmpfs -o size=40m tmpfs /dev/shm || exit 97; exec "$@"'
@@ -212,7 +212,7 @@ def test_large_messages_arrive_with_a_full_folder(case: str, how: str, trouble: 
     if ended.returncode in (1, 97) and not ended.stdout and "Traceback" not in ended.stderr:
         pytest.skip("may not mount a separate /dev/shm")
     assert ended.returncode == 0, ended.stderr
-    assert ended.stderr.count("large messages go over the network link") == bool(trouble), "the log has it once"
+    assert ended.stderr.count("large messages go over the network link") == bool(trouble), "the warning is logged once"
     received, warning = json.loads(ended.stdout.splitlines()[-1])
     assert received == 20
     assert bool(warning) == bool(trouble)

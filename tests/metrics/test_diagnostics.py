@@ -1,4 +1,4 @@
-"""`/diagnostics` shows the state of each part to real programs of both ROS sides, and at once after a change."""
+"""`/diagnostics` shows the state of each part to programs of ROS 1, ROS 2 and YARP, and at once after a change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A real Prometheus scrapes a real daemon; promtool checks the alerts; every metric they use exists."""
+"""A real Prometheus scrapes a real daemon; promtool checks the alerts; alerts and dashboard use existing metrics."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ STRING = "std_msgs/String"
 
 
 class ScrapedDeployment(Deployment):
-    """A deployment with metrics at a separate address, a gateway, a store, a bridged topic and an endpoint."""
+    """A deployment with metrics at a separate address, a gateway, a store, a bridged topic and an external endpoint."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -208,7 +208,7 @@ def test_a_hanging_worker_is_reported_and_delays_nothing(watched: ScrapedDeploym
         assert 'midspan_worker_answering{worker="ros1"} 1.0' in text
         took = next(float(line.split()[1]) for line in text.splitlines() if line.startswith("midspan_ask_duration"))
         assert 0.9 < took < 3.0
-        assert 'midspan_worker_resident_memory_bytes{worker="modules"}' in text, "the system reports it"
+        assert 'midspan_worker_resident_memory_bytes{worker="modules"}' in text, "its memory is read from the system"
     finally:
         os.kill(pid, signal.SIGCONT)
     until(lambda: f"{answering}1.0" in watched.get("/metrics")[1], "the worker answers again", 40, every=0.2)

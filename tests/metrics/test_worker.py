@@ -118,7 +118,7 @@ def test_metrics_are_exported_in_both_formats(place: Place) -> None:
 
 @pytest.mark.parametrize("known", [True, False], ids=["both", "without its token"])
 def test_another_daemon_of_the_name_is_left_out(place: Place, tmp_path: Path, known: bool) -> None:
-    """A worker of an earlier release announces no daemon, and is included."""
+    """A worker of an earlier release announces no identity of its daemon, and is included."""
     settings = replace(place.hubs.settings("ros2", "ros2", "here"), identity=identity(tmp_path) if known else None)
     own_hub = Hub.open(settings)
     (tmp_path / "other").mkdir()

@@ -197,7 +197,7 @@ def until_canceling(two: Two, client: ActionClient) -> None:
 
 
 def record_cancel_requests(monkeypatch: pytest.MonkeyPatch, fails: Callable[[int], bool]) -> list[bytes]:
-    """Record the goal ids of cancel requests; request ``n`` (from 1) fails without a server if ``fails(n)``."""
+    """Record the goal IDs of cancel requests; request ``n`` (from 1) fails as if without a server if ``fails(n)``."""
     requested, call = list[bytes](), ServiceClient.call
 
     def record_and_call(self: ServiceClient, request: dict[str, Any], replied: Callable[[Any], None]) -> Any:

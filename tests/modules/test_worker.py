@@ -126,7 +126,7 @@ def test_a_failing_health_check_does_not_affect_other_modules(
 
 
 def test_a_reload_only_touches_changed_modules(place: Place) -> None:
-    """All modules share a session, on which the endpoints of one module open and close without the others'."""
+    """All modules share a session; opening and closing the endpoints of one module leaves the others' open."""
     graph = place.far.hub.graph
 
     def ends(node: str) -> dict[str, bytes]:

@@ -97,7 +97,7 @@ def test_the_bill_of_materials_next_to_a_package_names_each_library(
 def test_a_library_for_another_processor_is_rejected(
     number: int, arch: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """This includes a library without the processor in its name."""
+    """The processor is read from the library, as neither its name nor its wheel's name states it."""
     file = tmp_path / "foreign-1.0-py3-none-any.whl"
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("foreign-1.0.dist-info/METADATA", "Name: foreign\nVersion: 1.0\n")
@@ -119,7 +119,7 @@ def test_a_library_for_another_processor_is_rejected(
 def test_a_package_for_another_processor_has_its_libraries_and_wheel(tmp_path: Path) -> None:
     release = deb.RELEASES["bookworm"]
     arm, here = deb.libraries(release, "arm64"), deb.libraries(release, "amd64")
-    assert {text for text in here if text.startswith("ros-jazzy-rclpy")}, "ROS 2 has wheels for x86-64"
+    assert {text for text in here if text.startswith("ros-jazzy-rclpy")}, "ROS 2 has wheels only for x86-64"
     assert not [text for text in arm if text.startswith("ros-")]
     assert set(arm) <= set(here)
     newest = {text.partition("==")[0] for text in deb.libraries(deb.RELEASES["resolute"], "amd64")}
@@ -134,7 +134,7 @@ def test_a_package_for_another_processor_has_its_libraries_and_wheel(tmp_path: P
 
 @dataclass
 class Place:
-    """A system with two versions of the package in root's home, and lintian's report on the first."""
+    """A system with two versions of the package in root's home, and lintian on a package without libraries."""
 
     tree: Tree
     release: deb.Release
@@ -144,7 +144,7 @@ class Place:
     def install(self, version: str) -> None:
         """Install a version with the documented command, but without recommended packages.
 
-        The fixture lets apt plan with them.
+        The fixture only simulates the command with recommended packages.
         """
         package = f"/root/midspan_{version}{self.release.suffix}_amd64.deb"
         self.tree.run("apt-get", "install", "-y", "--no-install-recommends", package, seconds=900)
@@ -158,7 +158,7 @@ class Place:
         return self.tree.machine.run("sh", "-c", "rosnode list || true", env=self.environ).split()
 
     def joined(self) -> bool:
-        """Return whether the master lists the bridge's node."""
+        """Return whether the master lists the bridge's node, and the daemon's status line says that ros1 runs."""
         return "/midspan" in self.nodes() and "ros1 running" in self.status()
 
 
@@ -231,7 +231,7 @@ def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         planned = tree.chroot(*documented, "--simulate")
         assert {"midspan", "g++", "python3-dev"} <= set(re.findall(r"^Inst (\S+)", planned, re.MULTILINE))
         tree.chroot(*documented, "--no-install-recommends", "--download-only")
-        # a file of netbase, on which rospy used to depend
+        # netbase would create this file, but rospy no longer depends on it
         (tree.folder / "etc/hosts").write_text("127.0.0.1 localhost\n")
         tree.boot()
         stack.enter_context(tree.machine.start(ROS1_PYTHON, ROS1_CORE, "11311", env=environ))

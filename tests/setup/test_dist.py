@@ -265,7 +265,7 @@ def required(requirements: Sequence[str], extra: str) -> list[str]:
 
 
 WITHOUT = "import sys\n\nsys.modules.update(dict.fromkeys(('dartpy', 'rclpy', 'zenoh_ros2_sdk', 'starlette')))\n"
-"""A module that Python runs at its start, which hides the packages of the extra ``demo``."""
+"""A ``sitecustomize`` module, which Python runs when it starts; it hides packages of the extra ``demo``."""
 
 
 @pytest.mark.long

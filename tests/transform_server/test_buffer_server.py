@@ -35,12 +35,12 @@ class Served:
         until(lambda: self.client.ready, "the server is discovered")
 
     def set_time(self, now: int) -> None:
-        """Advance the simulated time."""
+        """Set the simulated time, in nanoseconds."""
         seconds, nanoseconds = divmod(now, S)
         self.clock.receive(b"\0\1\0\0" + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little"))
 
     def lookup(self, target: str, source: str, stamp: int = 0, **more: Any) -> list[Any]:
-        """Send a goal; return the list that receives its ends."""
+        """Send a goal; return the list to which its end is appended."""
         ends: list[Any] = []
         goal = {"target_frame": target, "source_frame": source, "source_time": time(stamp), **more}
         self.two.on(self.two.client, lambda: self.client.send(goal, lambda *end: ends.append(end)))

@@ -22,7 +22,7 @@ UNIT = (0.0, 0.0, 0.0, 1.0)
 
 
 class StoppedClock:
-    """Both clocks, which the test advances."""
+    """The system's clock, as `time.time` and `time.time_ns`; only the test advances it."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.system = 1_795_000_000.0

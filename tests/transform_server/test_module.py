@@ -69,7 +69,7 @@ class ServedPlace(Place):
         return [t for m in self.far.wait(heard, 0, 0.05) for t in m["transforms"]]
 
     def children(self, heard: int) -> list[str]:
-        """Return the child frames of these transforms."""
+        """Return the child frames of the transforms that a subscription of the hub has received."""
         return [t["child_frame_id"] for t in self.transforms(heard)]
 
     def close(self) -> None:

@@ -34,7 +34,7 @@ def connect(port: int, source: str = "127.0.0.1") -> socket.socket:
 
 
 def is_closed(sock: socket.socket) -> bool:
-    """Return whether the other end closes an idle connection."""
+    """Wait until the other end closes the connection; raises `TimeoutError` if it stays open."""
     try:
         while sock.recv(1 << 16):
             pass

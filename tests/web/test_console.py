@@ -140,7 +140,7 @@ def test_the_laser_is_shown_on_the_map(desk: Desk) -> None:
             return bool(page.values.get("laser", {}).get("value"))
 
         until(publish, "the laser is shown", every=0.05)
-        # the robot heads along y: the point is one meter ahead of it and two to its left
+        # the robot heads along y: the first point is 1 m ahead of it, the second 2 m to its left
         assert page.values["laser"]["value"]["points"] == pytest.approx([1.5, 3.0, -0.5, 2.0], abs=0.02)
 
 
@@ -215,7 +215,7 @@ def test_a_slow_page_gets_only_the_newest_value(desk: Desk) -> None:
         for page in (slow, quick):
             page.watch("frames")
         first = slow.until(lambda: slow.values.get("frames"), "a first value arrives")
-        quick.until(lambda: quick.counts.get("frames", 0) >= 3, "a page that reads its socket gets further values")
+        quick.until(lambda: quick.counts.get("frames", 0) >= 3, "a page that acknowledges values gets further ones")
         while slow.read():
             pass
         assert slow.counts["frames"] == 1
@@ -338,7 +338,7 @@ def test_a_goal_without_a_reply_is_canceled(desk: Desk, monkeypatch: pytest.Monk
 
 
 class LateGateway(HubNode):
-    """Accepts a goal only when allowed."""
+    """A gateway that accepts a goal only when the test allows it (or after 30 s)."""
 
     def __init__(self, settings: Any) -> None:
         super().__init__(settings)

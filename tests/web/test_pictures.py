@@ -204,7 +204,7 @@ def test_two_types_of_one_topic_are_distinguished(desk: Desk) -> None:
             page.read()
             return all(page.values.get(feed, {}).get("value") for feed in (first, other))
 
-        until(publish, "both images are shown", every=0.05)
+        until(publish, "both messages are shown", every=0.05)
         assert page.values[first]["value"]["message"] == {"data": "yes"}
         assert page.values[other]["value"]["message"] == {"data": 3}
         reason = (

@@ -112,7 +112,7 @@ def test_tree_waits_for_every_publisher(
 
 @pytest.mark.usefixtures("robot")
 def test_tree_waits_longer_for_transforms_from_a_side(midspan: Midspan) -> None:
-    """A side has one publisher on the hub for all of its programs."""
+    """A side has one publisher on the hub for all of its programs, some of which may publish late."""
     assert "listened for" not in seen(midspan, "list", fits=lambda done: done.out.split() == ALL).err
 
 

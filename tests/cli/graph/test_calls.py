@@ -60,7 +60,7 @@ def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
 
 @pytest.fixture
 def decided(network: HubNetwork, closing: list[Any]) -> None:
-    """A worker that has decided on a service and on the parts of an action."""
+    """A worker that has decided on a service, on a part of an action, and on a topic."""
     base = {"daemon": "robot1", "worker": "ros1", "direction": "in", "cure": "", "kind": "service"}
     private = {"topic": "/node/get_loggers", "hub_topic": "", "type": "roscpp/GetLoggers", "decision": "private"}
     action = {"topic": "/far/_action/send_goal", "hub_topic": "/far/_action/send_goal", "decision": "refused"}

@@ -312,7 +312,7 @@ def test_status_of_a_daemon_without_a_router(tmp_path: Path) -> None:
 
 
 def exhaust(pid: int) -> None:
-    """Use up a process's file descriptors, so that it cannot accept another connection."""
+    """Limit a process's open files to those that it has open, so that it cannot accept another connection."""
     _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
     resource.prlimit(pid, resource.RLIMIT_NOFILE, (len(list(Path(f"/proc/{pid}/fd").iterdir())), hard))
 

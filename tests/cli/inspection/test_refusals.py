@@ -34,7 +34,7 @@ def router(daemon: str, **more: Any) -> dict[str, Any]:
 
 
 class Fleet:
-    """A robot that does not trust the operator, whose worker publishes commands and a scan."""
+    """A robot, and an operator whom it does not trust and whose worker publishes commands and a scan."""
 
     def __init__(self, network: HubNetwork, closing: list[Any], name: str = "operator1") -> None:
         self.worker = FakeWorker(network, "ros1", daemon="operator1", explain=[], status=lambda _: self.document)
@@ -95,7 +95,7 @@ def test_commands_through_another_router(midspan: Midspan, network: HubNetwork, 
     if place == "beyond two routers":
         station = router("station", door="d3", machines=[{"name": "m", "zid": "m1"}, {"name": "m", "zid": "m2"}])
         closing.append(FakeWorker(network, "router", daemon="station", status=station))
-    elif place == "program":  # the program is connected to the router itself, so no status document has its session
+    elif place == "program":  # the program is connected to that router itself, so no status document has its session
         fleet.operator |= {"door": "", "members": [], "machines": []}
         fleet.robot["members"] = ["d2"]
     elif place == "other link":

@@ -1,4 +1,4 @@
-"""``midspan map explore`` with the real gateway, whose planner and map the test plays."""
+"""``midspan map explore`` with the real gateway; the test acts as the planner, and publishes the map."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def exploring(
 
 
 def rooms(known: float) -> MapGrid2D:
-    """Return a floor with a wall and three doors, which is known up to the given x."""
+    """Return a floor with a wall and three doors; the floor beyond x = ``known`` is unknown."""
     grid = floor((2.4, 0.0, 2.6, 0.4), (2.4, 1.2, 2.6, 2.0), (2.4, 2.8, 2.6, 3.8), (2.4, 4.6, 2.6, 5.0))
     if known < 5.0:
         paint(grid, (known, 0.0, 5.0, 5.0), MapFlag.UNKNOWN)

@@ -142,7 +142,7 @@ def test_3d_maps_are_imported_and_exported(midspan: Midspan, store: Store) -> No
 
 
 def test_a_slice_of_an_octomap_is_drawn_as_a_grid(midspan: Midspan, store: Store) -> None:
-    """A wall in a pruned leaf of 2 cells, one occupied cell, a free row, and a gap of unknown cells."""
+    """A wall in a pruned leaf 2 cells wide, one occupied cell, a free row, and a gap of unknown cells."""
     assert "no 3D map is stored; 'midspan map import" in midspan("map", "show", "--layer", "0.3").err
     cells = [[32_768, 32_768, 32_770], [32_774, 32_769, 32_771], [32_768, 32_771, 32_771], [32_769, 32_771, 32_771]]
     tree = OcTree.of(cells, [1.0, 1.0, -1.0, -1.0], [15, 16, 16, 16], resolution=0.1)

@@ -1,4 +1,4 @@
-"""``midspan halt`` on a real hub: subscribers receive zero velocities, goals are canceled, and a base is queried."""
+"""``midspan halt`` on a real hub: subscribers receive zero velocities, goals are canceled, bases are asked to halt."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStampe
 
 
 class Robot:
-    """A node that follows ``/cmd_vel`` and executes goals, and a client with two goals."""
+    """A node that subscribes to ``/cmd_vel`` and executes goals, and a client with two goals."""
 
     def __init__(self, network: HubNetwork, registry: Registry) -> None:
         self.loop = EventLoop("robot")
@@ -234,7 +234,7 @@ def test_zero_does_not_wait_for_an_action_server_that_is_unreachable(
 def test_zero_is_sent_in_each_form_that_has_a_subscriber(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
-    """A monitor subscribes to Twist, and the base of a worker that announces no velocities to TwistStamped."""
+    """A monitor subscribes to Twist, and a worker that announces no velocities to TwistStamped, for its base."""
     worker = FakeWorker(network, "ros2")
     closing.append(worker)
     worker.hub.set_origin(Origin("ros2", "network", "robot1"))

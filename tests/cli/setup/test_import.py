@@ -203,7 +203,10 @@ services:
 
 
 def test_services_and_actions_of_domains(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A file may contain only services and actions; the server is in the domain that they are bridged from."""
+    """A file may contain only services and actions. Each is bridged from its server's domain.
+
+    This is ``from_domain``, or ``to_domain`` with ``reversed``.
+    """
     text = """\
 from_domain: 2
 to_domain: 3

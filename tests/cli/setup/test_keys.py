@@ -48,7 +48,7 @@ def test_make_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 
 def snippet(text: str) -> dict[str, Any]:
-    """Return the configuration that 'make' prints, after checking it."""
+    """Return the section ``hub.open`` of the configuration that 'make' prints, after checking the configuration."""
     lines = text.partition("in its configuration:\n")[2].splitlines()
     document = yaml.safe_load("\n".join(line for line in lines if line.startswith("  ")))
     Config.model_validate(document)
@@ -81,7 +81,7 @@ def test_an_operator_before_its_robot(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_openssl_accepts_the_certificates(tmp_path: Path) -> None:
-    """OpenSSL checks the chain, the purposes of both ends, and the names independently."""
+    """As an independent program, OpenSSL checks the chain, the purposes of both ends, and the addresses."""
     authority = Authority(tmp_path)
     authority.make()
     authority.issue("robot1", ["10.1.2.3"])

@@ -25,7 +25,7 @@ _SEEDS = [
 
 
 def _definition() -> Subject:
-    """A full definition: parsed, closed, written, fingerprinted and compiled; the first byte selects ROS 1 or ROS 2."""
+    """A full definition: parsed, written, parsed again, hashed and, for ROS 2 (first byte ``2``), compiled."""
     from bridge.messages.definitions.hashes import md5_sum, rihs01
     from bridge.messages.definitions.schema import World
     from bridge.messages.definitions.text import closure, full_text, parse_full

@@ -35,7 +35,7 @@ def _attachment() -> Subject:
 
 
 def _token() -> Subject:
-    """Liveliness tokens of endpoints, nodes and origins; parsed ones are written as the same token, or rejected."""
+    """Liveliness tokens of endpoints, nodes and origins; a parsed one, written and parsed again, is the same token."""
     from bridge.hub.graph.tokens import (
         NodeToken,
         endpoint_key,
@@ -101,7 +101,7 @@ def _graph() -> Subject:
 
 
 def _qos() -> Subject:
-    """A QoS as text; parsed ones are written as the same text again."""
+    """A QoS as text; a parsed one, written and parsed again, is the same QoS."""
     from bridge.hub.wire.qos import decode_qos, encode_qos
 
     def parse(data: bytes) -> None:
@@ -164,7 +164,7 @@ class _Sized:
 
 
 def _samples() -> Subject:
-    """A subscription that receives samples, 34 bytes each: a 33-byte attachment and an action."""
+    """A subscription (latched if the first byte is ``1``) that receives samples of 34 bytes: attachment and action."""
     import zenoh
 
     from bridge.hub.endpoints import subscription as module

@@ -115,7 +115,7 @@ def _rosbags() -> Subject:
 
 
 def _to_json() -> Subject:
-    """Messages converted to JSON, as for ``topic echo``, and encoded to the same bytes again."""
+    """Messages converted to JSON, as for ``topic echo``."""
     from bridge.messages.json import from_json, to_json
     from bridge.messages.registry import Registry
     from tests.messages.samples import sample

@@ -39,7 +39,7 @@ def _header() -> Subject:
 
 @contextlib.contextmanager
 def _wire(data: bytes) -> Iterator[DeadlineSocket]:
-    """Return a connection on which a peer has sent these bytes and then closed."""
+    """Yield a connection whose peer has sent these bytes and then closed its end."""
     ours, theirs = socket.socketpair()
     with theirs:
         theirs.sendall(data)
@@ -278,7 +278,7 @@ def _names() -> Subject:
 
 
 def _ledger() -> Subject:
-    """The file with this daemon's ROS 1 nodes in the state folder."""
+    """The file in the state folder with the owner's ID and the daemon's last ROS 1 node."""
     from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry
 
     folder = scratch()

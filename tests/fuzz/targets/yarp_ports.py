@@ -82,7 +82,7 @@ def _conversation(kind: type[Input], carrier: carriers.Carrier, seeds: list[byte
 
 
 def _opening() -> Subject:
-    """An introduction; parsed ones are written as the same bytes, and no prefix of a valid one is rejected."""
+    """An introduction; a parsed one keeps its carrier and sender if written again, and needs its last byte."""
     seeds = [carriers.opening(c, "/w", q) for c in carriers.OUTPUTS for q in ("", "recv.portmonitor+type.dll")]
     seeds += texts("NAME_SERVER query /x\r\n", "GET / HTTP/1.1\r\n\r\n", "POST /form HTTP/1.1\r\n\r\n")
 

@@ -99,7 +99,7 @@ def test_publishers_after_the_subscription(network: HubNetwork):
 
 
 def test_history_and_live_messages_without_gaps_or_duplicates(network: HubNetwork):
-    """A subscription that joins while a publisher publishes receives every message from some message up to the last."""
+    """A subscription that joins while a publisher publishes receives all cached and all later messages, in order."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         deep = replace(LATCHED, depth=200)
@@ -140,7 +140,7 @@ def test_keep_all_keeps_many(network: HubNetwork):
 
 
 def test_own_latched_messages_are_not_received(network: HubNetwork):
-    """Zenoh's locality does not apply to caches, so the hub applies its own."""
+    """Zenoh's locality setting does not apply to caches, so the hub itself drops the session's own messages."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         own_publisher = advertise(a, "/map", LATCHED, "own")
@@ -235,7 +235,7 @@ def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
 
 
 def test_reply_on_another_key_is_ignored(network: HubNetwork) -> None:
-    """Otherwise a client that may write one key could inject messages into latched topics."""
+    """Otherwise a client that may publish on one key could inject messages into latched topics on other keys."""
     key = topic_key(network.domain, "/goal", TYPE, HASH)
     other = topic_key(network.domain, "/harmless", TYPE, HASH)
     with Hub.open(network.settings("a")) as a, network.program() as forger:
@@ -325,7 +325,7 @@ def test_publisher_without_a_reply_is_queried_again(network: HubNetwork, monkeyp
 
 
 def test_query_that_its_history_no_longer_needs_ends() -> None:
-    """Otherwise the subscription would hold that session's samples forever."""
+    """Otherwise the subscription would hold back that session's samples forever."""
     jobs: list[Callable[[], object]] = []
     executor, events = cast("Any", SimpleNamespace(submit=jobs.append)), Events()
     unused = cast("Any", None)

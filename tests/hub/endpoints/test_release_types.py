@@ -184,7 +184,7 @@ def test_a_tool_receives_each_message_once_and_unconverted(network: HubNetwork, 
             "both subscriptions are matched",
             every=0.05,
         )
-        # also if the link lost the original
+        # the tool drops a converted message even if it did not receive the original (here number 1000)
         (converted,) = out._publisher._more.values()
         converted.send(out.encoded({"timestamp": 5}), pack_attachment(1000, 1, out._publisher.gid))
         until(lambda: heard.samples[-1].sequence == 1000, "the other release receives the message")
@@ -200,7 +200,7 @@ def decoded(payload: bytes, type_hash: str) -> int:
 
 
 def test_servers_of_two_releases(own: HubNode, node: Nodes) -> None:
-    """The server with the hub's version of the type is called. The other server is called after the first has left."""
+    """A server with another version of the type is called only while no server has the hub's version."""
     clear = "nav2_msgs/srv/ClearEntireCostmap"
     lyrical, jazzy = ReleaseTypes(node(LYRICAL)), ReleaseTypes(node(JAZZY))
     requests: list[str] = []

@@ -298,7 +298,10 @@ def group_of(publisher: ReleasePublisher) -> str:
 def test_a_publisher_with_buffers_serves_the_hub_in_the_cpu_group(
     hub: Hub, node: Nodes, topic: Topic, first: str, type_hash: str
 ) -> None:
-    """In 0.10.5, subscriptions that announce no backend receive nothing. The GID is derived from the whole token."""
+    """With rmw_zenoh_cpp 0.10.5 (Lyrical), subscriptions that announce no backend receive nothing.
+
+    The GID of the group's key is derived from the whole token, with the backends.
+    """
     peer = node(LYRICAL)
     received = Images(hub, topic, type_hash=type_hash) if first == "subscription" else None
     publisher = ReleasePublisher(peer, topic)

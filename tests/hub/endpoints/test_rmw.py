@@ -53,7 +53,7 @@ def key(network: HubNetwork, topic: str) -> str:
 @EACH_QOS
 @pytest.mark.parametrize("priority", ["command", "state", "stream"])
 def test_a_subscription_receives_every_message(network: HubNetwork, qos: Qos, priority: str) -> None:
-    """Nodes once received only the first message of a volatile topic, because all had the same source number."""
+    """Nodes once received only the first message of a volatile topic: all messages had the same source number."""
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/cmd_vel"), qos)
         publisher = advertise(a, "/cmd_vel", qos, priority=priority)

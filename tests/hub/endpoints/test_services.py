@@ -22,7 +22,7 @@ SERVICE, HASH = "std_srvs/srv/SetBool", "RIHS01_" + "5e" * 32
 
 
 class Called:
-    """The end of one call."""
+    """Records the end of one call: a reply or an error."""
 
     def __init__(self) -> None:
         self.ends: list[bytes | CallError] = []
@@ -222,7 +222,7 @@ def test_abandoned_call_notifies_only_the_server(network: HubNetwork) -> None:
         kept, _ = call(caller, b"kept")
         until(lambda: len(serving.held) == 2, "both requests have arrived")
         abandon()
-        until(lambda: serving.abandoned, "the server knows")
+        until(lambda: serving.abandoned, "the server is notified")
         for _, done in serving.held:
             done(b"reply")
         assert kept.wait() == b"reply"
@@ -254,7 +254,7 @@ def test_dead_client_abandons_its_calls(network: HubNetwork) -> None:
             peer.ask("call", name="/do", type=SERVICE, hash=HASH)
             until(lambda: serving.held and a.graph.clients("/do"), "the request and the client's token have arrived")
             peer.signal(9)
-            until(lambda: serving.abandoned, "the server knows")
+            until(lambda: serving.abandoned, "the server is notified")
         serving.held[0][1](b"too late")
 
 
@@ -294,7 +294,7 @@ def test_a_client_or_session_that_closes_ends_its_calls(network: HubNetwork) -> 
         b.close()
         assert second.wait(0) == "the call of /do was ended: its client was closed"
         assert call(first_client)[0].wait(0) == "no server of /do is on the hub"
-        until(lambda: sorted(serving.abandoned) == [b"one", b"two"], "the server knows")
+        until(lambda: sorted(serving.abandoned) == [b"one", b"two"], "the server is notified")
 
 
 def test_replies_to_plain_zenoh_programs_and_malformed_requests(network: HubNetwork) -> None:

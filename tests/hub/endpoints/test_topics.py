@@ -106,7 +106,7 @@ def test_a_listed_subscription_of_another_program_misses_nothing(
 ) -> None:
     """The graph may list a subscription some time after zenoh can reach it, but before zenoh reports the match."""
     if joins == 1:
-        monkeypatch.setattr(_Matching, "_changed", lambda *_: None)  # very late
+        monkeypatch.setattr(_Matching, "_changed", lambda *_: None)  # as if zenoh reported the match very late
     with Hub.open(network.settings("a")) as a, network.rmw_session() as other:
         publisher, key = advertise(a, "/chatter"), topic_key(network.domain, "/chatter", TYPE, HASH)
         for number in range(joins):
@@ -190,7 +190,7 @@ def test_a_large_message_arrives_complete(network: HubNetwork):
 
 
 def test_memory_of_a_large_message_is_released_at_both_ends(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
-    """A worker calls `LARGE_MESSAGES` at each heartbeat; see tests/test_resources.py."""
+    """`LARGE_MESSAGES` gets the size of each message at both ends; tests/test_resources.py tests the release itself."""
     passed: list[int] = []
     monkeypatch.setattr(resources.LARGE_MESSAGES, "passed", passed.append)
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
@@ -217,7 +217,7 @@ class Busy:
 
 
 def test_message_too_large_for_shared_memory_waits_for_a_busy_subscriber(network: HubNetwork):
-    """Messages of 50 MB and more used to be lost, because the link's queue had to accept all of it within 0.2 s."""
+    """Messages of 50 MB and more used to be lost: the link's queue had to accept each as a whole within 0.2 s."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         busy, other = Busy(b), Subscriber(b, "/small")
         publisher, small = advertise(a, "/large"), advertise(a, "/small")

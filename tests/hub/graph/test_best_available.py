@@ -178,7 +178,7 @@ def test_a_subscription_of_rmw_zenoh_follows_the_publishers(graph: HubGraph, nod
     subscription = node.declare("MS", "t", TOKEN)
     until_subscription(graph, RELIABLE, LATCHED)
     latched = node.declare("MP", "t", ":1:,1:,:,:,,")
-    until(lambda: graph.publishers("/t"), "the latched publisher")
+    until(lambda: graph.publishers("/t"), "the latched publisher is seen")
     until_subscription(graph, RELIABLE, LATCHED)
     volatile = node.declare("MP", "t", "::,7:,:,:,,")
     until_subscription(graph, RELIABLE, VOLATILE)

@@ -33,7 +33,7 @@ def test_nodes_and_endpoints_appear_and_disappear(network: HubNetwork):
                 for hub in (early, late, a):
                     until(lambda hub=hub: len(hub.graph.endpoints()) == 2, "both endpoints are seen")
                     named_a = lambda hub=hub: [n for n in hub.graph.nodes() if n.node == "a"]  # noqa: E731
-                    (node,) = until(named_a, "the node seen")
+                    (node,) = until(named_a, "the node is seen")
                     assert (node.zid, node.namespace, node.own) == (a.zid, "/robot/arm", hub is a)
                     (seen,) = hub.graph.publishers("/map")
                     assert (seen.zid, seen.node, seen.namespace, seen.kind) == (
@@ -103,7 +103,10 @@ def test_an_endpoint_of_a_bridge_is_pending_while_its_origin_is_unknown(network:
 
 
 def test_bridged_endpoint_is_never_native(network: HubNetwork):
-    """Zenoh delivers tokens in any order when sessions join; until then, the mark in an endpoint's token decides."""
+    """Zenoh delivers the tokens of a session in any order.
+
+    Until the origin's token arrives, the mark in an endpoint's token shows that a bridge created the endpoint.
+    """
     with Hub.open(network.settings("watcher")) as watcher:
         mistaken: list[HubEndpoint] = []
 

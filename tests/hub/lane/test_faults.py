@@ -37,7 +37,7 @@ def test_stalled_reader_does_not_block_others(network: HubNetwork, tmp_path: Pat
         saying.start()
         saying.join(30.0)
         os.kill(reader.pid, signal.SIGCONT)
-        assert not saying.is_alive(), "a put waits for the reader"
+        assert not saying.is_alive(), "no put waits for the reader"
 
         def newest() -> bool:
             return str(count - 1) in reader.ask("wait", id=number, count=0, seconds=0.0)["texts"][-1:][0].strip()

@@ -142,7 +142,7 @@ def test_small_messages_overtake_parts_of_a_large_one(pair: Pair) -> None:
             parts += len(record) - BODY - PIECE.size
         else:
             passed.append(key)
-    assert passed == [2], "the command waited for the whole message"
+    assert passed == [2], "the command does not wait for the whole message"
 
 
 def test_messages_sent_before_a_flush_share_a_record(pair: Pair, joining: Joining) -> None:

@@ -51,7 +51,7 @@ def drummer(network: HubNetwork, lane: str) -> Iterator[Peer]:
 
 @pytest.mark.parametrize("switches", [10, pytest.param(200, marks=pytest.mark.thorough)])
 def test_switches_lose_nothing(network: HubNetwork, reader: Hub, drummer: Peer, switches: int) -> None:
-    """All messages of a switch must arrive before the next one, because a link congested for seconds drops some."""
+    """The test waits for all messages before each switch, because a link that is congested for seconds drops some."""
     subscriber = Subscriber(reader, "/t")
     number, put = drummer.ask("publisher", topic="/t")["id"], 0
     with network.hub_peer("foreign") as foreign, network.rmw_session() as rmw:
@@ -78,7 +78,7 @@ def test_foreign_publishers_are_received_again(network: HubNetwork, reader: Hub,
     subscriber = Subscriber(reader, "/t")
     ours = advertise(writer, "/t")
     goes_by(subscriber, "lane")
-    until(lambda: ours.way() == ("lane", ""), "the publisher knows")
+    until(lambda: ours.way() == ("lane", ""), "the publisher uses the lane")
     with Hub.open(network.settings("foreign")) as far:
         strange = advertise(far, "/t")
         goes_by(subscriber, "zenoh", "foreign")
@@ -119,7 +119,7 @@ def test_topic_with_growing_messages_returns_to_zenoh(
     reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The writer's session may see the declaration on zenoh before the match is reported."""
-    monkeypatch.setattr(_Matching, "_changed", lambda *_: None)  # very late
+    monkeypatch.setattr(_Matching, "_changed", lambda *_: None)  # as if zenoh reported the match very late
     subscriber = Subscriber(reader, "/t")
     ours = advertise(writer, "/t")
     goes_by(subscriber, "lane")
@@ -153,7 +153,7 @@ def test_messages_still_on_the_way_over_zenoh_are_received_after_the_switch_to_t
     with Hub.open(network.settings("foreign")) as far:
         advertise(far, "/t")
         goes_by(subscriber, "zenoh", "foreign: it has no lane here")
-        until(lambda: ours.way()[0] == "zenoh", "the publisher knows")
+        until(lambda: ours.way()[0] == "zenoh", "the publisher uses zenoh")
         monkeypatch.setattr(chosen, "_callback", slow)
         for text in texts:
             ours.put(text.encode())
@@ -248,7 +248,7 @@ def test_late_publishers_and_subscribers(reader: Hub, writer: Hub) -> None:
     first.put(b"one")
     second.put(b"two")
     subscriber.expect("at once", "one", "two")
-    # the first publisher's message used the lane; zenoh's may still be under way
+    # the first publisher's message used the lane; "at once" over zenoh may still be under way
     until(lambda: {"one", "two"} <= set(later.texts()), "the later subscription receives both messages")
     assert sorted(later.texts()) in (["one", "two"], ["at once", "one", "two"])
     later.subscription.close()

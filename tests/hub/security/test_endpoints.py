@@ -199,7 +199,7 @@ def test_a_resolver_that_hangs_blocks_nothing(keys: Path, monkeypatch: pytest.Mo
 
 
 class Pool:
-    """A stand-in for a thread pool that runs each job at once and counts the jobs."""
+    """A stand-in for a thread pool that counts the jobs, and ends each at once with the given result."""
 
     def __init__(self, result: Attempt) -> None:
         self.result, self.jobs = result, 0
@@ -233,7 +233,7 @@ def test_a_linked_endpoint_is_not_tested(slow: float) -> None:
     pool: Any = Pool(Attempt(Reason(EndpointState.CONNECTING), "", frozenset({"tls/10.0.0.9:7448"})))
     for second in range(100):
         endpoint.poll([link], pool, None, slow + second)
-    assert pool.jobs == 1, "only the addresses are tested"
+    assert pool.jobs == 1, "the endpoint is tested only once, to resolve its addresses"
     assert endpoint.status.state == EndpointState.CONNECTED
 
 

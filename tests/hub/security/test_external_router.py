@@ -256,7 +256,7 @@ def test_reload_changes_the_trusted_machines(folder: Path) -> None:
         changed = config.model_copy(update={"hub": config.hub.model_copy(update={"open": opened})})
         local = machines.session(None)
         assert router.reload(changed)
-        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are disconnected"
+        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs stay connected"
         assert received_from(machines, "friend", put_each([CMD_VEL])) == []
         assert (ARM_DRIVE, "go") in received_from(machines, "guest", put_each([ARM_DRIVE]))
     finally:
@@ -301,10 +301,10 @@ def test_new_certificates_are_used_once_they_match(tmp_path: Path, caplog: pytes
 
         renewed.file.write_bytes(whole)
         router.health()
-        assert shown(machines) == first, "the certificate may still be being copied"
+        assert shown(machines) == first, "the certificate might not be copied completely yet"
         router.health()
         assert shown(machines) == ssl.PEM_cert_to_DER_cert(whole.decode()) != first
-        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are disconnected"
+        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs stay connected"
         assert received_from(machines, "friend", put_each([CMD_VEL])) == [(CMD_VEL, "go"), (CMD_VEL, "")]
     finally:
         machines.close()

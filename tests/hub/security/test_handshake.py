@@ -1,4 +1,4 @@
-"""Test connections to endpoints of `hub.open`, against real zenoh listeners with TLS."""
+"""The connections that test the endpoints of `hub.open`, against real zenoh listeners with TLS."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ SPOTS = (FREE, (7.5, 4.8), (3.0, 7.4))
 NEAR = 0.4
 HANGING = 8.0
 HANG = f"const end = Date.now() + {1000 * HANGING}; setTimeout(() => {{ while (Date.now() < end); }}, 0)"
-"""No script of the page runs for this many seconds."""
+"""A script that keeps all other scripts of the page from running for `HANGING` seconds."""
 
 
 def test_a_press_on_the_map_sends_the_robot(operator: Operator, watch: TestPage) -> None:

@@ -174,7 +174,7 @@ const done = arguments[0], users = ["served by /a on Fast DDS 2 (Jazzy)"];
 const decision = { daemon: "", side: "ros2", decision: "bridged", why: "", cure: "", users };
 import("./lib/cure.js").then(({ explained }) => done(explained("/x", [decision]).map((item) => item.textContent)));
 """
-"""The text of a decision that includes the nodes of the side."""
+"""Returns the text that the page shows for a decision with nodes of its side."""
 
 
 def test_status_and_frames_show_the_deployment(operator: Operator) -> None:

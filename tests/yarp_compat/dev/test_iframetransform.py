@@ -76,7 +76,10 @@ class Wire:
 
 
 class Local(IFrameTransform):
-    """The interface over direct channels, which fail while ``away`` is set; ``refusal`` is the server's, if any."""
+    """The interface over direct channels; while ``away`` is set, the server cannot be reached.
+
+    ``refusal`` is the outcome with which the server refuses to send the tree, if any.
+    """
 
     def __init__(self, generation: Generation) -> None:
         self.kept: list[FrameTransform] = []

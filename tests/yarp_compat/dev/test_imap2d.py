@@ -1,4 +1,4 @@
-"""Every call of IMap2D: its bytes by the rules of YARP's generated code, and our client with our server."""
+"""Every call of IMap2D: its bytes by the rules of YARP's generated code, and Midspan's client with its server."""
 
 from __future__ import annotations
 

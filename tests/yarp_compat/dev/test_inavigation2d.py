@@ -109,7 +109,7 @@ def test_a_failed_call_returns_defaults_after_its_outcome(
 
 @pytest.mark.parametrize("generation", Generation)
 def test_an_unset_status_of_a_real_server_is_read(generation: Generation) -> None:
-    """After an outcome other than ok, the server writes the number 0 as a vocab."""
+    """After an outcome other than ok, YARP's server writes the vocab 0 as the status."""
     rules = Bytes(generation)
     reply = listed(rules.outcome(ReturnCode.METHOD_FAILED), vocab(""))
     parsed = INavigation2DMsgs.calls()["get_navigation_status_RPC"].read_reply(reply, generation)
@@ -320,6 +320,6 @@ def test_calls_reach_the_localizer() -> None:
 
 
 def test_a_request_with_its_name_in_one_string_is_accepted() -> None:
-    """``yarp rpc`` sends such requests; the reply is one for YARP 3.9."""
+    """``yarp rpc`` sends such requests; the reply has the format of YARP 3.6 to 3.10."""
     server = Server(Navigation2DServer(Planner()), Generations(Generation.YARP_3_6))
     assert server.answer(listed(text("get_navigation_status_RPC")), "/peer") == listed(vocab("ok"), vocab("wait"))

@@ -302,7 +302,7 @@ def test_invalid_map_files_are_rejected(tmp_path: Path, text: str, reason: str) 
 
 
 def png_of(width: int, height: int) -> bytes:
-    """Return a png that declares its size without any pixels."""
+    """Return a PNG file that declares this size, but contains no pixels."""
     head = struct.pack(">2I5B", width, height, 8, 0, 0, 0, 0)
     chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(b""))]
     parts = [struct.pack(">I", len(d)) + n + d + struct.pack(">I", zlib.crc32(n + d)) for n, d in chunks]

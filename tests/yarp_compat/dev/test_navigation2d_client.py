@@ -1,4 +1,4 @@
-"""Our clients of INavigation2D and ILocalization2D with our servers, through ports, in every generation."""
+"""Midspan's clients of INavigation2D and ILocalization2D with its servers, through ports, in three generations."""
 
 from __future__ import annotations
 

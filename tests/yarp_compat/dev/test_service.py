@@ -111,7 +111,7 @@ class Kept(Places):
 
 @dataclass
 class Wire:
-    """A channel to a server in this process, which appends other bytes to each reply."""
+    """A channel to a server in this process. ``parse`` has to find the end of a reply that other bytes follow."""
 
     server: Server
     generation: Generation
@@ -139,7 +139,7 @@ def test_clients_with_any_expectation_read_replies_of_any_generation(
     wire = Wire(server, expected)
     places = Places(wire)
     if Generation.YARP_3_11 in (generation, expected):
-        wire.generation = generation  # bare numbers of 3.6 look like tags of 3.12
+        wire.generation = generation  # untagged numbers of 3.11 look like tags of 3.12
     assert places.get_location_RPC("kitchen")[0].code is ReturnCode.METHOD_FAILED
     if generation is not Generation.YARP_4 or expected is Generation.YARP_4:
         assert wire.generation in (generation, expected)
@@ -187,7 +187,7 @@ def test_an_old_server_rejects_introductions() -> None:
 
 
 def test_a_server_of_3_12_is_recognized_by_its_version() -> None:
-    """Its generated services reply to introductions with their own version."""
+    """The generated services of YARP 3.12 reply to ``getRemoteProtocolVersion`` with their release of YARP."""
 
     class Older:
         generation = Generation.YARP_4

@@ -46,7 +46,7 @@ def client(port: int, timeout: float = 5.0) -> NameClient:
 
 
 def test_a_port_is_opened_with_the_commands_of_a_real_program() -> None:
-    """The commands are register, four properties, announce and unregister; only the values of the properties differ."""
+    """These are query, register, four times set, announce and unregister; only the values of the properties differ."""
     with Scripted(*(script(TALKS[n]) for n in (1, 2, 3, 4, 5, 6, 7, 25))) as server:
         names = client(server.port)
         assert names.query("/reader") is None
@@ -96,7 +96,7 @@ def test_the_server_completes_a_registration(register: Callable[[NameClient], An
 
 
 def test_yarp_ip_selects_the_registered_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``YARP_IP`` is an address of this machine or its prefix."""
+    """``YARP_IP`` is an address, or the beginning of one of this machine's addresses."""
     for variable, host in (("127", b"127.0.0.1"), ("10.9.9.9", b"10.9.9.9")):
         monkeypatch.setenv("YARP_IP", variable)
         command = b"NAME_SERVER register /p tcp %s ...\r\n" % host
@@ -176,7 +176,7 @@ def test_the_address_is_read_from_yarp_conf(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_invalid_names_are_rejected_locally() -> None:
-    """Addresses are not queried either."""
+    """A name that contains an address is not queried either."""
     names = client(free_port())
     for name in ("two words", "/a\nb", '/a"b', "/" + "x" * 2000):
         with pytest.raises(NameRefusedError, match="without spaces"):

@@ -77,7 +77,7 @@ def test_ports_are_listed_by_name_and_prefix(ask: TextRegistry) -> None:
 
 
 def test_a_browser_receives_values(ask: TextRegistry) -> None:
-    """``/?req=list&format=json`` contains the fields of the HTTP request."""
+    """The command for ``/?req=list&format=json`` also contains the fields of the HTTP request."""
     ask("register /p")
     answer = ask('list (REQUEST_URI "?req=list&format=json") (format json) (req list)')
     assert answer[0].startswith('ports (port (name "/p") (ip "127.0.0.1")')

@@ -188,7 +188,7 @@ def test_a_closed_port_is_not_registered_again(server: NameServer) -> None:
 
 
 class RecordingClient(NameClient):
-    """A client that records its queries and replies from ``known``."""
+    """A client that records its queries, and answers them from ``known``."""
 
     def __init__(self, known: dict[str, PortContact]) -> None:
         super().__init__(Address("127.0.0.1", 10000))

@@ -125,7 +125,7 @@ def test_a_browser_receives_a_page_or_json(server: NameServer, names: NameClient
 
 
 def test_a_name_server_serves_another_network() -> None:
-    """The name server's port has the network's name, which clients get as an argument or from the environment."""
+    """The name server's port has the network's name (its namespace), which clients get as an argument."""
     with NameServer(port=free_port(room=20), namespace="/lab", gc_seconds=0) as server:
         names = NameClient(server.address, namespace="/lab")
         assert names.contact == server.contact == names.query("/lab")
@@ -274,7 +274,10 @@ def test_ports_are_connected_through_a_topic(names: NameClient, open_port: OpenP
 
 
 def test_dead_ports_are_removed(server: NameServer, names: NameClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A port that refuses connections is removed after two probes, or one on demand; live ones and mcast stay."""
+    """A port that refuses connections is removed after two periodic probes, or after one on demand.
+
+    Ports that accept connections, do not reply or use mcast stay.
+    """
     monkeypatch.setattr(server_module, "YOUNG", -1.0)
     monkeypatch.setattr(server_module, "PROBE_SECONDS", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as listening:

@@ -348,7 +348,7 @@ def test_closing_releases_a_waiting_writer(make_port: MakePort, slow: Slow) -> N
     writer.add_output("tcp://slow")
     threading.Timer(0.2, writer.close).start()
     assert writer.write(b"a", wait=True, timeout=20) == 0
-    until(lambda: not writer.is_open, "closed")
+    until(lambda: not writer.is_open, "the writer is closed")
 
 
 def test_invalid_acknowledgement_closes_the_connection(make_port: MakePort, slow: Slow) -> None:

@@ -28,7 +28,7 @@ DIALECTS = {YARP_3_12: Profile.YARP3, YARP_4: Profile.YARP4}
 
 
 class Other:
-    """Another program's port: answers queries, except while it waits for a reply, as C++ ports do."""
+    """A port of another program that, like C++ ports, answers queries except while it waits for a reply."""
 
     def __init__(self, answer: bytes) -> None:
         self.answer = answer
@@ -168,7 +168,7 @@ def test_release_is_decided_before_the_client_asks_for_the_version(
 
 
 def test_replies_are_in_the_clients_dialect(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
-    """This holds even if the request has no numbers, which would show the dialect."""
+    """This holds even if the request has no numbers, whose tags would show the dialect."""
     naming.register("/client", *other.address)
 
     def on_message(message: PortMessage) -> None:
@@ -214,7 +214,7 @@ def test_closing_does_not_wait_long_for_a_query(make_port: MakePort, naming: Loc
 
 
 def test_channel_detects_its_servers_release(make_port: MakePort) -> None:
-    """A server of 4.0 does not accept numbers of 3.12 as a request."""
+    """A server of 4.0 does not accept a request whose numbers have the tags of 3.12."""
     got = []
 
     def on_message(message: PortMessage) -> None:
@@ -230,4 +230,4 @@ def test_channel_detects_its_servers_release(make_port: MakePort) -> None:
     assert Places(channel).count(2, 3.0) == 5
     assert got == [Places.calls()["count"].request([2, 3.0], Profile.YARP4)]
     channel.generation = Generation.YARP_3_6
-    assert channel.generation is Generation.YARP_3_6, "replies have priority"
+    assert channel.generation is Generation.YARP_3_6, "the generation of a reply has priority"

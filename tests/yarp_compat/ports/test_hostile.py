@@ -161,7 +161,7 @@ def test_long_line_of_data(works: Works) -> None:
 
 @pytest.mark.parametrize("depth", [300, 1_000_000 // 8])
 def test_deeply_nested_lists(works: Works, depth: int) -> None:
-    """The lists arrive as text, as a message, and as an administrative command."""
+    """The lists arrive as a message in text, and as administrative commands in text and in binary."""
     text = b"(" * depth
     receive_all(call(works.port, b"CONNACK x\r\nd\r\n" + text + b"\r\nq\r\n"))
     works.check()

@@ -147,7 +147,7 @@ def test_losses_of_many_sockets_of_one_program_stay_counted(make: Callable[..., 
     for turn in range(1, 8):
         with speaker(number) as writer:
             writer.send(b"nonsense")
-            until(lambda turn=turn: counters.dropped["checksum"] == turn, f"{turn} counted")
+            until(lambda turn=turn: counters.dropped["checksum"] == turn, f"{turn} losses are counted")
 
 
 def groups() -> list[SendingGroup]:

@@ -149,7 +149,10 @@ def test_connecting_again_replaces_the_output(make_port: MakePort) -> None:
 
 
 def test_second_connection_of_a_port_replaces_the_first(make_port: MakePort) -> None:
-    """A port may return before its old connection's end is detected. Tools share names, so their connections stay."""
+    """A port may reconnect before the end of its old connection is detected.
+
+    Names without a slash belong to tools, and several tools may have the same one, so their connections stay.
+    """
     port = make_port("/r", Reader())
     socks = []
     for name in (b"/w\0", b"/v\0", b"/w\0", b"ad\0", b"ad\0"):
@@ -252,7 +255,7 @@ def test_impossible_connections_are_refused(
     ["tcp+recv.portmonitor+type.dll://r", "tcp+send.portmonitor+type.dll://r", "udp+log.in://r", "tcp+nonsense://r"],
 )
 def test_carrier_modifiers_are_refused(make_port: MakePort, target: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Ports cannot modify messages, and the peer would mistake unmodified messages for modified ones."""
+    """Midspan's ports cannot modify messages, and the peer would mistake unmodified messages for modified ones."""
     reader = make_port("/r")
     writer = make_port("/w")
     done, message = writer.add_output(target)
@@ -268,10 +271,10 @@ def test_carrier_modifiers_are_refused(make_port: MakePort, target: str, caplog:
 
 @pytest.mark.parametrize("first", [b"YA\xe4\x1e\0\0RP", b"YAd\x1e\0\0RP", b"YAa\x1e\0\0RP", b"CONNACK "])
 def test_modifier_of_the_writer_is_accepted(make_port: MakePort, first: bytes) -> None:
-    """A C++ port that connects with ``send.portmonitor`` modifies its messages itself; with ``recv`` it is refused.
+    """A C++ port that connects with ``send.portmonitor`` modifies its messages itself; one with ``recv`` is refused.
 
     The C++ port accepts any eight bytes as an answer (``TcpCarrier::expectReplyToHeader``): after a refusal in words,
-    ``yarp connect`` of 3.9.1 reported "Success", so no answer is sent.
+    ``yarp connect`` of 3.9.1 reported "Success", so only the text carriers get an answer to a refused connection.
     """
     reader = make_port("/r")
     for qualifiers, taken in ((b"(send portmonitor) (type dll)", True), (b"(send x) (recv y)", False)):

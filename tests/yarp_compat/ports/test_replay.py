@@ -121,13 +121,13 @@ def test_an_rpc_server_replies_with_the_recorded_bytes(profile: Profile) -> None
 
 
 def _comparable(talk: Talk) -> Talk:
-    """Remove data of the recorded machine and process, and data that the recording lacks."""
+    """Leave out the request for properties of the process, and its reply (only in connection 39)."""
     if talk.number != 39:
         return talk
     kept = []
     for request, answer in zip(talk.steps[::2], talk.steps[1::2], strict=True):
         if b"prop\x09\0\0\0get\0\x04" in request.data:
-            continue  # describes the process; tested in test_admin
+            continue  # the reply describes the recorded process; tested in test_admin
         kept += [request, answer]
     return Talk(talk.number, talk.port, kept)
 
@@ -158,7 +158,7 @@ def test_reader_of_carriers(number: int) -> None:
 
 
 def _check_help(request: bytes, answer: bytes, address: tuple[str, int]) -> None:
-    """Compare the answer with its recorded beginning."""
+    """Compare the start of the reply with the 512 bytes that were recorded."""
     with socket.create_connection(address) as sock:
         sock.sendall(b"YA\xe4\x1e\0\0RP\x09\0\0\0anon_rpc\0" + request)
         assert receive(sock, 8 + 1494)[8:][: len(answer)] == answer
@@ -183,7 +183,7 @@ def _without_queries(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Stage:
-    """All peers of the tested port, in the recorded order: the companion, and the port that it connects to."""
+    """All peers of the tested port, in the recorded order: the companion, and the port that the tested one calls."""
 
     def __init__(self, port: PortCore, address: tuple[str, int], number: int, peer: int, profile: Profile) -> None:
         self.port = port

@@ -133,7 +133,7 @@ def test_array_is_sent_without_a_copy() -> None:
 
 @pytest.mark.parametrize("width", [4, 5, 6, 7, 8])
 def test_arrays_of_any_width(width: int) -> None:
-    """C++ YARP treats an array's rows as padded if the image was resized before."""
+    """C++ YARP treats an array's rows as padded if the image was resized before; Midspan never does."""
     array = np.arange(width * 3 * 3, dtype=np.uint8).reshape(3, width, 3)
     for resized in (False, True):
         image = ImageRgb()

@@ -81,7 +81,7 @@ KINDS: list[type[Portable]] = [Vector, VectorInt, Matrix, ImageRgb, Sound, Laser
 
 
 def of_yarp3(data: bytes) -> bytes:
-    """Convert the bytes to YARP 3, by the rule in the fact sheet; outcomes of calls are excluded."""
+    """Convert YARP 4's bytes to YARP 3's, which have other tags for floats; not for outcomes of calls."""
     if data[:2] == b"\x0a\x01":
         return b"\x80" + data[1:]
     return re.sub(rb"\x14([\x00\x01]\x00\x00)", b"\x0a\\1", data)
@@ -165,7 +165,7 @@ def test_truncated_or_too_long_bytes_are_refused_and_change_nothing(name: str, p
 
 @pytest.mark.parametrize("name", VALUES)
 def test_read_and_write_on_a_connection(name: str) -> None:
-    """This works as in YARP's classes; the value is between other values."""
+    """`read` and `write` work as in YARP's classes, also if another value follows."""
     from yarp_compat.wire.elements import ElementReader, ElementWriter
 
     value = VALUES[name]

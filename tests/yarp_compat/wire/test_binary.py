@@ -44,7 +44,7 @@ MEASURED: dict[str, list[Any]] = {
     "7 dict{x:1}": [7, {"x": 1}],
     "quoting": ["a b", "", "true", "12", 'a"b\\c\nd\te', "x-1.y_z", "/port", "é", "[v]"],
 }
-"""The values encoded by a real YARP 4.0 (`data/portables.txt`)."""
+"""The values whose bytes a real YARP 4.0 wrote (`data/portables.txt`)."""
 
 FLOATS = {b"\x0a\x01": b"\x80\x01", b"\x14\x01": b"\x0a\x01"}
 """The tags of lists of floats of YARP 4, and those of YARP 3."""

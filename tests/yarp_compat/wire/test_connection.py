@@ -89,7 +89,7 @@ def test_openings_of_unsupported_carriers(number: int, named: str) -> None:
 
 
 def test_a_message_has_the_annotated_bytes() -> None:
-    """The fact sheet's example: ``hello 42 3.5`` of 4.0."""
+    """The message is ``hello 42 3.5`` as YARP 4.0 sends it."""
     payload = bytes.fromhex(
         "00 01 00 00 03 00 00 00 04 00 00 00 05 00 00 00 68 65 6c 6c 6f 01 00 00 00 2a 00 00 00"
         "14 00 00 00 00 00 00 00 00 00 0c 40"
@@ -148,7 +148,7 @@ def test_announced_sizes_above_the_limit_are_refused(total: int) -> None:
 
 
 def test_a_recorded_datagram_is_assembled_and_written_again() -> None:
-    """One was captured from mcast of YARP 4.0 (udp's is identical); another one only ends a stream."""
+    """The first was captured from mcast of YARP 4.0 (udp's is identical); the second only ends a stream."""
     recorded = bytes.fromhex(
         "e5 18 af 9b 00 00 00 00 59 41 0a 00 00 00 52 50 02 01 ff ff ff ff ff ff ff ff 08 00 00 00 1b 00 00 00"
         "00 00 00 00 00 00 00 00 7e 44 00 01 00 01 00 00 02 00 00 00 04 00 00 00 03 00 00 00 6d 73 67 01 00 00 00"

@@ -1,4 +1,4 @@
-"""Control boards as scripts use them, in the protocols of YARP 3 and 4: our board, driven through `PolyDriver`.
+"""Control boards as scripts use them, in the protocols of YARP 3 and 4: Midspan's board, driven through `PolyDriver`.
 
 The patterns are those of public scripts: position moves until they are done, loops of velocities, encoders in a loop,
 modes of one joint, of some, and of all.

@@ -1,4 +1,4 @@
-"""Clients of cameras and language models as devices, with servers of several releases."""
+"""The client devices of cameras and language models (such as `*_nwc_yarp`), with servers of several releases."""
 
 # ruff: noqa: ARG002 - names and arguments are YARP's
 

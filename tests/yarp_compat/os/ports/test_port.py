@@ -291,7 +291,10 @@ def test_environment_can_add_a_prefix(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_environment_can_rename_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in ``Port::open``, all characters except letters and digits become ``_``; the prefix is added later."""
+    """In the variable's name, as in ``Port::open``, ``_`` replaces all characters except letters and digits.
+
+    The prefix is added after the port is renamed.
+    """
     monkeypatch.setenv("YARP_RENAME_camera_rgb_1_o", "/robot/eye:o")
     assert opened(name="/camera/rgb-1:o").getName() == "/robot/eye:o"
     assert opened(name="/camera/rgb:o").getName() == "/camera/rgb:o"
