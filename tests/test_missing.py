@@ -71,7 +71,7 @@ def test_in_ci_it_fails(monkeypatch: pytest.MonkeyPatch, error: BaseException | 
 
 
 def test_missing_wheel_of_cyclone_dds_fails_in_ci(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is needed by a program of the tests and not imported by them, so `need` reports it."""
+    """The tests do not import it; only a program that they start needs it, so `need` reports it."""
     monkeypatch.setenv("CI", "true")
     monkeypatch.setattr(missing, "find_spec", lambda name: None if name == "cyclonedds" else object())
     missing.lacking.cache_clear()

@@ -1,4 +1,4 @@
-"""A control board of a YARP robot on the hub: joint states, and commands that expire unless repeated."""
+"""A control board of a YARP robot on the hub: joint states, and commands; a velocity expires unless it is repeated."""
 
 from __future__ import annotations
 

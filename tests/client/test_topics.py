@@ -1,4 +1,4 @@
-"""`HubTopics` lists all topics with their publishers, and delivers chosen ones unchanged."""
+"""`HubTopics` lists all topics with their publishers, and delivers the messages of chosen topics unchanged."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_messages_arrive_unchanged(far: Hub, topics: HubTopics) -> None:
     publisher = far.publisher(*key, Qos())
     received: list[HubSample] = []
     end = topics.subscribe(wait_for(topics, key), received.append)
-    until(publisher.matched, "a message arrives")
+    until(publisher.matched, "the publisher has a subscriber")
     publisher.put(text("one"), 1_000)
     publisher.put(text("two"), 2_000)
     until(lambda: len(received) == 2, "both messages have arrived")
@@ -103,7 +103,7 @@ def test_latched_message_arrives_once_beside_a_volatile_publisher(far: Hub, topi
     plain = far.publisher(*key, Qos())
     received: list[bytes] = []
     topics.subscribe(wait_for(topics, key), lambda sample: received.append(sample.data()))
-    until(plain.matched, "a message arrives")
+    until(plain.matched, "the publisher has a subscriber")
     plain.put(text("plain"))
     until(lambda: received == [text("plain")], "the volatile message arrives")
     kept = far.publisher(*key, LATCHED)

@@ -93,7 +93,7 @@ def test_watchdog_is_fed_unless_the_daemon_is_stopped(daemon: Daemon, systemd: S
     process = daemon.start(env=systemd.env)
     systemd.expect("READY=1")
     fed = systemd.count("WATCHDOG=1")
-    until(lambda: systemd.count("WATCHDOG=1") >= fed + 3, "fed")
+    until(lambda: systemd.count("WATCHDOG=1") >= fed + 3, "the watchdog is fed")
     process.signal(signal.SIGSTOP)
     until(lambda: is_stopped(process.pid), "the daemon is suspended")
     fed = systemd.count("WATCHDOG=1")
@@ -110,7 +110,7 @@ def test_watchdog_is_not_fed_if_only_the_loop_hangs(daemon: Daemon, systemd: Sys
     daemon.processes.append(process)
     systemd.expect("READY=1")
     fed = systemd.count("WATCHDOG=1")
-    until(lambda: systemd.count("WATCHDOG=1") > fed, "fed")
+    until(lambda: systemd.count("WATCHDOG=1") > fed, "the watchdog is fed")
     process.signal(signal.SIGUSR1)
     until(hangs.exists, "the daemon hangs")
     fed, ticked = systemd.count("WATCHDOG=1"), ticks.stat().st_size

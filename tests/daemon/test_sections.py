@@ -115,7 +115,7 @@ OF_NAVIGATION = {
     "map": {"gateway", "localization_server", "robot_path_planner"},
     "localizer": {"gateway", "localization_server"},
 }
-"""The modules whose sections use keys of ``navigation`` in place of their own."""
+"""Keys of ``navigation``, each with the modules whose sections inherit it."""
 
 
 def running(change: dict[str, Any]) -> Config:

@@ -76,7 +76,7 @@ def test_each_page_is_in_its_index(folder: Path) -> None:
 
 
 def configurations() -> list[tuple[str, str]]:
-    """Return the YAML blocks with keys of the configuration."""
+    """Return the YAML blocks that contain only keys of the configuration."""
     sections = []
     for page, code in blocks("yaml"):
         data = yaml.safe_load(code)

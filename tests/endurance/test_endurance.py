@@ -1,4 +1,4 @@
-"""Some hundred endpoints created and closed on each side, and a slow subscriber on each side; benchmarks run longer."""
+"""Hundreds of endpoints are created and closed on each side, and each has a slow subscriber; benchmarks run longer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ MOST_EACH = 60_000
 """Memory in bytes that may remain per closed endpoint: zenoh retains up to 15 kB for its keys, and short runs vary."""
 
 ROUNDS = 4
-"""Number of rounds, one of which must stay within the limit: unlike leaks, queues on a busy machine stop growing."""
+"""Maximum number of rounds, in one of which each process must stay within the limit: unlike leaks, queues on a busy
+machine stop growing."""
 
 SPARE_THREADS = 8
 """Number of threads that the middlewares start only once."""
@@ -89,7 +90,10 @@ def settled(deployment: Deployment, before: Census | None) -> Census:
 
 @pytest.mark.parametrize("side", SIDES)
 def test_a_slow_subscriber_uses_bounded_memory_and_does_not_delay_others(deployment: Deployment, side: str) -> None:
-    """It reads one message per second of a 40 MB/s stream. Sides are tested one at a time: two cores carry only one."""
+    """The subscriber reads one message per second of a 40 MB/s stream.
+
+    The sides are tested one at a time, because two cores can carry only one such stream.
+    """
     (slow,) = slow_consumer.measure(deployment, [side], rate=40.0, seconds=SLOW_SECONDS, alone=1.0)
     small, big = slow.beside[slow_consumer.SMALL], slow.beside[slow_consumer.BIG]
     assert slow.read < 15, "the slow subscriber is slow"
@@ -101,6 +105,6 @@ def test_a_slow_subscriber_uses_bounded_memory_and_does_not_delay_others(deploym
         assert small.lost == 0
         assert big.lost < big.sent / 10
     for name, most in slow.memory_beside.items():
-        assert most - slow.memory_before[name] < 100, f"{name}: the slow subscriber cost {most} MB"
+        assert most - slow.memory_before[name] < 100, f"{name}: memory grew to {most} MB"
     if side == "ros1":
         assert slow.drops["slow"] > 0

@@ -1,4 +1,4 @@
-"""The network of datagrams of the example side."""
+"""The example side's network, which consists of datagrams."""
 
 from __future__ import annotations
 
@@ -61,7 +61,10 @@ def test_a_latched_message_that_overtakes_its_publishers_hello_is_requested_agai
 
 
 def test_a_program_that_was_silent_returns_with_other_endpoints(node: Node, program: socket.socket) -> None:
-    """The engine may receive the message before it has removed the previous endpoint, with its retained message."""
+    """The endpoints get new IDs.
+
+    Otherwise, the engine could receive the message before it has removed the previous endpoint, which still retains it.
+    """
     publishers: list[str] = []
     node.open("sub", TOPIC, TYPE, latched=True, take=lambda _, publisher: publishers.append(publisher))
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""Each loss once, in one deployment: all messages flow again without intervention, all of them and no stale ones.
+"""Each loss once, in one deployment: all messages flow again without intervention; none is stale, doubled or missing.
 
 `benchmarks/recovery.py` repeats this many times, one worker at a time, and prints the durations.
 """

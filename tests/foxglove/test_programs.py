@@ -28,7 +28,7 @@ STRING = "std_msgs/String"
 
 
 class Robot(Deployment):
-    """A deployment with the server; clients may command."""
+    """A deployment with the Foxglove server; clients may send commands."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)

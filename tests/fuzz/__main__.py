@@ -62,7 +62,7 @@ def main() -> int:
 
 
 def report(name: str, finding: Finding, seed: int, file: Path) -> str:
-    """Return a finding's text, which reproduces it without the file unless the input is too long."""
+    """Return a finding's text, with a command that reproduces it: without the file, unless the input is too long."""
     packed = base64.b64encode(zlib.compress(finding.content, 9)).decode()
     given = f"--input {packed}" if len(packed) <= _LONGEST_INPUT else f"--file {file}"
     return (

@@ -62,7 +62,7 @@ def environment(file: Path) -> dict[str, str]:
 
 
 def load() -> None:
-    """Load the machine from the file in the environment, before another module imports it."""
+    """Load the machine from the file that the environment names, before another module imports it."""
     file = os.environ.get(_FILE)
     if file:
         spec = importlib.util.spec_from_file_location(_NAME, file)

@@ -93,7 +93,11 @@ class Mutator:
             content[self._position(content)] = int(self._dice.random() * 256)
 
     def _edge(self, content: bytearray) -> None:
-        """Replace a number of one, two, four or eight bytes with an edge case, most often an aligned one of four."""
+        """Replace one, two, four or eight bytes, most often four aligned ones, with a number at or near a limit.
+
+        The number is an edge case, the size of the rest of the input, or the previous one; the latter two are changed
+        by a few units.
+        """
         dice = self._dice
         width = 4 if dice.random() < 0.7 else (1, 2, 8)[int(dice.random() * 3)]
         if len(content) < width:
@@ -145,7 +149,7 @@ class Mutator:
             content[place.start() : place.end()] = _TEXT_NUMBERS[int(self._dice.random() * len(_TEXT_NUMBERS))]
 
     def _nest(self, content: bytearray) -> None:
-        """Repeat a short piece very often (deep nesting, long names, many fields); rarely, because this is slow."""
+        """Repeat a short piece many times (deep nesting, long names, many fields); rarely, because this is slow."""
         dice = self._dice
         if dice.random() > 0.1:
             return

@@ -1,4 +1,4 @@
-"""Hubs for tests: one router for each module, and a domain for each test."""
+"""Hubs for tests: one router for each module, and a domain that is derived from the test's name."""
 
 from __future__ import annotations
 
@@ -18,6 +18,6 @@ def shared_network() -> Iterator[HubNetwork]:
 
 @pytest.fixture
 def network(shared_network: HubNetwork, request: pytest.FixtureRequest) -> HubNetwork:
-    """A separate domain for each test, on the module's router."""
+    """A domain on the module's router; it is derived from the test's name, so that tests rarely share one."""
     shared_network.domain = 1 + sum(request.node.name.encode()) * 7 % 200
     return shared_network

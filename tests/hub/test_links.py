@@ -70,7 +70,7 @@ def test_missing_link_is_established(hubs: QuickHub, monkeypatch: pytest.MonkeyP
 def test_links_are_compared_during_the_search_for_a_closed_session(
     hubs: QuickHub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise commands that come and go would prevent a session from noticing a missing link."""
+    """Otherwise, the short sessions of command-line programs would keep a session from noticing a missing link."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
     with Hub.open(hubs.settings("one")) as first:
         with Hub.open(hubs.settings("two", "two")) as second:

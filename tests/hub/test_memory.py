@@ -38,7 +38,7 @@ def test_large_messages_with_and_without_shared_memory(first: bool, second: bool
         subscriber = Subscriber(b, "/image", STREAM)
         publisher = advertise(a, "/image", STREAM)
         matched(publisher)
-        # the listener holds the messages, which exceed the pool's size, so the last ones use the network
+        # the subscriber keeps the messages, which together exceed the pool's size, so the last ones use the network
         for number in range(10):
             payload = bytes([number]) * 6_000_000
             seen = len(subscriber.samples)

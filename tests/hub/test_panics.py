@@ -1,4 +1,4 @@
-"""A process detects whether its zenoh sessions can still declare."""
+"""A process detects whether its zenoh sessions can still declare key expressions."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def test_files_with_the_same_inode_numbers_on_another_device_are_no_pools(tmp_pa
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and /dev/shm")
 def test_a_killed_sender_leaves_an_orphan_with_its_listener(tmp_path: Path) -> None:
-    """The reason for `pools.orphans`. If a later zenoh releases the memory of dead processes, `orphans` is obsolete."""
+    """The reason for `shared_memory.orphans`, which is obsolete once zenoh releases the memory of dead processes."""
     with HubNetwork() as network, network.hub_peer("listener") as listener:
         subscription_id = listener.ask("subscription", topic="/image")["id"]
         for number in range(1, 4):

@@ -56,7 +56,7 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
     assert Ticking.seen == ["11", "12", "13"]
     until(lambda: place.far.wait(done, 1)[-1]["stamp"]["sec"] == 13, "the module has acknowledged the time")
     assert place.far.wait(done, 1)[-1]["frame_id"] == "ticking"
-    # a slow job delays the next acknowledgment, so that steps of the simulation wait for it
+    # with a simulation's clock, jobs run on the module's thread, so that the simulation waits for slow ones
     jobs: list[threading.Thread] = []
     host = Ticking.host
     host.loop.call(lambda: host.background.submit(lambda: threading.current_thread, jobs.append))

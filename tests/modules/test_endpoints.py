@@ -1,4 +1,7 @@
-"""A module's publisher creates messages only for subscribers; ``at_once`` callbacks do not wait for the module."""
+"""A module's publisher builds messages only for subscribers, unless it is latched.
+
+``at_once`` callbacks do not wait for the module's thread.
+"""
 
 from __future__ import annotations
 

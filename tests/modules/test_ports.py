@@ -78,7 +78,7 @@ def test_call_to_a_module_without_a_thread_gets_an_error(config: Config) -> None
 
 def test_connection_during_port_registration_loses_nothing(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     ports = Ports(config, "test")
-    # opening goes no further than this
+    # the port is only opened and registered; the steps that follow never run
     monkeypatch.setattr(ports, "_open", lambda port: port.core.is_open or port.core.open())
     with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
         port = ports.output("/said:o")
@@ -94,7 +94,10 @@ def test_connection_during_port_registration_loses_nothing(config: Config, monke
 
 
 def test_each_reader_gets_the_form_of_its_release(config: Config, caplog: pytest.LogCaptureFixture) -> None:
-    """The release comes from a rule, from the network's setting, or from the default, which log and status name."""
+    """The release comes from a rule, from the network's setting, or from the default.
+
+    The log and the status name the readers for which the default is used.
+    """
     rules = {"peers": [{"port": "/older/*", "release": "3.9"}]}
     changed = config.model_copy(update={"yarp": type(config.yarp)(**{**config.yarp.model_dump(), **rules})})
     ports = Ports(changed, "test")

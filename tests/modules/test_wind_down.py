@@ -1,4 +1,4 @@
-"""A module that is stopped first brings its robot to rest, for as long as the host allows."""
+"""A module that is stopped first brings its robot to rest, within the time that the host allows."""
 
 from __future__ import annotations
 
@@ -123,5 +123,5 @@ def test_a_module_that_fails_to_wind_down_is_closed(
 
 
 def test_the_workers_of_the_sides_wait_longer_than_a_module_winds_down_and_the_daemon_waits_longest() -> None:
-    """The daemon kills workers that have not exited by then, and their last replies are lost."""
+    """The daemon kills workers that have not exited within its time limit, and their last replies are lost."""
     assert modules_worker.WIND_DOWN_SECONDS < DRAIN_SECONDS < Timing().stop

@@ -44,14 +44,14 @@ def test_the_containerfile_follows_the_rules() -> None:
 
 
 def test_the_image_installs_no_ros_1() -> None:
-    """With what they depend on, its packages had 0.5 of 1.2 GB, and Midspan needs none of them."""
+    """Its packages and their dependencies took 0.5 of the image's 1.2 GB, and Midspan needs none of them."""
     installed = {name for _, arguments in instructions() for name in arguments.split() if name.startswith("python3-")}
-    assert installed == {"python3-dev", "python3-venv"}, "of the first stage"
+    assert installed == {"python3-dev", "python3-venv"}, "the packages of the first stage"
 
 
 @pytest.mark.parametrize("installed", [True, False])
 def test_messages_are_built_only_if_pip_installed_ros_2(tmp_path: Path, installed: bool) -> None:
-    """On arm64 it installs none: `midspan interfaces build` fails there, and must not stop the build."""
+    """On arm64, pip installs none: `midspan interfaces build` would fail there, and stop the image's build."""
     (line,) = [arguments for _, arguments in instructions() if "interfaces build" in arguments]
     programs = tmp_path / "bin"
     programs.mkdir()

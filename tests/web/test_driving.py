@@ -76,7 +76,7 @@ def page(desk: Desk) -> Iterator[TestPage]:
 
 
 def shown(page: TestPage, state: str) -> tuple[float | None, list[float]]:
-    """Return the distance and the path when the page shows the state and has received a later value of another feed."""
+    """Return the distance and the path when the page shows the state and has received the reply to a later ping."""
     page.value("driving", lambda value: value["state"] == state)
     assert page.call("ping")["ok"]
     return page.values["driving"]["value"]["distance"], page.values["path"]["value"]["points"]
@@ -87,7 +87,7 @@ def test_a_pause_keeps_distance_and_path(planner: Planner, page: TestPage, clear
     planner.drive(page)
 
     def clear() -> None:
-        """Clear the path, as planners do when their goal is canceled for a pause."""
+        """Clear the path and the distance, as planners do when their goal is canceled for a pause."""
         planner.path([])
         planner.distance(0.0)
 

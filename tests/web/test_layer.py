@@ -24,7 +24,7 @@ HERE = Pose(0.0, 0.0, 0.0)
 
 
 def heights(frame: str = "map") -> dict[str, Any]:
-    """Return heights around the three cells on the left, which have obstacles."""
+    """Return the heights of the obstacles in the three columns on the left."""
     lowest = np.array([[NAN, 0.72, 1.104], [0.1, NAN, NAN]], np.float32)
     message = to_grid_map({"lowest": lowest}, (1.0, 2.0), 0.5, {"frame_id": frame})
     return {**message, "inner_start_index": 0, "outer_start_index": 0}

@@ -15,7 +15,7 @@ from bridge.web.verbs.verbs import VerbError
 
 
 class StuckSocket:
-    """Sends many requests, and reads one reply."""
+    """Sends many requests, and never finishes reading the first reply."""
 
     application_state = WebSocketState.CONNECTED
     client = None

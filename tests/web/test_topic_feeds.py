@@ -1,4 +1,4 @@
-"""Tests of a topic's feed when its publishers pause, leave, or cannot be subscribed."""
+"""Tests of a topic's feed when its publishers pause or leave, or when the hub refuses the subscription."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LengthFeed(NewestFeed):
 
 
 class Surroundings:
-    """The module's loop, its hub, an executor and a page; ``now`` is the time in seconds."""
+    """Stands in for the console's loop, its hub, an executor and a page; ``now`` is the time in seconds."""
 
     def __init__(self) -> None:
         self.node = self.hub = self.graph = self.loop = self

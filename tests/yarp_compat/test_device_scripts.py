@@ -67,7 +67,7 @@ def network(tmp_path: Path) -> Iterator[Network]:
 
 
 class Robot:
-    """A robot that drives for three requests of its status."""
+    """A robot that moves during the first three requests of its status, and then has reached its goal."""
 
     def __init__(self) -> None:
         self.goals = list[Map2DLocation]()

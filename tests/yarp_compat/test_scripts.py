@@ -1,4 +1,4 @@
-"""Unchanged scripts for the official Python bindings (`import yarp`) run on ours, as separate programs."""
+"""Unchanged scripts for the official Python bindings (`import yarp`) run on `yarp_compat`, as separate programs."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ OUTPUTS = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Serve a name server, and return the folder with its address."""
+    """Run a name server, and yield the folder with its yarp.conf."""
     config = tmp_path_factory.mktemp("yarp")
     with NameServer(port=free_port()) as server:
         (config / "yarp.conf").write_text(f"{server.address.host} {server.address.port} yarp\n")

@@ -45,7 +45,10 @@ class Talk:
 
 
 def read(name: str, *, joined: bool = True) -> list[Talk]:
-    """Return all connections of a transcript in the order of opening; ``joined``: merge pieces in one direction."""
+    """Return all connections of a transcript in the order of opening.
+
+    ``joined``: merge consecutive pieces in one direction, even if they have different times.
+    """
     talks: dict[int, Talk] = {}
     by, moment, talk = "", 0.0, None
     for line in (_DATA / name).read_text().splitlines():

@@ -20,7 +20,7 @@ NO_ROS: dict[str, Any] = {"ros1": {"enabled": False}, "ros2": {"enabled": False}
 
 
 def results_by_check(done: Any) -> dict[str, list[str]]:
-    """Results by check."""
+    """Return the results of each check."""
     by_check: dict[str, list[str]] = {}
     for entry in done.json():
         by_check.setdefault(entry["check"], []).append(entry["result"])

@@ -1,4 +1,4 @@
-"""``midspan nav startup`` and the like: refusals and errors. `tests/interop/test_nav2_servers.py` has real servers."""
+"""Lifecycle verbs of ``midspan nav``: refusals and errors. `tests/interop/test_nav2_servers.py` has real servers."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def test_faster_and_slower_within_bounds() -> None:
 
 
 class Base:
-    """A base on the hub that subscribes to one type; ``sent``: received velocities, m/s forward and rad/s."""
+    """A base on the hub that subscribes to one type; ``sent``: the velocities that it received (m/s forward, rad/s)."""
 
     def __init__(self, network: HubNetwork, registry: Registry, type_name: str) -> None:
         self.sent: list[tuple[float, float]] = []

@@ -12,7 +12,7 @@ _LARGEST_CHUNK = 8 << 20
 
 
 def _bags() -> Subject:
-    """A bag of any format: it is read, its types are converted to the hub's, and its repair keeps all read messages."""
+    """A bag of any format: it is read, its types are converted, and its repair (except db3) keeps all read messages."""
     from bridge.bags import bag as limits
     from bridge.bags import db3_reader, spans
     from bridge.bags.conversion import to_hub

@@ -58,7 +58,7 @@ def _report() -> Subject:
 
 
 def _lines() -> Subject:
-    """A stream is split into the same lines however it is fragmented; the first byte sets the fragments."""
+    """A stream is split into the same lines however it is fragmented; the first byte sets the size of the fragments."""
     from bridge.daemon.protocol import Lines
 
     def parse(data: bytes) -> None:

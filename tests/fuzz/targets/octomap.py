@@ -45,7 +45,7 @@ def _octomap() -> Subject:
 
 
 def _cloud() -> Subject:
-    """A point cloud file; accepted clouds are equal after writing and reading."""
+    """A point cloud file; a written cloud has the same size and type when read, and is written to equal bytes again."""
     import numpy as np
 
     from yarp_compat.sig.cloudfile import CloudFileError, read_cloud, write_pcd, write_ply

@@ -45,7 +45,7 @@ def _network() -> Subject:
 
 
 class _Seen(dict[bytes, float]):
-    """Last-seen times in which each prefix was seen long ago."""
+    """First-seen times, in which each prefix was first seen long ago."""
 
     def get(self, _prefix: bytes, _default: object = None) -> float:  # type: ignore[override]
         return 0.0

@@ -27,7 +27,7 @@ _BEACON_WORDS = texts(
 
 
 def _ros2dds_token() -> Subject:
-    """Tokens of zenoh-plugin-ros2dds; parsed ones are written as the same token again."""
+    """Tokens of zenoh-plugin-ros2dds; a parsed one is written as a token that parses to the same."""
     from bridge.adapters.zenoh.ros2dds_tokens import action_key, token_key
     from bridge.adapters.zenoh.ros2dds_tokens import parse as read
 
@@ -89,7 +89,7 @@ def _ros1_beacon() -> Subject:
 
 
 def _ros1_beacons() -> Subject:
-    """Such beacons, one per line, and then silence, after which the graph is empty."""
+    """Discovery keys of zenoh-plugin-ros1, one per line, and then silence, after which the graph is empty."""
     import zenoh
 
     from bridge.adapters.zenoh.ros1_discovery import _LOST, PERIOD, Aloha

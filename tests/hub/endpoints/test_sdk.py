@@ -68,7 +68,7 @@ def test_we_discover_endpoints_of_an_sdk_node(hub: Hub, sdk: Peer):
     assert (listener.topic, listener.type_name, listener.node) == ("/map", "nav_msgs/msg/OccupancyGrid", "sdk_listener")
     assert listener.qos.reliability is Reliability.BEST_EFFORT
     sdk.drop(publisher)
-    until(lambda: not hub.graph.publishers(), "the publisher's end is seen")
+    until(lambda: not hub.graph.publishers(), "the publisher is removed from the graph")
 
 
 def test_sdk_subscriber_receives_our_messages(hub: Hub, sdk: Peer):

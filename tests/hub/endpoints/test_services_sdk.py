@@ -57,7 +57,7 @@ def test_sdk_server_answers_our_client(hub: Hub, sdk: Peer) -> None:
     assert asked(hub, {"data": False})["success"] is True
     assert sdk.ask("requests", id=served["id"], count=2)["requests"] == [{"data": True}, {"data": False}]
     sdk.drop(served["id"])
-    until(lambda: not hub.graph.servers("/do"), "the server's end is seen")
+    until(lambda: not hub.graph.servers("/do"), "the server is removed from the graph")
 
 
 def test_sdk_server_error_reaches_our_client(hub: Hub, sdk: Peer) -> None:

@@ -1,4 +1,4 @@
-"""An external listener without TLS: machines have no names, so commands are accepted only from this machine."""
+"""An external listener without TLS: machines have no names, so others may send commands only if all are trusted."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ class Client:
         return data
 
     def introduce(self) -> None:
-        """Introduce the client, the first request of clients of 4.0."""
+        """Introduce the client: clients of 4.0 send this request first."""
         self.send(encode([INTRODUCTION], Profile.YARP4))
         self.receive(VERSION.size + 8)
 

@@ -28,8 +28,8 @@ Talk = list[tuple[bytes, bytes]]
 def recorded() -> dict[str, Talk]:
     """Return requests and replies of four releases.
 
-    Those of 3.12.3 and 4.0 were recorded. Requests of 3.6 and 3.9 equal 3.12's (captured with 3.9.1; the interfaces and
-    writers of v3.6.0 and v3.9.1 are the same for all of these), and their replies have a boolean as outcome.
+    Those of 3.12.3 and 4.0 were recorded. Requests of 3.6 and 3.9 equal 3.12's (captured with 3.9.1; for these calls,
+    v3.6.0 and v3.9.1 have the same interfaces and writers), and their replies have a boolean as outcome.
     """
     older = []
     for request, reply in exchanges("nav-3.12.3.txt"):
@@ -83,7 +83,7 @@ def test_transcripts_of_four_releases_are_reproduced_at_one_server(connect: Call
 
 
 def test_transcripts_of_four_unknown_releases_contain_no_false_success(connect: Callable[..., Client]) -> None:
-    """Clients of 3.12 and 4.0 read all results; the older ones never read a false success."""
+    """Clients of 3.12 and 4.0 read the real outcome; older ones do if it is the whole reply, otherwise a failure."""
     talks = recorded()
     server = Server(Replaying(talks), Generations())
     clients = {release: connect(server, f"/nav{release}", release) for release in talks}

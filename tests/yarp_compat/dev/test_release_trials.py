@@ -52,7 +52,7 @@ def test_a_map_client_with_tcp_is_taken_for_one_before_3_10(connect: Callable[..
 def test_a_request_for_the_area_shows_that_the_location_was_not_read(
     connect: Callable[..., Client], name: str, rounds: int
 ) -> None:
-    """``gotoTargetByLocationName`` of ``navigation2D_nwc_yarp`` does this. It applies to all ports of the device."""
+    """``gotoTargetByLocationName`` of ``navigation2D_nwc_yarp`` does this. The finding applies to all its ports."""
     server = Server(Planner())
     maps, goals = connect(server, "/nav/locations/rpc", name), connect(server, "/nav/navigation/rpc", name)
     needed = 0

@@ -58,7 +58,7 @@ def test_a_map_client_of_3_12_works_without_acknowledgements(connect: Callable[.
 
 
 def test_a_method_of_3_12_shows_the_release(connect: Callable[..., Client]) -> None:
-    """The next failure contains its number, which is not sent to a client that may be older."""
+    """The reply to the next failed call contains the failure's number; clients that may be older do not get it."""
     server = Server(Planner())
     client = connect(server, "/nav/rpc", "3.12")
     assert client.call("get_object_RPC", ["cup"])

@@ -86,7 +86,7 @@ def _request_again(connector: Connector, ports: Ports) -> bool:
 
 
 def test_the_connector_survives_unexpected_errors(ports: Ports, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each error would otherwise end one of its few threads."""
+    """Each error would otherwise end one of the connector's few threads."""
 
     def connect(_naming: object, source: str, target: str, *, timeout: float) -> None:
         if source.startswith("/odd"):

@@ -1,4 +1,4 @@
-"""A name server client limits pending commands in time while other threads start more of them."""
+"""`hurry` limits the time of a name server client's pending commands, even while other threads start more of them."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def test_open_ports_do_not_block_the_numbers_of_new_programs(
 
 
 def test_a_reopened_port_keeps_its_number(server: RealNameServer) -> None:
-    """This also holds after the name server restarts; if another program listens on the number, the next is used."""
+    """This also holds after the name server restarts; if another program listens on the number, another one is used."""
     names = NameClient(server.address)
     port = PortCore("/ours", naming=names)
     first = port.open().port

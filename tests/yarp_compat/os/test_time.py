@@ -108,7 +108,7 @@ def test_periodic_thread_uses_the_clocks_time(clock: Clock) -> None:
 
 
 def test_wait_starts_at_the_time_that_the_caller_read(clock: Clock) -> None:
-    """If the clock advances after the thread has read it and before it waits, a periodic thread could lose a cycle."""
+    """Otherwise, a periodic thread could lose a cycle if the clock advances between its reading and its wait."""
     follow(clock, 100)
     never = threading.Event()
     assert not yarp.os.time.wait(never, 1.0, since=99.0)

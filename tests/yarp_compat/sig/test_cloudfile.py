@@ -34,7 +34,7 @@ def test_pcd_keeps_rows() -> None:
 
 
 def test_pcls_text_file_with_colors_and_an_invalid_point() -> None:
-    """The shortened example of pointclouds.org's page of the format."""
+    """The shortened example of the page about the format at pointclouds.org."""
     data = (
         b"# .PCD v.7 - Point Cloud Data file format\nVERSION .7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\n"
         b"COUNT 1 1 1 1\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA ascii\n"

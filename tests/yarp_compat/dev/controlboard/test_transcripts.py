@@ -41,7 +41,7 @@ def exchanges(profile: Profile) -> Iterator[tuple[bytes, bytes]]:
 
 
 def streamed(profile: Profile) -> Iterator[bytes]:
-    """Yield messages without a reply; the last one of a connection may be incomplete."""
+    """Yield messages without a reply; the last one of a connection is left out if it is incomplete."""
     for talk in read(FILES[profile]):
         data = talk.sent_by("C")
         data = data[12 + int.from_bytes(data[8:12], "little") :]

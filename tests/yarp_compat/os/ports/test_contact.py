@@ -1,4 +1,4 @@
-"""``Contact`` has the parts of YARP 3.12.3 and 4.0.0."""
+"""``Contact`` has the same parts and printed forms as in YARP 3.12.3 and 4.0.0."""
 
 from __future__ import annotations
 
