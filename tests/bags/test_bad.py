@@ -27,7 +27,7 @@ MEGABYTE = 1 << 20
 
 
 def chunk(compression: bytes, data: bytes, size: int) -> bytes:
-    """Return an MCAP file with one chunk that declares a given size."""
+    """Return an MCAP file with one chunk that declares ``size`` uncompressed bytes."""
     body = struct.pack("<QQQII", 0, 9, size, 0, len(compression)) + compression + struct.pack("<Q", len(data)) + data
     header = struct.pack("<BQII", 1, 8, 0, 0)
     return b"\x89MCAP0\r\n" + header + struct.pack("<BQ", 6, len(body)) + body
@@ -41,7 +41,7 @@ def ros1_record(content: bytes, **fields: bytes) -> bytes:
 
 
 def ros1_chunk(compression: bytes, data: bytes, size: int) -> bytes:
-    """Return a ROS 1 bag with one chunk that declares a given size."""
+    """Return a ROS 1 bag with one chunk that declares ``size`` uncompressed bytes."""
     start = ros1_record(b"", op=b"\x03", index_pos=bytes(8), conn_count=bytes(4), chunk_count=bytes(4))
     chunk = ros1_record(data, op=b"\x05", compression=compression, size=struct.pack("<I", size))
     return b"#ROSBAG V2.0\n" + start + chunk
@@ -102,7 +102,7 @@ def test_a_header_of_ros_1_that_declares_4_gb_ends_what_can_be_read(tmp_path: Pa
 
 
 START_BYTES = len(ros1_chunk(b"", b"", 0)) - len(ros1_record(b"", op=b"\x05", compression=b"", size=bytes(4)))
-"""Bytes before the first chunk."""
+"""The number of bytes before the first chunk of a ROS 1 bag."""
 
 OP, TIME = b"\x02", struct.pack("<II", 5, 6)
 CONNECTION = ros1_record(
@@ -147,7 +147,7 @@ def test_an_invalid_header_after_valid_ones_is_reported_with_its_chunk(
 
 
 def text(number: int, size: int = 9) -> bytes:
-    """Return a message whose time in seconds is its number."""
+    """Return the record of a message whose time in seconds is ``number``."""
     data = struct.pack("<I", size) + random.Random(number).randbytes(size // 2).hex().encode().ljust(size)
     return ros1_record(data, op=OP, conn=bytes(4), time=struct.pack("<II", number, 0))
 

@@ -111,7 +111,7 @@ def test_large_and_nested_messages_are_converted_both_ways(registry: Registry, t
 
 
 def custom_bag(path: Path) -> Path:
-    """A bag with a type that is defined only in the bag, and an installed type."""
+    """Write a bag with a message of a type that only the bag defines, and one of an installed type."""
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg("int32 number\nstd_msgs/String[] texts\n", "odd_msgs/msg/Odd"))
     odd = store.types["odd_msgs/msg/Odd"](7, [store.types[STRING]("a")])

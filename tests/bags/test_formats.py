@@ -36,7 +36,7 @@ class Kind:
     Attributes:
         ros2, ros1: topic, type and values; None if that ROS version does not have the type.
         member: a member of the message, with its value.
-        in_ros1: the same in ROS 1, if its name differs there.
+        in_ros1: the same in ROS 1, if its name or value differs there.
     """
 
     ros2: tuple[str, str, Any]

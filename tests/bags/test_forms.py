@@ -221,7 +221,8 @@ FILES = {
     "my_robot/action/Near_FeedbackMessage": (NEAR, NEAR_PARTS, "feedback.parts.1.depth", 1.5),
     "my_robot/action/Near_SendGoal_Event": (NEAR, NEAR_GOAL, "request.0.goal.part.depth", 2.5),
 }
-"""A type with the text of its file, which rosbag2 stores; values; a member and its value."""
+"""For each type: the text of its .srv or .action file, which rosbag2 stores; a message's fields; the path of one member
+and its value."""
 
 
 @pytest.mark.parametrize("target", ["b.mcap", "b.db3", "b"])
@@ -344,7 +345,7 @@ def test_a_stored_definition_is_read_back(type_name: str) -> None:
 def test_a_stored_definition_keeps_its_authors_text(tmp_path: Path) -> None:
     definition = full_text(Registry().schema("sensor_msgs/msg/LaserScan"))
     assert stored_definition("sensor_msgs/msg/LaserScan", definition) == ("ros2msg", definition)
-    # the type's definition is known here
+    # the channel has no definition, but the registry has one of the type
     converted(ros2_file(tmp_path / "a.mcap", [("/e", "std_msgs/msg/Empty", "", b"\0")]), tmp_path / "b.db3")
     with sqlite3.connect(tmp_path / "b.db3") as file:
         assert file.execute("SELECT topic_type FROM message_definitions").fetchall() == [("std_msgs/msg/Empty",)]

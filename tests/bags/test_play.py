@@ -175,7 +175,7 @@ def test_the_option_commands_plays_commands_and_zero_ends_them(
 ) -> None:
     assert play("--commands", "--topics", "/cmd_vel", "--json") == 0
     out = capsys.readouterr()
-    played = json.loads(out.out)["messages"]  # on a busy machine some messages are late
+    played = json.loads(out.out)["messages"]  # on a busy machine, some are dropped as late
     assert 1 <= played <= 3
     until(lambda: len(listener.received_on("/cmd_vel")) == played + 1, "the velocities and zero are received", 5)
     assert [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")] == [0.5] * played + [0.0]

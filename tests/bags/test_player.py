@@ -114,7 +114,7 @@ def test_late_commands_are_dropped_and_others_are_played_late_and_reported() -> 
 
     stage.recorded.after = stall
     stage.player.run()
-    # at 0.7 s, the message of 0.1 s is far too late: the bag time is set back to it, and the other intervals are kept
+    # at 0.7 s, the message of 0.1 s is far too late: the bag time is set back to it, and the later intervals are kept
     assert stage.recorded.received_on("/cmd_vel")[:2] == [(0.8, "0.2"), (0.9, "0.30000000000000004")]
     assert stage.player.dropped == {("/cmd_vel", "late"): 1}
     assert [data for _, data in stage.recorded.received_on("/scan")] == ["0.0", "0.9"]

@@ -74,7 +74,7 @@ class HubSide:
             return list(self._heard[endpoint])
 
     def wait_without(self, endpoint: int, probe: str, count: int) -> list[dict[str, Any]]:
-        """Return all messages but the probes, once ``count`` others have arrived."""
+        """Return all messages but the probes, once ``count`` others have arrived, or after 10 s."""
 
         def others() -> list[dict[str, Any]]:
             return [m for m in self._heard[endpoint] if m["data"] != probe]
@@ -134,7 +134,7 @@ class HubSide:
         return until(answers, "the worker reports its status")[0]
 
     def serve(self, service: str, type_: str, **params: Any) -> Serving:
-        """Serve on the hub until ``server.close``."""
+        """Serve on the hub until the server, which is then in ``servers``, is closed."""
         name = service_name(type_)
         serving = Serving(self.registry, name, params)
         self.servers[service] = self.hub.server(service, name, self.registry.service_ros2(name).type_id, serving.call)

@@ -1,4 +1,4 @@
-"""Invalid input from each network is refused with a reason and counted, while a valid topic keeps crossing."""
+"""Invalid input from each network is refused with a reason and counted, while valid messages still cross."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LIMIT = 16
 
 
 class Siege:
-    """A deployment, a topic that must always cross, and hostile programs."""
+    """A deployment, two topics whose messages must always cross, and hostile programs."""
 
     def __init__(self, deployment: Deployment, stack: contextlib.ExitStack) -> None:
         self.deployment, self.stack = deployment, stack
@@ -61,7 +61,7 @@ class Siege:
         return f"/{word}{self._names}"
 
     def route(self, side: str, topic: str, direction: str, **drops: int) -> dict[str, Any]:
-        """Return the route of a topic, once it reports these counts of dropped messages."""
+        """Return the route of a topic, once it has dropped at least these numbers of messages, by reason."""
 
         def counted() -> dict[str, Any] | None:
             route = self.deployment.route(side, topic, direction)
@@ -111,7 +111,7 @@ def besieged(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Siege]:
 
 @pytest.fixture
 def siege(besieged: Siege) -> Iterator[Siege]:
-    """The deployment; after each test, the valid topic must still cross."""
+    """The deployment; after each test, messages of the two valid topics must still cross."""
     yield besieged
     besieged.still_flows()
 
@@ -122,7 +122,7 @@ def header(**fields: str) -> bytes:
 
 
 def says(*parts: bytes) -> Callable[[socket.socket], None]:
-    """Return a publisher that sends these bytes to each subscriber, and then nothing."""
+    """Return a ``serve`` for `Siege.hostile` that sends these bytes to each subscriber, and then nothing."""
 
     def serve(sock: socket.socket) -> None:
         sock.recv(65536)
@@ -162,7 +162,7 @@ def test_invalid_ros1_headers(siege: Siege, said: bytes, why: str) -> None:
 
 
 def test_invalid_ros1_messages(siege: Siege) -> None:
-    """The message is shorter than its text, or empty, or has trailing bytes."""
+    """The messages end before their string does, are empty, or have trailing bytes."""
     topic = siege.name("lying")
     good = frame(text("good"))
     siege.hostile(
@@ -274,7 +274,7 @@ def test_hostile_requests_to_the_ros1_node(siege: Siege) -> None:
         request = urllib.request.Request(uri, body.encode())
         with contextlib.suppress(urllib.error.URLError), urllib.request.urlopen(request, timeout=20) as answer:
             assert b"fault" in answer.read()
-    # a request that announces 100 GB is rejected at once, without reading a byte
+    # a request that announces 100 GB is rejected at once, before its body is read
     host, port = uri.removeprefix("http://").rstrip("/").split(":")
     with socket.create_connection((host, int(port)), timeout=20) as sock:
         sock.sendall(b"POST / HTTP/1.1\r\nContent-Length: 100000000000\r\n\r\n<a>")
@@ -285,7 +285,7 @@ def test_hostile_requests_to_the_ros1_node(siege: Siege) -> None:
 
 
 def test_invalid_cdr_on_ros2(siege: Siege) -> None:
-    """CDR that is truncated, big-endian, or followed by other bytes, and bytes that are not CDR.
+    """CDR that is truncated, big-endian, followed by other bytes or has an invalid length, and bytes that are not CDR.
 
     Each is published by a real rclpy publisher of raw bytes.
     """
@@ -400,7 +400,7 @@ def topic_token(siege: Siege, topic: str, dds_type: str, type_hash: str) -> str:
 
 
 def test_invalid_control_queries(siege: Siege) -> None:
-    """The control plane replies to each invalid query with an error, and still replies to the next valid query."""
+    """The replies to any payload have a value or an error, and the control plane still responds afterwards."""
     session = siege.session()
     for payload in (
         b"",

@@ -154,7 +154,7 @@ class Paced:
         self.pose = program.pose
 
     def command(self, x: float, turn: float) -> None:
-        """Command until BaseControl has received it. Commands that are late after a process stalled are dropped."""
+        """Send a command every 2 s until BaseControl receives one; it drops those that a stalled process delays."""
         accepted, again = self._received, -math.inf
 
         def received() -> bool:

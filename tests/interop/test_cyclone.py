@@ -85,7 +85,7 @@ def until_explained(deployment: Deployment, name: str, decision: str, direction:
 
 
 def executed(native: CyclonePeer, server: int) -> list[bytes]:
-    """Return the requests that a server on Cyclone DDS has received, without header and padding."""
+    """Return the requests that a server on Cyclone DDS has received, without header and trailing zeros."""
     framed = [unwrap(request) for request in native.requests(server)]
     return [request.payload.rstrip(b"\0") for request in framed if request is not None]
 
@@ -119,7 +119,7 @@ def test_clients_of_each_side_call_a_service_of_cyclone_dds(shared: Deployment) 
         def asked() -> list[zenoh.Reply]:
             return list(session.get("json/lamp", payload=json.dumps({"data": True}), timeout=10.0))
 
-        (reply,) = until(asked, "a reply", 20)
+        (reply,) = until(asked, "a reply arrives", 20)
     assert reply.ok is not None
     assert json.loads(reply.ok.payload.to_string())["message"] == "lit"
     on, off = (service.request(data=data).rstrip(b"\0") for data in (True, False))
@@ -151,7 +151,7 @@ def test_name_served_on_two_kinds_of_dds(shared: Deployment) -> None:
 
 
 def test_actions_of_cyclone_dds(shared: Deployment) -> None:
-    """A client on each side has its goal accepted and gets its result, all from the same server."""
+    """The goals of a client on the hub and of one on ROS 1 are accepted and end, at the same server."""
     native = cyclone(shared)
     service = Service(Registry(), f"{ACTION}_GetResult")
     servers = native.act("/cyclone_go", ACTION, result=service.response(status=4))
@@ -172,7 +172,7 @@ def test_actions_of_cyclone_dds(shared: Deployment) -> None:
 
 
 def padded(request: bytes) -> bytes:
-    """Return a request whose final zeros were removed, with zeros at its end."""
+    """Append zeros to a request whose trailing zeros were removed."""
     return request + bytes(200)
 
 
@@ -229,8 +229,8 @@ def test_topics_of_cyclone_dds(shared: Deployment) -> None:
         ros1.publish(to_native, {"data": "from ROS 1"})
         return native.received(back, 1, 0.2)
 
-    assert until(received, "a message on ROS 1", 30)[0] == {"data": "from Cyclone DDS"}
-    assert text(until(delivered, "a message on Cyclone DDS", 30)[0]) == "from ROS 1"
+    assert until(received, "a message arrives on ROS 1", 30)[0] == {"data": "from Cyclone DDS"}
+    assert text(until(delivered, "a message arrives on Cyclone DDS", 30)[0]) == "from ROS 1"
 
 
 def shows(deployment: Deployment, *texts: str) -> bool:
@@ -264,7 +264,7 @@ def test_a_node_with_graph_messages_of_humble_is_found_by_its_endpoints(shared: 
         native.put(out, string("from Humble"))
         return ros1.wait(subscription, 1, 0.2)
 
-    assert until(received, "a message on ROS 1", 30)[0] == {"data": "from Humble"}
+    assert until(received, "a message arrives on ROS 1", 30)[0] == {"data": "from Humble"}
     ros1.ask("await_service", service="/humble_lamp", seconds=20)
     call = ros1.ask("call", service="/humble_lamp", type=TYPE, request={"data": True})["id"]
     assert ros1.ask("result", id=call, seconds=20)["reply"] == {"success": True, "message": "lit"}
@@ -277,7 +277,7 @@ def test_a_node_with_graph_messages_of_humble_is_found_by_its_endpoints(shared: 
         native.put(ranges, message[:-4])  # Humble's Range lacks the variance of later releases
         return ros1.wait(subscription, 1, 0.2)
 
-    assert until(range_received, "a Range of Humble on ROS 1", 30)[0]["range"] == 2.5
+    assert until(range_received, "a Range of Humble arrives on ROS 1", 30)[0]["range"] == 2.5
     measured = ros1.advertise("/measured", "sensor_msgs/Range")
     humble, jazzy = native.subscribe("/measured", "sensor_msgs/Range"), shared.ros2()
     later = jazzy.subscribe("/measured", "sensor_msgs/Range")

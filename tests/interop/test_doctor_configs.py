@@ -1,6 +1,7 @@
-"""`midspan doctor` reports only OK for each documented configuration, run with the middlewares and programs it names.
+"""`midspan doctor` reports no problem for each documented configuration that runs with the programs that it names.
 
-``default.yaml`` changes no default (`tests.config.test_generated`), like the workers' sections of ``allow_list.yaml``.
+``default.yaml`` is left out: it changes no default (`tests.config.test_generated`), and neither do the workers'
+sections of ``allow_list.yaml``, which is tested here.
 If a program is not started yet, doctor names it, and no check fails. One roscore and one ROS domain serve the whole
 file. Checks of the machine (compiler, shared memory, clock) are excluded: they do not depend on the configuration.
 """

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.thorough
 STRING = "std_msgs/String"
 TF = "tf2_msgs/TFMessage"
 
-# the example in the README of ros1_bridge, and its advice for /tf_static
+# the example in the README of ros1_bridge, its advice for /tf_static, and more services
 PARAMETERS = """\
 topics:
   -
@@ -90,7 +90,7 @@ def imported(peer: str, file: Path, folder: Path) -> list[Path]:
 
 
 def placed(file: Path, **sections: dict) -> None:
-    """Set an imported file's ports, master and folders to those of the test."""
+    """Set keys of an imported file, such as its ports and folders, to values of the test."""
     config = yaml.safe_load(file.read_text(encoding="utf-8"))
     for name, keys in sections.items():
         config[name] = {**config.get(name, {}), **keys} if isinstance(keys, dict) else keys

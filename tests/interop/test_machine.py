@@ -211,7 +211,8 @@ def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment) -> Non
         kill_each_worker(deployment, flow)
         flow.check()
         litter.unlink()
-        # The file system itself cannot be remounted while files are open for writing; a failing disk does not wait.
+        # While files are open for writing, the file system itself cannot become read-only, as that of a failing disk
+        # does; a bind mount of it can.
         subprocess.run(["mount", "--bind", str(disk), str(disk)], check=True)
         subprocess.run(["mount", "-o", "remount,bind,ro", str(disk)], check=True)
         until(
@@ -256,15 +257,15 @@ def test_no_descriptors_left(running: Deployment) -> None:
         topics = [f"/{side}_{number}" for number in range(12)]
         inboxes = [receiver.subscribe(topic, STRING) for topic in topics]
         out = [program.advertise(topic, STRING) for topic in topics]
-        until(lambda s=side: NO_DESCRIPTORS in str(running.worker(s).get("warnings")), "the warning", 20)
+        until(lambda s=side: NO_DESCRIPTORS in str(running.worker(s).get("warnings")), "the warning is reported", 20)
         flow.check()
         status = running.command("status").stdout
         assert NO_DESCRIPTORS in status
         until(lambda s=side: re.search(f"{s}: .*{NO_DESCRIPTORS}", daemon.output()), "the log has the warning", 20)
         assert "Errno" not in status
-        if side == "ros1":  # it needs one socket per publisher
+        if side == "ros1":  # ROS 1 needs one socket per publisher
             refused = "this process has no file descriptor left"
-            until(lambda r=refused: r in running.command("status").stdout, "the reason of the refused topics", 20)
+            until(lambda r=refused: r in running.command("status").stdout, "status names the reason", 20)
         doctor = running.command("doctor", "--only", "descriptors")
         assert doctor.returncode == 1
         assert "LimitNOFILE=" in doctor.stdout

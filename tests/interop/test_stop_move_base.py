@@ -62,7 +62,7 @@ def assert_ends_once(watch: Watch) -> None:
 
 
 def assert_refused_or_stands(watch: Watch) -> None:
-    """Check that unconfirmed stops are reported as unconfirmed, or that the base stands."""
+    """Check that each answered stop is either confirmed or reported as unconfirmed."""
     for name, (_, answer) in watch.answers.items():
         assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
 

@@ -217,7 +217,7 @@ for _ in range(20):
     publisher.publish(new)
     rospy.sleep(0.05)
 """
-"""A program that waits for a subscriber. The probe is its first subscriber, so only the probe gets the first
+"""A program that waits for a subscriber. Midspan's probe is its first subscriber, so only the probe gets the first
 message."""
 
 

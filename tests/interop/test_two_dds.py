@@ -1,6 +1,6 @@
 """Whole workers on Cyclone DDS and on Fast DDS, with real rclpy programs on both.
 
-They need an rmw_cyclonedds_cpp, which has no wheel (docs/sides/ros2.md).
+They need rmw_cyclonedds_cpp, of which there is no wheel (docs/sides/ros2.md).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Site:
         self.hubs: list[QuickHub] = []
 
     def hub(self) -> QuickHub:
-        """Start a hub, which is the last one of ``hubs``."""
+        """Start a hub, and append it to ``hubs``."""
         network = self._open.enter_context(QuickHub())
         self.hubs.append(network)
         return network
@@ -197,7 +197,7 @@ def test_two_daemons_on_two_hubs(site: Site) -> None:
 
 @pytest.fixture
 def on_cyclone(site: Site) -> tuple[RmwSide, WorkerProcess]:
-    """A running worker on Cyclone DDS, and the far end of its hub."""
+    """A node on a hub, and the hub's running worker on Cyclone DDS."""
     hub = site.hub()
     far, worker = site.far(hub), site.worker(hub, CYCLONE)
     return far, worker
@@ -236,7 +236,7 @@ def test_actions(site: Site, on_cyclone: tuple[RmwSide, WorkerProcess]) -> None:
 
 
 def test_parameters(deployment: Deployment) -> None:
-    """Those of ROS 1 on a node of the bridge, and those of a node on Cyclone DDS in ROS 1."""
+    """ROS 1's parameters appear on a node of the bridge, and those of a node on Cyclone DDS in ROS 1."""
     deployment.master.start()
     ros2 = {"domain": ros2_domain(), "rmw": CYCLONE}
     deployment.configure(routing={"parameters": RULES}, ros2=ros2)
@@ -273,7 +273,7 @@ def test_a_server_on_fast_dds_is_refused(site: Site, on_cyclone: tuple[RmwSide, 
 
 
 def test_a_client_on_fast_dds_gets_no_reply(site: Site, on_cyclone: tuple[RmwSide, WorkerProcess]) -> None:
-    """Its requests are not forwarded, and logged once in 10 s; a client on Cyclone DDS is served meanwhile."""
+    """Its requests are not forwarded, which is logged at most once in 10 s; a client on Cyclone DDS is served."""
     far, worker = on_cyclone
     serving = far.serve("/far", SET, reply=YES)
     foreign, native = site.program(FAST, "asker"), site.program(CYCLONE, "native")

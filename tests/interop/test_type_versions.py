@@ -75,7 +75,7 @@ class Rig:
         return MessageWriter(self.registry.schema(WHEEL, self.hashes[version])).message(message)
 
     def loads(self, version: str, subscription: ReleaseSubscription) -> list[tuple[int, float]]:
-        """Return the number and speed of each message that a hub subscription has received."""
+        """Return the number and speed of each message with a name that a hub subscription has received."""
         schema = self.registry.schema(WHEEL, self.hashes[version])
         read = [MessageReader(schema, sample.payload).message() for sample in subscription.samples]
         return [(m["load"], m["rpm" if version == "old" else "speed"]) for m in read if m["name"]]
@@ -97,7 +97,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 
 def numbered(messages: list[dict[str, Any]]) -> list[tuple[int, float]]:
-    """Return the number and speed of each message after the first contact."""
+    """Return the number and speed of each message with a name; those without one only show that endpoints match."""
     return [(m["load"], m["rpm"] if "rpm" in m else m["speed"]) for m in messages if m["name"]]
 
 
@@ -181,7 +181,7 @@ def test_subscriptions_of_two_versions_on_one_topic(rig: Rig) -> None:
     before = len(rig.kilted.wait(dds[rig.kilted], 0, 0.0))
     rig.jazzy.drop(dds[rig.jazzy])
     publish(name="n", load=9, rpm=2.5)
-    until(lambda: len(rig.kilted.wait(dds[rig.kilted], 1, 0.1)) > before, "Kilted receives on", 60)
+    until(lambda: len(rig.kilted.wait(dds[rig.kilted], 1, 0.1)) > before, "Kilted still receives", 60)
     assert numbered(rig.kilted.wait(dds[rig.kilted], 1, 0.1))[-1] == (9, 2.5)
 
 
@@ -199,7 +199,7 @@ def test_late_subscriptions_of_two_versions_receive_latched_messages(rig: Rig) -
 
 
 def test_latched_publishers_of_two_versions_on_one_topic(rig: Rig) -> None:
-    """Late subscriptions on ROS 1 and the hub receive the last message of both publishers, in their own version."""
+    """Late subscriptions on ROS 1 and the hub receive the last message of each publisher, in their own version."""
     name, values = "/latched_sources", {rig.jazzy: {"rpm": 1.5, "code": "7"}, rig.kilted: {"speed": 2.5, "code": 7}}
     for load, (peer, fields) in enumerate(values.items(), 1):
         end = peer.advertise(name, TOPIC_TYPE, latched=True, depth=1)

@@ -138,7 +138,7 @@ def test_ctrl_c_ends_a_recording_with_a_summary(robot: Robot, file: Path, tmp_pa
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a thread's priority")
 def test_the_recorder_yields_to_publishers(robot: Robot, file: Path, tmp_path: Path) -> None:
-    """All threads but the main one, which reports the recorder's health, have a lower priority."""
+    """The recorder's threads have a lower priority than the main thread, which reports the recorder's health."""
     publisher = robot.publisher("/said")
     program = recorder(file, "/said", "-o", str(tmp_path / "run.mcap"))
     until(lambda: publisher.matched() or program.poll() is not None, "the topic is subscribed")

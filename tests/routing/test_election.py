@@ -306,7 +306,7 @@ def test_nothing_is_bridged_while_it_is_unknown_whether_hubs_are_joined() -> Non
 def test_joined_hubs_agree_on_one_active_daemon(world: World) -> None:
     ring(world, "ij")
     world.until(lambda: world.reached() == pairs("XY"), 5)
-    world.check = lambda: None  # type: ignore[method-assign]  # they find out when it happens, not before
+    world.check = lambda: None  # type: ignore[method-assign]  # both are active until they notice the link
     world.joined.add(frozenset("ij"))
     world.run(2 * PERIOD)
     del world.check

@@ -77,7 +77,7 @@ class RouteToHub:
 
 
 class Newer:
-    """Delivers a message on another thread once it is called, and gives it time to overtake the caller."""
+    """When first called, delivers a message on another thread, and gives that message time to overtake the caller's."""
 
     def __init__(self, deliver: Callable[[], None]) -> None:
         self._thread = threading.Thread(target=deliver)
@@ -150,7 +150,7 @@ def test_pending_message_does_not_replace_one_that_arrives_after_its_removal(mon
 def test_pending_message_does_not_replace_one_that_arrives_once_its_publisher_is_known(
     monkeypatch: pytest.MonkeyPatch, *, waits: bool
 ) -> None:
-    """The loop names the publisher, a newer message arrives, and then the loop publishes the pending one."""
+    """The check loop learns of the publisher, then a newer message arrives, then the loop handles the pending one."""
     latched = LatchedRoute(monkeypatch)
     latched.route.update([latched.other], [])
     latched.receive("old")
@@ -208,7 +208,7 @@ def test_process_that_was_suspended_drops_no_message_to_the_side_before_it_looke
 
 
 class HubRoute:
-    """A route to the side with a subscription on the hub, and a hub with publishers."""
+    """A route to the side with a subscription on the hub, and another hub session with publishers."""
 
     def __init__(self, hub: Hub, there: Hub) -> None:
         registry, self.network = Registry(), FakeNetwork()
@@ -253,7 +253,7 @@ def hub_route() -> Iterator[HubRoute]:
 
 
 def test_messages_of_a_hub_publisher_that_returns_are_retained_again(hub_route: HubRoute) -> None:
-    """The publisher's link was lost, or another daemon carried its topic meanwhile; its messages count as received."""
+    """As after a lost link, or while another daemon carried the topic: the route has received the message before."""
     route, network = hub_route.route, hub_route.network
     endpoints = [hub_route.publisher(LATCHED, text)[1] for text in ("1", "2")]
     route.update(endpoints, [])
@@ -298,7 +298,7 @@ def test_queued_message_of_a_publisher_that_returns_crosses_once(hub_route: HubR
 
 
 def test_held_message_crosses_once_though_a_new_subscription_receives_it_again(hub_route: HubRoute) -> None:
-    """The first admitted publisher is volatile, so the route's subscription was volatile too."""
+    """The route's first subscription is volatile, like its first publisher; the next one also gets the cache."""
     route = hub_route.route
     _, volatile = hub_route.publisher(Qos())
     latched, endpoint = hub_route.publisher(replace(LATCHED, depth=2))

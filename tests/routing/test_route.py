@@ -114,7 +114,7 @@ def test_state_received_without_a_lease_is_bridged_with_the_next(latched: bool) 
         assert route.counters.messages == 0
         lease.extend(math.inf)
         route.update(publishers)
-        assert route.counters.messages == (1 if latched else 0), "only the newest message is bridged, once"
+        assert route.counters.messages == (1 if latched else 0), "only the newest latched message is bridged, once"
         assert route.counters.drops["standby"] == (1 if latched else 2)
         route.close()
 

@@ -198,7 +198,7 @@ def test_of_two_forms_a_side_gets_the_one_that_its_nodes_subscribe_to(side: Side
 
 
 def test_form_that_no_node_of_the_side_subscribes_to_has_no_route(side: Side) -> None:
-    """On ROS 1, it would become the topic's type, and the type of the base would no longer be known."""
+    """On ROS 1, this form would become the topic's type, and the base's type would no longer be known."""
     side.base(CMD_VEL, STAMPED)
     side.program(TWIST)
     until(

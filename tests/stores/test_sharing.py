@@ -104,7 +104,7 @@ def test_three_separated_replicas_converge_after_joining_again(
         second_store.store.delete(LOCATION, "common3")
         third_store.store.put(LOCATION, "of three", KITCHEN)
         third_store.store.put(AREA, "hall", Map2DArea("m1", [], "hall"))
-        third_store.store.put(LOCATION, "common1", KITCHEN)  # later than one's deletion
+        third_store.store.put(LOCATION, "common1", KITCHEN)  # later than the deletion in "one"
         assert names(second_store) != names(first_store)
         with caplog.at_level(logging.WARNING):
             third_store.disconnect()
@@ -165,7 +165,7 @@ def test_a_subscriber_of_all_puts_and_deletes_has_the_same_content(hub: QuickHub
         session.declare_subscriber("midspan/store/**", keep),
     ):
         all_joined(first_store, second_store)
-        for store, name in ((first_store, "a"), (second_store, "b")):  # again, until the route to the listener is known
+        for store, name in ((first_store, "a"), (second_store, "b")):  # repeated until zenoh has the route
             until(
                 lambda store=store, name=name: store.store.put(LOCATION, name, KITCHEN) or f"location/{name}" in held,
                 "the listener receives the value",
@@ -377,7 +377,7 @@ def wanted(space: KeySpace, daemon: str) -> StoreClient | None:
 
 @contextlib.contextmanager
 def plain(hub: QuickHub) -> Iterator[zenoh.Session]:
-    """Open a session of a plain zenoh program: a client of the router, with zenoh's defaults."""
+    """Open a session of a plain zenoh program: a client of the router, with zenoh's defaults but no scouting."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([hub.endpoint]))

@@ -24,7 +24,7 @@ def frame(payload: bytes) -> bytes:
 
 
 class Listener(PolledConnection):
-    """A connection that only records when it is closed. It reads ``ahead`` and then pauses, like a busy service."""
+    """A connection that counts its calls, and pauses after each, like a busy service. It reads only if it listens."""
 
     def __init__(self, sock: socket.socket, loop: ConnectionLoop) -> None:
         super().__init__(sock)
@@ -144,7 +144,7 @@ def test_joined_messages_do_not_wait_for_a_service_call(crowd: Crowd) -> None:
 
     def deliver(_: bytes) -> None:
         send_later(link)
-        crowd.loop._on_ready(call)  # in the same step
+        crowd.loop._on_ready(call)  # in the same pass of the loop
 
     link, call = Link(lambda: sent.append(True)), Call(ours)
     crowd.add(deliver).sendall(frame(b"x"))

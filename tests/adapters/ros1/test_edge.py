@@ -108,7 +108,7 @@ def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge)
     with master.peer("late_latch") as peer:
 
         def latches(number: int) -> bool:
-            """Return whether the edge lost the race against the program; otherwise there is nothing to test."""
+            """Return whether the edge's second probe found it latched; a probe that came too early tests nothing."""
             topic = f"/late_latch{number}"
             peer.advertise(topic, "std_msgs/String")
             inbox = edge.open(topic, "std_msgs/String")
@@ -205,7 +205,7 @@ def test_a_warning_names_a_subscriber_with_another_definition(master, edge):
     with master.peer("old_version") as peer:
         md5 = peer.ask("define", type="std_msgs/String", definition="string data\nint32 extra\n")["md5"]
         peer.subscribe("/version", "std_msgs/String")
-        (warning,) = until(warnings, "the warning")
+        (warning,) = until(warnings, "the warning is reported")
         assert "/old_version does not receive it" in warning
         assert md5 in warning
         assert STRING_MD5 in warning
@@ -361,7 +361,7 @@ def test_dead_and_malformed_publishers_do_not_affect_a_good_one(master, edge):
 
 
 def test_a_publisher_that_disconnects_after_its_header_is_connected_again(master, edge):
-    """The publisher resets its connection before the adapter has read the header."""
+    """The publisher resets the connection right after sending its header, so the adapter may not have read it yet."""
     attempts = []
 
     def reset(sock) -> None:

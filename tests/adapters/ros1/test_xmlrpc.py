@@ -449,7 +449,7 @@ def test_quick_calls_are_answered_while_all_threads_are_busy():
 
 
 def test_a_quick_call_is_answered_before_the_next_call_of_another_connection():
-    """A call that the master makes after the next one must not overtake the response."""
+    """Otherwise, a call that the master makes because of the second call could overtake the response to the first."""
     holding, go = threading.Event(), threading.Event()
     socks: list[socket.socket] = []
     answered: list[int] = []

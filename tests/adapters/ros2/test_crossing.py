@@ -81,7 +81,7 @@ def programs() -> Iterator[Programs]:
 
 @pytest.fixture
 def own_shm(programs: Programs) -> Iterator[Callable[[str], int]]:
-    """Return a function that makes a mount namespace with a /dev/shm of a size; it returns the namespace's process."""
+    """Return a function that makes a mount namespace with a /dev/shm of a given size, and returns a pid in it."""
     holders: list[subprocess.Popen[str]] = []
 
     def mount(size: str) -> int:
@@ -125,7 +125,7 @@ class Directions:
             received = self.edge.ask("wait", id=self.inward, count=1, seconds=0.1)["messages"]
             return data in received and {"data": data} in self.native.wait(self.received, 1, 0.1)
 
-        until(both, "messages in both directions", seconds)
+        until(both, "messages cross in both directions", seconds)
 
 
 def assert_crosses(edge: Peer, native: Peer, data: str = "x", seconds: float = 40.0) -> None:
@@ -208,7 +208,7 @@ def test_full_shared_memory(programs: Programs, own_shm: Callable[[str], int]) -
 @pytest.mark.thorough
 @pytest.mark.parametrize("transport", ["auto", "shared_memory", "udp"])
 def test_a_small_shared_memory_suffices(programs: Programs, own_shm: Callable[[str], int], transport: str) -> None:
-    """/dev/shm of 64 MB, Docker's default; large messages among them."""
+    """Messages of up to 6 MB cross with a /dev/shm of 64 MB, Docker's default."""
     mounts = own_shm("64m")
     edge = programs.edge(mounts=mounts, transport=transport)
     assert_crosses(edge, programs.native(mounts=mounts), "x" * 1_000_000, 20)
@@ -224,7 +224,7 @@ def test_a_killed_edge_leaves_the_graph_and_never_counts_as_native(programs: Pro
     killed.ask("advertise", topic="/x/killed")
     (endpoint,) = edge.until_seen("/x/killed", Kind.PUBLISHER)
     assert endpoint.made_by is MadeBy.MIDSPAN
-    until(lambda: native.graph()["publishers"].get("/x/killed"), "the edge on the native graph")
+    until(lambda: native.graph()["publishers"].get("/x/killed"), "the edge is on the native graph")
     killed.signal(signal.SIGKILL)
     programs.edge()  # a worker's successor, with its state
     until(lambda: not native.graph()["publishers"].get("/x/killed"), "the killed edge leaves the graph")
@@ -255,7 +255,7 @@ def test_everything_crosses_again_after_an_edge_was_suspended(programs: Programs
     directions.cross()
     for number in range(2):
         edge.signal(signal.SIGSTOP)
-        time.sleep(seconds)  # the suspension exceeds the lease
+        time.sleep(seconds)  # less than Fast DDS's lease of 20 s, after which the edge would have to restart
         edge.signal(signal.SIGCONT)
         directions.cross(f"again {number}")
     assert native.graph()["publishers"]["/x/out"] == ["midspan"]
@@ -280,7 +280,7 @@ def test_records_of_one_edge_reach_the_others(edge: RunningEdge, programs: Progr
     until(lambda: [s.record for s in edge.edge.sightings()] == [b"an answer"], "the response arrives")
     edge.edge.announce(b"more" * 10_000)
     until(lambda: other.ask("sightings")["records"] == ["more" * 10_000], "each record replaces the last")
-    until(lambda: edge.edge.settled(0.0), "the participants present at the start")
+    until(lambda: edge.edge.settled(0.0), "the participants present at the start are known")
     assert not edge.edge.settled(time.monotonic()), "a participant that joins now is unknown"
     assert not [e for e in edge.edge.endpoints() if "_midspan" in e.topic]
     other.signal(signal.SIGKILL)

@@ -47,7 +47,7 @@ def test_idle_subscriptions_are_never_polled(
         native.publish(publisher, {"data": "x"})
         return len(inbox.messages) >= 100
 
-    until(hundred, "a hundred messages")
+    until(hundred, "a hundred messages arrive")
     assert set(looks) == {"/idle/active"}
 
 
@@ -67,12 +67,12 @@ def test_a_burst_longer_than_one_cycle_arrives_complete(edge: RunningEdge, peer:
     edge.until_seen("/burst", Kind.PUBLISHER)
     until(
         lambda: native.graph()["subscriptions"].get("/burst") == ["midspan"],
-        "the edge's subscription on the native graph",
+        "the edge's subscription is on the native graph",
     )
     for number in range(count):
         native.publish(publisher, {"data": str(number)})
     going.set()
-    until(lambda: len(texts) >= count, "the whole burst")
+    until(lambda: len(texts) >= count, "the whole burst arrives")
     assert texts == [str(number) for number in range(count)]
 
 
@@ -89,7 +89,7 @@ def test_messages_are_joined_until_the_loop_waits_again(edge: RunningEdge, peer:
         native.publish(publisher, {"data": "x"})
         return bool(joined)
 
-    until(received, "a message")
+    until(received, "a message arrives")
     assert joined[0]
     assert sent.wait(20.0)
 
@@ -140,7 +140,7 @@ def test_large_messages_of_any_size_arrive_whole(edge: RunningEdge, peer: Callab
         native.publish(publisher, {"data": "first"})
         return bool(inbox.messages)
 
-    until(connected, "a message")
+    until(connected, "a message arrives")
     sent = [f"{number:x}" * size for number, size in enumerate(sizes)]
     for number, data in enumerate(sent):
         native.publish(publisher, {"data": data})
@@ -162,7 +162,7 @@ def test_an_exception_in_one_route_does_not_stop_the_others(edge: RunningEdge, p
         native.publish(publisher, {"data": "x"})
         return len(inbox.messages) >= 10
 
-    until(ten, "ten messages in spite of the broken route")
+    until(ten, "ten messages arrive in spite of the broken route")
 
 
 def test_without_a_compiler(
@@ -181,7 +181,7 @@ def test_without_a_compiler(
             native.publish(publisher, {"data": "x"})
             return len(inbox.messages) > than
 
-        until(lambda: more(2), "messages through the wait set")
+        until(lambda: more(2), "messages arrive through the wait set")
         received = native.subscribe("/bare_out", "std_msgs/String")
         ours = edge.edge.advertise("/bare_out", edge.type(STRING), Qos())
 
@@ -189,9 +189,9 @@ def test_without_a_compiler(
             ours.send(string("y"), "hub")
             return bool(native.wait(received, 1, 0.1))
 
-        until(published, "a message that was published through ctypes")
+        until(published, "a message that was published through ctypes arrives")
         closed.close()
         count = len(inbox.messages)
-        until(lambda: more(count + 2), "messages after a subscription was closed")
+        until(lambda: more(count + 2), "messages arrive after a subscription was closed")
     finally:
         edge.edge.stop()

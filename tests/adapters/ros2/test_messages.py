@@ -37,7 +37,7 @@ def test_messages_of_a_native_publisher_are_received(edge: RunningEdge, peer: Ca
         native.publish(publisher, {"data": "grüß"})
         return bool(inbox.messages)
 
-    until(delivered, "a message from the native publisher")
+    until(delivered, "a message from the native publisher arrives")
     payload, source, time_ns = inbox.messages[0]
     assert text(payload) == "grüß"
     assert source == endpoint.id
@@ -107,7 +107,7 @@ def test_large_messages(edge: RunningEdge, peer: Callable[..., Peer], size: int)
         ours.send(payload, "hub")
         return bool(inbox.messages) and bool(native.wait(subscription, 1, 0.5))
 
-    until(both, "large messages in both directions")
+    until(both, "large messages cross in both directions")
     assert len(inbox.messages[0][0]) == size + 9
     assert native.wait(subscription, 1)[0]["data"] == "x" * size
 
@@ -128,7 +128,7 @@ def test_best_effort_and_reliable_publishers_of_one_topic_are_both_received(
             native.publish(endpoint, {"data": str(number)})
         return len({source for _, source, _ in inbox.messages}) == 3
 
-    until(all_heard, "messages of all three publishers")
+    until(all_heard, "messages of all three publishers arrive")
 
 
 def test_no_message_arrives_twice_if_publishers_have_different_qos(
@@ -154,7 +154,7 @@ def test_no_message_arrives_twice_if_publishers_have_different_qos(
         for endpoint in publishers:
             expected.append(f"{endpoint}-{number}")
             native.publish(endpoint, {"data": expected[-1]})
-            until(lambda: expected[-1] in inbox.texts(), "the message")
+            until(lambda: expected[-1] in inbox.texts(), "the message arrives")
     assert [t for t in inbox.texts() if t != "warm"] == sorted(expected)
 
 
@@ -177,7 +177,7 @@ def test_messages_of_another_midspan_are_not_delivered(
             program.publish(endpoint, {"data": "other" if program is other else "native"})
         return len(inbox.messages) >= 3
 
-    until(native_heard, "three native messages")
+    until(native_heard, "three native messages arrive")
     texts = {text(payload) for payload, _, _ in inbox.messages}
     assert texts == {"native"}
 
@@ -225,7 +225,7 @@ def test_a_closed_subscription_stops_delivering(edge: RunningEdge, peer: Callabl
         native.publish(publisher, {"data": "a"})
         return bool(closed) and bool(inbox.messages)
 
-    until(delivered, "messages on both")
+    until(delivered, "both subscriptions deliver messages")
     subscription.close()
     subscription.close()
     count, others = len(closed), len(inbox.messages)
@@ -234,7 +234,7 @@ def test_a_closed_subscription_stops_delivering(edge: RunningEdge, peer: Callabl
         native.publish(publisher, {"data": "b"})
         return len(inbox.messages) > others + 3
 
-    until(more, "messages on the other one")
+    until(more, "the other subscription still delivers messages")
     assert len(closed) == count
 
 

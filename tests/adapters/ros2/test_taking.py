@@ -40,7 +40,7 @@ def _take_type(message: type[ctypes.Structure]) -> Any:
 
 
 class Rcl:
-    """Subscriptions by their addresses, with the messages that are taken; an int is an error."""
+    """Subscriptions by their addresses, with the messages that are taken; an int is an error code."""
 
     def __init__(self) -> None:
         self.messages: dict[int, deque[bytes | int]] = {}
@@ -88,7 +88,7 @@ class Rcl:
         self.resets += 1
 
     def add(self, name: str, *messages: bytes | int, count: int | None = None) -> int:
-        """Add a reader with messages, and report ``count`` new ones; return its data."""
+        """Add a reader with messages, and report ``count`` new ones; return its callback's data."""
         subscription = len(self.messages) + 1
         self.messages[subscription] = deque(messages)
         reader: Any = name

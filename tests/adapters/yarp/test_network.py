@@ -32,7 +32,7 @@ STRING = "std_msgs/String"
 
 @pytest.fixture
 def no_yarp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A machine without a yarp.conf."""
+    """The path of a missing configuration folder, as on a machine without a yarp.conf."""
     folder = tmp_path / "yarp-config"
     monkeypatch.setenv("YARP_CONFIG_HOME", str(folder))
     monkeypatch.delenv("YARP_NAMESPACE", raising=False)
@@ -159,7 +159,7 @@ def test_port_name_of_another_program_is_a_warning(place: Place) -> None:
     bridge = place.bridge()
     out = place.far.advertise("/taken", STRING)
     warnings = until(
-        lambda: [w for w in place.far.status()["warnings"] if "another program" in w], "the warning", every=0.1
+        lambda: [w for w in place.far.status()["warnings"] if "another program" in w], "it is reported", every=0.1
     )
     assert warnings[0].startswith("/midspan/taken:o: another program has a port of this name")
     other.stop()

@@ -87,7 +87,7 @@ def test_message_of_a_writer_that_leaves_at_once_is_bridged(place: Place, monkey
     monkeypatch.setattr(topics, "HOLD_SECONDS", 20.0)  # on a slow machine, an update of the graph may take long
     place.bridge({"topic": "/once", "type": "std_msgs/msg/String"})
     out = place.far.advertise("/dynamic", "std_msgs/String")
-    until(lambda: place.names.client.query("/midspan/dynamic:i"), "the input port")
+    until(lambda: place.names.client.query("/midspan/dynamic:i"), "the input port exists")
     place.far.until_published("/once")
     for number, topic in enumerate(("/once", "/dynamic")):
         subscription = place.far.subscribe(topic, "std_msgs/String")
@@ -157,7 +157,7 @@ def test_output_connected_to_an_input_causes_no_loop(place: Place) -> None:
     subscription = place.far.subscribe("/loop", "std_msgs/String")
     reader = place.port("/reader")
     reader.listen_to("/midspan/loop:o")
-    until(lambda: place.names.client.query("/midspan/loop:i"), "the input port")
+    until(lambda: place.names.client.query("/midspan/loop:i"), "the input port exists")
     until(lambda: _connect(place, "/midspan/loop:o", "/midspan/loop:i"), "the ports are connected")
     for number in range(5):
         place.far.publish(out, {"data": str(number)})
@@ -197,7 +197,7 @@ def test_late_joiner_on_the_hub_receives_a_latched_rules_message(place: Place) -
         place.far.drop(subscription)
         return messages
 
-    assert until(late, "the latched message") == [{"data": "manual"}]
+    assert until(late, "the latched message arrives") == [{"data": "manual"}]
 
 
 def test_commands_are_neither_latched_nor_delivered_late(place: Place) -> None:
@@ -231,7 +231,7 @@ def test_stalled_reader_does_not_delay_others(place: Place) -> None:
     out = place.far.advertise("/stream", "std_msgs/String")
     stuck, quick = place.port("/stuck"), place.port("/quick")
     release = []
-    stuck.core.on_message = lambda _: until(lambda: release, "the end", 60)
+    stuck.core.on_message = lambda _: until(lambda: release, "the reader is released", 60)
     stuck.listen_to("/midspan/stream:o")
     quick.listen_to("/midspan/stream:o")
     place.far.hub_publish_until(out, {"data": "probe"}, lambda: quick.messages(1, 0.2))

@@ -37,7 +37,7 @@ def stalled(worker: WorkerProcess, seconds: float) -> Iterator[None]:
     worker.process.signal(signal.SIGSTOP)
     until(lambda: is_stopped(worker.process.pid), "the worker is stalled")
     yield
-    time.sleep(max(0.0, began + seconds - time.monotonic()))  # the duration is the test case
+    time.sleep(max(0.0, began + seconds - time.monotonic()))  # the stall must last this long
     worker.process.signal(signal.SIGCONT)
 
 
@@ -72,7 +72,7 @@ class Pair:
         return {a.daemon: a.value["state"] for a in answers if isinstance(a.value, dict) and a.worker == "yarp"}
 
     def active(self) -> str:
-        """Return the active worker; with two hubs, the first one."""
+        """Return the active worker; with two hubs, where both may be active, the first by name."""
 
         def running() -> list[str]:
             return sorted(name for name, state in self.states().items() if state == "running")
@@ -82,7 +82,7 @@ class Pair:
 
 @pytest.fixture
 def stack() -> Iterator[ExitStack]:
-    """Stop the test's objects."""
+    """An exit stack that stops the test's objects."""
     with ExitStack() as stack:
         yield stack
 

@@ -151,7 +151,7 @@ def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
 
     assert "JSON" in until(why, "explain has a decision", every=0.1)[0]
     bridge.advertise("/talk", STRING)
-    until(lambda: [w for w in place.answer("zenoh_ros2dds")["warnings"] if "JSON" in w], "a warning", every=0.1)
+    until(lambda: [w for w in place.answer("zenoh_ros2dds")["warnings"] if "JSON" in w], "it is reported", every=0.1)
 
 
 def test_services_by_a_get(place: Place) -> None:

@@ -131,7 +131,7 @@ def test_services_in_each_direction(place: Place, humble: ReleaseNode) -> None:
     bridge = place.ros2dds()
     server = ReleaseServer(humble, LIGHT, lambda _: ROS2.encode("std_srvs/SetBool_Response", YES))
     place.until_route(SIDE, "/light", "out")
-    reply = until(lambda: bridge.call("/light", "std_srvs/SetBool", {"data": True}).result()["reply"], "a reply")
+    reply = until(lambda: bridge.call("/light", "std_srvs/SetBool", {"data": True}).result()["reply"], "it replies")
     assert reply == YES
     assert ROS2.decode("std_srvs/SetBool_Request", server.requests[-1]) == {"data": True}
     serving, _tokens = bridge.serve("/door", "std_srvs/SetBool", {"type": "std_srvs/SetBool", "reply": YES})
@@ -141,7 +141,7 @@ def test_services_in_each_direction(place: Place, humble: ReleaseNode) -> None:
     def called() -> list[bytes]:
         return client.call(ROS2.encode("std_srvs/SetBool_Request", {"data": True}))
 
-    (answer,) = until(called, "a reply", every=0.1)
+    (answer,) = until(called, "a reply arrives", every=0.1)
     assert ROS2.decode("std_srvs/SetBool_Response", answer) == YES
     assert serving.requests()[-1] == {"data": True}
 

@@ -61,7 +61,7 @@ def test_a_bridge_receives_beacons_and_exact_samples(place: Place) -> None:
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
     out = place.far.advertise("/chatter", STRING)
-    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "Midspan's beacon")
+    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "Midspan's beacon arrives")
     samples: list[zenoh.Sample] = []
     bridge.session.declare_subscriber(KEY, zenoh.handlers.Callback(samples.append, indirect=False))
 
@@ -81,7 +81,7 @@ def test_a_bridges_topic_crosses_and_disappears_when_its_beacon_stops(place: Pla
     out = bridge.advertise("/chatter", STRING)
     subscription = place.far.subscribe("/chatter", STRING)
     assert cross(bridge, out, place.far, subscription, {"data": "hi"}) == {"data": "hi"}
-    until(lambda: f"ros1_discovery_info/*/sub/{KEY}" in bridge.beacons(), "Midspan's subscription beacon")
+    until(lambda: f"ros1_discovery_info/*/sub/{KEY}" in bridge.beacons(), "Midspan's subscription beacon arrives")
     bridge.drop(out)
     place.far.until_unpublished("/chatter")
 
@@ -107,7 +107,7 @@ def test_a_native_bridge_that_paused_its_beacons_resumes(place: Place) -> None:
     place.bridge({"dialect": "ros1"})
     place.far.advertise("/chatter", STRING)
     bridge = place.ros1()
-    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "Midspan's beacon")
+    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "Midspan's beacon arrives")
     beacon = Beacon(bridge.session, bridge.discovery("pub", "/chatter", STRING), PERIOD, sending=False)
     try:
         place.far.until_published("/chatter", seconds=30)
@@ -154,12 +154,12 @@ def test_an_unknown_md5_is_reported(place: Place) -> None:
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
     bridge.advertise("/odd", STRING, md5="0123456789abcdef0123456789abcdef")
-    line = until(lambda: place.explain(SIDE, "/odd"), "an explanation", every=0.1)[0]
+    line = until(lambda: place.explain(SIDE, "/odd"), "it is explained", every=0.1)[0]
     assert line["decision"] == "refused"
     assert "0123456789abcdef0123456789abcdef" in line["why"]
     assert line["cure"]
     bridge.advertise("/strange", "nowhere_msgs/Nothing", md5="0123456789abcdef0123456789abcdef")
-    line = until(lambda: place.explain(SIDE, "/strange"), "an explanation", every=0.1)[0]
+    line = until(lambda: place.explain(SIDE, "/strange"), "it is explained", every=0.1)[0]
     assert "nowhere_msgs" in line["why"]
 
 
@@ -179,7 +179,7 @@ def test_a_latched_message_is_republished_for_the_first_subscriber_and_for_anoth
     # A beacon is lost if its session is not linked to Midspan yet, and the plugin may not send another one. The wait
     # below is for a link to Midspan, so the first program must no longer subscribe to these beacons.
     first.ignore_beacons()
-    list(first.session.liveliness().get("nothing"))  # its reply shows that the network has processed the change
+    list(first.session.liveliness().get("nothing"))  # when this ends, the network has processed the change
     remote = zenoh.Locality.REMOTE
 
     def received_by_another_bridge() -> list[Any]:
@@ -193,7 +193,7 @@ def test_a_latched_message_is_republished_for_the_first_subscriber_and_for_anoth
         messages: list[Any] = another.wait(another.subscribe("/state", STRING), 1, 5)
         return messages  # empty if a busy machine lost the only beacon; then only a new bridge receives the message
 
-    assert until(received_by_another_bridge, "the latched message")[0] == {"data": "kept"}
+    assert until(received_by_another_bridge, "the latched message arrives")[0] == {"data": "kept"}
 
 
 def test_a_subscriber_without_beacon_does_not_deprive_another_of_latched_messages(place: Place) -> None:
@@ -268,15 +268,15 @@ def test_services_byte_for_byte(place: Place) -> None:
     served = bridge.ask("serve", service="/in", type=trigger, reply=yes)["id"]
     assert place.far.call("/in", trigger).result()["reply"] == yes
     key = "7374645f737276732f54726967676572/937c9679a518e3a18d831e57125ea522/*/in"
-    until(lambda: f"ros1_discovery_info/*/cl/{key}" in bridge.beacons(), "Midspan's client beacon")
+    until(lambda: f"ros1_discovery_info/*/cl/{key}" in bridge.beacons(), "Midspan's client beacon arrives")
     assert bridge.ask("requests", id=served)["requests"] == [{"structure_needs_at_least_one_member": 0}]
     serving = place.far.serve("/out", set_bool, reply=yes)
     key = "7374645f737276732f536574426f6f6c/09fb03525b03e7ea1fd3992bafd87e16/*/out"
-    until(lambda: f"ros1_discovery_info/*/srv/{key}" in bridge.beacons(), "Midspan's server beacon")
+    until(lambda: f"ros1_discovery_info/*/srv/{key}" in bridge.beacons(), "Midspan's server beacon arrives")
     for client in (bridge, named):
         client_key = key.replace("*", client.namespace)
         query = partial(client.session.get, client_key, payload=b"\1", timeout=20.0)
-        reply = until(lambda query=query: list(query()), "a reply")[0]
+        reply = until(lambda query=query: list(query()), "a reply arrives")[0]
         assert reply.ok.payload.to_bytes() == b"\1" + HI
     assert serving.requests(2) == [{"data": True}] * 2
     for invalid in (b"", b"\1\1"):
@@ -290,6 +290,6 @@ def test_services_of_actions_do_not_cross(place: Place) -> None:
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
     place.node.action_server("/lookup", "tf2_msgs/action/LookupTransform", lambda _goal: True)
-    lines = until(lambda: place.explain(SIDE, "/lookup/_action/send_goal"), "an explanation", every=0.1)
+    lines = until(lambda: place.explain(SIDE, "/lookup/_action/send_goal"), "it is explained", every=0.1)
     assert "actions" in lines[0]["why"]
     assert not [key for key in bridge.beacons() if "_action" in key]

@@ -109,7 +109,7 @@ def test_a_bridge_receives_exact_tokens_and_samples(place: Place) -> None:
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     out = place.far.advertise("/chatter", STRING, depth=7)
-    token = until(lambda: bridge.tokens("/chatter"), "Midspan's token")[0]
+    token = until(lambda: bridge.tokens("/chatter"), "Midspan's token arrives")[0]
     zid = token.split("/")[1]
     assert token == f"@/{zid}/@ros2_lv/MP/chatter/std_msgs§msg§String/:1:0:0,1000:typehash={HASH};"
     assert f"@/{zid}/@ros2_lv" in bridge.all_tokens()
@@ -129,7 +129,7 @@ def test_the_topic_of_a_bridge_crosses(place: Place) -> None:
     bridge = place.ros2dds()
     out = bridge.advertise("/chatter", STRING)
     place.bridge({"dialect": "ros2dds"})
-    token = until(lambda: bridge.tokens("/chatter", "MS"), "Midspan's token")[0]
+    token = until(lambda: bridge.tokens("/chatter", "MS"), "Midspan's token arrives")[0]
     assert token.endswith(f"/MS/chatter/std_msgs§msg§String/:1:0:0,10:typehash={HASH};")
     subscription = place.far.subscribe("/chatter", STRING)
     assert cross(bridge, out, place.far, subscription, {"data": "hi"}) == {"data": "hi"}
@@ -253,7 +253,7 @@ def test_a_token_that_claims_a_key_of_the_hub(place: Place) -> None:
     place.bridge({"dialect": "ros2dds"})
     key = f"0§chatter§std_msgs::msg::dds_::String_§{HASH}"
     claim = bridge.session.liveliness().declare_token(f"@/{bridge.zid}/@ros2_lv/MP/{key}/std_msgs§msg§String/:::")
-    until(lambda: [w for w in place.answer(SIDE)["warnings"] if "ignored" in w], "a warning", every=0.1)
+    until(lambda: [w for w in place.answer(SIDE)["warnings"] if "ignored" in w], "a warning is reported", every=0.1)
     assert not place.far.publishers("/chatter")
     claim.undeclare()
 
@@ -264,7 +264,7 @@ def test_a_type_hash_that_differs_is_reported(place: Place) -> None:
     other = "RIHS01_" + "ab" * 32
     text = bridge.token("MP", "/odd", STRING, latched=False, depth=1, best_effort=False).replace(HASH, other)
     token = bridge.session.liveliness().declare_token(text)
-    line = until(lambda: place.explain(SIDE, "/odd"), "an explanation", every=0.1)[0]
+    line = until(lambda: place.explain(SIDE, "/odd"), "it is explained", every=0.1)[0]
     assert line["decision"] == "refused"
     assert other in line["why"]
     assert line["cure"]

@@ -35,7 +35,7 @@ def test_a_bridge_receives_tokens_and_exact_replies(place: Place) -> None:
     place.bridge({"dialect": "ros2dds", "namespace": "/robot1"})
     serving = place.far.serve("/arm/light", SET, reply=YES)
     place.far.serve("/beep", TRIGGER, reply=YES)
-    token = until(lambda: bridge.tokens("/arm/light", "SS"), "Midspan's token")[0]
+    token = until(lambda: bridge.tokens("/arm/light", "SS"), "Midspan's token arrives")[0]
     zid = token.split("/")[1]
     assert token == f"@/{zid}/@ros2_lv/SS/robot1§arm§light/std_srvs§srv§SetBool"
     until_called(bridge, "/arm/light")
@@ -160,7 +160,7 @@ def test_a_client_that_disconnects_only_loses_its_own_reply(place: Place) -> Non
 
 
 def expect_single_request(call: Callable[[], Any], requests: Callable[[], list[Any]]) -> None:
-    """Call until a call succeeds. Each call reaches the server at most once, and not during the daemons' election."""
+    """Call until a call succeeds. Each call reaches the server at most once; during the election, none may reach it."""
 
     def succeeds() -> bool:
         count = len(requests())

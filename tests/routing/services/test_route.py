@@ -267,7 +267,7 @@ def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: 
     serving.requests(1)
     second = place.another("second")
     until(lambda: second.summary().standing_by, "the second worker is on standby")
-    until(lambda: [line["decision"] for line in second.explain("/do")] == ["standby"], "explained")
+    until(lambda: [line["decision"] for line in second.explain("/do")] == ["standby"], "it is explained")
     assert len(place.far.graph.servers("/do")) == 1
     place.engine.stop()
     assert call.result()["error"]
@@ -279,7 +279,7 @@ def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: 
 
 
 def test_only_planner_goals_are_canceled_when_their_client_dies(place: Place) -> None:
-    """The gateway's process is killed: no other program knows the goal, so no other program could stop the robot."""
+    """The gateway's session ends: no other program knows its goal, so no other program could stop the robot."""
     hub = Hub.open(place.hubs.settings("gateway"))
     cancels = {action: _goal(place, hub, action) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
     hub.close()

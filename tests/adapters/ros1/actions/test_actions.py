@@ -107,7 +107,7 @@ def test_the_hub_cancels_goals_of_a_ros1_server(master, edge, servers):
     stubborn, sent = hub.send(1_000_004)
     assert hub.accepted(sent)
     assert hub.cancel(stubborn) == (CancelCode.NONE, {stubborn}), (
-        "the server's library accepts the request, not its callbacks"
+        "the server's actionlib library accepts the request, whatever its callbacks do"
     )
     hub.until_state(stubborn, GoalState.CANCELING)
     hub.close()

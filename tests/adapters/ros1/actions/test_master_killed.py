@@ -22,7 +22,7 @@ LOST = "lost sight of the goal: its action server /driver left"
 
 
 class Drive:
-    """An actionlib server that executes a hub goal and a native client's goal, and publishes a command."""
+    """An actionlib server that executes a goal of the hub and a goal of a native client."""
 
     def __init__(self, master, edge, server, client) -> None:
         self.master, self.edge, self.server, self.client = master, edge, server, client

@@ -99,7 +99,7 @@ def test_dead_publishers_do_not_delay_others(prober):
         assert not prober.facts().keys() & dead
         until(lambda: len(prober.troubles()) >= 6, "the problems are reported")
         assert "not a ROS 1 answer" in until(
-            lambda: prober.troubles().get(Registration("/odd", "/odd", odd)), "the problem of the malformed publisher"
+            lambda: prober.troubles().get(Registration("/odd", "/odd", odd)), "the malformed publisher is reported"
         )
 
 
@@ -130,7 +130,7 @@ def test_a_doubted_publisher_is_probed_again(prober):
 
 
 class YarpPort:
-    """A publisher's port that behaves like a real YARP 3.9.1 (``TcpRosCarrier.cpp``, ``PortCoreInputUnit.cpp``).
+    """A publisher's port that behaves like one of YARP 3.9.1 (``TcpRosCarrier.cpp``, ``PortCoreInputUnit.cpp``).
 
     The port returns the caller's header with its own name, and with its type if known. Whatever the header contains
     (even a field ``probe``), the caller is an output from then on, until a message cannot be written to it.

@@ -109,7 +109,7 @@ def test_a_master_writes_its_changes_and_restores_them(tmp_path: Path):
 def test_reachable_nodes_stay_known_as_such(tmp_path: Path):
     file, api = tmp_path / "state.json", filled()
     api.set_reachable("/b", B)
-    api.set_reachable("/a", B)  # this is no longer the node's address
+    api.set_reachable("/a", B)  # this is not the node's address
     file.write_text(saved.dump(api))
     restored = MasterApi("", RecordedCalls())
     assert saved.load(file, restored)

@@ -111,7 +111,7 @@ def test_keep_alive_ignores_a_disconnected_socket() -> None:
     sock = socket.socket()
     sock.close()
     connection_loop.keep_alive(sock)
-    assert sock.fileno() == -1, "the kernel refuses options of a closed socket"
+    assert sock.fileno() == -1, "the socket is closed, so its options cannot be set"
 
 
 def test_an_exception_closes_only_its_connection(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:

@@ -35,7 +35,7 @@ METHODS = {
     "getBusStats": 0, "getBusInfo": 0, "getMasterUri": 0, "shutdown": 1, "getPid": 0, "getSubscriptions": 0,
     "getPublications": 0, "paramUpdate": 2, "publisherUpdate": 2, "requestTopic": 2, "getUri": 0, "getName": 0,
 }  # fmt: skip
-"""The methods, with their parameters after the caller's name."""
+"""The methods, each with the number of its parameters after the caller's name."""
 
 NOTHING: list[Any] = [
     0,

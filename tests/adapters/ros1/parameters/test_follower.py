@@ -32,7 +32,7 @@ PERIOD = 0.1
 OWNER = "1d3f"
 COPIES = copies_parameter(OWNER)
 NOBODY = "http://127.0.0.1:1/"
-"""An address to which no master can report changes, so the next comparison detects them."""
+"""An address to which no master can report changes, so only the periodic comparison detects them."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def server(master: RosMaster, owner: str = OWNER) -> RecordingServer:
 
 
 class RecordingServer(ParameterServer):
-    """A parameter server that records written parameters."""
+    """A parameter server that counts written parameters."""
 
     written = 0
 
@@ -270,7 +270,7 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
                        ("/single/max", "/single")):  # fmt: skip
         assert any(item.startswith(f"parameter {key}: not copied, since {above} has a value") for item in problems), key
     del hdr.values["exposure"]
-    until(lambda: master.call("getParam", "/hdr") == {"exposure": {"1": 100, "a": {"b": 5}}}, "the names below")
+    until(lambda: master.call("getParam", "/hdr") == {"exposure": {"1": 100, "a": {"b": 5}}}, "the names below appear")
     hdr.values["exposure"] = integer(50)
     until(lambda: master.call("getParam", "/hdr") == {"exposure": 50}, "the parameter is a single value again")
 
@@ -335,7 +335,7 @@ def test_unknown_names_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], sh
     assert parameters.warnings() == []
     master.call("setParam", "/names/gian", 2.0)
     master.call("setParam", "/names/lens/focs", 2.0)
-    master.call("setParam", "/names/lens/focus/x", 3)  # replaces the copy by a namespace
+    master.call("setParam", "/names/lens/focus/x", 3)  # replaces the copy with a namespace
     cure = "delete it in ROS 1, or exclude it with 'names' in routing.parameters"
     want = [
         f"parameter /names/{key}: set in ROS 1, but /names_node has no parameter {name} (similar: {similar}); {cure}"
@@ -361,10 +361,10 @@ def test_a_declared_parameter_without_a_value_is_set_from_ros1(master: RosMaster
     until(lambda: master.call("getParam", "/late/mode") is None, "the rejected value is deleted")
     assert any("/late/mode: /late_node rejected 5: not now" in item for item in parameters.warnings())
     master.call("setParam", "/late/count", [[1]])
-    until(lambda: master.call("getParam", "/late/count") is None, "ROS 2 has no lists of lists")
+    until(lambda: master.call("getParam", "/late/count") is None, "the list of lists is deleted")
     assert any("/late/count: the value set in ROS 1 is not set on /late_node" in item for item in parameters.warnings())
     node.values["lost"] = NOT_SET
-    until(lambda: master.call("getParam", "/late/lost") is None, "the node's state counts")
+    until(lambda: master.call("getParam", "/late/lost") is None, "the copy is deleted, since the node has no value")
     assert node.values["lost"] == NOT_SET
 
 
@@ -434,7 +434,7 @@ def test_values_set_while_the_node_is_absent_are_discarded(master: RosMaster, hu
     until(lambda: parameters.details()[0]["shared"] == 0, "the node is gone")
     master.call("setParam", "/away/speed", 9.0)
     again = ParameterNode(hubs[1], "/away_node", speed=ParameterValue(ParameterType.DOUBLE, 2.0))
-    until(lambda: master.call("getParam", "/away/speed") == 2.0, "the node's value counts")
+    until(lambda: master.call("getParam", "/away/speed") == 2.0, "the node's value replaces ROS 1's")
     assert again.set == []
 
 

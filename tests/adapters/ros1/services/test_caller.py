@@ -50,7 +50,7 @@ def request_of(sock: socket.socket) -> bytes:
 
 
 class Server:
-    """A loopback server; ``serve(sock, header)`` handles each connection after the headers."""
+    """A loopback server; ``serve(sock, header)`` handles each connection after the exchange of headers."""
 
     def __init__(self, serve: Callable[[socket.socket, dict[str, str]], None]) -> None:
         self.connections: list[dict[str, str]] = []
@@ -367,7 +367,7 @@ def test_closing_ends_pending_calls(bench):
 
 
 def test_a_large_request_to_a_server_that_does_not_read(bench):
-    # the first call fills the socket; neither its sender nor the next caller waits
+    # the request fills the socket's buffer; neither `call` nor `close` waits for the server
     blocked = threading.Event()
 
     def serve(sock, _header) -> None:
@@ -419,7 +419,7 @@ def test_without_descriptors_only_the_open_connection_is_used(bench):
 
 
 def test_a_call_that_is_abandoned_while_it_connects_is_not_sent(bench, monkeypatch):
-    """The request is not sent even if its client leaves right before that."""
+    """The request is not sent even if the client abandons the call right before."""
     outcomes = []
 
     def serve(sock, _header) -> None:

@@ -82,13 +82,13 @@ def refused(edge: Ros2Edge, name: str, service: Service, request: bytes) -> str:
 
 
 def executed(native: CyclonePeer, server: int) -> list[bytes]:
-    """Return the requests that a server on Cyclone DDS received, without header and padding (Fast DDS pads to 4)."""
+    """Return the requests that a server received, without header and trailing zeros (Fast DDS pads to 4 bytes)."""
     framed = [unwrap(request) for request in native.requests(server)]
     return [request.payload.rstrip(b"\0") for request in framed if request is not None]
 
 
 def test_server_on_cyclone_dds(edge: RunningEdge, set_bool: Service, cyclone: Callable[[], CyclonePeer]) -> None:
-    """Each call gets its own reply, and the values of a request are those that were sent."""
+    """Each call gets a reply, and the server receives the requests as they were sent."""
     native = cyclone()
     server = native.serve("/c/server", TYPE, set_bool.response(**YES))
     seen(edge, "/c/server", Kind.SERVER)
@@ -102,7 +102,7 @@ def test_server_on_cyclone_dds(edge: RunningEdge, set_bool: Service, cyclone: Ca
 
 
 def test_first_call_at_once(edge: RunningEdge, set_bool: Service, cyclone: Callable[[], CyclonePeer]) -> None:
-    """The call waits until the new server has discovered the client: its request or reply would be lost before."""
+    """The call waits until the new server has discovered the client; before that, request or reply would be lost."""
     for number in range(2):
         native = cyclone()
         name = f"/c/first{number}"
@@ -133,7 +133,7 @@ def test_each_part_of_an_action_on_cyclone_dds(
 def test_one_server_on_cyclone_dds_and_one_on_fast_dds(
     edge: RunningEdge, set_bool: Service, peer: Callable[..., Peer], cyclone: Callable[[], CyclonePeer]
 ) -> None:
-    """The one on Fast DDS is called, in its own form, until it leaves; the other one then gets its own form."""
+    """While the server on Fast DDS exists, only it is called; each server gets requests in its own DDS's form."""
     fast, native = peer("lamp"), cyclone()
     served = native.serve("/c/both", TYPE, set_bool.response(**YES))
     seen(edge, "/c/both", Kind.SERVER)
@@ -183,7 +183,7 @@ def test_cyclone_server_that_joins_later(
     monkeypatch: pytest.MonkeyPatch,
     known: bool,
 ) -> None:
-    """While calls continue and the graph is out of date, each gets the reply of the server on Fast DDS, and only it."""
+    """Even while the graph is out of date, only the server on Fast DDS is called, and each call gets its reply."""
     if not known:
         monkeypatch.setattr(matching, "_functions", lambda: None)
     fast, native = peer("lamp"), cyclone()
@@ -273,7 +273,7 @@ def test_a_call_does_not_read_the_graph(
 def test_clients_on_cyclone_dds(
     edge: RunningEdge, set_bool: Service, peer: Callable[..., Peer], cyclone: Callable[[], CyclonePeer]
 ) -> None:
-    """Clients of both kinds of DDS call one service of Midspan; each gets its own reply."""
+    """Clients on both DDS implementations call one service of Midspan; each call gets its own reply."""
     requests = Asked()
     edge.edge.serve("/c/ours", set_bool.type, requests.call)
     client, native = cyclone(), peer("asker")
@@ -303,7 +303,7 @@ def test_requests_without_a_header_are_refused(
         native.put(out, set_bool.request(data=True))
         return "not little-endian CDR with Cyclone DDS's header" in caplog.text
 
-    until(warned, "the warning")
+    until(warned, "the warning is logged")
     client = cyclone()
     call = client.call("/c/short", TYPE, set_bool.request(data=True))
     ((request, done),) = requests.wait()
@@ -331,7 +331,7 @@ def test_topics_cross_both_ways(edge: RunningEdge, cyclone: Callable[[], Cyclone
         native.put(out, string("from Cyclone"))
         return bool(inbox.messages)
 
-    until(received, "a message of Cyclone DDS")
+    until(received, "a message of Cyclone DDS arrives")
     assert set(inbox.texts()) == {"from Cyclone"}
     subscription = native.subscribe("/c/out", "std_msgs/String")
     publisher = edge.edge.advertise("/c/out", edge.type("std_msgs/msg/String"), Qos())
@@ -340,12 +340,12 @@ def test_topics_cross_both_ways(edge: RunningEdge, cyclone: Callable[[], Cyclone
         publisher.send(string("from Midspan"), "hub")
         return native.received(subscription, 1, 0.1)
 
-    assert text(until(delivered, "a message of Midspan")[0]) == "from Midspan"
+    assert text(until(delivered, "a message of Midspan arrives")[0]) == "from Midspan"
 
 
 @pytest.mark.parametrize("latched", [False, True], ids=["volatile", "latched"])
 def test_first_large_message(edge: RunningEdge, cyclone: Callable[[], CyclonePeer], latched: bool) -> None:
-    """A message of 1 MB is sent in fragments; a latched one is sent before the subscription can have matched."""
+    """A message of 1 MB is sent in fragments; a latched one is sent by a new writer, not matched yet."""
     native, topic, large = cyclone(), f"/c/large{int(latched)}", "x" * 1_000_000
     subscription = native.subscribe(topic, "std_msgs/String")
     seen(edge, topic, Kind.SUBSCRIPTION)

@@ -1,6 +1,6 @@
 """Clients and servers on raw endpoints, in Cyclone DDS's form; the endpoints are stand-ins.
 
-`tests.interop.test_two_dds` and the contract suite use real ones, where rmw_cyclonedds_cpp is found.
+`tests.interop.test_two_dds` and the contract suite use real ones, if rmw_cyclonedds_cpp is installed.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Pair:
 
 
 class Graph:
-    """A graph whose servers of every service are on Cyclone DDS."""
+    """A graph in which each service has one server, on Cyclone DDS."""
 
     def __init__(self) -> None:
         self.snapshot = SimpleNamespace(obstacles={}, servers={"/lamp": frozenset({ON_CYCLONE})})
@@ -97,7 +97,7 @@ def client(pair: Pair, graph: Graph) -> RawClient:
 
 
 def test_replies_are_assigned_by_their_headers(client: RawClient, pair: Pair) -> None:
-    """DDS delivers the replies to all clients of a name to each of them."""
+    """DDS delivers each reply of a service to all of its clients."""
     numbers = [client.sender.send(REQUEST) for _ in range(2)]
     headers = []
     for number, sent in zip(numbers, pair.sent, strict=True):
@@ -191,7 +191,7 @@ def test_requests_in_another_form_are_refused(pair: Pair) -> None:
 
 
 def test_a_reply_waits_for_all_readers_of_its_client(pair: Pair) -> None:
-    """Which of several readers in a program is the client's own, DDS does not report."""
+    """DDS does not report which of several readers in a program belongs to the client."""
     first, second = ON_CYCLONE[:-1] + b"\3", ON_CYCLONE[:-1] + b"\4"
     serving, request = server(pair, first, second, OF_MIDSPAN), RequestId(ON_CYCLONE, 1)
     assert not serving.send(request, REQUEST)
@@ -199,7 +199,7 @@ def test_a_reply_waits_for_all_readers_of_its_client(pair: Pair) -> None:
     assert not serving.send(request, REQUEST)
     pair.readers |= {second}
     assert serving.send(request, REQUEST)
-    pair.readers = frozenset()  # it is not checked again
+    pair.readers = frozenset()  # after the first reply, the match is not checked again
     assert serving.send(request, REQUEST)
     assert pair.sent == [REQUEST] * 2
     serving.discard(ON_CYCLONE)

@@ -80,7 +80,7 @@ def test_a_call_receives_its_reply(edge: RunningEdge, peer: Peers, set_bool: Ser
 
 
 def test_a_native_server_receives_a_thousand_concurrent_calls(edge: RunningEdge, peer: Peers, echo: Service) -> None:
-    """The server queues 10 requests that it has not taken, the default; see `service_window`."""
+    """By default, the server queues only 10 requests that it has not taken yet; see `pacing`."""
     serve(peer(), "/s/many", "diagnostic_msgs/AddDiagnostics", echo={"message": "load_namespace"})
     edge.until_seen("/s/many", Kind.SERVER)
     caller = edge.edge.caller("/s/many", echo.type)
@@ -93,7 +93,7 @@ def test_a_native_server_receives_a_thousand_concurrent_calls(edge: RunningEdge,
 
 def test_a_slow_call_does_not_delay_others(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     native = peer()
-    held = serve(native, "/s/held", held=True, depth=100)  # 30 replies at once: the server keeps 10 for a slow client
+    held = serve(native, "/s/held", held=True, depth=100)  # the default depth of 10 might drop some of 30 replies
     serve(native, "/s/quick")
     edge.until_seen("/s/held", Kind.SERVER)
     edge.until_seen("/s/quick", Kind.SERVER)
@@ -229,7 +229,7 @@ def test_the_last_replies_of_a_closing_server_reach_its_clients(
 def test_requests_to_a_server_that_has_closed(
     edge: RunningEdge, peer: Peers, registry: Registry, monkeypatch: pytest.MonkeyPatch, successor: str
 ) -> None:
-    """A client that has not noticed gets a refusal, but none while another server of the name is open."""
+    """A client that has not noticed the closing gets a refusal, unless another server of the same name is open."""
     monkeypatch.setattr(server_module, "_LINGER", 60.0)
     native, cancel, name = peer(), Service(registry, "action_msgs/srv/CancelGoal"), f"/s/closed_{successor}"
 
@@ -355,7 +355,7 @@ def test_descriptors_are_released(edge: RunningEdge, set_bool: Service) -> None:
         return len(list(Path("/proc/self/fd").iterdir()))
 
     before = churn(3)
-    until(lambda: churn(10) <= before, "as many descriptors as before")
+    until(lambda: churn(10) <= before, "no more descriptors than before are open")
 
 
 def test_without_the_compiled_extension_services_are_refused_and_topics_cross(
@@ -385,7 +385,7 @@ def test_without_the_compiled_extension_services_are_refused_and_topics_cross(
             native.publish(publisher, {"data": "hello"})
             return bool(inbox.texts())
 
-        until(crossed, "a message")
+        until(crossed, "a message crosses")
     finally:
         running.edge.stop()
     reported = [record.getMessage() for record in caplog.records if CURE in record.getMessage()]
