@@ -39,7 +39,7 @@ def write_bag(path: Path, messages: Iterable[Said], latched: Iterable[str] = ())
 
 
 def stamp(at: float) -> dict[str, int]:
-    """Return a bag time as a ROS 1 stamp."""
+    """Return a time in the bag as a stamp, in rosbags' spelling."""
     seconds, nanoseconds = divmod(START + round(at * NS), NS)
     return {"sec": seconds, "nanosec": nanoseconds}
 

@@ -18,7 +18,7 @@ from tests.support.missing import ROS1, need
 PROGRAM = Path(__file__).parents[1] / "peers" / "ros1" / "bag.py"
 
 Message = tuple[str, str, Any]
-"""Topic, type and the reader's object, or mappings."""
+"""Topic, type, and the message as the reader's object or as mappings."""
 Ros1Message = tuple[str, str, str, Any]
 """Topic, type, full definition and values."""
 

@@ -21,7 +21,7 @@ FILES = 20
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with three files that have the same 21 times."""
+    """A folder with three files that have the same 21 messages."""
     bag_ = tmp_path / "run"
     bag_.mkdir()
     for number in range(3):

@@ -22,7 +22,7 @@ PACKED = [zstandard.compress(data) for data in PLAIN]
 
 
 def alone(folder: Path, ending: str, messages: list[bytes]) -> Path:
-    """Write a single file of the format, with these texts."""
+    """Write a single file of a format, with these messages, which may be compressed."""
     if ending == ".db3":
         return humble_db3(folder / "a.db3", Recorded("/text", STRING, None, messages))
     return foreign_mcap(folder / "a.mcap", Recorded("/text", STRING, "string data\n", messages))

@@ -121,7 +121,7 @@ def nobody_knows(path: Path) -> Path:
 
 
 def long_mcap(path: Path, count: int, size: int) -> Path:
-    """Write an uncompressed MCAP file with ``count`` texts of a size; bz2 takes 0.2 s for a megabyte of them."""
+    """Write an uncompressed MCAP file of ``count`` texts of ``size`` bytes; bz2 takes 0.2 s for a megabyte of them."""
     alphabet = bytes(range(ord("a"), ord("z") + 1))
     text = size.to_bytes(4, "little") + (alphabet * (size // 26 + 1))[: size - 1] + b"\0"
     with path.open("wb") as stream:

@@ -61,6 +61,6 @@ class EmbeddedMasterSide(Ros1Side):
 
 
 class Ros1AnyOsSide(Ros1Side):
-    """The same, with a worker without everything that Windows or macOS lacks: epoll, fork, AF_UNIX and SIGHUP."""
+    """The same with a worker that has nothing that Windows or macOS lacks: epoll, fork, AF_UNIX and SIGHUP."""
 
     any_os = True

@@ -107,7 +107,7 @@ class WorkerProcess:
         if any_os:  # a worker without the features that Windows lacks
             env = as_on("windows", env)
             config.state.mkdir(parents=True, exist_ok=True)  # the daemon's task; the worker locks a file there
-        elif "LD_PRELOAD" in env:  # a fork of a process without it would not have it
+        elif "LD_PRELOAD" in env:  # a fork of a process that started without the library does not load it
             imports = []
         self.process = Process([sys.executable, "-m", "bridge.cli.main", *words], env, pipes=True, imports=imports)
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})

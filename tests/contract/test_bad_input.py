@@ -24,7 +24,7 @@ def test_junk_on_the_hub_is_counted_and_the_route_continues(side: Side, bridge: 
     ):
         far.publish_raw(out, junk)
     far.publish(out, {"data": "good"})
-    got = until(lambda: [m for m in peer.wait(subscription, 1, 0.2) if m["data"] != "probe"], "the valid message", 10)
+    got = until(lambda: [m for m in peer.wait(subscription, 1, 0.2) if m["data"] != "probe"], "it arrives", 10)
     assert got == [{"data": "good"}]
     route = far.route("/maybe_junk", "out")
     assert route["drops"]["bad"] == 5

@@ -34,7 +34,7 @@ def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) ->
     _until_heard(far, out, peer, subscription)
     for n in range(50):
         far.publish(out, {"data": f"number {n}"})
-    until(lambda: {"data": "number 49"} in peer.wait(subscription, 51, 0.2), "the last message")
+    until(lambda: {"data": "number 49"} in peer.wait(subscription, 51, 0.2), "the last message arrives")
     got = [m["data"] for m in peer.wait(subscription, 51) if m["data"] != "probe"]
     assert got == [f"number {n}" for n in range(50)]
     until(
@@ -60,7 +60,7 @@ def test_same_topic_both_ways_does_not_loop(side: Side, bridge: Bridge, far: Hub
     far.publish(from_far, {"data": "end"})
     expected = [f"peer {n}" for n in range(10)]
     assert [m["data"] for m in far.wait_without(at_far, "probe", 11)] == [*expected, "end"]
-    until(lambda: [m["data"] for m in peer.wait(at_peer, 22, 0.2)].count("end") == 2, "both end messages")
+    until(lambda: [m["data"] for m in peer.wait(at_peer, 22, 0.2)].count("end") == 2, "both end messages arrive")
     received = [m["data"] for m in peer.wait(at_peer, 23, 0.5)]
     assert [m for m in received if m.startswith("far")] == [f"far {n}" for n in range(10)]
     assert [m for m in received if m.startswith("peer")] == expected

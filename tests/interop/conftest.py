@@ -78,7 +78,7 @@ def shared(of_all_tests: Deployment) -> Iterator[Deployment]:
 
 @pytest.fixture(scope="module")
 def shared_mix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedMix]:
-    """A mix for tests of a file with the same options, which are the parameter; without it, the defaults."""
+    """A mix that a file's tests with the same options share; the parameter has the options, by default none."""
     mix = SharedMix(tmp_path_factory, **getattr(request, "param", {}))
     yield mix
     mix.close()

@@ -50,7 +50,7 @@ def test_every_side_receives_the_distance_of_the_wall(tmp_path: Path) -> None:
             until(lambda: connections.exists(names.client, port), "the robot's port exists", 40)
             with Reader("/test/depth:i", naming=names.client) as reader:
                 connections.connect(names.client, port, "/test/depth:i")
-                received = until(reader.read_now, "a picture", 40)
+                received = until(reader.read_now, "a picture arrives", 40)
             seen = received.to(ImageFloat).numpy()
             assert seen.shape == (24, 32)
             np.testing.assert_allclose(seen[11, 16], AHEAD, atol=0.05)

@@ -85,7 +85,7 @@ def test_the_stand_in_behaves_like_measurements_of_move_base(direct: Direct) -> 
     direct.goal("turned", 1.0, w=0.0)
     assert direct.is_in("turned", ABORTED) == "Aborting on goal because it was sent with an invalid quaternion"
 
-    # another goal replaces it; a cancellation has an empty text
+    # another goal replaces the active one; a cancellation has an empty text
     direct.goal("first", 500.0)
     direct.is_in("first", ACTIVE)
     direct.goal("second", 500.0)

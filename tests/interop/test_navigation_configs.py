@@ -1,7 +1,7 @@
 """The unchanged deployments of configs/ with external planners; stand-ins replace the ROS programs.
 
-In the paper's second scenario, a YARP client sends a robot on YARP, which ROS 1's move_base drives with amcl and
-map_server. The other deployment is Nav2 with a YARP client.
+In the second scenario of the paper that Midspan continues (see the README), a YARP client sends a robot on YARP to a
+place, and ROS 1's move_base drives it there, with amcl and map_server. The other deployment is Nav2 with a YARP client.
 """
 
 from __future__ import annotations

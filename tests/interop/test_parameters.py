@@ -98,7 +98,7 @@ def assert_node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
 
 
 def _unusual_names_are_reported(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
-    """ROS 1 sets a parameter without a default, one that the node lacks, and one below another parameter's name."""
+    """ROS 1 sets a parameter without a value and one that the node lacks; one of the node is below another's name."""
     namespace = "/nav/controller"
     assert ros1.ask("get_param", name=f"{namespace}/exposure")["value"] == 7500
     ros1.ask("set_param", name=f"{namespace}/late", value=3)

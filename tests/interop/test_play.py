@@ -1,4 +1,4 @@
-"""A ROS 1 bag is played to RViz 2's client library, a YARP reader, Mapper2D and rospy, all on the bag's time."""
+"""A ROS 1 bag is played to rclpy in place of RViz 2, a YARP reader, Mapper2D and rospy, all on the bag's time."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def site(tmp_path_factory: pytest.TempPathFactory, names: Names) -> Iterator[Dep
 
 
 def mapper_of(site: Deployment) -> list[dict[str, Any]]:
-    """Return the status document of Mapper2D."""
+    """Return the status document of Mapper2D in a list, which is empty until Mapper2D runs."""
     return [document for document in site.status() if "scans" in document]
 
 

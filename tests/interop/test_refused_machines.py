@@ -68,7 +68,7 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
     with robot.process, operator.process:
         until(
             lambda: operator.lines(f"hub.open.connect {place}: refused: the other machine's certificate"),
-            "refusal logged",
+            "the operator logs the refusal",
         )
         until(lambda: robot.lines(f"hub.open.listen {place}: a machine"), "the robot logs the refusal")
         endpoint: dict[str, Any] = {}
@@ -77,7 +77,7 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
             endpoint.update(robot.endpoint())
             return endpoint.get("state") == "refused"
 
-        until(refused, "the robot's status", every=0.2)
+        until(refused, "the robot's status shows the refusal", every=0.2)
         assert endpoint["cure"]
         assert operator.endpoint()["state"] == "refused"
         text = robot.midspan("status")

@@ -157,6 +157,6 @@ def test_status_reports_that_shared_memory_is_not_used(rig: Rig) -> None:
         warnings = rig.deployment.worker("ros2").get("warnings", [])
         return [text for text in warnings if "another major version of Fast DDS" in text]
 
-    (text,) = until(reported, "the warning", 20, every=0.1)
+    (text,) = until(reported, "the warning is reported", 20, every=0.1)
     assert f"({rig.side})" in text, "the worker runs on this release"
     assert text.endswith("their messages cross by UDP, not by shared memory")

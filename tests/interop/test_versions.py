@@ -68,7 +68,7 @@ class Deployment:
         }
 
     def midspan(self, tree: Path, *words: str) -> str:
-        """Return the output of a command line of this source tree."""
+        """Return the output of a command of the Midspan in a source tree."""
         config = self.config("looks")
         with python(tree, WORKER, *words, "--config", config) as process:
             assert process.popen.wait(60) == 0, process.output()

@@ -36,7 +36,7 @@ class SlowEdge(FakeEdge):
 
 
 def test_busy_loop_is_not_a_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands that arrive during the creation of hundreds of routes would count as old, and be dropped."""
+    """Otherwise, commands that arrive during the creation of hundreds of routes would be dropped as old."""
     beats, beat = list[None](), StallDetector.beat
     monkeypatch.setattr(StallDetector, "beat", lambda detector: beats.append(beat(detector)))
     with HubNetwork() as hubs, Hub.open(hubs.settings("busy")) as hub:

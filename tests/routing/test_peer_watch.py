@@ -122,7 +122,7 @@ def test_lone_worker_releases_its_routes_to_a_newcomer(monkeypatch: pytest.Monke
 
 
 class LinkedHub:
-    """A hub with the members of two networks, and a foreign worker that lists no members."""
+    """A hub with a worker that lists members of its network, and with two that list none, one of which publishes."""
 
     zid = "a"
 

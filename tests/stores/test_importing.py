@@ -21,7 +21,7 @@ from yarp_compat.sig.vec2d import Vec2D
 
 @pytest.fixture
 def section(tmp_path: Path) -> StoreSection:
-    """Return the configuration of a collection of two maps, and a places file with extras."""
+    """Return a configuration that imports a collection of two maps, and a places file with extras."""
     save_maps({name: grid(name) for name in ("m1", "m2")}, tmp_path / "maps_collection.ini")
     area = Map2DArea("m1", [Vec2D(0.0, 0.0), Vec2D(1.0, 0.0), Vec2D(1.0, 1.0)])
     file = tmp_path / "locations.ini"

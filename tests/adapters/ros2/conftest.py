@@ -68,7 +68,7 @@ class RunningEdge(Listener):
         return self.edge.from_hub(type_name, self.type(type_name).type_id)
 
     def until_seen(self, topic: str, kind: Kind, count: int = 1) -> list[Endpoint]:
-        """Return the topic's endpoints of one kind, once ``count`` have known nodes."""
+        """Return the topic's endpoints of one kind, once there are ``count`` of them, all with known nodes."""
 
         def listed() -> list[Endpoint] | None:
             present = [e for e in self.edge.endpoints() if e.topic == topic and e.kind is kind]

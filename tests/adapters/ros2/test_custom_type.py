@@ -55,7 +55,7 @@ def test_a_custom_type_crosses_in_both_directions(edge: RunningEdge, peer: Calla
     ours = edge.edge.advertise("/c/out", edge.type("touch_msgs/msg/Touch"), Qos())
     convert = edge.conversion("touch_msgs/msg/Touch").convert
     assert convert is not None
-    (endpoint,) = until(lambda: [e for e in edge.edge.endpoints() if e.topic == "/c/in"], "the native publisher")
+    (endpoint,) = until(lambda: [e for e in edge.edge.endpoints() if e.topic == "/c/in"], "it is listed")
     assert endpoint.type_id == edge.type("touch_msgs/msg/Touch").type_id
     assert edge.edge.to_hub(endpoint).target.name == "touch_msgs/msg/Touch"
 

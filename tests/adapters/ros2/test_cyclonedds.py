@@ -1,4 +1,4 @@
-"""A worker whose own participant is on Cyclone DDS; the contract suite has more, where rmw_cyclonedds_cpp is found."""
+"""A worker whose own participant is on Cyclone DDS; with rmw_cyclonedds_cpp, the contract suite has more tests."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def test_cyclone_dds_needs_its_library(monkeypatch: pytest.MonkeyPatch, bare: Pa
 
 
 def test_cyclone_dds_in_a_secured_domain_is_refused(monkeypatch: pytest.MonkeyPatch, bare: Path) -> None:
-    """The enclave marks what Midspan creates, so it cannot be one of a keystore."""
+    """The enclave marks what Midspan creates, so it cannot be an enclave of a keystore."""
     prefix = install(bare / "jazzy", "7.1.6")
     (prefix / "lib/librmw_cyclonedds_cpp.so").touch()
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(prefix))

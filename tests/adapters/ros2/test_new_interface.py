@@ -57,7 +57,7 @@ def test_an_edge_ends_when_a_network_appears_and_its_successor_uses_it(
         Cable(robot, other)
         (reason,) = until(lambda: first.ask("status")["failed"], "the edge requests a restart", 20)
         assert "a new address that the ROS 2 side does not use: 10.77.0.1 on eth77: restarting" in reason
-    until(lambda: "state UP" in other.run("ip", "link", "show", "eth77"), "Fast DDS will use the other interface, too")
+    until(lambda: "state UP" in other.run("ip", "link", "show", "eth77"), "the link is up on the other machine, too")
     env = ros2_environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
     with program(other, env, str(ROS2_PEER), "remote") as remote, edge(robot, tmp_path) as second:
         remote.advertise("/remote", STRING)

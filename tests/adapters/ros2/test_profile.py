@@ -55,7 +55,7 @@ rclpy.create_node("loads_the_profile").destroy_node()
 
 
 def test_fast_dds_3_accepts_the_profile(tmp_path: Path) -> None:
-    """It rejects the whole file for one element that it does not know; `test_messages` loads it with Fast DDS 2."""
+    """One unknown element makes Fast DDS reject the whole file; `test_messages` loads the profile with Fast DDS 2."""
     env, root = kilted.source(ros2_environment()), Path(__file__).parents[3]
     command = [sys.executable, "-P", "-c", _LOAD, tmp_path / "profile.xml"]
     env["PYTHONPATH"] += f"{os.pathsep}{root}"

@@ -1,4 +1,4 @@
-"""Conversion of QoS from and to rclpy, and compatibility of offers and requests."""
+"""Conversion of QoS to rclpy, and compatibility of offers and requests."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from bridge.adapters.ros2 import rcl
 
 
 def test_all_functions_have_their_arguments_declared() -> None:
-    """Without, ctypes passes a pointer as an int of 32 bits, which crashes only at some addresses."""
+    """Without a declaration, ctypes passes a pointer as a 32-bit int, which crashes only at some addresses."""
     names = set(re.findall(r"_rcl\.(rcl_\w+)\(", Path(rcl.__file__).read_text(encoding="utf-8")))
     assert names
     assert [name for name in sorted(names) if not getattr(rcl._rcl, name).argtypes] == []

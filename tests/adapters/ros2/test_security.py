@@ -39,7 +39,7 @@ def test_wheels_cannot_join_a_secured_domain(monkeypatch: pytest.MonkeyPatch) ->
 
 @needs(ROS2)
 def test_fast_dds_of_the_wheels_has_no_security(tmp_path: Path) -> None:
-    """If this fails, the wheels have it, and the side can join."""
+    """If this fails, the wheels have DDS Security, and the side can join a secured domain."""
     (tmp_path / "enclaves").mkdir()
     program = "import rclpy; rclpy.init(); rclpy.create_node('secured')"
     env = ros2_environment(**ON, ROS_SECURITY_KEYSTORE=str(tmp_path))

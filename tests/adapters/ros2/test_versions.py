@@ -45,7 +45,7 @@ def test_a_publisher_without_hash_has_humbles_version(registry: Registry, versio
     assert versions.is_of(publisher, conversion.source.type_id)
     assert not versions.is_of(replace(publisher, type_id=conversion.target.type_id), conversion.source.type_id)
     assert versions.to_hub(end(Kind.PUBLISHER, "std_msgs/msg/String", NO_HASH)) is None
-    assert versions.to_hub(end(Kind.PUBLISHER, RANGE, UNKNOWN)) is None  # it is refused, as any other type
+    assert versions.to_hub(end(Kind.PUBLISHER, RANGE, UNKNOWN)) is None  # refused like any other unknown type
     assert versions.may_be_humble(publisher)
     assert versions.to_hub(versions.of_plain_dds(publisher)) is None
 
@@ -81,7 +81,7 @@ def test_readers_that_cannot_decode_are_named_once(registry: Registry, versions:
 
 
 def test_a_service_whose_replies_differ(registry: Registry, versions: EndpointVersions) -> None:
-    """The requests of all versions have the same hash, so that of the replies decides."""
+    """The requests of all versions have the same hash, so the hash of the replies decides."""
     parts = {version: hashes for hashes, version in registry.releases._service_parts(RESULT).items()}
     here, kilted = parts
     request = parts[here][0]

@@ -39,7 +39,7 @@ def test_from_the_hub_to_a_server_behind_a_bridge(place: Place) -> None:
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
     sent = Sent(place)
-    token = until(lambda: bridge.tokens("/lookup", "AC"), "Midspan's token")[0]
+    token = until(lambda: bridge.tokens("/lookup", "AC"), "Midspan's token arrives")[0]
     assert token == f"@/{token.split('/')[1]}/@ros2_lv/AC/lookup/tf2_msgs§action§LookupTransform"
     goal = server.goal()
     assert (goal["goal_id"]["uuid"], goal["goal"]["target_frame"]) == (list(sent.goal.id), "map")
@@ -96,7 +96,7 @@ def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> N
         return bool(goal.goal["target_frame"] != "no")
 
     place.node.action_server("/lookup", ACTION, on_goal, lambda _goal: True)
-    token = until(lambda: bridge.tokens("/lookup", "AS"), "Midspan's token", 30)[0]
+    token = until(lambda: bridge.tokens("/lookup", "AS"), "Midspan's token arrives", 30)[0]
     assert token == f"@/{token.split('/')[1]}/@ros2_lv/AS/lookup/tf2_msgs§action§LookupTransform"
     client = ActionClient(bridge, "/lookup")
     for part in ("send_goal", "cancel_goal", "get_result"):
@@ -133,7 +133,7 @@ def test_a_server_of_the_hub_that_leaves(place: Place) -> None:
     place.bridge({"dialect": "ros2dds"})
     place.node.action_server("/lookup", ACTION, lambda _goal: True)
     client = ActionClient(bridge, "/lookup")
-    until(lambda: bridge.tokens("/lookup", "AS"), "Midspan's token", 30)
+    until(lambda: bridge.tokens("/lookup", "AS"), "Midspan's token arrives", 30)
     for part in ("send_goal", "get_result"):
         place.until_route(SIDE, f"/lookup/_action/{part}", "out")
     until(lambda: client.ask("send_goal", ID).result()["reply"], "the goal is accepted")

@@ -35,7 +35,7 @@ class Tokens:
             self.withdraw[part] = self.announcer.announce(kind, f"lookup/_action/{part}", known, Qos())
 
     def tokens(self, letters: str) -> int:
-        """Return how many of the tokens a bridge has received."""
+        """Return how many of the action's tokens with these letters the bridge has received."""
         end = self.announcer.announce(Kind.PUBLISHER, END, self.registry.ros2("std_msgs/msg/Empty"), Qos())
         until(lambda: self.bridge.tokens(f"/{END}"), "all tokens have arrived")
         result = len(self.bridge.tokens("/lookup", letters))

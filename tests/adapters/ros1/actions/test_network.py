@@ -33,7 +33,7 @@ class TopicPublisher:
 
 
 class Side:
-    """Records publications, and has a set of present servers."""
+    """Records publications, and has a set of absent servers."""
 
     def __init__(self) -> None:
         self.made: list[TopicPublisher] = []

@@ -46,7 +46,7 @@ def test_a_rosout_that_registers_first_keeps_the_name():
     ],
 )
 def test_another_rosout_with_any_list_of_publications(publications: Any, elsewhere: bool):
-    """Python 3.12 accepts a slice as a dictionary key, for which it raises `KeyError`."""
+    """Since Python 3.12, in which slices are hashable, slicing a dictionary raises `KeyError`, not `TypeError`."""
     server = XmlRpcServer({"getPublications": lambda _caller: [1, "", publications]})
     server.start()
     try:

@@ -90,7 +90,7 @@ def groups(edge: RunningEdge) -> dict[str, dict[str, Any]]:
 
 @needs(ROS2)
 def test_a_real_node_on_fast_dds(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
-    """Its discovery range is LOCALHOST, so that it does not use multicast."""
+    """The node's discovery range is LOCALHOST, so it does not use multicast."""
     before = peer("before")
     before.advertise("/before", "std_msgs/String")
     until(lambda: groups(edge).get("Fast DDS 2", {}).get("nodes") == ["/before"], "its version is known")
@@ -103,7 +103,7 @@ def test_a_real_program_on_cyclone_dds(edge: RunningEdge) -> None:
     try:
         program.advertise("/lamp", "std_msgs/msg/String")
         (group,) = until(lambda: edge.edge.details()["middlewares"], "it is seen")
-        until(lambda: [g["name"] for g in edge.edge.details()["middlewares"]] == ["Cyclone DDS 11.0.1"], "its version")
+        until(lambda: [g["name"] for g in edge.edge.details()["middlewares"]] == ["Cyclone DDS 11.0.1"], "it is known")
         assert group["count"] == 1
     finally:
         program.stop()

@@ -54,7 +54,7 @@ def test_own_endpoints_are_not_listed(edge: RunningEdge, peer: Callable[..., Pee
     native.subscribe("/g/own", "std_msgs/String")
     edge.until_seen("/g/own", Kind.SUBSCRIPTION)
     assert not [e for e in edge.edge.endpoints() if e.topic == "/g/own" and e.kind is Kind.PUBLISHER]
-    until(lambda: native.graph()["publishers"]["/g/own"] == ["midspan"], "the edge's publisher on the native graph")
+    until(lambda: native.graph()["publishers"]["/g/own"] == ["midspan"], "the edge's publisher is listed")
 
 
 def test_closed_endpoint_leaves_the_graph(edge: RunningEdge, peer: Callable[..., Peer]) -> None:

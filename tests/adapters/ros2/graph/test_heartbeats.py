@@ -58,7 +58,7 @@ def test_they_are_repeated_until_the_participant_has_settled(
     assert beats.prepare(WRITER, 0, [READER]) - began == pytest.approx(0.3, abs=0.05)
     until(lambda: len(sent) >= 3, "heartbeats are sent")
     assert sent[0] == spdp.heartbeats({WRITER: 0})
-    until(lambda: not beats._pending, "they end")
+    until(lambda: not beats._pending, "the heartbeats end")
     assert time.monotonic() - began >= 0.3
     now = time.monotonic()  # the participant has settled: only the time of a match is left
     assert beats.prepare(WRITER, 5, [READER]) - now == pytest.approx(0.1, abs=0.05)

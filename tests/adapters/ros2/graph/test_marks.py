@@ -79,13 +79,13 @@ GRAPH = "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInf
 
 
 def graph_message(writer: bytes, name: bytes = b"midspan") -> bytes:
-    """Return the ``rmw_dds_common/msg/ParticipantEntitiesInfo`` of a node with one writer; its name has 7 letters."""
+    """Return the ``rmw_dds_common/msg/ParticipantEntitiesInfo`` of a node with one writer; ``name`` has 7 letters."""
     node = struct.pack("<II2sxxI8s", 1, 2, b"/", 8, name) + struct.pack("<II", 0, 1)
     return b"\0\1\0\0" + writer[:PREFIX_BYTES] + b"\x00\x00\x01\xc1" + node + writer
 
 
 def test_a_midspan_on_cyclone_dds_is_never_bridged(edge: RunningEdge, other_midspan: CyclonePeer) -> None:
-    """The edge is on Fast DDS; the message that precedes the node's announcement has no known source, either."""
+    """The edge is on Fast DDS; it does not know the publisher's origin before the node's announcement."""
     inbox = edge.subscribe("/guard", "std_msgs/msg/String")
     graph = other_midspan.advertise_raw(*GRAPH, latched=True)
     publisher = other_midspan.ask("advertise", topic="/guard", type="std_msgs/String", type_hash=HASH)["id"]
@@ -113,7 +113,7 @@ def test_a_midspan_on_cyclone_dds_is_never_bridged(edge: RunningEdge, other_mids
 
 
 def test_a_latched_message_of_an_unknown_origin_arrives_once(edge: RunningEdge) -> None:
-    """The volatile reader receives it before the origin is known, the latched reader, which is created then, again."""
+    """The volatile reader receives it before its origin is known; the latched reader, created then, receives it too."""
     native, other = CyclonePeer(user_data="enclave=/;"), CyclonePeer()
     try:
         other.advertise("/held", "std_msgs/String")  # no hash: known at once, and volatile

@@ -57,7 +57,7 @@ def table(tmp_path: Path) -> Table:
 
 @pytest.fixture
 def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., bool]]:
-    """Returns whether `MemoryNeighbors` reports a stranger among constant participants."""
+    """A function that returns whether `MemoryNeighbors` reports a stranger among constant participants."""
     monkeypatch.setattr(neighbors, "CONFIRM_SECONDS", 0.01)
     watches: list[neighbors.MemoryNeighbors] = []
     later = DelayedCalls("test-neighbors")
@@ -67,7 +67,7 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
         watch = neighbors.MemoryNeighbors(OWN, 2, 3, reported.set, later, proc=table.folder, folder=table.shm)
         watches.append(watch)
         detects.watch = watch  # type: ignore[attr-defined]
-        if then is not None:  # it must exit before the second check, even on a slow machine
+        if then is not None:  # they leave before the second check, even on a slow machine
             monkeypatch.setattr(neighbors, "CONFIRM_SECONDS", seconds / 2)
         watch.follow(participants)
         watch.follow(participants if then is None else then)
@@ -148,7 +148,7 @@ def test_a_killed_program_is_not_a_stranger_before_its_lease_expires(
     assert strangers(*present), "it is alive, in a container"
     table.bind(8160, 8162)
     monkeypatch.setattr(neighbors, "LEASE_SECONDS", 0.1)
-    assert strangers(*present), "it stays"
+    assert strangers(*present), "it is present for longer than a dead participant"
 
 
 def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bool]) -> None:

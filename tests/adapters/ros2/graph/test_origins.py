@@ -76,7 +76,7 @@ def test_a_successor_gets_another_number_and_other_ports(case: Case) -> None:
     assert stored_prefixes(case.folder) == past
     numbers = [participant_number(prefix) for prefix in past]
     assert all(number not in numbers[max(0, i - 8) : i] for i, number in enumerate(numbers))
-    assert all(number >= 32 for number in numbers), "above those that count from 0"
+    assert all(number >= 32 for number in numbers), "above the numbers of other participants, which count from 0"
 
 
 def test_ports_of_every_number_exist_in_the_highest_domain() -> None:

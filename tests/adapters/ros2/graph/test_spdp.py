@@ -31,7 +31,7 @@ def parameters(data: bytes) -> tuple[dict[int, bytes], bytes]:
 
 
 def data(said: bytes, flags: int) -> tuple[int, bytes]:
-    """Return the sequence number of a message's only DATA submessage, and the bytes after it."""
+    """Return the sequence number of a message's only DATA submessage, and the submessage's QoS and data."""
     # 9.4.4: the header
     protocol, major, minor, vendor, prefix = struct.unpack_from("4sBB2s12s", said)
     assert (protocol, major) == (b"RTPS", 2)

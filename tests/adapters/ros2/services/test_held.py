@@ -33,7 +33,7 @@ class Server:
 
 
 class World:
-    """A clock, a thread without time, and what is known of the clients."""
+    """A clock, delayed calls that `advance` makes, and what is known of the clients."""
 
     def __init__(self) -> None:
         self.now = 0.0

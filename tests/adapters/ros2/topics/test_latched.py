@@ -24,14 +24,14 @@ def test_a_late_subscription_receives_the_last_message_of_each_native_publisher(
     publishers = edge.until_seen("/l/in", Kind.PUBLISHER, 3)
 
     first = edge.subscribe("/l/in", "std_msgs/msg/String", LATCHED)
-    until(lambda: len(first.messages) >= 3, "three retained messages")
+    until(lambda: len(first.messages) >= 3, "three retained messages arrive")
     assert first.texts() == ["last 0", "last 1", "last 2"]
     assert {source for _, source, _ in first.messages} == {e.id for e in publishers}
 
     natives[1].drop(endpoints[1])
     edge.until_seen("/l/in", Kind.PUBLISHER, 2)
     second = edge.subscribe("/l/in", "std_msgs/msg/String", LATCHED)
-    until(lambda: len(second.messages) >= 2, "two retained messages")
+    until(lambda: len(second.messages) >= 2, "two retained messages arrive")
     assert second.texts() == ["last 0", "last 2"]
 
 
@@ -41,7 +41,7 @@ def test_a_publisher_that_starts_after_the_subscription_is_received_from_its_fir
     inbox = edge.subscribe("/l/first", "std_msgs/msg/String", LATCHED)
     native = peer()
     native.publish(native.advertise("/l/first", "std_msgs/String", latched=True, depth=1), {"data": "only"})
-    until(lambda: inbox.messages, "the only message")
+    until(lambda: inbox.messages, "the only message arrives")
     assert inbox.texts() == ["only"]
 
 
@@ -70,6 +70,6 @@ def test_topic_stays_advertised_when_all_sources_are_forgotten(edge: RunningEdge
     native = peer()
     subscription = native.subscribe("/l/empty", "std_msgs/String", latched=True)
     edge.until_seen("/l/empty", Kind.SUBSCRIPTION)
-    until(lambda: native.graph()["publishers"].get("/l/empty") == ["midspan"], "the spare writer")
+    until(lambda: native.graph()["publishers"].get("/l/empty") == ["midspan"], "the spare writer is listed")
     publisher.send(string("new"), "other")
     assert [m["data"] for m in native.wait(subscription, 1)] == ["new"]

@@ -85,8 +85,8 @@ def test_a_message_that_fast_dds_drops_after_a_large_one_is_counted(
         native.publish(native_end, {"data": text})
         return any(text.encode() in payload for payload, _, _ in inbox.messages)
 
-    until(lambda: received("x" * 100_000), "a large message")
+    until(lambda: received("x" * 100_000), "a large message arrives")
     native.ask("publish_raw", id=native_end, hex=b'{"a": 1}'.hex())
-    until(lambda: received("after"), "the message after it")
+    until(lambda: received("after"), "the message after it arrives")
     assert not any(b'"a"' in payload for payload, _, _ in inbox.messages)
     assert subscription.lost == 1
