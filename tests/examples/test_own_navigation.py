@@ -124,4 +124,4 @@ def test_the_wave_finds_the_gap_in_a_wall(monkeypatch: pytest.MonkeyPatch) -> No
         with pytest.raises(PlanError):
             plan(grid, Pose(start, 4.0, 0.0), Pose(goal, 4.0, 0.0), 0.3)
         flags[45:, 50] = 0
-    sys.modules.pop("wave", None)
+    sys.modules.pop("wave_search", None)

@@ -105,7 +105,7 @@ def fuzz(
             if finding is not None:
                 findings.setdefault(finding.signature, finding)
                 if len(findings) >= _MOST_FINDINGS:
-                    break
+                    return Fuzzed(list(findings.values()), number + 1)
             elif not new <= seen:
                 seen |= new
                 mutator.keep(content)

@@ -1,4 +1,4 @@
-"""Hubs for tests: one router for each module, and a domain that is derived from the test's name."""
+"""Hubs for tests: one router for each module, and a domain for each test."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def shared_network() -> Iterator[HubNetwork]:
 
 
 @pytest.fixture
-def network(shared_network: HubNetwork, request: pytest.FixtureRequest) -> HubNetwork:
-    """A domain on the module's router; it is derived from the test's name, so that tests rarely share one."""
-    shared_network.domain = 1 + sum(request.node.name.encode()) * 7 % 200
+def network(shared_network: HubNetwork) -> HubNetwork:
+    """A domain of the test's own on the module's router."""
+    shared_network.domain = 1 + shared_network.domain % 200
     return shared_network

@@ -9,6 +9,7 @@ from tests.peers.hub.network import HubNetwork
 
 PROGRAM = """
 import sys, threading, time
+from concurrent.futures import ThreadPoolExecutor
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.hub.session import Hub, HubSettings
 
@@ -33,12 +34,11 @@ with one, two:
 
     def join():  # zenoh reports the known publishers on another of its threads
         while not done.is_set():
-            one.subscription("/map", "std_msgs/msg/Empty", HASH, LATCHED, heard).close()
+            one.subscription("/map", "std_msgs/msg/Empty", HASH, LATCHED, on_sample).close()
             time.sleep(0.002)
 
-    threads = [threading.Thread(target=work) for work in (flood, join)]
-    for thread in threads:
-        thread.start()
+    pool = ThreadPoolExecutor(2)
+    load = [pool.submit(work) for work in (flood, join)]
     assert busy.wait(20)
     worst = 0.0
     for number in range(200):
@@ -48,8 +48,8 @@ with one, two:
         latched.close()
         worst = max(worst, time.monotonic() - begun)
     done.set()
-    for thread in threads:
-        thread.join()
+    for work in load:
+        work.result()
 print(worst)
 """
 

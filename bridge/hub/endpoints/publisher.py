@@ -481,7 +481,7 @@ class HubPublisher:
             self._variants.remove(self)
             if self._writer is not None:
                 self._writer.remove(self)
-            self._withdraw()
             for sink in sinks:
                 sink.close()
+            self._withdraw()  # last: a publisher that has left the graph sends late joiners nothing
             self._on_close(self)

@@ -181,7 +181,7 @@ def test_errors_are_reported(
     assert "transforms are on /r2/tf_static" in none.err
 
 
-def test_transforms_that_are_not_bridged_are_listed(
+def test_transforms_that_are_not_bridged_are_echoed(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
     worker = EngineWorker(network, registry, rules=[{"topic": "/tf", "deny": True}])

@@ -83,7 +83,7 @@ def _graph() -> Subject:
         assert len(graph.nodes()) + len(graph.endpoints()) <= 8
         for endpoint in graph.endpoints():
             graph.origin_of(endpoint.zid)
-            assert endpoint in graph.publishers(endpoint.topic) + graph.subscriptions(endpoint.topic) or endpoint.kind
+            assert endpoint in getattr(graph, f"{endpoint.kind}s")(endpoint.topic)
         for line in keys:
             graph._on_sample(SimpleNamespace(key_expr=line.lstrip("-"), kind=delete))  # type: ignore[arg-type]
         table, announced = graph._table, graph._announced

@@ -288,6 +288,9 @@ def _stop(watch: Watch, client: Client, fault: Fault) -> None:
         if answer and answer != "not ok":  # YARP's reply has no text
             assert UNCONFIRMED in answer or (fault.gateway_dies and SILENT in answer), f"{name}: {answer}"
     if fault.stopped:
+        if all(SILENT in answer for _, answer in watch.answers.values()):  # each request was lost with the gateway
+            watch.until(watch.mix.back, "all workers are back")
+            watch.ask("stop", callers)
         watch.until(lambda: not watch.base.moves, "the stop reaches the planner", STANDS_SECONDS)
     fault.end(watch.mix)
     if not watch.own:
