@@ -106,7 +106,7 @@ def ours() -> dict[str, Measure]:
 
 
 def tf2() -> dict[str, Measure]:
-    """Return the cases with tf2, which loops over a batch."""
+    """Return the cases with tf2; it has no lookup of many times at once, so that case is a loop."""
     import genpy  # only available on the system's Python
     import tf2_py
     from geometry_msgs.msg import Quaternion, TransformStamped, Vector3

@@ -41,9 +41,10 @@ def read_layer(message: Mapping[str, Any]) -> Places:
 
 
 def spread(grid: MapGrid2D, cells: NDArray[np.int64], *, edges: bool = False) -> Places:
-    """Return the centers of a map's cells, (n, 2) columns and rows, in meters, or their corners with ``edges``.
+    """Return the centers, in meters, of a map's ``cells``, (n, 2) columns and rows; with ``edges``, their corners.
 
-    A cell wider than 5 cm is split, so that a distance to the points is also a distance to the cell.
+    A cell wider than 5 cm is split into parts that have their own centers or corners, so that the distance to the
+    nearest point is nearly that to the cell.
     """
     middles = grid.centers_of(cells)
     parts = min(math.ceil(grid.resolution / _FINE - 1e-6), _PARTS)

@@ -1,4 +1,4 @@
-"""One round's processes: roscore, the daemon, an end of each middleware on each side, and the background."""
+"""One round's processes: roscore, the daemon, a sender and a listener each on ROS 1, ROS 2 and zenoh, and others."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class Network(Stage):
                 self.command(drummer, "drum", "drumming", topics=names, rate=20.0)
 
     def _wait_until_up(self, kinds: Sequence[str]) -> None:
-        """Wait until a message has arrived on every topic of the benchmark."""
+        """Wait until a message has arrived on every measured topic."""
         for key in self.messages:
             for hop in (*kinds, THERE, BACK):
                 source, target = {THERE: ("ros1", "ros2"), BACK: ("ros2", "ros1")}.get(hop, (hop, hop))

@@ -84,7 +84,7 @@ def total(used: Mapping[str, Usage], names: tuple[str, ...]) -> float:
 
 
 def processes(folder: Path) -> dict[str, int]:
-    """Return the process ids of the daemon's processes and the ROS master by name, of those started in a folder."""
+    """Return the process ids, by name, of the daemon's processes and the ROS master of the run in this folder."""
     result = _named(folder)
     return {name: result[name] for name in (*DAEMON, "rosmaster")}
 

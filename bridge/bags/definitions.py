@@ -7,7 +7,8 @@ Facts about rosbags 0.11 (typesys/msg.py and store.py, highlevel/anyreader.py):
 
 - In ``ros2msg`` it reads each name without ``/msg/`` or ``/action/`` as a message, so a type of a service, such as
   ``my_robot/srv/Ask_Event``, can only be decoded from ``ros2idl``.
-- It prefixes a type name of one word with the folder of the type that contains it, even if that is ``pkg/action``.
+- It completes a field's type without a slash, ``Point``, with package and kind of the type that has the field, even if
+  that gives ``pkg/action/Point``.
 - It hashes ``char`` with a separate type id, whereas rosidl hashes a ``.msg`` file's ``char`` as ``uint8``.
 - It refuses a whole ``.db3`` if the hash of one stored definition differs from the type's hash.
 
@@ -119,7 +120,7 @@ def full_definition(type_name: str, encoding: str, text: str) -> str:
         return text
     package, kind, _ = type_name.split("/")
     base = split_part(type_name)[0]
-    # Midspan up to 0.1.0 stored the parts of actions and services without their second word
+    # Midspan up to 0.1.0 stored the names of parts without their kind: ``pkg/Ask_Event`` for ``pkg/srv/Ask_Event``
     text = re.sub(rf"(?m)^((?:MSG: )?{package})/({base.rpartition('/')[2]}_\w+)", rf"\1/{kind}/\2", text)
     sections = split_parts(text)
     return text if len(sections) == 1 else _part_of_file(type_name, base, CONTENTS[kind], sections)
@@ -144,9 +145,9 @@ def _part_of_file(type_name: str, base: str, contents: tuple[str, ...], sections
 def without_char(schema: Schema) -> Schema:
     """Return the same types with ``uint8`` for ``char``, which ROS 2 serializes and hashes alike.
 
-    Two kinds of original text are replaced by generated text: text that names a type in three words, because ``.msg``
-    files use two, and the text of a part of an action, because rosbags would prefix a name of one word with
-    ``pkg/action``.
+    Two more kinds of original text are replaced by generated text: text with a name such as ``pkg/msg/Name``, because
+    ``.msg`` files have ``pkg/Name``, and that of a part of an action, in which rosbags would read ``Name`` as
+    ``pkg/action/Name``.
     """
     types = {name: _plain(definition) for name, definition in schema.types.items()}
     return Schema(types[schema.name], types)

@@ -134,14 +134,14 @@ def actions(client: Client) -> list[str]:
 class ZeroVelocities:
     """Publishes zero velocity on every velocity topic of the hub, and on those that nodes of a side subscribe to.
 
-    A side has one type for each topic. So a topic with subscribers to one form gets only that form, and any form that
-    a route already carries, because the base that it leads to may not be announced. A failure on one topic does not
-    affect the others.
+    On a side, a topic has either ``Twist`` or ``TwistStamped``. So where all subscribers accept only one of the two,
+    zero is published as that type, and as the type that a route already carries, because a side may not announce the
+    base behind a route. Elsewhere it is published as both. A failure on one topic does not affect the others.
     """
 
     def __init__(self, client: Client, types: Types) -> None:
         self._hub, self._types, self._frame = client.hub, types, client.config.navigation.base_frame
-        self._clock = RunClock(simulated=client.config.clock.simulated)  # simulated time is not set here: 0 means now
+        self._clock = RunClock(simulated=client.config.clock.simulated)  # not fed from /clock: simulated stamps are 0
         self._publishers: dict[_Kind, HubPublisher] = {}
         self._failed: dict[_Kind, str] = {}
 

@@ -15,7 +15,7 @@ _BITS = 13  # bits of a block's key along one axis
 def leaves(
     blocks: NDArray[np.int64], values: NDArray[np.float32]
 ) -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.float32]]:
-    """Return the leaves of the tree within blocks: eight equal leaves of a block are merged.
+    """Return the leaves of the tree within blocks; eight equal leaves of one parent are merged, level by level.
 
     Args:
         blocks: (count, 3) keys of blocks.

@@ -219,7 +219,7 @@ class Localizer:
 
     def _scatter(self, poses: Floats, scores: Floats, points: int, odometry: Pose) -> None:
         """Move some particles to other poses; the next scans decide which poses remain."""
-        # the remaining particles still have to make the base's motion since the last update
+        # particles that stay are moved as the base has since the last update, because the next update counts from now
         self._particles.scatter(poses, scores, points, self._step(odometry))
         self._updated, self._forced = odometry, _FORCED
         self._judge.doubt()

@@ -52,7 +52,8 @@ class Map2DServerSection(ModuleSection):
     frame: FrameName = setting("map", "The frame of all maps and markers.")
     take: tuple[TakenMap, ...] = setting(
         (),
-        "Maps of other servers and mappers to import into the store. The server does not publish an imported `/map`.",
+        "Maps of other servers and mappers to import into the store. While another program publishes `/map`, the server"
+        " itself does not.",
     )
     clicked_point: _PointName = setting(
         "",

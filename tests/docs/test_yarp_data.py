@@ -1,4 +1,4 @@
-"""The examples of docs/yarp/data.md: the interface, called over RPC, and the octomap."""
+"""The examples of docs/yarp/data.md: the octomap, and the interface, whose server answers encoded requests."""
 
 from __future__ import annotations
 

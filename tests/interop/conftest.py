@@ -30,7 +30,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Group the tests of a file by their shared mix, because pytest groups them by the parameter's position."""
+    """Group the tests of a file that share a mix, a daemon with planner and clients.
+
+    pytest compares parameters by their place in ``parametrize``, not by their value, so it would not group them.
+    """
     first: dict[object, int] = {}
 
     def place(position: int, item: pytest.Item) -> int:
@@ -78,7 +81,7 @@ def shared(of_all_tests: Deployment) -> Iterator[Deployment]:
 
 @pytest.fixture(scope="module")
 def shared_mix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedMix]:
-    """A mix that a file's tests with the same options share; the parameter has the options, by default none."""
+    """The mix that tests of a file with equal options share; the options are the parameter, by default none."""
     mix = SharedMix(tmp_path_factory, **getattr(request, "param", {}))
     yield mix
     mix.close()

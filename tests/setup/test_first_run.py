@@ -24,7 +24,7 @@ _OURS = (
     "AMENT", "BROWSER", "CI", "KILTED", "MIDSPAN_CACHE", "MIDSPAN_KERNEL_CACHE", "PYTEST", "PYTHON", "ROS",
     "VIRTUAL_ENV", "YARP",
 )  # fmt: skip
-"""Prefixes of variables that a newcomer's shell does not have; with CI, set-up also installs what only tests use."""
+"""Prefixes of variables that a newcomer's shell does not have; ``CI`` makes the set-up install what only tests use."""
 
 pytestmark = pytest.mark.timeout(2 * SECONDS)
 
@@ -43,7 +43,7 @@ def clone() -> Path:
     folder = _FOLDER / "my robots" / "midspan"
     if not folder.exists():
         _copy(folder)
-        # to compile everything again takes two minutes of processor time, and shows nothing beyond the set-up of CI
+        # compiling all again would take two minutes of processor time, and check only what CI's own set-up has checked
         if copy_kernels(_KERNELS):
             copy_packages(_PACKAGES)
     return folder

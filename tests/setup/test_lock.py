@@ -80,7 +80,7 @@ def test_kilted_is_locked() -> None:
 
 @every_system
 def test_requirements_of_locked_packages_are_locked(system: str) -> None:
-    """Checked with the metadata of the installed packages, if the version locked for the system is installed here."""
+    """Checked with the metadata of each package that is installed here in the version that is locked for the system."""
     locked = pins(*FILES, system=system)
     met = [name for name, version in locked.items() if installed(name) == version]
     assert len(met) > 50

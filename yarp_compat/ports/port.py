@@ -53,8 +53,9 @@ class PortCore(ConnectingPort):
         on_event: called when a connection opens or closes; must not block.
         on_line: answers command lines for a name server; called with the line, without ``NAME_SERVER``, and the peer's
             address.
-        replies: whether its owner replies, so that clients are queried for their dialect first; by default like
-            ``rpc``.
+        replies: whether its owner replies; by default like ``rpc``. If so, the dialect of a port that connects over tcp
+            or fast_tcp is queried before the connection is accepted, because a C++ port that waits for a reply answers
+            no query.
     """
 
     def __init__(
@@ -172,10 +173,11 @@ class PortCore(ConnectingPort):
     ) -> int:  # fmt: skip
         """Send a message to all outputs, or the ``chosen``; return how many accepted it. Text carriers need Bottles.
 
-        The payload may be a function that encodes it in each output's dialect. ``strict``: queue the message after
-        those that are still being sent (a full queue drops the oldest); otherwise it replaces them. ``wait``: block
-        until it is sent to all peers, and acknowledged if the carrier has acknowledgements, for at most ``timeout``
-        seconds; otherwise never block. ``text`` returns the line for text carriers, by default the payload's text.
+        The payload may be a function that encodes it in each output's dialect. ``strict``: queue the message behind
+        those that wait (a full queue drops the oldest); otherwise it replaces them, but not the one that is being sent.
+        ``wait``: block until it is sent to all peers, and acknowledged if the carrier has acknowledgements, for at most
+        ``timeout`` seconds; otherwise never block. ``text`` returns the line for text carriers, by default the
+        payload's text.
         """
         if self._interrupted:
             self.counters.dropped["interrupted"] += 1

@@ -56,7 +56,10 @@ class PortContact:
 
     @classmethod
     def parse(cls, text: str) -> PortContact:
-        """Parse any text form except the registration line; missing parts stay empty."""
+        """Parse any text form except the registration line.
+
+        A missing name, host or carrier is empty, and a missing port is -1; the carrier of an address is tcp by default.
+        """
         carrier, address = "", text
         at = text.find(":/")
         if at >= 0:

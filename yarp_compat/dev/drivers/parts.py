@@ -17,8 +17,9 @@ from yarp_compat.dev.rangefinder_client import Rangefinder2DClient
 
 
 def controlboard(options: DeviceOptions) -> OpenDevice:
-    """Open with the port prefixes ``remote`` and ``local``, the streams' ``carrier``, the states' ``timeout`` (s).
+    """Open with the port prefixes ``remote`` and ``local``, the streams' ``carrier``, and ``timeout``.
 
+    A state of the joints is valid for ``timeout`` seconds.
     With ``writeStrict`` ``on``, no streamed command replaces one that is still queued.
     """
     client = ControlBoardClient(
@@ -33,7 +34,7 @@ def controlboard(options: DeviceOptions) -> OpenDevice:
 
 
 def rangefinder2d(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``remote`` (the stream's ports, prefixes of the others), and the stream's ``carrier``."""
+    """Open with ``local`` and ``remote``, the stream's ports, and its ``carrier``; the RPC ports extend their names."""
     client = Rangefinder2DClient(
         options.port("remote"), options.port("local"), options.text("carrier", "tcp"), naming=options.naming
     ).open()
@@ -61,7 +62,9 @@ def battery(options: DeviceOptions) -> OpenDevice:
 
 
 def frame_grabber(options: DeviceOptions) -> OpenDevice:
-    """Open with ``local`` and ``remote`` (the images' ports, prefixes of the others), ``carrier`` and ``no_stream``.
+    """Open with ``local`` and ``remote``, the images' ports, ``carrier`` and ``no_stream``.
+
+    The RPC ports' names begin with those of the images' ports.
 
     Servers for ``remote_grabber`` used to reply at the images' port itself, and some still do.
     """
