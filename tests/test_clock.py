@@ -99,9 +99,7 @@ def test_a_jump_before_the_first_observer_is_not_reported() -> None:
     assert not clocks.jumps
 
 
-def test_an_error_of_one_does_not_keep_the_others_from_hearing(
-    watched: Clocks, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_error_of_one_observer_does_not_affect_the_others(watched: Clocks, caplog: pytest.LogCaptureFixture) -> None:
     def fail() -> None:
         raise ValueError("no")
 
@@ -122,7 +120,7 @@ def test_an_error_of_one_does_not_keep_the_others_from_hearing(
     assert not watched.jumps
 
 
-def test_its_thread_runs_while_there_is_anyone_to_notify() -> None:
+def test_the_clocks_thread_runs_while_there_is_an_observer() -> None:
     def threads() -> int:
         return sum(thread.name == "midspan-clock" for thread in threading.enumerate())
 

@@ -62,7 +62,7 @@ def test_closing_a_bounded_queue_drops_what_waits() -> None:
     assert taken == [1]
 
 
-def test_a_bounded_queue_takes_what_is_offered_only_where_there_is_room() -> None:
+def test_a_full_bounded_queue_refuses_offers() -> None:
     inside, go_on, taken = threading.Event(), threading.Event(), list[int]()
 
     def take(message: int) -> None:

@@ -80,14 +80,14 @@ def test_pipes_and_their_ends(start: Start) -> None:
     assert other.popen.poll() is None
 
 
-def test_each_has_its_own_environment_session_and_modules(start: Start) -> None:
+def test_each_program_has_its_own_environment_session_and_modules(start: Start) -> None:
     text = "import os, sys, json; print(os.environ.get('ONE'), os.getsid(0) == os.getpid(), hasattr(json, 'mark'))"
     first, second = start(text + "\njson.mark = 1", ONE="1"), start(text)
     assert (first.popen.wait(20), second.popen.wait(20)) == (0, 0)
     assert (first.output(), second.output()) == ("1 True False\n", "None True False\n")
 
 
-def test_a_variable_that_is_not_given_is_not_there(tmp_path: Path) -> None:
+def test_a_variable_that_is_not_passed_is_unset(tmp_path: Path) -> None:
     file = tmp_path / "program.py"
     file.write_text("import os; print(sorted({'HOME', 'LANG_OF_A_TEST'} & set(os.environ)))")
     env = {**os.environ, "LANG_OF_A_TEST": "x"}
@@ -97,7 +97,7 @@ def test_a_variable_that_is_not_given_is_not_there(tmp_path: Path) -> None:
         assert program.output() == "['LANG_OF_A_TEST']\n"
 
 
-def test_pythons_own_settings_are_heeded(start: Start) -> None:
+def test_pythons_own_variables_are_applied(start: Start) -> None:
     program = start("import sys; print(sys.flags.optimize)", PYTHONOPTIMIZE="1")
     assert program.popen.wait(20) == 0
     assert program.output() == "1\n"
@@ -113,7 +113,7 @@ def test_modules_are_run_by_their_name() -> None:
         assert program.popen.wait(20) == 0
 
 
-def test_imports_of_the_tests_modules_are_ready_and_these_are_not(start: Start) -> None:
+def test_dependencies_of_the_tests_are_imported_before_the_fork_but_the_tests_are_not(start: Start) -> None:
     program = start(
         f"import sys\nready = set(sys.modules)\nsys.path.insert(0, {str(ROOT)!r})\n"
         "from tests.support.rosbags_messages import Messages\n"
@@ -124,7 +124,7 @@ def test_imports_of_the_tests_modules_are_ready_and_these_are_not(start: Start) 
     assert program.output() == "True False Messages\n"
 
 
-def test_what_starts_threads_is_not_forked(start: Start, tmp_path: Path) -> None:
+def test_programs_that_start_threads_on_import_are_not_forked(start: Start, tmp_path: Path) -> None:
     (tmp_path / "starts_threads.py").write_text(
         "import threading\nthreading.Thread(target=threading.Event().wait, daemon=True).start()"
     )
@@ -132,7 +132,7 @@ def test_what_starts_threads_is_not_forked(start: Start, tmp_path: Path) -> None
         start("", imports=("starts_threads",), PYTHONPATH=str(tmp_path))
 
 
-def test_programs_end_with_who_forked_them(start: Start) -> None:
+def test_programs_end_with_the_process_that_forked_them(start: Start) -> None:
     program = start("import time\ntime.sleep(60)", PYTHONHASHSEED="7")
     process = psutil.Process(program.pid)
     server = process.parent()
@@ -143,7 +143,7 @@ def test_programs_end_with_who_forked_them(start: Start) -> None:
     assert start("print('again')", PYTHONHASHSEED="7").popen.wait(20) == 0
 
 
-def test_only_programs_of_the_tests_are_forked_unasked() -> None:
+def test_only_programs_of_the_tests_are_forked_by_default() -> None:
     assert forks.can_fork([sys.executable, str(Path(__file__).parent / "peers" / "ros2" / "peer.py")])
     assert not forks.can_fork([sys.executable, "-c", "pass"])
     assert not forks.can_fork(["/usr/bin/python3", "/usr/bin/roscore"])

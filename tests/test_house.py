@@ -30,7 +30,7 @@ def test_a_cycle_that_is_hidden_in_a_function_is_found(tmp_path: Path) -> None:
     assert house.cycles(house.imports(files)) == [["sim.a", "sim.b", "sim.c"]]
 
 
-def test_a_name_that_a_package_hands_on_is_its_files(tmp_path: Path) -> None:
+def test_a_reexported_name_counts_for_the_file_that_defines_it(tmp_path: Path) -> None:
     files = write(
         tmp_path,
         {

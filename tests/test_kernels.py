@@ -140,12 +140,12 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_a_whole_build_is_well(tree: Path) -> None:
+def test_a_complete_build_is_ok(tree: Path) -> None:
     assert kernels.state().ok
     assert only(machine.check_kernels(around())).result is Result.OK
 
 
-def test_a_build_of_other_sources_is_told(tree: Path) -> None:
+def test_a_build_of_other_sources_is_reported(tree: Path) -> None:
     (tree / "one.py").write_text("X = 2\n", encoding="utf-8")
     assert kernels.state().stale == ("bridge.one",)
     finding = only(machine.check_kernels(around()))
@@ -153,12 +153,12 @@ def test_a_build_of_other_sources_is_told(tree: Path) -> None:
     assert "make setup" in finding.cure
 
 
-def test_a_build_with_other_flags_is_told(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_build_with_other_flags_is_reported(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernels, "FLAGS", ("-O0",))
     assert kernels.state().stale == ("bridge.one", kernels.SHARED)
 
 
-def test_a_build_by_another_cython_is_told(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_build_by_another_cython_is_reported(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernels, "compiler_version", lambda: "3.99")
     assert kernels.state().stale == ("bridge.one", kernels.SHARED)
 
@@ -174,7 +174,7 @@ def test_a_record_that_says_nothing_means_a_stale_build(tree: Path, record: str)
     assert kernels.state().stale == ("bridge.one", kernels.SHARED)
 
 
-def test_what_is_not_compiled_is_told(tree: Path) -> None:
+def test_missing_kernels_are_reported(tree: Path) -> None:
     shutil.rmtree(tree)
     tree.mkdir()
     (tree / "one.py").write_text("X = 1\n", encoding="utf-8")

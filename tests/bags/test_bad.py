@@ -65,7 +65,7 @@ BOMBS: dict[str, Callable[[], bytes]] = {
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_a_chunk_that_unpacks_to_something_else_is_refused_before_that(name: str, tmp_path: Path) -> None:
+def test_a_chunk_with_a_wrong_unpacked_size_is_refused_before_it_is_unpacked(name: str, tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_bytes(BOMBS[name]())
     tracemalloc.start()

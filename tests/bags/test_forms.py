@@ -181,7 +181,7 @@ UNKNOWN = {
 
 @pytest.mark.parametrize("target", ["b.mcap", "b.db3", "b"])
 @pytest.mark.parametrize("case", UNKNOWN)
-def test_a_definition_refused_by_readers_does_not_affect_others_topic(case: str, target: str, tmp_path: Path) -> None:
+def test_a_definition_that_readers_refuse_does_not_affect_other_topics(case: str, target: str, tmp_path: Path) -> None:
     text, data = UNKNOWN[case]
     topics = [
         ("/odd", "my_msgs/msg/Odd", text, data),

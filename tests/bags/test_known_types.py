@@ -140,7 +140,7 @@ def test_without_a_definition_the_messages_must_fit(kind: Kind, humble: Path) ->
 
 
 @SEVERAL
-def test_a_folder_with_the_recorded_version_cures_that(kind: Kind, humble: Path, tmp_path: Path) -> None:
+def test_a_folder_with_the_recorded_version_makes_the_topic_readable(kind: Kind, humble: Path, tmp_path: Path) -> None:
     text, _ = HUMBLE_STORE.generate_msgdef(RANGE, ros_version=2)
     folder = tmp_path / "types" / "sensor_msgs" / "msg"
     folder.mkdir(parents=True)

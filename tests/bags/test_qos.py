@@ -78,7 +78,7 @@ def test_an_unknown_value_takes_the_default_with_one_warning(
     assert value in caplog.text
 
 
-def test_a_list_that_contains_itself_many_times_over(caplog: pytest.LogCaptureFixture) -> None:
+def test_nested_aliases_that_expand_exponentially_are_not_expanded(caplog: pytest.LogCaptureFixture) -> None:
     lists = "\n".join(f"- &l{n} [{', '.join([f'*l{n - 1}'] * 10)}]" for n in range(1, 30))
     text = f"- &l0 [x]\n{lists}\n- reliability: *l29\n  depth: 10\n"
     assert parse_qos(text) == (Qos(),)

@@ -54,7 +54,7 @@ def comments(text: str) -> list[str]:
     return [line.split("# ", 1)[1].strip() for line in text.splitlines() if "# " in line]
 
 
-def test_the_robot_of_two_machines_has_a_door(tmp_path: Path) -> None:
+def test_the_robot_of_two_machines_gets_hub_open(tmp_path: Path) -> None:
     for name in ("ca.pem", "robot1.pem", "robot1.key"):
         (tmp_path / name).touch()
     old = ROBOT.format(folder=tmp_path)
@@ -161,7 +161,7 @@ def test_an_alias_on_a_line_of_its_own_goes_with_its_key() -> None:
     assert migrate(old, FILE).text == "version: 1\nros2:\n  localhost_only: &it true\n  # build: *it\n"
 
 
-def test_a_listener_without_certificates_and_beside_a_door() -> None:
+def test_a_listener_without_certificates_and_beside_hub_open() -> None:
     plain = migrate("hub: {listen: tcp/0.0.0.0:7447, domain: 3}\n", FILE)
     assert plain.text == (
         "version: 1\nhub: {open: {listen: ['tcp/0.0.0.0:7447']}, listen: tcp/127.0.0.1:7448, domain: 3}\n"

@@ -35,7 +35,7 @@ YARP3 = "its bytes are YARP 3's; the release of YARP 3 is a guess"
         ({"release": "4.0"}, "/any", Profile.YARP3, "3.12", YARP3),
     ],
 )
-def test_who_is_answered_how(
+def test_the_release_that_each_client_is_answered_with(
     section: dict[str, Any], peer: str, profile: Profile | None, generation: str, why: str
 ) -> None:
     decided = YarpSection.model_validate(section).generations().of(peer, profile)
@@ -46,7 +46,7 @@ def test_who_is_answered_how(
     assert not cure or ("yarp.peers: [{port: /any, release: '3.9'}]" in cure and "yarp.release: '3.9'" in cure)
 
 
-def test_a_release_restarts_nothing_and_what_leads_elsewhere_does() -> None:
+def test_a_new_release_restarts_nothing_but_a_new_address_does() -> None:
     """The test uses what workers compare on a reload."""
     old = Config.model_validate({"yarp": {"address": "robot:10000"}})
     parsed = Config.model_validate({"yarp": {"address": "robot:10000", "release": "3.9", "peers": RULES}})

@@ -147,7 +147,7 @@ def test_successor_of_a_dead_client_name_is_not_connected(config: Config, names:
         other.close()
 
 
-def test_ports_that_are_closed_in_good_order_know_their_callers_again(config: Config, names: NameClient) -> None:
+def test_reopened_ports_recognize_their_callers(config: Config, names: NameClient) -> None:
     with contextlib.closing(NativeClient("/native/rpc", names)) as client:
         for _ in range(2):
             ports = _open(config)

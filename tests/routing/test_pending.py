@@ -175,7 +175,7 @@ def suspend(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     return advance
 
 
-def test_process_that_was_suspended_drops_no_message_to_the_hub_before_it_looked(
+def test_a_resumed_process_checks_the_lease_before_it_drops_a_message_to_the_hub(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     advance, to_hub = suspend(monkeypatch), RouteToHub()
@@ -195,7 +195,7 @@ def test_process_that_was_suspended_drops_no_message_to_the_hub_before_it_looked
     to_hub.route.close()
 
 
-def test_process_that_was_suspended_drops_no_message_to_the_side_before_it_looked(
+def test_a_resumed_process_checks_the_lease_before_it_drops_a_message_to_the_side(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     advance, latched = suspend(monkeypatch), LatchedRoute(monkeypatch)

@@ -31,7 +31,7 @@ def stream(port: Port) -> FrameStream:
     return FrameStream(port, lambda: FRAMES, generations.__getitem__, 0.01)  # type: ignore[arg-type]
 
 
-def test_a_set_frame_is_sent_at_once_and_nothing_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_set_frame_is_sent_within_one_period(monkeypatch: pytest.MonkeyPatch) -> None:
     port, now = Port(), [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     frame_stream = stream(port)

@@ -224,7 +224,7 @@ def test_each_command_is_logged_with_its_client(guarded: GuardedDesk, caplog: py
     assert DRIVE[0] not in caplog.text
 
 
-def test_a_wrong_token_does_not_block_others_client(
+def test_a_wrong_token_does_not_block_other_clients(
     guarded: GuardedDesk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(access, "FIRST_WAIT", 30.0)

@@ -121,7 +121,7 @@ def test_a_file_that_an_earlier_callback_stopped_watching_is_not_called(loop: Se
         sock.close()
 
 
-def test_a_closed_socket_cannot_be_watched_but_still_be_released(loop: SelectorLoop) -> None:
+def test_a_closed_socket_cannot_be_watched_but_can_be_released(loop: SelectorLoop) -> None:
     near, far = socket.socketpair()
     far.close()
     loop.on_readable(near, print)

@@ -12,7 +12,7 @@ from bridge.cli.setup.install import SHELLS
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_script_knows_the_verbs_and_its_shell_takes_it(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_script_has_all_verbs_and_its_shell_accepts_it(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
     for verb in VERBS:

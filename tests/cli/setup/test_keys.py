@@ -108,7 +108,7 @@ def test_files_are_not_overwritten_without_the_option(tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize("name", ["ca", "../evil", "", "a b", "-x", "x" * 64])
-def test_names_that_are_none(tmp_path: Path, name: str) -> None:
+def test_invalid_machine_names_are_refused(tmp_path: Path, name: str) -> None:
     Authority(tmp_path).make()
     with pytest.raises(CertificateError, match="not a machine's name"):
         Authority(tmp_path).issue(name)

@@ -242,9 +242,7 @@ def test_an_unknown_policy_takes_the_default_with_one_warning(
     assert graph.refused == 0
 
 
-def test_two_unknown_policies_are_two_warnings(
-    graph: HubGraph, node: RmwNode, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_each_unknown_policy_is_one_warning(graph: HubGraph, node: RmwNode, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         token = node.declare("MP", "t", "7:8:9,10:,:,:10,,")
         until(lambda: graph.publishers("/t"), "the publisher is seen")

@@ -112,7 +112,7 @@ def test_cross_site_requests_are_refused(make_port: MakePort) -> None:
         (b"GET /favicon.ico HTTP/1.1\r\n\r\n", b"404"),
     ],
 )
-def test_invalid_requests_are_answered_and_closed(make_port: MakePort, data: bytes, status: bytes) -> None:
+def test_invalid_requests_close_the_connection(make_port: MakePort, data: bytes, status: bytes) -> None:
     port = make_port("/r", echo)
     with socket.create_connection((port.contact.host, port.contact.port)) as sock:
         sock.settimeout(10)

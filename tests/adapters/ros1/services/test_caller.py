@@ -291,7 +291,7 @@ def test_data_without_a_request_closes_the_connection(bench):
         assert bench.call().wait() == [b"right"]
 
 
-def test_closing_the_connection_abandons_a_call(bench):
+def test_an_abandoned_call_closes_its_connection(bench):
     arrived, answer = threading.Event(), threading.Event()
     removed = []
 

@@ -117,7 +117,7 @@ def test_requests_of_midspan_are_dropped_silently(world: World) -> None:
     assert (world.executed, world.due, world.failures) == ([], [], [])
 
 
-def test_after_some_seconds_they_are_dropped_with_a_reason(world: World) -> None:
+def test_held_requests_are_dropped_with_a_reason_after_some_seconds(world: World) -> None:
     world.receive(1)
     world.advance(PATIENCE_SECONDS - 0.1)
     assert world.due

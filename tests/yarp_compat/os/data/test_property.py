@@ -80,7 +80,7 @@ def test_a_property_is_a_mapping_in_python() -> None:
         property_["wrong"] = object()
 
 
-def test_messages_have_the_values_of_the_text() -> None:
+def test_a_received_property_has_the_values_of_its_text() -> None:
     """YARP's Property is converted to text, so small ints and four-byte floats become ordinary ints and floats."""
     wire = Bottle("((a 1) (b 2)) x (n 5 6) (e)").to_bytes()
     received = Property.from_bytes(wire)
