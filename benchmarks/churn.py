@@ -34,7 +34,7 @@ WARM = 3
 """Number of batches before the measurement."""
 SETTLE_SECONDS, IDLE_SECONDS = 40.0, 12.0
 FLOW = 4.0
-"""Messages per second of a stream: below the rate that stays on the hub without subscribers (`hub_end.QUICK`)."""
+"""Messages per second of a stream: too few for a route without subscribers to unsubscribe (`hub_end.QUICK`)."""
 FEEDER = {"ros1": "ros2", "ros2": "ros1", "zenoh": "ros1"}
 """The side to which each side's programs subscribe."""
 

@@ -114,8 +114,8 @@ def measure(source: str, target: str, args: argparse.Namespace) -> list[Row]:
         (p50, p99), (plain50, plain99) = figures(ages[topic, True]), figures(ages[topic, False])
         case = f"{topic} with {FLOW / 1e6:.0f} MB/s, {direction}"
         rows += [
-            Row(f"{case}, p50, to without", p50, plain50, "us"),
-            Row(f"{case}, p99, to without", p99, plain99, "us"),
+            Row(f"{case}, p50, against no stream", p50, plain50, "us"),
+            Row(f"{case}, p99, against no stream", p99, plain99, "us"),
         ]
         arrived = len(ages[topic, True])
         rows.append(Row(f"{case}, arrived of sent", arrived, round(RATE * args.seconds) * args.turns, "msgs", "more"))

@@ -1,8 +1,9 @@
 """Mapper3D: it makes the same tree from a depth image as octomap does from the same points, several times as fast.
 
 The camera has a RealSense D435's field of view, and turns in a room with tables; its depth has noise. "Ours" is all
-that the module does with an image: depth to points, points to the map, rays, odds, and removals at their rate. The peer
-is only ``insertPointCloud`` of the same points on the map, with ``discretize``; a test checks that the trees are equal.
+that the module does with an image: depth to points, points to the map's frame, rays, the voxels' odds, and once per
+second the search for outdated obstacles (there are none: the default run is shorter than ``forget_after``). The peer is
+only ``insertPointCloud`` of the same points on the map, with ``discretize``; a test checks that the trees are equal.
 `make bench-peers` installs the peer. After each image a layer is computed and published on a hub: as a grid with its
 update, and the heights of obstacles.
 """

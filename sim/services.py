@@ -142,7 +142,8 @@ class Stepping:
         """Start a step."""
         seconds, patience = request["seconds"], request["patience"]
         if not (math.isfinite(seconds) and 0.0 < seconds <= _LONGEST_STEP and math.isfinite(patience)):
-            answer(_reply(self._now, f"a step is more than 0 and at most {_LONGEST_STEP:g} seconds"))
+            text = f"a step is more than 0 and at most {_LONGEST_STEP:g} seconds, and its patience is finite"
+            answer(_reply(self._now, text))
             return
         if self.busy:
             answer(_reply(self._now, "another step is under way: wait for its reply"))

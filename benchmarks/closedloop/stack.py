@@ -34,19 +34,20 @@ _ROOM = 0.05
 """Additional clearance of the planner, meters, which RobotGoto needs."""
 
 _DRIVE_EVERY, _PLAN_EVERY, _LOOK_EVERY = 2, 10, 2
-"""Ticks between steps of RobotGoto and of RobotPathPlanner; the planner uses every n-th scan."""
+"""Ticks between steps of RobotGoto, and of RobotPathPlanner; and the planner uses one of ``_LOOK_EVERY`` scans."""
 
 
 _POINTS, _LAYER = "/camera/depth/points", "/mapper3d/layer"
 MAPPING = Mapper3DSection(resolution=0.04, farthest=2.5, layer=LayerSection(height=1.3))
-"""Voxel size, less than half of a 10 cm step; and the range up to which the camera's noise is less than a voxel."""
+"""``resolution`` is less than half of the step in the plan `tables`, 10 cm; up to ``farthest``, the standard deviation
+of the camera's depth is less than ``resolution``."""
 
 
 class Ours:
     """All three parts, stepped like their modules.
 
-    With a depth camera, RobotGoto receives its points live, and the planner uses a layer of Mapper3D's code, which is
-    empty at first and maps while the robot drives, from the estimated poses.
+    With a depth camera, RobotGoto receives the points of each image, and the planner uses the layer of a 3D map, which
+    Mapper3D's code builds from the images and the poses while the robot drives; the map is empty at first.
 
     Args:
         robot: the robot.
@@ -166,7 +167,8 @@ class Ours:
         if plans:
             self.planner.step(now, pose, self, reason)
         command = self.driver.step(now, pose, robot.odometry, reason)
-        if not (self._silent and self.driver.silent):  # a zero command follows the last goal
+        # the first step in which RobotGoto is silent still sends its command, which is zero
+        if not (self._silent and self.driver.silent):
             robot.command(*command)
         self._silent = self.driver.silent
 

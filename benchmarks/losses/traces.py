@@ -33,7 +33,7 @@ def _patiently(look: Callable[[], list[str]]) -> list[str]:
 
 
 def _on_master(field: Field) -> list[str]:
-    """Return registrations of dead Midspan nodes, and registrations that live nodes do not have."""
+    """Return Midspan's stale registrations: of dead nodes, or for topics that the live node itself does not report."""
     state = field.master("getSystemState")
     if state is None:
         return ["the master does not reply"]

@@ -73,7 +73,7 @@ class FoxgloveServer:
 
 
 def _hidden_address() -> str:
-    """Return a loopback address that a page scanning 127.0.0.1 does not find; only Linux accepts all of 127.0.0.0/8."""
+    """Return a loopback address that a web page does not find by scanning 127.0.0.1; only Linux has all 127.0.0.0/8."""
     if sys.platform != "linux":
         return "127.0.0.1"
     return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}"

@@ -100,11 +100,12 @@ class HubSettings:
             ("namespace", self.namespace, _NAMESPACE),
         ):
             if not form.fullmatch(value):
-                raise HubConfigError(f"hub {name} {value[:80]!r} has characters that a name on the hub cannot have")
+                raise HubConfigError(f"hub {name} {value[:80]!r} is not a valid name: it must match {form.pattern}")
 
 
 def _config(settings: HubSettings) -> zenoh.Config:
-    # Links accept messages above a lower limit of this session, which counts them; a link would drop them silently.
+    # Even if this session's limit is lower, links accept MAX_PAYLOAD: this session counts the messages that it refuses;
+    # a link would drop them silently.
     room = max(settings.max_payload, MAX_PAYLOAD)
     tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=room)
     return make_config(tree, settings.zenoh)
@@ -316,10 +317,10 @@ class Hub:
     ) -> HubPublisher:
         """Create a publisher, which exists until it or the node is closed.
 
-        The priority is ``command``, ``state`` or ``stream``. With ``express``, each sample is sent in its own packet.
-        By default, only commands are, because a burst of samples in shared packets is as fast, and is not lost on a
-        busy machine. ``queue`` is the maximum number of messages that wait for a slow reader of the lane, by default 1
-        for commands and 1000 otherwise.
+        The priority is ``command``, ``state`` or ``stream``. With ``express``, each sample is sent in its own packet,
+        by default only commands: a burst of other samples is as fast in shared packets, and if each had its own, some
+        might be lost on a busy machine. ``queue`` is the maximum number of messages that wait for a slow reader of the
+        lane, by default 1 for commands and 1000 otherwise.
         """
         with self._lock:
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
@@ -342,9 +343,9 @@ class Hub:
 
         Unless it is ``exact``, it also receives the messages of other known versions of the type, converted. A latched
         subscription receives the cached samples of each latched publisher, existing or later. The node's own samples
-        are not delivered. ``callback``, and ``refused`` for each sample that is malformed, too large or cannot be
-        converted, run on threads of zenoh, the lane or Midspan's executors, or on the thread of another node of this
-        session that publishes, so they may only append and wake.
+        are not delivered. ``refused`` is called for each sample that is malformed, too large or cannot be converted.
+        Both callbacks run on threads of zenoh, the lane or Midspan's executors, or on the publishing thread of another
+        node of this session, so they may only append and wake.
         """
         with self._lock:
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
@@ -434,7 +435,7 @@ class Hub:
 
     def _check_open(self) -> None:
         if self._closed:
-            raise HubClosedError("the hub session is closed")
+            raise HubClosedError("this node of the hub is closed")
 
     def _keep(self, endpoint: _Endpoint) -> _Endpoint:
         self._endpoints.add(endpoint)

@@ -28,7 +28,7 @@ def test_flood_measures_with_and_without_the_stream(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     flood.main(["--way", "ros1", "--turns", "1", "--seconds", "0.5", "--json", str(file)])
     rows = {row["case"]: row for row in json.loads(file.read_text())}
-    assert rows["/tf with 100 MB/s, ROS 1 to ROS 2, p99, to without"]["peer"] > 0
+    assert rows["/tf with 100 MB/s, ROS 1 to ROS 2, p99, against no stream"]["peer"] > 0
     assert rows["the stream, ROS 1 to ROS 2, arrived of sent"]["ours"] > 0
 
 

@@ -11,5 +11,5 @@ from bridge.record import worker
 
 @pytest.fixture(autouse=True)
 def priority(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the normal priority in the tests' process: zenoh's threads persist, and later tests would inherit it."""
+    """Do not lower the priority of threads in the tests' process: zenoh's threads persist, also in later tests."""
     monkeypatch.setattr(worker, "yielding", nullcontext)

@@ -1,11 +1,11 @@
 """The frame of messages on a connection: the index, the command to the port, the payload, the acknowledgement.
 
-A message on tcp is ``YA 10 RP``, the numbers of blocks to the acceptor and of the reply (1 byte each), 8 bytes of 0xff,
-an int32 length for each block (0 for the reply's), then the blocks, whose concatenation is the content.
+A message on tcp is ``YA 10 RP``, its number of blocks and that of the reply (1 byte each), 8 bytes of 0xff, an int32
+length for each block (0 for the reply's), then the message's blocks, which are joined: the command, then the payload.
 
-Every message begins with a command: data, an administrative message, a request to connect, and so on. In binary: int32
-length of a text (with its NUL), ``~``, the key, 0, 1; or with a text, 0 for the key, and the text, whose first
-character is the key. As text: one line, whose first character is the key.
+A command is data, an administrative message, a request to connect, and so on. In binary, a command that is only a key:
+int32 0, ``~``, the key, 0, 1. A longer one: int32 size of its text with NUL, ``~``, 0, 0, 1, and the text with NUL,
+whose first character is the key. As text: one line, whose first character is the key.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LONGEST_TEXT = 4096  # maximum bytes of an envelope or command
 class PortCommand:
     """A command to a port: its first character, the key, is its type (``d``, ``D``: data, ``a``, ``q``, ``*``...).
 
-    ``text`` is the whole command, if it is longer than its key.
+    ``text`` is the whole command; it is empty for a binary command without a text.
     """
 
     key: str

@@ -173,7 +173,8 @@ class HubServer(CallServer):
 class _VariantClient(CallClient):
     """Makes the calls of a client under another type hash, with the client's GID and numbers.
 
-    Midspan's servers also answer under other hashes, and distinguish calls by GID and number.
+    The numbers are shared, because a Midspan server answers under several hashes, and distinguishes the calls only by
+    GID and number.
 
     Args:
         key: key of the calls.
@@ -218,7 +219,8 @@ class _VariantClient(CallClient):
 
     @override
     def _abandoned(self, attached: bytes | None) -> None:
-        for key in (self._key, self._client._key):  # a server listens for abandoned calls only under its own hash
+        # a server of either hash may have the call, and it listens for abandoned calls only under its own hash
+        for key in (self._key, self._client._key):
             self._client._announce_abandoned(key, attached)
 
 

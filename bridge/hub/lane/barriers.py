@@ -1,7 +1,7 @@
 """Barriers, which show whether another session has all declarations that this session had sent by a given time.
 
-zenoh delivers in order. So a session that replies to a query has received everything declared before the query, and
-everything that it published before the reply has arrived by then.
+zenoh delivers in order. So once another session's reply to a query arrives, that session has received everything that
+this session declared before the query, and this session everything that the other one published before the reply.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ class LaneBarriers:
     """The barriers of one session. Safe to use from any thread.
 
     Args:
-        renew: called before the reply to another session's barrier, because that session has declared subscribers.
+        renew: called before the reply to another session's barrier: that session may have declared subscribers, so
+            this session's publishers must check again whether they have any.
     """
 
     def __init__(self, zid: str, session: zenoh.Session, domain: int, renew: Callable[[], None]) -> None:

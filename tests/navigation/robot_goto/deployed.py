@@ -70,7 +70,8 @@ class Robot(Program):
 
     def _tick(self) -> None:
         now = time.monotonic()
-        passed, self._ticked = max(0.0, min(now, self._until) - self._ticked), now  # a busy machine skips ticks
+        # the real time since the last tick, not TICK, because a busy machine skips ticks
+        passed, self._ticked = max(0.0, min(now, self._until) - self._ticked), now
         vx, vy, turn = self._velocity
         self.yaw += turn * passed
         c, s = math.cos(self.yaw), math.sin(self.yaw)

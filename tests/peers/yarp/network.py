@@ -1,4 +1,4 @@
-"""A YARP network for a script in the test's process, for `yarp.Network` and `yarp.PolyDriver`."""
+"""A YARP network for a script that runs in the test's process; `yarp.Network` and `yarp.PolyDriver` use it."""
 
 from __future__ import annotations
 

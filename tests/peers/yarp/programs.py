@@ -1,4 +1,4 @@
-"""YARP programs for tests: ports named ``/topic@/node``, whose messages `yarp_compat.rosmsg` encodes and decodes.
+"""YARP programs for tests: ports like ``/topic+@/node_1``, whose messages `yarp_compat.rosmsg` encodes and decodes.
 
 `yarp_compat.rosmsg` implements the layout independently of the bridge's converters.
 """

@@ -36,7 +36,7 @@ _STATUS = "action_msgs/GoalStatusArray"
 
 
 class ActionServer:
-    """An action server of a DDS node behind a bridge; it accepts all goals, which run until `end` or a cancel."""
+    """An action server of a DDS node behind a bridge; it accepts all goals, which run until `end`, also if canceled."""
 
     def __init__(self, bridge: Ros2ddsBridge, name: str) -> None:
         self.bridge = bridge

@@ -1,7 +1,7 @@
 """Clients of planner, map server, localization server and base as devices with YARP's options.
 
-Names, ports and options are the same from YARP 3.6 to 4.0 (``*_nwc_yarp_params.md`` of 4.0 lists the options); releases
-before 3.7 have other device names, such as ``navigation2DClient``.
+Ports and options are the same from YARP 3.6 to 4.0 (``*_nwc_yarp_params.md`` of 4.0 lists the options). The names of
+devices before 3.7, such as ``navigation2DClient``, are also known (`yarp_compat.dev.drivers.registry`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which origins count as this network."""
+"""Which ROS 2 origins on the hub count as being on this worker's own DDS network."""
 
 from __future__ import annotations
 
