@@ -27,7 +27,7 @@ from bridge.web.serving.server import hosts
 from tests.peers.browser.page import TestPage
 from tests.support.wait import until
 from tests.web.conftest import Desk
-from tests.web.test_bounds import await_close, connect
+from tests.web.test_bounds import connect, is_closed
 from tests.web.test_hold import Base, hold
 from tests.web.test_server import ask
 
@@ -370,7 +370,7 @@ def test_plain_http_gets_no_response(guarded: GuardedDesk) -> None:
 
 def test_a_connection_without_a_tls_handshake_is_closed(guarded: GuardedDesk) -> None:
     with connect(guarded.port) as sock:
-        await_close(sock)
+        assert is_closed(sock)
 
 
 @pytest.mark.parametrize(
