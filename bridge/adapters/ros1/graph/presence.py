@@ -181,13 +181,15 @@ class NodeConnections:
             if self._closed:
                 return
             named = {e.uri: e for e in entries}
-            for link in [k for k in self._out.values() if not k.alive and k.entry.uri not in named]:
-                link.close()
+            departed = [k for k in self._out.values() if not k.alive and k.entry.uri not in named]
+            for link in departed:
                 del self._out[link.entry.uri]
             for uri, entry in named.items():
                 if uri not in self._out and len(self._out) < _MAX_LINKS:
                     self._out[uri] = link = _NodeConnection(entry, self._caller, self._changed)
                     link.start()
+        for link in departed:  # without the lock, since each may take a second, and the lease needs `announce`
+            link.close()
 
     def sightings(self) -> Sequence[Sighting]:
         """Return the nodes that are alive, or may be."""
