@@ -20,13 +20,15 @@ from bridge.routing.processes import has_ended, process_name
 class Lease:
     """The time ``until`` which messages may be bridged (monotonic seconds).
 
-    The lease of a worker that hangs expires, so that the worker drops its backlog afterwards.
+    The lease of a worker that hangs expires, so that the worker drops its backlog afterwards. ``extended`` is called
+    after each extension, on the thread that extends, and may only wake other threads.
     """
 
-    __slots__ = ("until",)
+    __slots__ = ("extended", "until")
 
     def __init__(self) -> None:
         self.until = 0.0
+        self.extended: Callable[[], None] = lambda: None
 
     @property
     def over(self) -> bool:
@@ -36,10 +38,11 @@ class Lease:
     def extend(self, until: float) -> None:
         """Allow bridging until a time on the monotonic clock."""
         self.until = until
+        self.extended()
 
     def end(self) -> None:
         """Allow no bridging from now on."""
-        self.until = 0.0
+        self.until = min(self.until, time.monotonic())
 
 
 _log = logging.getLogger(__name__)

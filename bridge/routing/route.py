@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Generic, TypeVar
 
 from bridge.hub.session import Hub
@@ -22,6 +23,7 @@ from bridge.routing.hold import Hold
 from bridge.routing.limits import Priority, RateLimit, default_priority, qos_text
 from bridge.routing.peer_watch import Lease
 from bridge.routing.rules import RoutePolicy
+from bridge.routing.services.held import HeldCalls
 from bridge.routing.stall import StallDetector
 from bridge.routing.type_exchange import TypeExchange
 from bridge.status import RouteStatus
@@ -52,6 +54,11 @@ class EngineContext:
     wake: Callable[[], None]
     registry: Registry | None = None
     hold: Hold | None = None
+
+    @cached_property
+    def held_calls(self) -> HeldCalls:
+        """The calls that wait for the lease."""
+        return HeldCalls(self.edge.side, self.lease)
 
 
 class Route:

@@ -6,6 +6,7 @@ import logging
 import time
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import partial
 from threading import Lock
 from typing import Any
 
@@ -174,17 +175,25 @@ class ServiceRoute(Route):
             self._calls[call] = None
         if trouble:
             self.counters.dropped("queue")
-        elif self._context.lease.over:
-            trouble = f"the bridge to {self._context.edge.side} was suspended or is on standby; call again later"
-            self.counters.dropped("standby")
         elif self.too_large(len(request)):
             trouble = f"the request has {len(request)} bytes, limits.message allows {self._max_payload}"
-        elif not self.carry(lambda: call.begin(request), len(request)):
-            trouble = "too many large requests are pending; call again later"
-            self.counters.dropped("queue")
         if trouble:
             call.end(CallError(trouble))
+        else:
+            begin, refuse = partial(self._begin, call, request), partial(self._refuse_call, call)
+            self._context.held_calls.admit(call, len(request), begin, refuse)
         return call.abandon
+
+    def _begin(self, call: BridgedCall, request: bytes) -> None:
+        if not self.carry(lambda: call.begin(request), len(request)):
+            self.counters.dropped("queue")
+            call.end(CallError("too many large requests are pending; call again later"))
+
+    def _refuse_call(self, call: BridgedCall) -> None:
+        """Refuse a call because the worker lacks the lease."""
+        self.counters.dropped("standby")
+        side = self._context.edge.side
+        call.end(CallError(f"the bridge to {side} was suspended or is on standby; call again later"))
 
     def ask(self, request: bytes, done: Done) -> Abandon:
         """Call the far server."""
@@ -203,6 +212,7 @@ class ServiceRoute(Route):
 
     def over(self, call: BridgedCall, result: bytes | CallError | None, nanoseconds: int) -> None:
         """Count the end of a call; a result of None means that it was abandoned."""
+        self._context.held_calls.drop(call)
         with self._lock:
             self._calls.pop(call, None)
             counters = self.counters

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import pytest
@@ -73,17 +74,20 @@ def test_a_goal_is_canceled_at_a_server_behind_a_bridge(place: Place) -> None:
 
 
 @pytest.mark.parametrize("end", ["its node", "its bridge"])
-def test_a_server_that_leaves_ends_its_goals(place: Place, end: str) -> None:
+def test_a_server_that_leaves_ends_its_goals(place: Place, end: str, caplog: pytest.LogCaptureFixture) -> None:
     """The plugin keeps the queries of a node that has left. The goal's state is unknown, as it may still execute."""
+    caplog.set_level(logging.INFO, "bridge.routing")
     bridge = place.ros2dds()
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
     sent = Sent(place)
-    server.get_result.requests()
+    assert server.get_result.requests(), "the goal has arrived"
     server.close()
     if end == "its bridge":
         bridge.stop()
     assert sent.ended()[0] is GoalState.UNKNOWN
+    assert "left before it answered" in caplog.text
+    assert "suspended or is on standby" not in caplog.text
 
 
 def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> None:

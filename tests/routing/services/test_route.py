@@ -24,7 +24,9 @@ from bridge.routing import counters
 from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from bridge.routing.peer_watch import Lease
+from bridge.routing.services import held
 from bridge.routing.services import route as service_route
+from bridge.routing.services.held import HeldCalls
 from tests.peers.fake import FakeEdge, FakeNetwork
 from tests.peers.hub.calls import Calling, Serving
 from tests.peers.hub.quick import QuickHub
@@ -41,6 +43,7 @@ class Place:
         self.hubs = hubs
         self.network, self.far = FakeNetwork(), Hub.open(hubs.settings("far"))
         self._open: list[tuple[Engine, Hub]] = []
+        self._held = list[HeldCalls]()
         self.engine = self.another("test")
 
     def another(self, daemon: str) -> Engine:
@@ -72,10 +75,21 @@ class Place:
         row = self.row(name)
         return tuple(row[key] for key in ("calls", "replies", "errors", "abandoned", "pending"))
 
+    def without_lease(self) -> Lease:
+        """Give the only route another lease, which has just expired."""
+        (route,) = self.engine.routes()
+        lease = Lease()
+        lease.until = time.monotonic()
+        route._context = replace(route._context, lease=lease)
+        self._held.append(route._context.held_calls)
+        return lease
+
     def close(self) -> None:
         for engine, hub in self._open:
             engine.stop()
             hub.close()
+        for calls in self._held:
+            calls.close()
         self.far.close()
 
 
@@ -178,14 +192,53 @@ def test_a_large_reply_arrives_complete_and_delays_no_small_one(place: Place) ->
     assert [len(call.result()["reply"]["message"]) for call in calls] == [1_000_000] * 5
 
 
-def test_while_another_worker_may_be_active_a_call_is_refused(place: Place) -> None:
+def test_call_without_the_lease_is_served_when_the_lease_is_back(place: Place) -> None:
+    serving = place.serve(reply={"message": "done"})
+    client = place.client()
+    lease = place.without_lease()
+    left, call = ask(client), ask(client)
+    until(lambda: place.row()["pending"] == 2, "both calls are held")
+    left.abandon()
+    until(lambda: place.row()["abandoned"] == 1, "the first client has left")
+    assert serving.requests(1, 0) == []
+    lease.extend(time.monotonic() + 60.0)
+    assert call.result()["reply"]["message"] == "done"
+    assert len(serving.requests(1, 0)) == 1
+    assert place.counts() == (2, 1, 0, 1, 0)
+
+
+def test_call_is_refused_if_the_lease_does_not_return(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(held, "HOLD_SECONDS", 0.2)
     serving = place.serve()
     client = place.client()
-    (route,) = place.engine.routes()
-    route._context = replace(route._context, lease=Lease())  # a lease that was never extended
+    place.without_lease()
     assert ask(client).result()["error"] == "the bridge to fake was suspended or is on standby; call again later"
     assert serving.requests(1, 0) == []
     assert place.row()["drops"]["standby"] == 1
+
+
+def test_call_survives_a_watch_that_does_not_run(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One thread of a starved worker stands still until its lease expires, while its other threads receive calls."""
+    place.serve(reply={"message": "done"})
+    client = place.client()
+    runs, lease = threading.Event(), place.engine._context.lease
+    sightings = place.engine.edge.sightings
+    monkeypatch.setattr(place.engine.edge, "sightings", lambda: (runs.wait(20), sightings())[1])
+    until(lambda: lease.over, "the lease has expired")
+    call = ask(client)
+    until(lambda: place.row()["pending"] == 1, "the call is held")
+    runs.set()
+    assert call.result()["reply"]["message"] == "done"
+
+
+def test_held_call_ends_when_its_route_closes(place: Place) -> None:
+    place.serve()
+    client = place.client()
+    place.without_lease()
+    call = ask(client)
+    until(lambda: place.row()["pending"] == 1, "the call is held")
+    place.network.restart(None)
+    assert call.result()["error"]
 
 
 def test_the_end_of_the_network_ends_its_calls(place: Place) -> None:
