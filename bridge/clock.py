@@ -50,6 +50,11 @@ def steady_ns() -> int:
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
 
 
+def is_jump(change: int, passed: int, error: int = 0) -> bool:
+    """Return whether a clock was set, if its offset from a steady clock changed while a time passed; all in ns."""
+    return abs(change) > STEP_NS + error + round(SLEW * passed)
+
+
 def _wall_ns() -> int:
     return time.time_ns()
 
@@ -97,10 +102,10 @@ class SystemClock:
         now, offset, error = self.read()
         with self._lock:
             jump, passed = offset - self._offset, max(now - self._last, 0)
-            limit = STEP_NS + error + self._error + round(SLEW * passed)
+            jumped = is_jump(jump, passed, error + self._error)
             self._last, self._offset, self._error = now, offset, error
             listeners = tuple(self._listeners)
-        if abs(jump) <= limit:
+        if not jumped:
             return 0
         direction = "back" if jump < 0 else "forward"
         _log.warning("the system clock was set %s by %.3f s: discarding transforms", direction, abs(jump) / _SECOND)

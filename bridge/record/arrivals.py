@@ -57,6 +57,7 @@ class RecordedMessage(NamedTuple):
     """A received message.
 
     ``gid`` identifies its publisher, ``origin`` the publisher's foreign network; times are in nanoseconds since 1970.
+    ``clock_offset`` is the difference of ``log_time`` from a clock that is never set (`bridge.clock.steady_ns`).
     """
 
     counts: TopicCounts
@@ -65,6 +66,7 @@ class RecordedMessage(NamedTuple):
     sequence: int
     log_time: int
     publish_time: int
+    clock_offset: int
     data: bytes
 
 

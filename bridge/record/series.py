@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bridge.bags.mcap_writer import ChannelInfo
 from bridge.client.topics import Definitions
+from bridge.clock import is_jump
 from bridge.hub.graph import HubGraph
 from bridge.record.arrivals import RecordedMessage
 from bridge.record.file import RESUME, ChannelKey, RecordFile, room
@@ -38,7 +39,7 @@ class FileSeries:
 
     Attributes:
         ring: the place if it is a ring, else None.
-        file: the open file, None if there is none.
+        file: the open file, or None.
         last_path: the last file that was opened, or the folder of a saved ring.
         count: number of files so far.
         trouble: the reason why nothing is written, "" while recording works.
@@ -56,6 +57,7 @@ class FileSeries:
         self._graph, self._definitions = graph, definitions
         self._latched = LatchedState(graph)
         self._flushed = self._retry = 0.0
+        self._last: RecordedMessage | None = None
         self.ring = ring = place if isinstance(place, Ring) else None
         self._most_bytes = ring.segment_bytes if ring else section.split.size << 20
         self._most_seconds = ring.segment_seconds if ring else section.split.seconds
@@ -67,7 +69,9 @@ class FileSeries:
     def write(self, arrival: RecordedMessage) -> None:
         """Write a message, or count it as dropped if that is impossible."""
         try:
-            file = self.file if self.file is not None and not self._is_over(self.file) else self._next_file()
+            was_set = self._was_clock_set(arrival)  # each file has the times of one setting of the clock
+            file = None if was_set or self.file is None or self._is_over(self.file) else self.file
+            file = file or self._next_file()
             if file is None:
                 arrival.counts.dropped["disk"] += 1
                 return
@@ -132,6 +136,18 @@ class FileSeries:
         except OSError as err:
             _log.error("%s: %s", file.path, err.strerror or err)
         return file.path
+
+    def _was_clock_set(self, arrival: RecordedMessage) -> bool:
+        """Return whether the system clock was set since the last message."""
+        last, self._last = self._last, arrival
+        if last is None:
+            return False
+        change = arrival.clock_offset - last.clock_offset
+        if not is_jump(change, abs(arrival.log_time - last.log_time - change)):
+            return False
+        direction, seconds = "back" if change < 0 else "forward", abs(change) / 1e9
+        _log.warning("the system clock was set %s by %.3f s: recording continues in a new file", direction, seconds)
+        return True
 
     def _is_over(self, file: RecordFile) -> bool:
         age = time.monotonic() - file.opened

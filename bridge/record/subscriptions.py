@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import partial
 
 from bridge.client.topics import HubTopic, HubTopics, TopicKey
+from bridge.clock import SYSTEM_CLOCK
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
@@ -98,7 +99,8 @@ class RecordedTopics:
 
     def _on_sample(self, counts: TopicCounts, sample: HubSample) -> None:
         """Queue a message; runs on a thread of zenoh."""
-        now = time.time_ns()
+        steady, offset, _error = SYSTEM_CLOCK.read()
+        now = steady + offset
         origin = self.topics.origin(sample)
         if not self._selection.origin(origin):
             return
@@ -107,7 +109,7 @@ class RecordedTopics:
             return
         sent = sample.source_time_ns if sample.source_time_ns > 0 else now
         # the data is copied, because the sender's shared memory is small
-        self._queue.put(RecordedMessage(counts, sample.gid, origin, sample.sequence, now, sent, sample.data()))
+        self._queue.put(RecordedMessage(counts, sample.gid, origin, sample.sequence, now, sent, offset, sample.data()))
 
     def lost(self) -> dict[str, int]:
         """Return the number of messages that were lost or refused on the hub, by reason, without zeros."""

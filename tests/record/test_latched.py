@@ -40,7 +40,7 @@ def state(graph: Graph) -> LatchedState:
 
 def message(number: int, gid: bytes = GID) -> RecordedMessage:
     counts = TopicCounts("/map", TopicKey("/map", TYPE, "*"))
-    return RecordedMessage(counts, gid, None, number, number, number, b"data")
+    return RecordedMessage(counts, gid, None, number, number, number, 0, b"data")
 
 
 def stored(state: LatchedState) -> list[int]:

@@ -315,12 +315,41 @@ def test_a_full_disk_stops_recording_until_space_is_free(
     assert read(Path(status["file"])).texts("/said") == ["after"]
 
 
+@pytest.mark.parametrize("seconds", [-40.0, -3600.0, 600.0])
+def test_new_file_begins_when_the_clock_is_set(
+    hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float
+) -> None:
+    real, shift = time.time_ns, 0
+    monkeypatch.setattr(time, "time_ns", lambda: real() + shift)
+    chat, state = robot.publisher("/said"), robot.publisher("/state", LATCHED)
+    state.put(robot.text("on"))
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
+        recorded.recorder.begin()
+        await_topics(recorded, 2)
+        await_written(recorded, 1)
+        before = real()
+        for number in range(3):
+            shift += 50_000_000  # too small for a jump
+            chat.put(robot.text(f"before {number}"))
+            await_written(recorded, 2 + number)
+        shift += round(seconds * 1e9)
+        for number in range(3):
+            chat.put(robot.text(f"after {number}"))
+        await_written(recorded, 7)
+    first, second = (read(tmp_path / f"one{end}.mcap") for end in ("", "_1"))
+    assert first.texts("/said") == [f"before {number}" for number in range(3)]
+    assert second.texts("/said") == [f"after {number}" for number in range(3)]
+    assert second.texts("/state") == ["on"], "each file starts with the latched messages"
+    assert not (tmp_path / "one_2.mcap").exists()
+    assert all((m.log_time - before) * seconds > 0 for m in second.messages), "the times of the set clock"
+
+
 def test_a_full_queue_drops_and_counts_messages_large_ones_first() -> None:
     queue = ArrivalQueue(1 << 20)
     images, small = (TopicCounts(name, None) for name in ("/image", "/small"))  # type: ignore[arg-type]
 
     def put(counts: TopicCounts, size: int) -> None:
-        queue.put(RecordedMessage(counts, b"", None, 1, 1, 1, bytes(size)))
+        queue.put(RecordedMessage(counts, b"", None, 1, 1, 1, 0, bytes(size)))
 
     for _ in range(20):
         put(images, 100_000)
