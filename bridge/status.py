@@ -234,6 +234,7 @@ class StatusDocument(Part):
         uptime: time since the start, in seconds. ``cpu`` is in cores, ``rss`` in bytes.
         metrics: additional metrics for Prometheus; see `bridge.metrics.collector`.
         restarts: number of restarts according to the daemon. ``loops``: whether the worker crashes repeatedly.
+        ended: how the process before the last restart ended, according to the daemon.
     """
 
     daemon: Text = ""
@@ -252,6 +253,7 @@ class StatusDocument(Part):
     warnings: list[Text] = []
     metrics: dict[Text, Number] = {}
     restarts: Int | None = None
+    ended: Text = ""
     loops: bool = False
 
 

@@ -150,12 +150,18 @@ def unresponsive_router(config: Config) -> str:
 
 def describe(report: WorkerReport) -> str:
     """Describe a worker's state and its crashes, from the daemon's report."""
-    text, restarts, ended = report.text, report.restarts, report.ended
-    if not restarts:
+    text, crashes = report.text, restarted(report.restarts, report.ended)
+    if not crashes:
         return text
+    return f"({crashes})" if text in ("", report.ended) else f"{text} ({crashes})"
+
+
+def restarted(restarts: int | None, ended: str) -> str:
+    """Describe how often a worker was restarted, and how its last process ended; "" without restarts."""
+    if not restarts:
+        return ""
     times = "once" if restarts == 1 else f"{restarts} times"
-    crashes = f"(restarted {times}" + (f"; last end: {ended})" if ended else ")")
-    return crashes if text in ("", ended) else f"{text} {crashes}"
+    return f"restarted {times}" + (f"; last end: {ended}" if ended else "")
 
 
 def loops(report: WorkerReport) -> bool:
@@ -293,3 +299,16 @@ def with_silent(documents: Sequence[StatusDocument], silent: Sequence[StatusDocu
         else:
             answering.append(document)
     return [*answering, *reported.values()]
+
+
+def with_restarts(documents: Sequence[StatusDocument], report: DaemonStatus) -> list[StatusDocument]:
+    """Add the restarts, which only the daemon knows, to the documents from its processes, with the last reason."""
+    reports = {worker.pid: worker for worker in report.workers if worker.pid and worker.restarts}
+
+    def completed(document: StatusDocument) -> StatusDocument:
+        worker = reports.get(document.pid) if document.daemon == report.daemon else None
+        if worker is None or document.restarts is not None:
+            return document
+        return document.model_copy(update={"restarts": worker.restarts, "ended": worker.ended})
+
+    return [completed(document) for document in documents]

@@ -79,6 +79,17 @@ def test_workers_are_judged_by_their_state() -> None:
         assert only(hub_checks.check_workers(around(hub=nobody))).result is Result.WARN
 
 
+def test_reason_of_the_last_restart_is_named() -> None:
+    """For example a new address, which the ROS 2 side's process before the restart did not use."""
+    restarts = {"restarts": 1, "ended": "this machine has a new address: restarting"}
+    worker = {"worker": "ros2", "state": "running", **restarts}
+    finding = only(hub_checks.check_workers(around(hub=hub(worker))))
+    again = "robot1/ros2 is running (restarted once; last end: this machine has a new address: restarting)"
+    assert (finding.result, finding.seen) == (Result.OK, again)
+    finding = only(hub_checks.check_workers(around(hub=hub({**worker, "warnings": ["a QoS mismatch"]}))))
+    assert (finding.result, finding.seen) == (Result.WARN, f"{again}, and warns: a QoS mismatch")
+
+
 def test_a_free_port() -> None:
     assert only(hub_checks.check_port(around({"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}))).result is Result.OK
 
@@ -205,7 +216,7 @@ def test_node_that_subscribes_to_several_types_has_no_conflict() -> None:
 
 
 def test_a_map_server_of_ros_beside_map2d_server() -> None:
-    # refused by the ros1 worker beside a real map_server (navigation 1.17.3), which serves both
+    # refused by the ros1 worker if a real map_server runs (navigation 1.17.3), which serves both
     def refused(service: str, *, reason: str = "") -> list[dict[str, Any]]:
         entry = {"kind": "service", "topic": service, "hub_topic": service, "type": "nav_msgs/srv/GetMap"}
         refusal = reason or f"/map_server serves {service} there already"

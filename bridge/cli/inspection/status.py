@@ -23,7 +23,17 @@ from bridge.client.status import ask_status
 from bridge.daemon.query import Phase
 from bridge.display.documents import connected_lines, routes_table
 from bridge.doctor.causes import cause, grouped, one_line, shared
-from bridge.doctor.daemon_state import ABSENT, DaemonState, Life, absent, daemon_state, with_silent, without_node
+from bridge.doctor.daemon_state import (
+    ABSENT,
+    DaemonState,
+    Life,
+    absent,
+    daemon_state,
+    restarted,
+    with_restarts,
+    with_silent,
+    without_node,
+)
 from bridge.hub.graph.releases import NativeNodes, native_nodes
 from bridge.status import EndpointStatus, MachineStatus, RouterStatus, StatusDocument, WorkerStatus, refused_routes
 from bridge.text import arrow, clean, duration, listed, make_console, plural, side_name, size
@@ -65,7 +75,8 @@ def run_status(args: argparse.Namespace) -> int:
         unreachable = None if joined else err
     if state.life is Life.UNKNOWN and of_this_machine(args):
         state = daemon_state(client_config(args), documents, config_file(args))
-    documents = [*with_silent(documents, silent), *without_node(state.document), *of_daemon(state)]
+    documents = with_restarts(with_silent(documents, silent), state.document)
+    documents += [*without_node(state.document), *of_daemon(state)]
     documents.sort(key=lambda document: (document.daemon, document.worker != DAEMON))
     if args.json:
         print_json([{**document.document(), **_refused_commands(document, refused)} for document in documents])
@@ -141,6 +152,8 @@ def _show_worker(console: Console, document: StatusDocument, elsewhere: Containe
     console.print(line)
     if document.error:
         console.print(Text(f"           {clean(document.error)}", style="red"))
+    if document.ended:
+        console.print(Text(f"           {clean(restarted(document.restarts, document.ended))}"))
     for text, cure in _refused(document):
         console.print(Text(f"           {clean(text)}", "yellow"))
         if cure:

@@ -18,7 +18,7 @@ from bridge.daemon.units import STATE, start_hint, units_in_use
 from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, early_cure, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
-from bridge.doctor.daemon_state import unresponsive_router
+from bridge.doctor.daemon_state import restarted, unresponsive_router
 from bridge.doctor.hub_problems import absence, inactive_nodes
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import port_held, port_holder, probe_router
@@ -133,15 +133,17 @@ def _worker(context: CheckContext, document: StatusDocument, elsewhere: Containe
         return fail(f"{name} {'does not answer' if state == 'failed' else f'is {state}'}: {document.error}", log)
     if document.loops:
         return fail(f"{name} crashes again and again; it is now {state}: {document.text}", log)
+    crashes = restarted(document.restarts, document.ended) if document.ended else ""
+    again = f" ({crashes})" if crashes else ""
     warnings = [text for text in document.warnings if cause(text) not in elsewhere]
     if warnings:
         inactive = inactive_nodes(document) if document.worker == "gateway" else None
-        text = f"{name} is {state}, and warns: {'; '.join(grouped(warnings))}"
+        text = f"{name} is {state}{again}, and warns: {'; '.join(grouped(warnings))}"
         return warn(text, "" if inactive is None else inactive.cure)
     if state == "waiting":
         return _waiting(context, document, name)
     if state in ("running", "standby"):
-        return ok(f"{name} is {state}")
+        return ok(f"{name} is {state}{again}")
     if state == Phase.FAILED.value:
         return fail(f"{name} {state}: {document.text}", log)
     if state in _COMES:

@@ -186,6 +186,25 @@ def test_a_worker_that_crashes_again_and_again(start: Start) -> None:
     assert "robot/modules crashes again and again" in loop["seen"]
 
 
+def test_worker_that_was_restarted_is_shown_with_the_reason(start: Start) -> None:
+    robot = start(record={"enabled": True})
+    pid = robot.until_phase("record", "running")["pid"]
+    os.kill(pid, signal.SIGSEGV)
+    robot.until_phase("record", "running", 1)
+    restarted = "restarted once; last end: killed by SIGSEGV"
+
+    def answers() -> dict[str, Any] | None:
+        documents = json.loads(robot.command("status", "--json").stdout)
+        return next((d for d in documents if (d["worker"], d["state"]) == ("record", "running")), None)
+
+    document = until(answers, "the new process answers")
+    assert (document["restarts"], document["ended"]) == (1, "killed by SIGSEGV")
+    assert restarted in robot.command("status").stdout
+    findings = json.loads(robot.command("doctor", "--only", "daemon", "--json").stdout)
+    (finding,) = [finding for finding in findings if "robot/record" in finding["seen"]]
+    assert (finding["result"], finding["seen"]) == ("ok", f"robot/record is running ({restarted})")
+
+
 @pytest.mark.thorough
 def test_a_worker_that_is_starting_is_named(start: Start) -> None:
     robot = start("hang")

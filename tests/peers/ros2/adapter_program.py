@@ -57,6 +57,7 @@ class Program(Commands):
     def status(self) -> dict[str, Any]:
         return {
             "failed": self.listener.failures,
+            "warnings": self.edge.warnings(),
             "network": self.edge.network(),
             "endpoints": [f"{e.kind.value} {e.topic} {e.made_by.value}" for e in self.edge.endpoints()],
         }
