@@ -93,7 +93,7 @@ class HubViews:
             self._linked = now
         since = self._started + _HUB_ALONE if self._linked is None else self._linked + self._settling
         members = graph.members()
-        # A worker that does not list its network's members, such as a foreign one, counts as a separate network.
+        # A session that announces an origin but no members counts as a separate network if it has publishers.
         sessions = frozenset(graph.origins())
         silent = sessions - members.keys()
         if silent:
@@ -105,7 +105,8 @@ class HubViews:
 class PeerWatch:
     """A thread that exchanges records with the other workers, runs the `Election`, and holds the ``lease``.
 
-    Only this thread writes; other threads read the outcome and the lease, each of which is replaced as a whole.
+    Other threads read the outcome, which is replaced as a whole, and the lease's ``until``. Only this thread writes
+    them, except that `stop` ends the lease.
     """
 
     def __init__(self, edge: Edge, hub: Hub, daemon: str, changed: Callable[[], None]) -> None:
@@ -204,8 +205,8 @@ class PeerWatch:
     def _with_routes_before_hang(self, decided: Outcome) -> Outcome:
         """Return the outcome for the engine: a lone worker keeps its routes after a hang until it sees another worker.
 
-        The expired lease blocks the routes meanwhile. The routes are kept because programs that users connected to
-        their endpoints, as in YARP, would not connect to new endpoints.
+        The expired lease blocks the routes meanwhile. They are kept because users may have connected programs to their
+        endpoints by hand, as in YARP, and nothing would connect these programs to new endpoints.
         """
         if decided.active or len(decided.members) > 1:
             self._outcome_before_hang = None
