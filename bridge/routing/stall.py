@@ -86,6 +86,12 @@ class StallDetector:
 STEP_NS = 100_000_000
 """Larger steps back between timestamps mean that the clock was set back, not that messages were reordered; in ns."""
 
+_COUNTED_NS, _APART = 10_000, 0.001
+"""A source's clock stands if timestamps of messages that arrive ``_APART`` s apart differ by less than this, in ns.
+
+zenoh's hybrid logical clock adds 0.23 ns for each message of its session until the system clock has caught up.
+"""
+
 HOLD = 0.5
 """Seconds for determining the smallest delay, during which no message counts as fresh."""
 
@@ -96,7 +102,7 @@ class AgeGate:
     The smallest difference between arrival and timestamp is the clocks' offset plus the shortest delay; any excess is
     waiting time. The smallest difference grows slowly, so that drifting clocks do not make all messages look old. The
     arrival is measured by a clock that is never set. The smallest difference is determined again if the source's clock
-    is set back, or if the first message looks old.
+    is set back, or if the first message looks old. While the source's clock stands, the age is unknown and counts as 0.
     """
 
     __slots__ = ("_held_until", "_least", "_newest", "_seen")
@@ -121,6 +127,8 @@ class AgeGate:
         elif source_time_ns < newest:
             self._newest = newest
             return math.inf
+        elif source_time_ns - newest < _COUNTED_NS and now - self._seen > _APART:
+            self._least = difference
         else:
             self._least += int(min(now - self._seen, 10.0) * 1e5)  # 100 ppm
         self._seen = now

@@ -46,6 +46,28 @@ def test_source_is_received_again_after_its_clock_was_set(monkeypatch: pytest.Mo
     )
 
 
+@pytest.mark.parametrize("offset", [0.0, 3600.0])
+def test_commands_with_counted_timestamps_are_fresh(monkeypatch: pytest.MonkeyPatch, offset: float) -> None:
+    """The hybrid logical clock of a zenoh session stands while the system clock, which was set back, catches up."""
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, offset)
+    stands_at, after = round((clock.now + offset) * 1e9), []
+    for n in range(1, 800):
+        clock.now += 0.05
+        after.append(gate.age(stands_at + n * 100 // 4))
+    assert max(after) < 0.1
+    assert ages(clock, gate, offset)[-1] < 0.01
+    assert gate.age(int((clock.now + offset - 2.0) * 1e9)) > 1.9, "an old command is recognized again"
+
+
+def test_backlog_with_equal_timestamps_stays_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    stamp = round(clock.now * 1e9) + 1_000_000
+    clock.now += 3.0
+    assert min(gate.age(stamp) for _ in range(60)) > 2.9
+
+
 def test_setting_the_local_clock_makes_no_message_old(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
     ages(clock, gate, 0.0)

@@ -50,9 +50,19 @@ def sender(sample: zenoh.Sample) -> str:
 
 
 def time_ns(sample: zenoh.Sample) -> int | None:
-    """Return a sample's time stamp in nanoseconds of system time, set by its source or by the first router."""
+    """Return a sample's time stamp in nanoseconds of system time, set by its source or by a router.
+
+    It comes from a hybrid logical clock, which never goes back: after the system clock was set back, the clock only
+    counts stamps (`bridge.routing.stall.AgeGate`).
+    """
     stamp = sample.timestamp
     return None if stamp is None else int(stamp.get_time_as_ntp64().as_nanos())
+
+
+def ticks(sample: zenoh.Sample) -> int:
+    """Return a sample's time stamp in units of 2^-32 s, 0 without one; a clock that only counts adds one per stamp."""
+    stamp = sample.timestamp
+    return 0 if stamp is None else int(str(stamp.get_time_as_ntp64()))
 
 
 SPACE = "@midspan/keys"

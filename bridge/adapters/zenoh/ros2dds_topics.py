@@ -14,7 +14,7 @@ from collections.abc import Callable
 import zenoh
 from typing_extensions import override
 
-from bridge.adapters.zenoh.neighbors import sender, time_ns
+from bridge.adapters.zenoh.neighbors import sender, ticks
 from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeySubscription, PlainSink, SourceOf, priority
 from bridge.concurrency import DelayedCalls
 from bridge.hub.endpoints.latched import LatchedHistory, LatchedPublisher, is_newer
@@ -141,7 +141,7 @@ class LatchedSubscription(KeySubscription):
                 return
             del self._asked[zid]
             by_source: dict[str, list[tuple[zenoh.Sample, str]]] = {}
-            for entry in sorted(self._kept.pop(zid, []), key=lambda entry: time_ns(entry[0]) or 0):
+            for entry in sorted(self._kept.pop(zid, []), key=lambda entry: ticks(entry[0])):
                 by_source.setdefault(entry[1], []).append(entry)
             for source, entries in by_source.items():
                 for entry in entries[-self._depth(source) :]:
@@ -150,7 +150,7 @@ class LatchedSubscription(KeySubscription):
                 self._deliver(*entry)
 
     def _deliver(self, sample: zenoh.Sample, source: str) -> None:
-        stamp, info = time_ns(sample) or 0, sample.source_info
+        stamp, info = ticks(sample), sample.source_info
         # a publisher that is announced again has another id, under which its cached messages are delivered again
         publisher = source, sender(sample), "" if info is None else str(info.source_id.eid)
         number = None if info is None else info.source_sn

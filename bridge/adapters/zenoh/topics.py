@@ -88,7 +88,7 @@ class PlainSink:
     """Publishes on a key; commands (volatile, depth 1) have priority. The session's id marks samples as Midspan's."""
 
     def __init__(self, session: zenoh.Session, key: str, qos: Qos, encoding: zenoh.Encoding | None = None) -> None:
-        self._encoding = encoding
+        self._session, self._encoding = session, encoding
         self.publisher = session.declare_publisher(
             key, express=is_command(qos), priority=priority(qos),
             congestion_control=zenoh.CongestionControl.DROP, allowed_destination=zenoh.Locality.REMOTE,
@@ -98,7 +98,9 @@ class PlainSink:
     def put(self, payload: bytes) -> None:
         """Publish; not thread-safe."""
         with contextlib.suppress(zenoh.ZError):  # the session is being closed
-            self.publisher.put(payload, source_info=next(self._infos), encoding=self._encoding)
+            self.publisher.put(
+                payload, source_info=next(self._infos), encoding=self._encoding, timestamp=self._session.new_timestamp()
+            )
 
     def close(self) -> None:
         undeclare(self.publisher)
