@@ -30,6 +30,7 @@ from bridge.daemon.succession import Successor, succeed
 from bridge.daemon.workers import WorkerKind
 from bridge.hub.errors import HubError
 from bridge.hub.panics import failure
+from bridge.hub.security.zenoh_log import ZenohLog
 from bridge.progress import working
 from bridge.resources import LARGE_MESSAGES, raise_open_files
 from bridge.worker import Health, Worker, WorkerFailedError
@@ -311,6 +312,7 @@ class WorkerMain:
     def _run(
         self, config: Config, report: Callable[[protocol.Report], None], load: Callable[[], Config] | None = None
     ) -> int | None:
+        zenoh_log = ZenohLog.capture()
         try:
             working.at(f"loading the code of {self._kind.name}")
             worker = self._kind.create()
@@ -323,6 +325,8 @@ class WorkerMain:
         except Exception:
             logger.exception("%s failed", self._kind.name)
             return 1
+        finally:
+            zenoh_log.release()
         if outcome is RunEnd.NEEDS_RESTART:
             return None
         return {RunEnd.CANNOT_WORK: protocol.EXIT_CANNOT_WORK, RunEnd.FAILED: 1}.get(outcome, 0)

@@ -31,7 +31,7 @@ from bridge.hub.namesakes import Namesakes
 from bridge.hub.opening import open_session
 from bridge.hub.security.external_access import ExternalAccess
 from bridge.hub.security.external_router import check_closed
-from bridge.hub.security.zenoh_log import ZenohLog
+from bridge.hub.security.zenoh_log import ZenohLog, captured
 from bridge.hub.zenoh_config import MAX_PAYLOAD, client_session_config, connect_endpoint, make_config, router_tree
 from bridge.status import RouterStatus
 from bridge.worker import Health, StatusHead, Worker
@@ -129,8 +129,11 @@ def may_be_slow(endpoint: str) -> bool:
 
 
 def create_router() -> RouterWorker:
-    """Create the worker for a process that runs nothing else, so that zenoh's log can use its standard output."""
-    return RouterWorker(ZenohLog.capture())
+    """Create the worker, which reads this process's log of zenoh."""
+    log = captured()
+    if log is not None:
+        log.ignore("Unable to open listener ")  # the worker reports it, and with `hub.router: auto` it is normal
+    return RouterWorker(log)
 
 
 class RouterWorker(Worker):
@@ -215,8 +218,6 @@ class RouterWorker(Worker):
             control.close()
         if session is not None:
             session.close()  # type: ignore[no-untyped-call]
-        if self._zenoh_log is not None:
-            self._zenoh_log.release()
 
     def _take_over(self, config: Config) -> zenoh.Session | None:
         if not port_held(config.hub.listen):

@@ -9,7 +9,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 from urllib.parse import quote
 
 import zenoh
@@ -26,12 +26,16 @@ from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.opening import open_session
 from bridge.hub.panics import watched
+from bridge.hub.security.zenoh_log import captured
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import SideType
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import EdgeListener, Endpoint
 from yarp_compat.file_names import escaped
+
+if TYPE_CHECKING:
+    from bridge.hub.security.endpoints import EndpointMonitor
 
 _log = logging.getLogger(__name__)
 
@@ -46,6 +50,12 @@ _CLIENT_WAIT_MS = 1500
 
 LINK_SECONDS = 0.5
 """Seconds after which a new link has delivered all tokens; a query right after the link opens returns none."""
+
+
+_WITH_CERTIFICATES = ("tls/", "quic/")
+"""Protocols over which an end may refuse the other's certificate."""
+
+_CURE = "compare the files in transport/link/tls of zenoh.zenoh with those of the other machine"
 
 
 class OwnEndpoint(Protocol):
@@ -77,6 +87,7 @@ class KeyEdge(SideEdge):
         self._endpoints: set[OwnEndpoint] = set()
         self._context: KeyContext | None = None
         self._presence: KeyNeighbors | None = None
+        self._monitor: EndpointMonitor | None = None
         self._linked_since: float | None = None
         self._stopping = threading.Event()
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
@@ -100,16 +111,24 @@ class KeyEdge(SideEdge):
 
     @property
     def _places(self) -> str:
-        places = json.loads(self._settings.get_json("connect/endpoints"))
-        lists = places.values() if isinstance(places, dict) else [places]
-        return ", ".join(str(place) for addresses in lists for place in addresses or ()) or "an unknown address"
+        return ", ".join(_endpoints(self._settings, "connect")) or "an unknown address"
+
+    def _client_trouble(self, err: zenoh.ZError) -> str:
+        """Return why the router of a client does not connect it, with the cure if a certificate is refused."""
+        from bridge.hub.security.handshake import refusal  # imports libraries that only TLS needs
+
+        for place in _endpoints(self._settings, "connect"):
+            refused = refusal(place, self._settings)
+            if refused is not None:
+                return f"{refused.text}; {_CURE}"
+        return zenoh_reason(err)
 
     def _open_client(self) -> bool:
         """Open the session of a client; return whether its router responded."""
         try:
             session = watched(zenoh.open(self._settings))
         except zenoh.ZError as err:
-            away = f"waiting for the zenoh router at {self._places}: {zenoh_reason(err)}"
+            away = f"waiting for the zenoh router at {self._places}: {self._client_trouble(err)}"
             if away != self.away and not self._stopping.is_set():
                 _log.warning("%s: %s", self.side, away)
                 self.away = away
@@ -140,6 +159,17 @@ class KeyEdge(SideEdge):
         self._presence = KeyNeighbors(session, self.side, self._scope, past, *changed)
         self.opened(session)
         self.away = ""
+        connect, listen = (_endpoints(self._settings, way) for way in ("connect", "listen"))
+        if any(place.startswith(_WITH_CERTIFICATES) for place in (*connect, *listen)):
+            self._monitor_endpoints(session, connect, listen)
+
+    def _monitor_endpoints(self, session: zenoh.Session, connect: list[str], listen: list[str]) -> None:
+        from bridge.hub.security.endpoints import EndpointMonitor, Owner  # they import libraries that only TLS needs
+        from bridge.hub.security.handshake import Identity
+
+        owner = Owner(f"{self.side}: ", _CURE)
+        identity = Identity.of(self._settings)
+        self._monitor = EndpointMonitor(session, listen, connect, identity, captured(), owner=owner)
 
     @override
     def stop(self) -> None:
@@ -156,6 +186,8 @@ class KeyEdge(SideEdge):
         self.closing()
         if self._presence is not None:
             self._presence.close()
+        if self._monitor is not None:
+            self._monitor.close()
         context.delays.close(1.0)
         context.executor.close()
         context.ends.close()
@@ -187,6 +219,8 @@ class KeyEdge(SideEdge):
                 if linked != (self._linked_since is not None):
                     self._linked_since = time.monotonic() if linked else None
                     self._graph_changed()
+                if self._monitor is not None:
+                    self.away = _trouble(self._monitor)
                 now = time.monotonic()
                 neighbors.tick(now)
                 self.tick(now)
@@ -231,6 +265,19 @@ class KeyEdge(SideEdge):
     def _unregister(self, endpoint: OwnEndpoint) -> None:
         with self._lock:
             self._endpoints.discard(endpoint)
+
+
+def _endpoints(settings: zenoh.Config, way: str) -> list[str]:
+    """Return a session's endpoints for ``connect`` or ``listen``; each mode may have its own list."""
+    places = json.loads(settings.get_json(f"{way}/endpoints"))
+    lists = places.values() if isinstance(places, dict) else [places]
+    return [str(place) for addresses in lists for place in addresses or ()]
+
+
+def _trouble(monitor: EndpointMonitor) -> str:
+    """Return which endpoints connect no other machine, why, and the cures; "" if all are in a good state."""
+    bad = [status for status in monitor.statuses() if not status.good]
+    return "; ".join(status.text("") + (f"; {status.cure}" if status.cure else "") for status in bad)
 
 
 def configured(

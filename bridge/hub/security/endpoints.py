@@ -1,4 +1,4 @@
-"""The state of each endpoint of ``hub.open``, with the reason if it connects no other machine.
+"""The state of each endpoint to other machines, with the reason if it connects none.
 
 An endpoint is connected if zenoh reports a link for it. Why it has no link is found by test connections
 (`bridge.hub.security.handshake`) at a limited rate, or in zenoh's log if these succeed or the protocol cannot be
@@ -65,6 +65,25 @@ class ZenohLink(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Owner:
+    """The part of Midspan to which endpoints belong.
+
+    Attributes:
+        prefix: precedes ``connect`` or ``listen`` in log lines.
+        cure: the cure for a refused certificate, and no cure for other reasons; with "", the cures of ``hub.open``.
+    """
+
+    prefix: str = "hub.open."
+    cure: str = ""
+
+    def cure_of(self, reason: Reason) -> str:
+        """Return the cure for a reason."""
+        if not self.cure:
+            return reason.cure
+        return self.cure if reason.state is EndpointState.REFUSED else ""
+
+
+@dataclass(frozen=True, slots=True)
 class EndpointStatus:
     """One endpoint as reported in the router's status document.
 
@@ -89,8 +108,11 @@ class EndpointStatus:
 
     @override
     def __str__(self) -> str:
-        """Return the status for people, without the time and the cure."""
-        text = f"hub.open.{self.way} {self.endpoint}: {self.state}"
+        return self.text("hub.open.")
+
+    def text(self, prefix: str) -> str:
+        """Return the status for people, without the time and the cure; it begins with the prefix."""
+        text = f"{prefix}{self.way} {self.endpoint}: {self.state}"
         if self.reason:
             return f"{text}: {self.reason}"
         return f"{text} to {self.machine}" if self.machine else text
@@ -107,7 +129,8 @@ def closed_endpoints(listen: Sequence[str], connect: Sequence[str], reason: str,
 class _Endpoint:
     """The state of one endpoint."""
 
-    def __init__(self, endpoint: str, way: str, state: EndpointState) -> None:
+    def __init__(self, endpoint: str, way: str, state: EndpointState, owner: Owner) -> None:
+        self._owner = owner
         self.status = EndpointStatus(endpoint, way, state, "", "", "", time.time())
         self.place = HostPort.of(endpoint)
 
@@ -121,7 +144,7 @@ class _Endpoint:
         before = self.status
         since = before.since if reason.state == before.state else time.time()
         self.status = EndpointStatus(
-            before.endpoint, before.way, reason.state, reason.text, reason.cure, machine, since
+            before.endpoint, before.way, reason.state, reason.text, self._owner.cure_of(reason), machine, since
         )
         return self.status != before
 
@@ -129,8 +152,8 @@ class _Endpoint:
 class _Connect(_Endpoint):
     """An endpoint to which the router connects."""
 
-    def __init__(self, endpoint: str, identity: Identity | None) -> None:
-        super().__init__(endpoint, "connect", EndpointState.CONNECTING)
+    def __init__(self, endpoint: str, identity: Identity | None, owner: Owner | None = None) -> None:
+        super().__init__(endpoint, "connect", EndpointState.CONNECTING, owner or Owner())
         self._identity = identity
         self._addresses: Collection[str] = frozenset()
         self._machine = ""
@@ -200,10 +223,10 @@ class _Connect(_Endpoint):
         """Enter a state, and log it once."""
         if not self.set(reason, machine) or reason.state is EndpointState.CONNECTING:
             return
-        text = str(self.status)
+        text = self.status.text(self._owner.prefix)
         if text != self._reported:
             level = logging.INFO if reason.state.good else logging.WARNING
-            _log.log(level, "%s%s", text, f"; {reason.cure}" if reason.cure else "")
+            _log.log(level, "%s%s", text, f"; {self.status.cure}" if self.status.cure else "")
         self._reported = text
 
 
@@ -224,8 +247,8 @@ class _Refusals:
 class _Listen(_Endpoint):
     """An endpoint to which other machines connect."""
 
-    def __init__(self, endpoint: str) -> None:
-        super().__init__(endpoint, "listen", EndpointState.LISTENING)
+    def __init__(self, endpoint: str, owner: Owner | None = None) -> None:
+        super().__init__(endpoint, "listen", EndpointState.LISTENING, owner or Owner())
         self.refused = 0
         self._read = time.monotonic()
         self._active: dict[str, _Refusals] = {}
@@ -259,14 +282,15 @@ class _Listen(_Endpoint):
             if len(self._logged) >= _MOST_LOGGED:
                 self._logged.clear()
             self._logged.add(key)
-            _log.warning("hub.open.listen %s: %s; %s", self.status.endpoint, reason.text, reason.cure)
+            place, cure = f"{self._owner.prefix}listen {self.status.endpoint}", self._owner.cure_of(reason)
+            _log.warning("%s: %s; %s", place, reason.text, cure)
 
     def _enter(self, reasons: Sequence[Reason]) -> None:
         if reasons:
             cures = "; ".join(dict.fromkeys(reason.cure for reason in reasons if reason.cure))
             self.set(Reason(reasons[0].state, "; ".join(reason.text for reason in reasons), cures))
         elif self.set(Reason(EndpointState.LISTENING)):
-            _log.info("hub.open.listen %s: no machine is refused any longer", self.status.endpoint)
+            _log.info("%slisten %s: no machine is refused any longer", self._owner.prefix, self.status.endpoint)
         if not self._active:
             self._logged.clear()
             self._closed = None
@@ -308,15 +332,18 @@ class EndpointMonitor:
         identity: the certificate and key for TLS connections.
         zenoh_log: zenoh's log, None if this process does not capture it.
         own_trouble: returns why no machine accepts this machine's certificate, "" if other machines may accept it.
+        owner: how log lines name the endpoints.
     """
 
     def __init__(
         self, session: Any, listen: Sequence[str], connect: Sequence[str], identity: Identity | None = None,
-        zenoh_log: ZenohLog | None = None, own_trouble: Callable[[], str] | None = None,
+        zenoh_log: ZenohLog | None = None, own_trouble: Callable[[], str] | None = None, owner: Owner | None = None,
     ) -> None:  # fmt: skip
         self._session, self._zenoh_log, self._own_trouble = session, zenoh_log, own_trouble
-        self._listen = [_Listen(endpoint) for endpoint in listen]
-        self._connect = [_Connect(endpoint, identity) for endpoint in connect]
+        self._listen = [_Listen(endpoint, owner) for endpoint in listen]
+        self._connect = [_Connect(endpoint, identity, owner) for endpoint in connect]
+        if zenoh_log is not None and listen:
+            zenoh_log.reports_refusals = True
         self._trouble: Reason | None = None
         self._trouble_due = 0.0
         self._pool = WorkerPool(_THREADS, "hub-endpoint-test")
@@ -344,7 +371,7 @@ class EndpointMonitor:
                 self._poll(time.monotonic())
             except Exception:
                 if not self._end.is_set():  # a session that is being closed stops answering before this thread ends
-                    _log.exception("hub.open: cannot check the endpoints")
+                    _log.exception("cannot check the endpoints")
             self._end.wait(POLL_SECONDS)
 
     def _poll(self, now: float) -> None:

@@ -243,6 +243,7 @@ REFUSED = "2026-11-26T01:39:43Z  WARN acc-0 ThreadId(05) zenoh_link_tls::unicast
 def test_a_listener_logs_each_cause_once_and_recovers(slow: float, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "bridge.hub.security")
     log, listener = ZenohLog(), endpoints._Listen("tls/0.0.0.0:1")
+    log.reports_refusals = True
     for second in range(40):
         log.feed(REFUSED.format("invalid peer certificate: UnknownIssuer"))
         if second > 20:

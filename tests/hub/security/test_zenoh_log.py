@@ -1,8 +1,9 @@
-"""zenoh's log is captured in a process that runs nothing else, like the router's process."""
+"""zenoh's log is captured in a worker's process, and its warnings are logged at a limited rate."""
 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -11,17 +12,19 @@ from typing import Any
 
 import pytest
 
+from bridge.hub.security import zenoh_log
 from bridge.hub.security.certificates import Authority
 from tests.support.ports import free_port
 
 PROGRAM = """
-import json, sys, time
+import json, logging, sys, time
 import zenoh
 from pathlib import Path
 from bridge.hub.security.handshake import HostPort, Identity, attempt
 from bridge.hub.security.zenoh_log import ZenohLog
 
 folder, port = Path(sys.argv[1]), sys.argv[2]
+logging.basicConfig(format="%(levelname)s %(message)s")
 log = ZenohLog.capture()
 log = ZenohLog.capture()
 print("a line of the program", flush=True)
@@ -70,5 +73,57 @@ def test_log_holds_only_refusals(tmp_path: Path, rust_log: str) -> None:
     assert ".rs:" not in failure
     assert "a line of the program" in lines
     assert "the last line" in lines
-    assert any("zenoh_link_tls" in line for line in lines) is bool(rust_log)
+    warnings = [line for line in lines if "zenoh_link_tls" in line]
+    if rust_log:
+        assert all("WARN" in line and not line.startswith("WARNING ") for line in warnings)
+    else:
+        assert [line.partition("::")[0] for line in warnings] == ["WARNING zenoh: zenoh_link_tls"]
     assert done.stdout == ""
+
+
+START = "2026-11-28T18:18:15.173896Z "
+FAR = START + "ERROR rx-0 ThreadId(07) zenoh::net: lost 7f3bed04fbd8507a149f7b50a97a3f{:02x} of 10.0.0.{}"
+
+
+def logged(caplog: pytest.LogCaptureFixture) -> list[tuple[int, str]]:
+    lines = [(record.levelno, record.getMessage()) for record in caplog.records]
+    caplog.clear()
+    return lines
+
+
+def test_each_kind_of_warning_is_logged_once_a_minute(caplog: pytest.LogCaptureFixture) -> None:
+    warnings = zenoh_log.ZenohWarnings()
+    for number in range(100):
+        warnings.feed(FAR.format(number, number), 5.0)
+    warnings.feed(START + " WARN net-0 ThreadId(03) zenoh::net: another", 6.0)
+    warnings.feed(START + " WARN ThreadId(03) zenoh::net: " + "x" * 5000, 6.0)
+    levels, texts = zip(*logged(caplog), strict=True)
+    assert levels == (logging.ERROR, logging.WARNING, logging.WARNING)
+    assert texts[0] == "zenoh: zenoh::net: lost 7f3bed04fbd8507a149f7b50a97a3f00 of 10.0.0.0"
+    assert len(texts[2]) < 600
+    warnings.feed(FAR.format(1, 1), 5.0 + zenoh_log.AGAIN_SECONDS)
+    (_, count), (level, again) = logged(caplog)
+    assert count == "zenoh: 99 warnings like those before were not logged"
+    assert level == logging.ERROR
+    assert "10.0.0.1" in again
+
+
+def test_many_kinds_of_warnings_are_limited(caplog: pytest.LogCaptureFixture) -> None:
+    warnings = zenoh_log.ZenohWarnings()
+    for number in range(1000):
+        warnings.feed(START + f" WARN ThreadId(03) zenoh: {'x' * number}", 5.0)
+    assert len(logged(caplog)) <= 20
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        " WARN ThreadId(01) zenoh::net::runtime::orchestrator: Scouting delay elapsed before start conditions are met.",
+        " WARN rx-0 ThreadId(01) zenoh::api::session: Received ResponseFinal for unknown Request: 7",
+        "DEBUG rx-0 ThreadId(01) zenoh::net::runtime::orchestrator: Unable to connect to configured peer x! y",
+        " INFO rx-0 ThreadId(01) zenoh: hi",
+    ],
+)
+def test_harmless_lines_are_not_logged(caplog: pytest.LogCaptureFixture, line: str) -> None:
+    zenoh_log.ZenohWarnings().feed(START + line, 5.0)
+    assert not caplog.records
