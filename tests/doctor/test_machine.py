@@ -194,6 +194,19 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
     assert str(tmp_path) in only(sharedmemory.check_size(around(shm=tmp_path))).seen
 
 
+def test_a_profile_of_the_user_without_room_in_shared_memory(tmp_path: Path) -> None:
+    profile = tmp_path / "own.xml"
+    profile.write_text('<dds><profiles><participant is_default_profile="true"><rtps/></participant></profiles></dds>')
+    settings = {"ros2": {"profile": str(profile)}}
+    assert only(sharedmemory.check_size(around(settings, shm=tmp_path)))
+    if Path("/sys").is_mount():
+        findings = sharedmemory.check_size(around(settings, shm=Path("/sys")))
+        assert isinstance(findings, list)
+        assert findings[1].result is Result.WARN
+        assert f"ros2.profile {profile} makes Fast DDS use shared memory, but /sys has no room" in findings[1].seen
+        assert "list only UDP transports in the profile" in findings[1].cure
+
+
 def test_foreign_process_is_ignored() -> None:
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()"], dict(os.environ), pipes=True) as stranger:
         place = around(hub=hub({"worker": "ros1", "side": "ros1", "pid": stranger.pid}))

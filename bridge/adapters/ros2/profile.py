@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2 import own_profile, rcl
 from bridge.adapters.ros2.environment import STATIC_PEERS, SWITCHES, UNSET
 from bridge.adapters.ros2.graph import neighbors
 from bridge.adapters.ros2.graph.origins import new_prefix, participant_number, stored_prefixes
@@ -149,19 +149,12 @@ def addresses(peers: Iterable[str]) -> Iterator[str]:
 
 def stamped(own: Path, prefix: bytes) -> str:
     """Return a user's profile with Midspan's mark in its default participant; raises `ValueError` or `OSError`."""
-    try:
-        root = ET.fromstring(own.read_bytes())  # noqa: S314 - a file that the configuration names
-    except ET.ParseError as err:
-        raise ValueError(f"ros2.profile {own}: not XML: {err}") from None
-    for element in root.iter():
-        # Fast DDS ignores the namespace, and ElementTree does not write it as the default one.
-        element.tag = element.tag.rpartition("}")[2]
-    for participant in root.iter("participant"):
-        rtps = participant.find("rtps")
-        if participant.get("is_default_profile") == "true" and rtps is not None:
-            _set_prefix(rtps, prefix)
-            root.set("xmlns", _NAMESPACE)
-            return ET.tostring(root, encoding="unicode", xml_declaration=True)
+    root = own_profile.read(own)
+    rtps = own_profile.default_participant(root)
+    if rtps is not None:
+        _set_prefix(rtps, prefix)
+        root.set("xmlns", _NAMESPACE)
+        return ET.tostring(root, encoding="unicode", xml_declaration=True)
     raise ValueError(f'ros2.profile {own}: has no <participant is_default_profile="true"> with an <rtps> element')
 
 

@@ -16,7 +16,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from bridge.doctor.check import Findings, fail, ok, skip, warn
+from bridge.adapters.ros2 import own_profile
+from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.hub.shared_memory import NAME, is_locked
 
@@ -56,9 +57,18 @@ def check_users(context: CheckContext) -> Findings:
 
 
 def check_size(context: CheckContext) -> Findings:
-    """Check the size of the shared memory, and its free space."""
+    """Check the size of the shared memory, its free space, and the room for that of ``ros2.profile``."""
     if not context.shm.is_dir():
         return skip(f"no {context.shm} here")
+    ros2 = context.config.ros2
+    size = _check_size(context)
+    if ros2.profile is None or ros2.enabled is False or not (trouble := own_profile.trouble(ros2.profile, context.shm)):
+        return size
+    seen, _, cure = trouble.partition(": ")
+    return [size, warn(seen, cure)]
+
+
+def _check_size(context: CheckContext) -> Finding:
     stat = os.statvfs(context.shm)
     whole, free = stat.f_blocks * stat.f_frsize, stat.f_bavail * stat.f_frsize
     text = f"{context.shm}: {free / 1e6:.0f} MB free of {whole / 1e6:.0f} MB"

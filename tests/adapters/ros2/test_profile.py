@@ -10,7 +10,9 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from bridge.adapters.ros2 import own_profile
 from bridge.adapters.ros2 import profile as profile_module
+from bridge.adapters.ros2.dds import fast
 from bridge.adapters.ros2.graph.origins import new_prefix
 from bridge.adapters.ros2.profile import FastDdsProfile, stamped, use_profile
 from bridge.config.model import Config
@@ -98,3 +100,56 @@ def test_child_processes_read_a_profile_that_could_not_be_written(
     code = "import os; print(open(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE']).read())"
     child = subprocess.run([sys.executable, "-c", code], env=os.environ, capture_output=True, text=True, timeout=60)
     assert child.stdout.strip() == profile.xml(), child.stderr
+
+
+SHM = """<transport_descriptors><transport_descriptor><transport_id>own</transport_id><type>SHM</type>
+<segment_size>4000000</segment_size></transport_descriptor></transport_descriptors>"""
+USER = "<userTransports><transport_id>own</transport_id></userTransports>"
+ONLY_USER = "<useBuiltinTransports>false</useBuiltinTransports>"
+UDP = SHM.replace("SHM", "UDPv4")
+
+
+@pytest.mark.parametrize(
+    ("transports", "rtps", "size"),
+    [
+        ("", "", 512 << 10),
+        ("", "<builtinTransports>LARGE_DATA</builtinTransports>", 512 << 10),
+        ("", "<builtinTransports>UDPv4</builtinTransports>", 0),
+        ("", ONLY_USER, 0),
+        (SHM, USER + ONLY_USER, 4_000_000),
+        (SHM, ONLY_USER, 0),
+        (UDP, USER + ONLY_USER, 0),
+        (UDP, USER, 512 << 10),
+    ],
+)
+def test_the_shared_memory_of_a_custom_profile(tmp_path: Path, transports: str, rtps: str, size: int) -> None:
+    custom = own(tmp_path, transports, rtps)
+    assert own_profile.segment(own_profile.read(custom)) == size
+    assert own_profile.trouble(custom, tmp_path) == ""
+    if Path("/sys").is_mount():  # a file system without any space
+        trouble = own_profile.trouble(custom, Path("/sys"))
+        assert trouble.startswith(f"ros2.profile {custom} makes Fast DDS use shared memory, but /sys ") is bool(size)
+
+
+def own(folder: Path, transports: str = "", rtps: str = "") -> Path:
+    """Write a custom profile; return its file."""
+    participant = f'<participant profile_name="p" is_default_profile="true"><rtps>{rtps}</rtps></participant>'
+    file = folder / "own.xml"
+    file.write_text(f'<dds xmlns="urn:x"><profiles>{transports}{participant}</profiles></dds>')
+    return file
+
+
+def test_a_custom_profile_without_room_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    if not Path("/sys").is_mount():
+        pytest.skip("/sys is no file system without any space")
+    custom = own(tmp_path)
+    monkeypatch.setattr(own_profile.trouble, "__defaults__", (Path("/sys"),))
+    monkeypatch.setattr(fast, "use_profile", lambda *_: FastDdsProfile(PREFIX, 0, localhost_only=True))
+    monkeypatch.setattr(fast, "Participant", lambda *_: None)
+    dds = fast.FastDds(Config.model_validate({"ros2": {"profile": str(custom)}}))
+    dds.join(tmp_path, "midspan")
+    (record,) = caplog.records
+    assert str(custom) in record.getMessage()
+    assert dds.warnings([], []) == [record.getMessage()]

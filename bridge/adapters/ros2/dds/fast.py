@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.adapters.ros2 import filters, rcl
+from bridge.adapters.ros2 import filters, own_profile, rcl
 from bridge.adapters.ros2.context import Dds, Joined, Replied, Ros2Context
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import neighbors, spdp, vendors
@@ -23,6 +24,8 @@ from bridge.adapters.ros2.types import TypeSupports
 from bridge.config.model import Config
 from bridge.routing.edge import Endpoint, Obstacle
 
+_log = logging.getLogger(__name__)
+
 
 class FastDds(Dds):
     """Fast DDS: services go through rcl, and calls reach servers on Cyclone DDS, too."""
@@ -31,10 +34,15 @@ class FastDds(Dds):
         self._config, self._domain = config, domain(config, os.environ)
         self._localhost_only = config.ros2.localhost_only and config.ros2.profile is None
         self.types = TypeSupports()
+        self._trouble = ""
 
     @override
     def join(self, state: Path, node: str) -> Joined:
         profile = use_profile(self._config, state)
+        custom = self._config.ros2.profile
+        self._trouble = "" if custom is None else own_profile.trouble(custom)
+        if self._trouble:
+            _log.warning("%s", self._trouble)
         return Joined(Participant(node, self._domain), profile.prefix, profile.segment)
 
     @override
@@ -84,4 +92,4 @@ class FastDds(Dds):
     def warnings(self, endpoints: Collection[Endpoint], served: Collection[str]) -> list[str]:
         cyclone = vendors.report(endpoints)
         text = vendors.warning(cyclone) if cyclone else ""
-        return [text] if text else []
+        return [warning for warning in (self._trouble, text) if warning]
