@@ -12,6 +12,7 @@ from bridge.config.model import Config
 from tests.contract.yarpside import YarpBridge
 from tests.peers.commands import Record
 from tests.peers.hub.rig import HubRig
+from tests.peers.yarp.name_server import RealNameServer
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram
 from tests.support.wait import until
 from yarp_compat.naming import connections
@@ -23,13 +24,14 @@ from yarp_compat.wire import binary
 from yarp_compat.wire.profile import Profile
 
 DEFINITIONS = Definitions(())
+AnyNames = Names | RealNameServer
 
 
 class YarpPort(Record):
     """A port of a YARP program without ROS, and the messages that it has received."""
 
     def __init__(
-        self, names: Names, name: str, profile: Profile = Profile.YARP3, naming: NameClient | None = None
+        self, names: AnyNames, name: str, profile: Profile = Profile.YARP3, naming: NameClient | None = None
     ) -> None:
         super().__init__()
         self.name, self.names, self.profile = name, names, profile
@@ -61,7 +63,7 @@ class YarpPort(Record):
         self.core.close()
 
 
-def _connected(names: Names, source: str, target: str) -> bool:
+def _connected(names: AnyNames, source: str, target: str) -> bool:
     try:
         connections.connect(names.client, source, target)
     except NamingError:  # the port is registered, but not listening yet
@@ -74,7 +76,7 @@ class Place(HubRig):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.names = Names()
+        self.names: AnyNames = Names()
 
     def config(self, name: str = "here", *, yarp: dict[str, Any] | None = None, **sections: Any) -> Config:
         """Return a configuration for this YARP network."""

@@ -16,6 +16,7 @@ from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import NamingError
 from yarp_compat.ports.port import PortCore
@@ -45,30 +46,18 @@ class NativeNaming(NameClient):
         super().announce(name, alive)
 
 
-class Network:
-    """Replaces the name server of a `Place` with one that behaves like ``yarpserver``."""
-
-    def __init__(self, server: RealNameServer) -> None:
-        self.server = server
-        self.client = NameClient(server.address)
-        self.endpoint = f"{server.address.host}:{server.address.port}"
-
-    def stop(self) -> None:
-        """Do nothing: the fixture stops the server."""
-
-
 class NativeNode:
     """Registers like a C++ program with a ``yarp::os::Node`` and one port, and records messages received over YARP.
 
     Args:
-        names: the network.
+        address: the name server.
         port: the port's name, ``/topic@/node``.
         naming: the program's name server client.
     """
 
-    def __init__(self, names: Network, port: str, naming: type[NameClient] = NativeNaming) -> None:
+    def __init__(self, address: Address, port: str, naming: type[NameClient] = NativeNaming) -> None:
         self.received: list[bytes] = []
-        client = naming(names.server.address)
+        client = naming(address)
         self.node = PortCore(port.partition("@")[2], naming=client)
         self.port = PortCore(port, naming=client, on_message=self._on_message, type_name="std_msgs/String")
         for core in (self.node, self.port):
@@ -88,7 +77,7 @@ def fixture_site(tmp_path: Path, master: RosMaster) -> Iterator[Place]:
     with RealNameServer(free_port(room=20), master.uri) as server:
         place = Place(tmp_path)
         place.names.stop()
-        place.names = Network(server)  # type: ignore[assignment]
+        place.names = server
         try:
             yield place
         finally:
@@ -96,7 +85,7 @@ def fixture_site(tmp_path: Path, master: RosMaster) -> Iterator[Place]:
 
 
 def native(site: Place, port: str, naming: type[NameClient] = NativeNaming) -> NativeNode:
-    return site.keep(NativeNode(site.names, port, naming))  # type: ignore[no-any-return, arg-type]
+    return site.keep(NativeNode(site.names.address, port, naming))  # type: ignore[no-any-return]
 
 
 def publish_until(site: Place, condition: Callable[[], object], description: str) -> None:

@@ -171,14 +171,14 @@ def test_group_that_cannot_be_announced_leaks_no_socket(
     (group,) = created
     with pytest.raises(OSError, match="Bad file descriptor"):
         group.socket()
-    assert "mcast" not in [contact[2] for contact in server.ports.values()]
+    assert "mcast" not in [contact.carrier for contact in server.ports.values()]
 
 
 def test_output_sends_the_same_bytes_as_a_real_one(make: Callable[..., PortCore], server: RealNameServer) -> None:
     """Check the introduction, one datagram for all readers, and the group's registration while it has readers."""
     writer, number = make("/w"), 0
     with socket.create_server(("127.0.0.1", 0)) as acceptor:
-        server.answer(["register", "/r", "tcp", *acceptor.getsockname()])
+        server.client.register("/r", *acceptor.getsockname())
         introductions: list[bytes] = []
 
         def accept() -> None:
@@ -193,10 +193,10 @@ def test_output_sends_the_same_bytes_as_a_real_one(make: Callable[..., PortCore]
         done, message = writer.add_output("mcast://r")
         thread.join(20)
     assert (done, message) == (True, "Added connection from /w to mcast://r")
-    (group,) = [name for name, contact in server.ports.items() if contact[2] == "mcast"]
-    number = server.ports[group][1]
+    (group,) = [name for name, contact in server.ports.items() if contact.carrier == "mcast"]
+    number = server.ports[group].port
     assert introductions[-1] == bytes.fromhex(RECORDED[0]) + struct.pack(">H", number)
-    assert server.properties["/w", "owns"] == [group]
+    assert server.client.get_property("/w", "owns") == [group]
     with member(number) as reader:
         reader.settimeout(10)
         assert writer.write(encode(["msg", 4], Profile.YARP3)) == 1
@@ -216,7 +216,7 @@ def test_yarp_connect_by_mcast_delivers_messages(make: Callable[..., PortCore], 
         make(name, got)
         connections.connect(writer.naming, "/w", name, "tcp" if name == "/three" else "mcast")
     assert connections.carrier_between(writer.naming, "/w", "/one") == "mcast"
-    assert [contact[2] for contact in server.ports.values()].count("mcast") == 1
+    assert [contact.carrier for contact in server.ports.values()].count("mcast") == 1
     values: list[object] = [[0], [1], [b"y" * 200_000], [2]]
     for value in values:
         assert writer.write(encode(value, Profile.YARP3), wait=True, timeout=10) == 3  # type: ignore[arg-type]
@@ -228,7 +228,7 @@ def test_yarp_connect_by_mcast_delivers_messages(make: Callable[..., PortCore], 
     until(lambda: [3] in second, "the other reader still receives messages")
     assert [3] not in first
     connections.disconnect(writer.naming, "/w", "/two")
-    assert "mcast" not in [contact[2] for contact in server.ports.values()]
+    assert "mcast" not in [contact.carrier for contact in server.ports.values()]
     assert writer.outputs() == [ConnectionRoute("/w", "/three", "tcp")]
 
 
