@@ -16,6 +16,7 @@ TOPIC = "topic: /scan, type: sensor_msgs/msg/LaserScan"
     [
         ("yarp: {topics: [{topic: scan}]}", "names begin with a slash"),
         ("yarp: {topics: [{topic: /scan, port: 'la ser'}]}", "is not a name of a YARP port"),
+        ("yarp: {topics: [{topic: /scan, port: '/la,ser'}]}", "is not a name of a YARP port"),
         ("yarp: {topics: [{topic: /scan, port: /laser:o}]}", "direction: in"),
         ("yarp: {topics: [{topic: /scan, port: /laser:o, direction: in}]}", "give the 'type'"),
         ("yarp: {topics: [{topic: /scan*, port: /laser:o, direction: out}]}", "is not a topic name"),
@@ -26,6 +27,8 @@ TOPIC = "topic: /scan, type: sensor_msgs/msg/LaserScan"
         ("yarp: {topics: [{topic: /scan, fields: ['rad(x)']}]}", "is not a field"),
         ("yarp: {topics: [{topic: /scan, carrier: udp}]}", "'carrier' is for a connection"),
         ("yarp: {output: '/x:o'}", "is not a scheme of port names"),
+        ("yarp: {output: '/a,b{topic}:o'}", "is not a scheme of port names"),
+        ("yarp: {rpc: '/a{b{topic}:o'}", "is not a scheme of port names"),
         ("yarp: {output: '/x{topic}', input: '/x{topic}'}", "output, input and rpc must be three different names"),
         ("yarp: {address: robot}", "is not an address with a port"),
         ("yarp: {profile: yarp5}", "yarp3"),

@@ -103,7 +103,7 @@ class NameClient:
         wanted = "..." if name in ("", "...") else name
         if not is_name(wanted):
             raise NameRefusedError(
-                f"{name!r} is not a valid port name: YARP's names are like /robot/camera, without spaces"
+                f"{name!r} is not a valid port name: YARP's names are like /robot/camera, without spaces or commas"
             )
         host = host or ("" if carrier == "mcast" else self._own_host())  # the name server chooses a group's address
         command: list[Any] = ["register", wanted]
@@ -292,9 +292,10 @@ class _Registered:
 
 
 def _is_quoted(value: Any) -> bool:
-    """Whether a value parses differently without its quotes."""
+    """Whether a value parses differently as `_text` writes it: without its quotes and escapes."""
     text = value_text(value)
-    return from_text(text.replace('"', "")) != [value] if '"' in text else False
+    plain = plain_text(value) if isinstance(value, str) else text
+    return '"' in text and from_text(plain.replace('"', "")) != [value]
 
 
 def _text(command: Sequence[Any]) -> bytes:

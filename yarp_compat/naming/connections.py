@@ -88,7 +88,9 @@ def ping(naming: Naming, name: str, *, timeout: float = text_client.TIMEOUT) -> 
 def _find(naming: Naming, name: str, role: str) -> PortContact:
     parsed = PortContact.parse(name)
     if not parsed.is_valid and not is_port_name(parsed.name):
-        raise PortError(f"{name!r} is not a valid port name: YARP's names are like /robot/camera, without spaces")
+        raise PortError(
+            f"{name!r} is not a valid port name: YARP's names are like /robot/camera, without spaces or commas"
+        )
     contact = naming.query(name if parsed.is_valid else parsed.name)
     if contact is None:
         raise PortError(f"{role} {parsed.name} is not registered at the name server")

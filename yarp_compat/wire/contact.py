@@ -10,6 +10,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
+from yarp_compat.wire.text import split_words
+
 MAX_NAME = 1024  # maximum characters of a port name
 
 _ADDRESS = re.compile(r"/(?P<host>[^:/]*):(?P<port>\d+)(?=/|$)")
@@ -105,10 +107,13 @@ def rooted(name: str) -> bool:
 
 
 def is_port_name(name: str) -> bool:
-    """Return whether this is a valid port name: ``/a`` or ``/a/b``, without spaces, not ending in ``/``."""
+    """Return whether this is a valid port name: ``/a`` or ``/a/b``, one word, not ending in ``/``."""
     return len(name) > 1 and name[0] == "/" and name[-1] != "/" and is_name(name)
 
 
 def is_name(name: str) -> bool:
-    """Return whether a name can be registered: not empty, not too long, without characters that break text lines."""
-    return bool(name) and len(name) <= MAX_NAME and not _REFUSED.search(name)
+    """Return whether a name can be registered: not empty, not too long, and one word of a text line.
+
+    A name server reads ``register /a,b`` as the port ``/a`` with the carrier ``b``, and drops an unclosed bracket.
+    """
+    return bool(name) and len(name) <= MAX_NAME and not _REFUSED.search(name) and split_words(name)[0] == [name]

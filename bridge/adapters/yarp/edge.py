@@ -38,6 +38,7 @@ from bridge.messages.transcode.conversion import Conversion, ServiceConversion, 
 from bridge.routing.edge import Deliver, EdgeListener, Endpoint
 from bridge.state_file import keep
 from yarp_compat.ports.naming import NamingError
+from yarp_compat.wire.text import from_text
 
 _log = logging.getLogger(__name__)
 
@@ -280,7 +281,7 @@ def _owner(file: Path) -> str:
         owner = file.read_text(encoding="utf-8").strip()
     except OSError:
         owner = ""
-    if len(owner) != 12 or not owner.isalnum():
+    if len(owner) != 12 or not owner.isalnum() or from_text(owner) != [owner]:  # yarpserver would return a number
         owner = new_id(12)
         keep(file, owner + "\n", "the ports of a killed worker stay registered at the name server for a while")
     return owner

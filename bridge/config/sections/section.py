@@ -116,7 +116,7 @@ def differ(values: Sequence[object], mistake: str) -> None:
 
 
 ROS2_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
-YARP_PORT = re.compile(r"(?:/[^\s/\"'*()\[\]{}]+)+")
+YARP_PORT = re.compile(r"(?:/[^\s,/\"'*()\[\]{}]+)+")
 _NOT_A_TOPIC = "is not a topic name: begin it with a slash; letters, digits and underscores make its parts"
 _NOT_A_PORT = "is not a name of a YARP port: write it as /robot/laser:o"
 

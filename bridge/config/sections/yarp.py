@@ -27,7 +27,7 @@ _Address = Annotated[
 _Scheme = Annotated[
     str,
     matching(
-        r"/[^\s\"'*()\[\]]*\{topic\}[^\s\"'*()\[\]{}]*",
+        r"/[^\s,\"'*()\[\]{}]*\{topic\}[^\s,\"'*()\[\]{}]*",
         "is not a scheme of port names: begin it with a slash and put {topic} in it, as in /robot{topic}:o",
     ),
 ]

@@ -237,3 +237,15 @@ def test_worker_id_never_parses_as_a_number(tmp_path: Path, monkeypatch: pytest.
     assert from_text(owner) == [owner]
     assert from_text(new_id()) == [new_id()]
     edge.stop()
+
+
+@pytest.mark.parametrize("stored", ["75e5e286e164", "650875027306", "00e123456789"])
+def test_a_stored_worker_id_that_parses_as_a_number_is_replaced(tmp_path: Path, stored: str) -> None:
+    """Earlier versions stored such IDs; yarpserver returns them as ``0.0`` or as an int, even if they were quoted."""
+    (tmp_path / "yarp_owner").write_text(stored + "\n")
+    yarp = {"nameserver": "site", "address": "127.0.0.1:10000"}
+    edge = YarpEdge(Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp}), REGISTRY, tmp_path)
+    edge.stop()
+    owner = (tmp_path / "yarp_owner").read_text().strip()
+    assert from_text(owner) == [owner]
+    assert owner != stored

@@ -178,12 +178,12 @@ def test_the_address_is_read_from_yarp_conf(monkeypatch: pytest.MonkeyPatch, tmp
 def test_invalid_names_are_rejected_locally() -> None:
     """A name that contains an address is not queried either."""
     names = client(free_port())
-    for name in ("two words", "/a\nb", '/a"b', "/" + "x" * 2000):
+    for name in ("two words", "/a,b", "/a(b", "/a{b", "/a\nb", '/a"b', "/" + "x" * 2000):
         with pytest.raises(NameRefusedError, match="without spaces"):
             names.register(name)
         assert names.query(name) is None
     with pytest.raises(NamingError, match="one line"):
-        names.set_property("/p", "key", "a\nb")
+        names.line(["set", "/p", "key", "a\nb"])
     assert names.query("tcp://127.0.0.1:10002/p") == PortContact("/p", "127.0.0.1", 10002, "tcp")
     with pytest.raises(PortError, match="not a valid port name"):
         connections.connect(names, "reader", "/b")

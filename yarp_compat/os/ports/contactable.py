@@ -130,7 +130,7 @@ class Contactable:
         if not nested.is_nested:
             if is_port_name(name):
                 return name
-            log.error("%r is not a port name: YARP's names are like /robot/camera, without spaces", name)
+            log.error("%r is not a port name: YARP's names are like /robot/camera, without spaces or commas", name)
             return None
         self._type = self._type or nested.type
         nested = nested.with_role(self._role())
