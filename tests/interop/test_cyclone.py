@@ -157,6 +157,10 @@ def test_actions_of_cyclone_dds(shared: Deployment) -> None:
     servers = native.act("/cyclone_go", ACTION, result=service.response(status=4))
     for part in ("send_goal", "get_result", "cancel_goal"):
         until_explained(shared, f"/cyclone_go/_action/{part}", "bridged")
+    ros2 = shared.ros2()
+    for name in ("feedback", "status"):
+        topic = f"/cyclone_go/_action/{name}"
+        until(lambda topic=topic: ros2.graph()["publishers"].get(topic), f"{topic} has a publisher")
     ros1, hub = shared.ros1(), shared.keep(HubActions(shared.settings("module")))
     goal = hub.ask("send_goal", action="/cyclone_go", type=NAVIGATE, goal=GOAL, seconds=20)["id"]
     assert hub.ask("goal", id=goal, until={"accepted": True, "status": 4}, seconds=20)["status"] == 4

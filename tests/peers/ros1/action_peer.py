@@ -17,7 +17,7 @@ import actionlib
 import roslib.message
 import rospy
 from actionlib.action_client import CommState
-from actionlib_msgs.msg import GoalID
+from actionlib_msgs.msg import GoalID, GoalStatus
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
@@ -25,6 +25,7 @@ from tests.peers.commands import Commands, Record, only_answers, serve
 from tests.peers.ros1.shutdown import shut_down
 from tests.support.wait import until
 
+ENDED = (GoalStatus.PREEMPTED, GoalStatus.SUCCEEDED, GoalStatus.ABORTED, GoalStatus.REJECTED, GoalStatus.RECALLED)
 OUTCOMES = ("succeed", "abort", "reject", "preempt", "hold")
 """The outcome of a goal, by its number modulo 10; goals with other numbers are held."""
 
@@ -179,10 +180,11 @@ class Peer(Commands):
         return {}
 
     def finish_all(self, id):
-        """End each goal that has arrived; its number // 100 modulo 3 selects succeed, abort or preempt."""
+        """End each goal that has not ended; its number // 100 modulo 3 selects succeed, abort or preempt."""
         server = self.parts[id]
         for goal_id, number in list(server.items):
-            server.finish(goal_id, ("succeed", "abort", "preempt")[number // 100 % 3])
+            if server.handles[goal_id].get_goal_status().status not in ENDED:
+                server.finish(goal_id, ("succeed", "abort", "preempt")[number // 100 % 3])
         return {}
 
     def stop_server(self, id):

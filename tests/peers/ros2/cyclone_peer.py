@@ -207,9 +207,8 @@ class Peer(Commands):
         }
         prefix = f"{action}/_action/"
         servers = [Server(self, prefix + name, part, reply) for name, (part, reply) in services.items()]
-        Writer(self, f"rt{prefix}feedback", dds_type(f"{type}_FeedbackMessage", "msg"), RELIABLE)
-        status = Writer(self, f"rt{prefix}status", dds_type("action_msgs/GoalStatusArray", "msg"), LATCHED)
-        self.add(status)
+        self.add(Writer(self, f"rt{prefix}feedback", dds_type(f"{type}_FeedbackMessage", "msg"), RELIABLE))
+        self.add(Writer(self, f"rt{prefix}status", dds_type("action_msgs/GoalStatusArray", "msg"), LATCHED))
         return self.add(servers)
 
     def call(self, service: str, type: str, request: str) -> dict[str, Any]:

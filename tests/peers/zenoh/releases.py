@@ -175,7 +175,6 @@ class ReleasePublisher:
         self._ends: dict[str, Any] = {}
         self._lock = Lock()
         self._discovered: dict[bytes, str] = {}
-        self._present: set[bytes] = set()
         token = node.token("MP", topic)
         self.gid, self._sequence = gid_of(token), 0
         self._token = node.announce(token)
@@ -197,13 +196,10 @@ class ReleasePublisher:
         if len(parts) < 13 or [parts[5], *parts[9:11]] != wanted:
             return
         gid = gid_of("/".join(parts[:14]))  # computed from the parts that the release knows
-        with self._lock:
-            if sample.kind == zenoh.SampleKind.DELETE:
-                self._present.discard(gid)
-                return
-            self._present.add(gid)
-            cpu = parts[13:14] == ["backends:cpu:"]
-            self._discovered[gid] = f"{self.key}/{CPU_GROUP}" if cpu else f"{self.key}/_buf/{gid.hex()}"
+        cpu = parts[13:14] == ["backends:cpu:"]
+        if sample.kind == zenoh.SampleKind.PUT:
+            with self._lock:
+                self._discovered[gid] = f"{self.key}/{CPU_GROUP}" if cpu else f"{self.key}/_buf/{gid.hex()}"
 
     def discovered(self) -> list[str]:
         """Return the keys of the subscriptions that this publisher has discovered, only if the type has buffers."""
@@ -215,10 +211,9 @@ class ReleasePublisher:
         keys = [self.key]
         if self._watch is not None:
             with self._lock:
-                if len(self._present) <= len(self._discovered):
-                    group = f"{self.key}/{CPU_GROUP}"
-                    found = list(self._discovered.values())
-                    keys = [group] * (group in found) + [key for key in found if key != group]
+                found = list(self._discovered.values())
+            group = f"{self.key}/{CPU_GROUP}"
+            keys = [group] * (group in found) + [key for key in found if key != group]
         for key in keys:
             self._sequence += 1
             self._declared(key).put(payload, attachment=attachment(self._sequence, self.gid))
