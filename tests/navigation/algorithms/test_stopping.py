@@ -103,7 +103,7 @@ def test_compiled_and_uncompiled_results_are_equal():
 class TestNotFinite:
     @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf, 1e300])
     @pytest.mark.parametrize("axis", range(3))
-    def test_a_velocity_that_is_none_is_not_let_through(self, module, odd, axis):
+    def test_a_velocity_that_is_not_finite_or_too_large_permits_no_motion(self, module, odd, axis):
         velocity = [0.1, 0.0, 0.0]
         velocity[axis] = odd
         if axis < 2 or not math.isfinite(odd):  # a rotation is never slowed
@@ -117,7 +117,7 @@ class TestNotFinite:
         assert slowed([], has, (-6e153, 0.0, 0.0), module, braking=1e153)[0] == 0.0
         assert slowed([], (1e200, 0.0, 0.0), still, module, braking=1e200)[0] == 0.0
 
-    def test_a_pose_that_is_none(self, module):
+    def test_a_pose_that_is_not_finite_permits_no_motion(self, module):
         for odd in (math.nan, math.inf):
             for pose in ((odd, 0.0, 0.0), (0.0, odd, 0.0), (0.0, 0.0, odd)):
                 assert slowed([], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, pose)[0] == 0.0

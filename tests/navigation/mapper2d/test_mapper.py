@@ -149,6 +149,9 @@ def test_maps_with_another_resolution_or_size_are_rejected(mapper: Mapper) -> No
         mapper.load(MapGrid2D.of(np.zeros((4, 4), np.uint8), name="coarse", resolution=0.1))
     with pytest.raises(ValueError, match="larger than 30 m"):
         mapper.load(MapGrid2D.of(np.zeros((4, 700), np.uint8), name="wide", resolution=0.05))
+
+
+def test_a_scan_from_a_pose_that_is_not_finite_is_rejected(mapper: Mapper) -> None:
     with pytest.raises(ValueError, match="finite"):
         mapper.scan(Pose(math.nan, 0.0, 0.0), np.ones(4), 0.0, STEP, 10.0)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -58,6 +59,13 @@ def test_distance_remaining_decreases_to_zero() -> None:
     assert left[0] > 3.5
     assert left == sorted(left, reverse=True)
     assert left[-1] == 0.0
+
+
+def test_the_robot_drives_at_the_speed_of_the_goal() -> None:
+    drive = Drive(floor(), WEST)
+    drive.planner.goal(Pose(4.0, 1.0, 0.0), constraints=Constraints(max_lin_speed=0.2))
+    drive.run(60.0)
+    assert max(a.distance(b) for a, b in itertools.pairwise(drive.track)) == pytest.approx(0.02)  # in a tick of 0.1 s
 
 
 def test_a_new_goal_replaces_the_old_one_without_a_stop() -> None:

@@ -87,7 +87,7 @@ class Straight:
             if abs(turn) <= TURN:
                 self.state = State.REACHED
             return
-        step = min(SPEED * TICK, constraints.max_lin_speed or 9.0, away)
+        step = min(min(SPEED, constraints.max_lin_speed or SPEED) * TICK, away)
         x, y = (start + (end - start) * step / away for start, end in zip(self.pose[:2], goal[:2], strict=True))
         nearer = [crate for crate in self.crates if math.dist((x, y), crate[:2]) < self.pose.distance(Pose(*crate))]
         if any(math.dist((x, y), crate[:2]) < crate[2] + ROOM for crate in nearer):
