@@ -39,6 +39,26 @@ STRING = "std_msgs/String"
 WORKERS = ("router", "ros1_master", "ros1", "yarp", "zenoh", "modules", "web")
 
 
+MISSING = """
+from pathlib import Path
+print([path for path in ("/proc", "/dev/shm", "/sys", "/run", "/etc", "/dev/fd") if not Path(path).exists()])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="hides folders of Linux")
+@pytest.mark.parametrize(
+    ("system", "missing"),
+    [("macos", ["/proc", "/dev/shm", "/sys", "/run"]),
+     ("windows", ["/proc", "/dev/shm", "/sys", "/run", "/etc", "/dev/fd"])],
+)  # fmt: skip
+def test_folders_of_linux_are_hidden(system: str, missing: list[str]) -> None:
+    program = f"exec({MISSING!r}, {{'__package__': 'bridge'}})"
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=as_on(system), capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == str(missing)
+
+
 class OtherOs:
     """A daemon as on another system, and programs on its sides."""
 

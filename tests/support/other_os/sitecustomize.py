@@ -64,8 +64,8 @@ NO_NAMES = {
 }
 """The missing names by module; a star stands for any ending. macOS has ``os.waitid`` from Python 3.13 on."""
 
-NO_FOLDERS = ("/proc", "/dev/shm", "/dev/fd", "/sys", "/run", "/usr/share/zoneinfo", "/etc")
-"""The folders that are missing on simulated Windows; on simulated macOS, only the first two are missing."""
+NO_FOLDERS = ("/proc", "/dev/shm", "/sys", "/run", "/dev/fd", "/usr/share/zoneinfo", "/etc")
+"""The folders that are missing on simulated Windows; on simulated macOS, only the first four are missing."""
 
 _replaced: dict[str, dict[str, object]] = {}
 _proxies: dict[str, types.ModuleType] = {}
@@ -186,7 +186,7 @@ def _lacks(path: object) -> bool:
     if isinstance(path, int) or not isinstance(path, str | bytes | os.PathLike):
         return False
     text = os.fsdecode(path)
-    folders = NO_FOLDERS if SYSTEM == "windows" else NO_FOLDERS[:2]
+    folders = NO_FOLDERS if SYSTEM == "windows" else NO_FOLDERS[:-3]
     return text.startswith("/") and any(text == folder or text.startswith(f"{folder}/") for folder in folders)
 
 
