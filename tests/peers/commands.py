@@ -151,9 +151,28 @@ class Commands:
         self.parts[number] = part
         return {"id": number}
 
+    def advertise(self, topic: str, type: str, **qos: Any) -> dict[str, Any]:
+        """Create a publisher."""
+        raise NotImplementedError
+
+    def subscribe(self, topic: str, type: str, **qos: Any) -> dict[str, Any]:
+        """Create a subscription."""
+        raise NotImplementedError
+
     def publish(self, id: int, message: dict[str, Any], times: int = 1) -> dict[str, Any]:
         """Publish a message."""
         raise NotImplementedError
+
+    def join(self, type: str, published: list[str], subscribed: list[str]) -> dict[str, Any]:
+        """Create many latched endpoints at once, and publish each topic's name on it."""
+        begun, publishers = time.monotonic(), {}
+        for topic in published:
+            publishers[topic] = self.advertise(topic=topic, type=type, latched=True)["id"]
+            self.publish(id=publishers[topic], message={"data": topic})
+        subscriptions = {topic: self.subscribe(topic=topic, type=type, latched=True)["id"] for topic in subscribed}
+        return {
+            "publishers": publishers, "subscriptions": subscriptions, "begun": begun, "ended": time.monotonic(),
+        }  # fmt: skip
 
     def count(self, id: int, first: int, count: float, rate: float) -> dict[str, Any]:
         self.countings[id] = Counting(lambda text: self.publish(id, {"data": text}), first, count, rate)

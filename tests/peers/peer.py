@@ -10,7 +10,8 @@ except the first ``since``, after ``count`` have arrived or the time is over); `
 until it has finished (or stop it now) -> sent; ``tally`` id, since -> received, distinct numbers, ``last``:
 ``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since`` on;
 ``silence`` id, since: those two of any type; ``broadcast`` id, child, rate (ROS 1): transforms from ``map`` to
-``child`` until ``counted``.
+``child`` until ``counted``; ``join`` type, published, subscribed (topics): latched endpoints, created at once; each
+topic's name is published on it -> publishers, subscriptions {topic: id}, begun, ended (``time.monotonic()``).
 
 A reply has ``ok``; if it is false, ``error``.
 
