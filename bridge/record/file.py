@@ -43,12 +43,12 @@ class _Out:
 
     def __init__(self, path: Path) -> None:
         self.position = 0
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self._file = path.open("xb", buffering=0)
 
     def write(self, data: bytes) -> int:
         left = memoryview(data)
         while left:
-            written = os.write(self._descriptor, left)
+            written = self._file.write(left)
             self.position += written
             left = left[written:]
         return len(data)
@@ -60,13 +60,11 @@ class _Out:
         """Do nothing, because nothing is buffered."""
 
     def cut(self, position: int) -> None:
-        os.ftruncate(self._descriptor, position)
+        self._file.truncate(position)
         self.position = position
 
     def close(self) -> None:
-        descriptor, self._descriptor = self._descriptor, -1
-        if descriptor >= 0:
-            os.close(descriptor)
+        self._file.close()
 
 
 @dataclass(frozen=True)

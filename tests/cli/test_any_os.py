@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,8 +15,12 @@ from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.peers.daemon.workers import config_file
 from tests.peers.hub.quick import QuickHub
+from tests.peers.hub.recorded_robot import read
 from tests.support.hidden import as_on
+from tests.support.process import Process
+from tests.support.wait import SLOWNESS, until
 
+MIDSPAN = [sys.executable, "-P", "-m", "bridge.cli.main"]
 COMMANDS = """
 import json
 import sys
@@ -74,6 +79,7 @@ def test_verbs_work_on_other_systems(hub: QuickHub, tmp_path: Path) -> None:
             "status --config FILE",
             "record --all --output aux.mcap --config FILE",
             "install",
+            f"keys make robot1 --folder {tmp_path}/keys",
         )
     finally:
         far.hub.close()
@@ -86,3 +92,37 @@ def test_verbs_work_on_other_systems(hub: QuickHub, tmp_path: Path) -> None:
     code, text = runs["record --all --output aux.mcap --config FILE"]
     assert (code, "aux.mcap is not a file name on Windows" in text) == (1, True), runs
     assert "systemd exists only on Linux" in runs["install"][1]
+    assert runs[f"keys make robot1 --folder {tmp_path}/keys"][0] == 0, runs
+
+
+@pytest.mark.parametrize("place", ["", "--folder", "--ring 1h --trigger /go"])
+def test_a_recording_on_other_systems(hub: QuickHub, tmp_path: Path, place: str) -> None:
+    """Its bytes are not changed, as those of a text file would be, and its files are moved and replaced."""
+    config, folder = config_file(tmp_path, hub), tmp_path / "recordings"
+    word = {"data": "one\ntwo\r\n" * 1000}
+    output = folder if place.startswith("--ring") else folder / "r.mcap"
+    command = ["record", "/word", "--compression", "none", "--output", str(output), "--config", str(config)]
+    folder.mkdir()
+    far = HubSide(Hub.open(hub.settings("far")), Registry())
+    try:
+        far.publish(far.advertise("/word", "std_msgs/String", latched=True), word)
+        go = far.advertise("/go", "std_msgs/String")
+        with Process([*MIDSPAN, *command, *place.split()], as_on("windows")) as process:
+
+            def recorded() -> bool:
+                assert process.popen.poll() is None, process.output()
+                if "--trigger" in place:
+                    far.publish(go, {"data": ""})
+                    return any(folder.glob("*/metadata.yaml"))
+                return any(file.stat().st_size > len(word["data"]) for file in folder.rglob("*.mcap"))
+
+            until(recorded, "the message is recorded", 40, every=0.1)
+            process.signal(signal.SIGINT)
+            assert process.popen.wait(20 * SLOWNESS) == 0, process.output()
+    finally:
+        far.hub.close()
+    (file,) = folder.rglob("*.mcap")
+    contents = read(file)
+    assert contents.whole
+    assert [word["data"].encode() in message.data for message in contents.messages] == [True]
+    assert any(file.parent.glob("metadata.yaml")) == bool(place)

@@ -283,7 +283,8 @@ def write_private(file: Path, content: bytes) -> None:
     """Write a file that only its owner can read, either completely or not at all."""
     new = file.with_name(file.name + ".new")
     new.unlink(missing_ok=True)
-    handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    binary = getattr(os, "O_BINARY", 0)  # without it, Windows writes each line feed as two bytes
+    handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | binary, 0o600)
     with os.fdopen(handle, "wb") as out:
         out.write(content)
     new.replace(file)

@@ -18,6 +18,7 @@ import subprocess
 import sys
 import types
 import warnings
+from pathlib import Path
 from typing import Any
 
 SYSTEM = os.environ.get("HIDDEN_OS", "")
@@ -35,7 +36,8 @@ NO_NAMES = {
         " uname register_at_fork wait wait3 wait4 waitid waitpid WNOHANG nice pipe2 fchmod fchown chown sched_*"
         " getloadavg statvfs fstatvfs sysconf pread preadv pwrite pwritev sendfile splice copy_file_range eventfd*"
         " memfd_create getrandom posix_* O_NONBLOCK O_CLOEXEC O_DIRECTORY O_NOFOLLOW O_PATH O_TMPFILE EFD_* P_PID"
-        " WEXITED WNOWAIT getresuid setuid setgid initgroups ctermid openpty ttyname pidfd_open",
+        " WEXITED WNOWAIT getresuid setuid setgid initgroups ctermid openpty ttyname pidfd_open getpriority setpriority"
+        " PRIO_* fchdir fdatasync readv writev mknod lockf F_LOCK O_SYNC O_DSYNC O_NOCTTY get_blocking set_blocking",
         "signal": "SIGHUP SIGKILL SIGUSR* SIGPIPE SIGCHLD SIGQUIT SIGALRM SIGCONT SIGSTOP SIGTSTP SIGWINCH SIGIO"
         " SIGPOLL SIGRT* pthread_sigmask pthread_kill sigwait* sigtimedwait sigpending alarm setitimer getitimer pause"
         " siginterrupt",
@@ -329,7 +331,36 @@ def _windows() -> None:
             raise ValueError("not a socket on Windows")
         return signal.set_wakeup_fd(number, **options)
 
-    _replaced["os"] = {"kill": kill}
+    text: set[int] = set()
+    """Open files in text mode: Windows' default, in which a written 0A becomes 0D 0A."""
+    binary = 0x8000
+
+    def open_(path: Any, flags: int, *arguments: Any, **options: Any) -> int:
+        if Path(path).is_dir():
+            raise PermissionError(13, "Permission denied", str(path))
+        number = os.open(path, flags & ~binary, *arguments, **options)
+        (text.discard if flags & binary else text.add)(number)
+        return number
+
+    def fdopen(number: int, mode: str = "r", *arguments: Any, **options: Any) -> Any:
+        if "b" in mode and number in text:
+            raise ValueError("the file is in text mode: without O_BINARY, a written 0A becomes 0D 0A")
+        text.discard(number)
+        return os.fdopen(number, mode, *arguments, **options)
+
+    def write(number: int, data: Any) -> int:
+        if number not in text:
+            return os.write(number, data)
+        os.write(number, bytes(data).replace(b"\n", b"\r\n"))
+        return len(data)
+
+    def close(number: int) -> None:
+        text.discard(number)
+        os.close(number)
+
+    _replaced["os"] = {
+        "kill": kill, "open": open_, "fdopen": fdopen, "write": write, "close": close, "O_BINARY": binary,
+    }  # fmt: skip
     _replaced["select"] = {"select": select_}
     _replaced["selectors"] = {"SelectSelector": Selector, "DefaultSelector": Selector}
     _replaced["socket"] = {"socket": Socket, "socketpair": socketpair, "SO_EXCLUSIVEADDRUSE": exclusive}
