@@ -13,7 +13,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 import psutil
@@ -23,6 +25,7 @@ import yaml
 from bridge.adapters.ros1.program import Ros1Program
 from tests.contract.plainside import PlainPeer
 from tests.contract.side import PeerLike
+from tests.peers.hub.recorded_robot import read
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
 from tests.peers.yarp.programs import Definitions, Names, YarpProgram
@@ -36,7 +39,7 @@ from tests.support.wait import SLOWNESS, until
 SYSTEMS = os.environ.get("MIDSPAN_TEST_SYSTEMS", "windows,macos").split(",")
 MIDSPAN = [sys.executable, "-P", "-m", "bridge.cli.main"]
 STRING = "std_msgs/String"
-WORKERS = ("router", "ros1_master", "ros1", "yarp", "zenoh", "modules", "web")
+WORKERS = ("router", "ros1_master", "ros1", "yarp", "zenoh", "modules", "web", "record")
 
 
 MISSING = """
@@ -87,6 +90,7 @@ class OtherOs:
             "zenoh": {"router": self.hub, "dialects": [{"dialect": "ros2dds"}]},
             "web": {"enabled": True, "listen": f"127.0.0.1:{self.web}"},
             "modules": {"transform_server": {"enabled": True}},
+            "record": {"enabled": True, "topics": ["/recorded"]},
         }
         self.file.write_text(yaml.safe_dump({**config, **sections}), encoding="utf-8")
 
@@ -141,10 +145,13 @@ class OtherOs:
 
 
 @pytest.fixture(scope="module", params=SYSTEMS)
-def other(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[OtherOs]:
+def other(request: pytest.FixtureRequest) -> Iterator[OtherOs]:
     """A daemon for each tested system."""
-    folder = tmp_path_factory.mktemp("other os")
-    with (folder / "daemon.log").open("wb") as log:
+    # pytest's folder is too long for a socket's path, and on macOS, so is the default of tempfile
+    short = "/tmp" if os.name == "posix" else None
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="midspan other os ", dir=short)))
+        log = stack.enter_context((folder / "daemon.log").open("wb"))
         other = OtherOs(request.param, folder, log)
         yield other
         if request.session.testsfailed:
@@ -159,6 +166,7 @@ def test_the_daemon_works(other: OtherOs) -> None:
     for worker in WORKERS:
         other.wait_for(f"{worker}: running")
     assert_crosses(other, "before")
+    assert_records(other)
     assert_reloads(other)
     assert_restarts_a_killed_worker(other)
     assert_crosses(other, "after")
@@ -188,6 +196,22 @@ def assert_crosses(other: OtherOs, word: str) -> None:
     finally:
         for program in programs.values():
             program.stop()
+
+
+def assert_records(other: OtherOs) -> None:
+    """The daemon's recorder writes a message of a YARP program, with its bytes unchanged."""
+    text = "recorded\n" * 10
+    program = YarpProgram(other.names, "/recorded", Definitions(()))
+    try:
+        publisher = program.advertise("/recorded", STRING)
+
+        def recorded() -> bool:
+            program.publish(publisher, {"data": text})
+            return any(text in read(file).texts("/recorded") for file in (other.folder / "state").rglob("*.mcap"))
+
+        until(recorded, "the message is in the recording", 40, every=0.2)
+    finally:
+        program.stop()
 
 
 def assert_reloads(other: OtherOs) -> None:
