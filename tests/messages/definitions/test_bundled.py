@@ -10,6 +10,7 @@ import pytest
 
 from bridge.messages import actions
 from bridge.messages.definitions.hashes import rihs01
+from bridge.messages.definitions.stores import read_store
 from bridge.messages.registry import Registry
 from tests.support.missing import ROS2, needs
 
@@ -46,3 +47,15 @@ def test_hashes_are_those_of_ros2(name: str, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     monkeypatch.setattr(sys, "prefix", "/nowhere")
     assert [rihs01(schema) for schema in Registry().service_schemas(name)] == native
+
+
+@needs(ROS2)
+def test_default_values_are_those_of_ros2(without_ros2: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    def defaults(registry: Registry) -> dict[str, list[object]]:
+        schemas = {name: registry.schema(name) for name in read_store("ros2_jazzy") if "/msg/" in name}
+        return {name: [field.default or None for field in schema.root.fields] for name, schema in schemas.items()}
+
+    bundled = defaults(without_ros2)
+    assert bundled["geometry_msgs/msg/Quaternion"] == [None, None, None, 1.0]
+    monkeypatch.undo()
+    assert defaults(Registry()) == bundled
