@@ -71,7 +71,9 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.register_profile(
         "midspan", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
     )
-    hypothesis.settings.load_profile("midspan")
+    few = hypothesis.settings.get_profile("midspan")
+    hypothesis.settings.register_profile("few", few, max_examples=10)
+    hypothesis.settings.load_profile(config.getoption("--hypothesis-profile", None) or "midspan")
 
 
 @pytest.hookimpl(tryfirst=True)

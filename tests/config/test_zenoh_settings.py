@@ -7,7 +7,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import zenoh_ros2_sdk
 
 from bridge.cli.main import main
 from bridge.config.document import ConfigError
@@ -235,5 +234,7 @@ def test_settings_that_zenoh_knows(text: str) -> None:
 
 
 def test_the_stock_file_of_another_program() -> None:
+    import zenoh_ros2_sdk
+
     folder = Path(zenoh_ros2_sdk.__file__).parent / "config"
     assert loads(f"hub: {{zenoh: '{folder / 'default_session_config.json5'}'}}").hub.zenoh

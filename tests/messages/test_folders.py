@@ -38,7 +38,7 @@ def registry(tmp_path: Path, files: dict[str, str]) -> Registry:
         kind = ("msg", "srv", "action")[text.count("---\n")]
         file = tmp_path / "my_robot" / kind / f"{name}.{kind}"
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text)
+        file.write_text(text, encoding="utf-8")
     return Registry(folders=[tmp_path], ros1_packages=Path("/nonexistent"))
 
 

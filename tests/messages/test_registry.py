@@ -407,7 +407,7 @@ def with_ros2(tmp_path: Path, text: str) -> Registry:
     """Return a registry that knows my_msgs/msg/Thing only for ROS 2, from an installation prefix."""
     folder = tmp_path / "share" / "my_msgs" / "msg"
     folder.mkdir(parents=True)
-    (folder / "Thing.msg").write_text(text)
+    (folder / "Thing.msg").write_text(text, encoding="utf-8")
     return Registry(prefixes=[tmp_path])
 
 

@@ -8,20 +8,43 @@ import subprocess
 import sys
 import sysconfig
 from collections.abc import Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Self
 
+from packaging.requirements import Requirement
+
 HERE = Path(sysconfig.get_path("purelib"))
 """The folder of the libraries that are installed for the tests."""
+
+
+def entries(requirements: Sequence[str]) -> set[str]:
+    """Return the names in `HERE` of the packages that requirements demand, directly or indirectly, except Midspan's."""
+    waiting, seen, names = list(requirements), set[str](), set[str]()
+    while waiting:
+        requirement = waiting.pop()
+        if requirement in seen:
+            continue
+        seen.add(requirement)
+        wanted = Requirement(requirement)
+        package = metadata.distribution(wanted.name)
+        if wanted.name != "midspan":
+            names |= {file.parts[0] for file in package.files or ()}
+        for needed in package.requires or ():
+            marker = Requirement(needed).marker
+            if marker is None or any(marker.evaluate({"extra": extra}) for extra in ("", *wanted.extras)):
+                waiting.append(needed)
+    return {name for name in names if (HERE / name).exists()} - {"..", "__pycache__"}
 
 
 class Installed:
     """A virtual environment with wheels, which uses the tests' libraries.
 
     Args:
-        folder: where it is created.
+        folder: the folder to create.
         wheels: the wheels to install, without their requirements.
-        libraries: which of the tests' packages are available; None: all. Midspan's packages come only from the wheels.
+        libraries: requirements that choose which of the tests' packages are available; None: all. Midspan's packages
+            come only from the wheels.
     """
 
     def __init__(self, folder: Path, wheels: Sequence[Path], libraries: Sequence[str] | None = None) -> None:
@@ -30,10 +53,10 @@ class Installed:
         site = folder / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
         if libraries is None:
             (site / "libraries.pth").write_text(f"{HERE}\n", encoding="utf-8")
-        for name in libraries or ():
-            for entry in HERE.glob(f"{name}*"):
-                (site / entry.name).symlink_to(entry)
-        self.pip("install", "-q", "--no-index", "--no-deps", "--no-compile", *map(str, wheels))
+        for name in entries(libraries or ()):
+            (site / name).symlink_to(HERE / name)
+        if wheels:
+            self.pip("install", "-q", "--no-index", "--no-deps", "--no-compile", *map(str, wheels))
 
     def copy(self, folder: Path) -> Self:
         """Return a copy in another folder. Its programs, except Python, are those of this environment."""

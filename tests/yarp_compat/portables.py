@@ -14,7 +14,7 @@ def portables() -> dict[str, bytes]:
     """Return the bytes by name; repeated names get the suffix ``#2`` etc."""
     data_by_name: dict[str, bytes] = {}
     name = ""
-    for line in _FILE.read_text().splitlines():
+    for line in _FILE.read_text(encoding="utf-8").splitlines():
         head = _HEAD.match(line)
         if head:
             name, number = head["name"], 1

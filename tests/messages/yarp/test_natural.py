@@ -36,7 +36,7 @@ HEADER = {"stamp": {"sec": 1_795_143_618, "nanosec": 22_890_000}, "frame_id": "b
 
 def captured(name: str) -> bytes:
     """Return the bytes that YARP 4.0 wrote for a value."""
-    text = CAPTURED.read_text().split(f"\n{name} (")[1].split("\n", 1)[1]
+    text = CAPTURED.read_text(encoding="utf-8").split(f"\n{name} (")[1].split("\n", 1)[1]
     lines = [line[9:57] for line in re.match(r"(?:   [0-9a-f]{4}  .*\n)+", text).group().splitlines()]
     return bytes.fromhex("".join(lines))
 

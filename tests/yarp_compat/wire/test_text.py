@@ -22,7 +22,7 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, is_complete, plain_text, to_text, value_text
 from yarp_compat.wire.values import Float32, Group, Int8, Int64, Vocab, Vocab64, entries_of, vocab32, vocab64
 
-MEASURED = (Path(__file__).parents[1] / "data" / "portables.txt").read_text()
+MEASURED = (Path(__file__).parents[1] / "data" / "portables.txt").read_text(encoding="utf-8")
 PRINTED = re.findall(r"text: (.*)\n(Bottle .*) \(\d+ B\)", MEASURED)
 PARSED = re.findall(r"PARSE <(.*)>\n((?:    \[\d+\] code=\d+ <[^>]*>\n)+)", MEASURED)
 
