@@ -1,7 +1,8 @@
 """``python -m tests.fuzz.machines FORM ...``: fuzz the conversion machine in a form other than the installed one.
 
 ``python`` runs it uncompiled, so that an access out of bounds is an IndexError; ``sanitized`` compiles it with
-AddressSanitizer, which aborts the process. Further arguments are passed to ``python -m tests.fuzz``.
+AddressSanitizer and a check of alignment, which abort the process. Further arguments are passed to ``python -m
+tests.fuzz``.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from bridge import kernels
 
 _NAME = "bridge.messages.transcode.vm"
 _FILE = "MIDSPAN_FUZZED_MACHINE"
-_FLAGS = ["-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address", "-DPy_LIMITED_API=0x030b0000"]
+_SANITIZERS = ["-fsanitize=address,alignment", "-fno-sanitize-recover=alignment"]
+_FLAGS = ["-O1", "-g", "-fno-omit-frame-pointer", *_SANITIZERS, "-DPy_LIMITED_API=0x030b0000"]
 _library = ctypes.CDLL(None)
 
 
@@ -37,7 +39,7 @@ def main() -> int:
 
 
 def sanitized(source: Path, folder: Path) -> Path:
-    """Compile a source of the machine with AddressSanitizer; setup.py cannot compile a single kernel."""
+    """Compile a source of the machine with the sanitizers; setup.py cannot compile a single kernel."""
     code, library = folder / "machine.c", folder / "machine.abi3.so"
     cython = [sys.executable, "-m", "cython", "-3", "--module-name", _NAME, str(source), "-o", str(code)]
     compiler = [*sysconfig.get_config_var("CC").split(), "-shared", "-fPIC", *_FLAGS]

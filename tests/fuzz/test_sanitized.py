@@ -1,4 +1,7 @@
-"""The conversion machine stays within its buffers: it is fuzzed as Python, and compiled with AddressSanitizer."""
+"""The conversion machine stays within its buffers: it is fuzzed as Python, and compiled with sanitizers.
+
+The sanitizers detect accesses out of bounds and, because some processors refuse them, misaligned accesses.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,7 @@ for seed in subject.seeds:
 
 
 def form(name: str, source: Path, folder: Path) -> Path:
-    """Return the machine as Python, or compiled with AddressSanitizer."""
+    """Return the machine as Python, or compiled with the sanitizers."""
     return source if name == "python" else sanitized(source, folder)
 
 
@@ -83,3 +86,13 @@ def test_accesses_out_of_bounds_are_detected(name: str, broken: str, tmp_path: P
     done = run(["-c", CUT_SHORT], form(name, copy, tmp_path))
     assert done.returncode != 0
     assert ("IndexError: bytes" if name == "python" else "ERROR: AddressSanitizer") in done.stderr
+
+
+def test_misaligned_accesses_are_detected(tmp_path: Path):
+    text, aligned = SOURCE.read_text(encoding="utf-8"), "PyBytes_AsString(program))"
+    assert text.count(aligned) == 1
+    copy = tmp_path / "vm.py"
+    copy.write_text(text.replace(aligned, "PyBytes_AsString(program) + 1)"), encoding="utf-8")
+    done = run(["-c", CUT_SHORT], sanitized(copy, tmp_path))
+    assert done.returncode != 0
+    assert "misaligned address" in done.stderr
