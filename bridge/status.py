@@ -191,12 +191,14 @@ class CycloneNodes(Part):
     Attributes:
         nodes: those on Cyclone DDS.
         both: the services and actions that both they and nodes on another DDS serve.
+        mixed: the services and actions with a client on one of the two and a server on the other, with their nodes.
         foreign: of a worker on Cyclone DDS: the nodes on another DDS that serve anything.
         uncallable: the services and actions of ``foreign``, which this worker cannot call, except those of every node.
     """
 
     nodes: list[Text] = []
     both: list[Text] = []
+    mixed: list[Text] = []
     foreign: list[Text] = []
     uncallable: list[Text] = []
 

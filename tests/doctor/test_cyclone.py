@@ -6,7 +6,7 @@ import pytest
 
 from bridge.doctor.check import Result
 from bridge.doctor.checks import CHECKS, cyclone
-from tests.doctor.parts import around, hub, only
+from tests.doctor.parts import around, every, hub, only
 
 WORKER = {"worker": "ros2", "side": "ros2"}
 
@@ -25,6 +25,18 @@ def test_names_that_are_served_twice() -> None:
     assert finding.result is Result.WARN
     assert "also served on another DDS, so they get no calls to /go, /switch" in finding.seen
     assert "stop one of the servers" in finding.cure
+
+
+def test_clients_and_servers_on_two_kinds_of_dds() -> None:
+    report = {"nodes": ["/lamp"], "both": [], "mixed": ["/lamp (client /a, server /b on Cyclone DDS)"]}
+    finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
+    assert finding.result is Result.WARN
+    assert (
+        "/lamp (client /a, server /b on Cyclone DDS): ROS 2 executes these requests with wrong values" in finding.seen
+    )
+    assert "in two domains" in finding.cure
+    report["both"] = ["/go"]
+    assert len(every(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))) == 2
 
 
 def test_many_nodes_are_counted() -> None:

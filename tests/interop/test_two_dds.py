@@ -257,7 +257,7 @@ def test_a_server_on_fast_dds_is_refused(site: Site, on_cyclone: tuple[RmwSide, 
     far, _ = on_cyclone
     native = site.program(FAST, "lamp")
     server = native.ask("serve", service="/lamp", type=SET, reply=YES)["id"]
-    known = {"nodes": [], "both": [], "foreign": ["/lamp"], "uncallable": ["/lamp"]}
+    known = {"nodes": [], "both": [], "mixed": [], "foreign": ["/lamp"], "uncallable": ["/lamp"]}
     until(lambda: far.status()["cyclone"] == known, "the server and its node are known", 30)
     lines = until(lambda: [line for line in far.explain("/lamp") if line["direction"] == "in"], "it is explained")
     (line,) = lines

@@ -90,7 +90,7 @@ class Dds(ABC):
         """Return the part of the worker's status that names nodes on another DDS."""
 
     @abstractmethod
-    def notes(self, endpoints: Iterable[Endpoint]) -> Mapping[str, str]:
+    def notes(self, endpoints: Collection[Endpoint]) -> Mapping[str, list[str]]:
         """Return what ``explain`` adds about services, by name."""
 
     @abstractmethod

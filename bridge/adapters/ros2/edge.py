@@ -398,8 +398,8 @@ class Ros2Edge(SideEdge):
             separated = {end.topic for end in self._ends if isinstance(end, VersionedPublisher)}
         endpoints = self.endpoints()
         notes = {key: list(texts) for key, texts in self._versions.notes(endpoints, separated).items()}
-        for name, text in self._dds.notes(endpoints).items():
-            notes.setdefault(("service", "in", name), []).append(text)
+        for name, texts in self._dds.notes(endpoints).items():
+            notes.setdefault(("service", "in", name), []).extend(texts)
         return notes
 
     @override

@@ -1,6 +1,8 @@
-"""Reports which ROS 2 nodes run on Cyclone DDS, and which of their services are called on another DDS instead."""
+"""Reports which ROS 2 nodes run on Cyclone DDS, and which calls do not cross between them and another DDS."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 from bridge.doctor.check import Check, Finding, Findings, ok, skip, warn
 from bridge.doctor.context import CheckContext
@@ -8,6 +10,9 @@ from bridge.status import CycloneNodes
 from bridge.text import listed
 
 _CURE = "stop one of the servers, or rename one with a remapping of its node"
+_CURE_MIXED = (
+    "run both on the same RMW_IMPLEMENTATION, or in two domains, each with a Midspan daemon (docs/sides/ros2.md)"
+)
 
 
 def check_nodes(context: CheckContext) -> Findings:
@@ -16,15 +21,25 @@ def check_nodes(context: CheckContext) -> Findings:
     if context.hub.error or not documents:
         return skip("no worker of the ROS 2 side answers")
     reports = ((document.daemon, document.cyclone) for document in documents)
-    findings = [_finding(daemon, cyclone) for daemon, cyclone in reports if cyclone is not None and cyclone.nodes]
+    findings = [
+        finding
+        for daemon, cyclone in reports
+        if cyclone is not None and cyclone.nodes
+        for finding in _findings(daemon, cyclone)
+    ]
     return findings or ok("no node uses Cyclone DDS")
 
 
-def _finding(daemon: str, cyclone: CycloneNodes) -> Finding:
+def _findings(daemon: str, cyclone: CycloneNodes) -> Iterator[Finding]:
     seen = f"{listed(cyclone.nodes)} on Cyclone DDS, seen by {daemon}"
-    if not cyclone.both:
-        return ok(f"{seen}: topics, services and actions cross")
-    return warn(f"{seen}; also served on another DDS, so they get no calls to {listed(cyclone.both)}", _CURE)
+    if cyclone.both:
+        yield warn(f"{seen}; also served on another DDS, so they get no calls to {listed(cyclone.both)}", _CURE)
+    if cyclone.mixed:
+        pairs = f"native clients and servers on two kinds of DDS: {listed(cyclone.mixed)}"
+        lost = "ROS 2 executes these requests with wrong values, and the clients get no replies"
+        yield warn(f"{seen}; {pairs}: {lost}", _CURE_MIXED)
+    if not cyclone.both and not cyclone.mixed:
+        yield ok(f"{seen}: topics, services and actions cross")
 
 
 CHECKS = (Check("cyclone", "ROS 2 nodes on Cyclone DDS", check_nodes),)

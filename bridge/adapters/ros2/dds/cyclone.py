@@ -136,8 +136,8 @@ class CycloneDds(Dds):
         return {"cyclone": vendors.report_on_cyclone(endpoints)}
 
     @override
-    def notes(self, endpoints: Iterable[Endpoint]) -> Mapping[str, str]:
-        return {}  # a refused service has its obstacle
+    def notes(self, endpoints: Collection[Endpoint]) -> Mapping[str, list[str]]:
+        return vendors.mixed_notes(endpoints)  # a refused service has its obstacle
 
     @override
     def warnings(self, endpoints: Collection[Endpoint], served: Collection[str]) -> list[str]:

@@ -85,11 +85,11 @@ class FastDds(Dds):
         return {"cyclone": cyclone} if cyclone else {}
 
     @override
-    def notes(self, endpoints: Iterable[Endpoint]) -> Mapping[str, str]:
+    def notes(self, endpoints: Collection[Endpoint]) -> Mapping[str, list[str]]:
         return vendors.notes(endpoints)
 
     @override
     def warnings(self, endpoints: Collection[Endpoint], served: Collection[str]) -> list[str]:
         cyclone = vendors.report(endpoints)
-        text = vendors.warning(cyclone) if cyclone else ""
-        return [warning for warning in (self._trouble, text) if warning]
+        texts = (vendors.warning(cyclone), vendors.mixed_warning(cyclone["mixed"])) if cyclone else ()
+        return [text for text in (self._trouble, *texts) if text]

@@ -10,7 +10,7 @@ kinds, those on Cyclone DDS are not called. Without the filter, no server of suc
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
@@ -22,7 +22,11 @@ CLIENT_NOT_ON_CYCLONE = (
     "its client is on another DDS than Cyclone DDS, which gets no replies while ros2.rmw is rmw_cyclonedds_cpp"
 )
 _CURE = "stop one of them, or rename one with a remapping of its node"
+_CURE_MIXED = "run both on the same RMW_IMPLEMENTATION, or in two domains, each with a Midspan daemon"
 _CURE_ON_CYCLONE = "remove ros2.rmw (on Fast DDS Midspan reaches services of both), or run these nodes on Cyclone DDS"
+_MIXED = (
+    "between two kinds of DDS, ROS 2 executes requests with wrong values (mostly zeros), and the client gets no reply"
+)
 _UNNAMED = "a node with an unknown name"
 
 _OF_EACH_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
@@ -67,8 +71,8 @@ def _is_cyclone_endpoint(endpoint: Endpoint) -> bool:
     return endpoint.made_by is MadeBy.NATIVE and endpoint.id.startswith(CYCLONE.hex())
 
 
-def _servers(endpoints: Iterable[Endpoint]) -> tuple[list[Endpoint], list[Endpoint]]:
-    """Return the native servers on Cyclone DDS, and the others."""
+def _by_dds(endpoints: Iterable[Endpoint]) -> tuple[list[Endpoint], list[Endpoint]]:
+    """Return the native servers, or clients, on Cyclone DDS, and the others."""
     native = [server for server in endpoints if server.made_by is MadeBy.NATIVE]
     cyclone = [server for server in native if _is_cyclone_endpoint(server)]
     return cyclone, [server for server in native if server not in cyclone]
@@ -76,17 +80,65 @@ def _servers(endpoints: Iterable[Endpoint]) -> tuple[list[Endpoint], list[Endpoi
 
 def called(servers: Iterable[Endpoint]) -> list[Endpoint]:
     """Return the native servers of a name that get its requests: those on Cyclone DDS only if all of them are."""
-    cyclone, others = _servers(servers)
+    cyclone, others = _by_dds(servers)
     return others or cyclone
 
 
-def notes(endpoints: Iterable[Endpoint]) -> dict[str, str]:
+def mixed(endpoints: Iterable[Endpoint]) -> dict[str, str]:
+    """Return which native clients and servers have different forms of requests, by the service's name.
+
+    ROS 2 itself delivers the requests: the server executes them with wrong values, and its replies are lost.
+    """
+    clients: dict[str, list[Endpoint]] = {}
+    servers: dict[str, list[Endpoint]] = {}
+    for endpoint in endpoints:
+        if endpoint.made_by is MadeBy.NATIVE and endpoint.kind in (Kind.CLIENT, Kind.SERVER):
+            of_kind = clients if endpoint.kind is Kind.CLIENT else servers
+            of_kind.setdefault(endpoint.topic, []).append(endpoint)
+    pairs: dict[str, str] = {}
+    for name in clients.keys() & servers.keys():
+        cyclone_clients, other_clients = _by_dds(clients[name])
+        cyclone, others = _by_dds(servers[name])
+        texts = []
+        if other_clients and cyclone:
+            texts.append(f"client {_nodes(other_clients)}, server {_nodes(cyclone)} on Cyclone DDS")
+        if cyclone_clients and others:
+            texts.append(f"client {_nodes(cyclone_clients)} on Cyclone DDS, server {_nodes(others)}")
+        if texts:
+            pairs[name] = "; ".join(texts)
+    return pairs
+
+
+def _by_service(pairs: Mapping[str, str]) -> list[str]:
+    """Return the pairs of `mixed` as text, with one entry for all parts of an action."""
+    return sorted({f"{split(name)[0] or name} ({text})" for name, text in pairs.items()})
+
+
+def mixed_warning(pairs: Sequence[str]) -> str:
+    """Return a one-line warning for these pairs of `report`, "" without any."""
+    return f"{', '.join(pairs)}: {_MIXED}; {_CURE_MIXED}" if pairs else ""
+
+
+def mixed_notes(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
+    """Return texts about the pairs of `mixed`, by service."""
+    return {name: [f"{text}: {_MIXED}; {_CURE_MIXED}"] for name, text in mixed(endpoints).items()}
+
+
+def notes(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
+    """Return texts by service: which servers are called, and which native clients get no replies."""
+    texts = mixed_notes(endpoints)
+    for name, text in _called_of_both(endpoints).items():
+        texts.setdefault(name, []).insert(0, text)
+    return texts
+
+
+def _called_of_both(endpoints: Iterable[Endpoint]) -> dict[str, str]:
     """Return which servers are called, by the names that servers on Cyclone DDS and on another DDS serve."""
     by_name: dict[str, list[Endpoint]] = {}
     for endpoint in endpoints:
         if endpoint.kind is Kind.SERVER:
             by_name.setdefault(endpoint.topic, []).append(endpoint)
-    both = {name: _servers(servers) for name, servers in by_name.items()}
+    both = {name: _by_dds(servers) for name, servers in by_name.items()}
     return {
         name: f"calls go to {_nodes(others)}, and not to {_nodes(cyclone)} on Cyclone DDS"
         for name, (cyclone, others) in both.items()
@@ -96,13 +148,13 @@ def notes(endpoints: Iterable[Endpoint]) -> dict[str, str]:
 
 def are_cyclone(servers: Iterable[Endpoint]) -> bool:
     """Return whether requests to these servers need Cyclone DDS's form."""
-    cyclone, others = _servers(servers)
+    cyclone, others = _by_dds(servers)
     return bool(cyclone) and not others
 
 
 def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
     """Return why a service with these servers cannot be called without a filter; None if it can."""
-    cyclone, others = _servers(servers)
+    cyclone, others = _by_dds(servers)
     if not cyclone or not others:
         return None
     reason = (
@@ -124,14 +176,15 @@ def not_on_cyclone(service: str, servers: Iterable[Endpoint] = ()) -> Obstacle:
 
 def of_servers_not_on_cyclone(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
     """Return why a client on Cyclone DDS cannot call a service with these servers; None if it can."""
-    _, others = _servers(servers)
+    _, others = _by_dds(servers)
     return not_on_cyclone(service, others) if others else None
 
 
-def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
+def report(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
     """Return the ``nodes`` on Cyclone DDS, and the names that ``both`` they and nodes on another DDS serve.
 
-    Services that every node has, such as those of its parameters, are omitted.
+    Services that every node has, such as those of its parameters, are omitted there. ``mixed`` has the pairs of
+    `mixed`.
     """
     by_name: dict[str, list[Endpoint]] = {}
     nodes: set[str] = set()
@@ -143,7 +196,7 @@ def report(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
     if not nodes:
         return {}
     both = {split(name)[0] or name for name, servers in by_name.items() if of_servers(name, servers)}
-    return {"nodes": sorted(nodes), "both": sorted(both)}
+    return {"nodes": sorted(nodes), "both": sorted(both), "mixed": _by_service(mixed(endpoints))}
 
 
 def warning(cyclone: dict[str, Any]) -> str:
@@ -156,11 +209,11 @@ def warning(cyclone: dict[str, Any]) -> str:
 
 def _served_elsewhere(endpoints: Iterable[Endpoint]) -> list[Endpoint]:
     """Return the native servers on another DDS than Cyclone DDS."""
-    return _servers(end for end in endpoints if end.kind is Kind.SERVER)[1]
+    return _by_dds(end for end in endpoints if end.kind is Kind.SERVER)[1]
 
 
 def report_on_cyclone(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
-    """Return what a worker on Cyclone DDS reports: the ``nodes`` on it, and what it cannot call.
+    """Return what a worker on Cyclone DDS reports: the ``nodes`` on it, ``mixed`` pairs, and what it cannot call.
 
     ``foreign`` are the nodes on another DDS that have servers, ``uncallable`` the services and actions of these nodes,
     without the services that every node has.
@@ -170,6 +223,7 @@ def report_on_cyclone(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
     return {
         "nodes": sorted({end.node or _UNNAMED for end in endpoints if _is_cyclone_endpoint(end)}),
         "both": [],
+        "mixed": _by_service(mixed(endpoints)),
         "foreign": sorted({end.node or _UNNAMED for end in servers}),
         "uncallable": sorted(names),
     }
@@ -182,13 +236,14 @@ def warnings_on_cyclone(endpoints: Collection[Endpoint], served: Collection[str]
         endpoints: those of the graph.
         served: the services that the worker serves.
     """
-    warnings: list[str] = []
-    names = report_on_cyclone(endpoints)["uncallable"]
+    report = report_on_cyclone(endpoints)
+    warnings = [text] if (text := mixed_warning(report["mixed"])) else []
+    names = report["uncallable"]
     if names:
         text = "served on another DDS than Cyclone DDS, so they cannot be called"
         warnings.append(f"{', '.join(names)}: {text}; {_CURE_ON_CYCLONE}")
     clients = [end for end in endpoints if end.kind is Kind.CLIENT and end.topic in served]
-    _, others = _servers(clients)
+    _, others = _by_dds(clients)
     if others:
         names = sorted({split(end.topic)[0] or end.topic for end in others})
         text = f"{_nodes(others)} on another DDS than Cyclone DDS may call them, but gets no replies"

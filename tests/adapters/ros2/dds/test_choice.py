@@ -41,7 +41,7 @@ def test_on_fast_dds_servers_of_both_are_an_obstacle_only_without_the_filter(
 
 def test_on_fast_dds_names_on_both_are_reported() -> None:
     fast, both = dds("rmw_fastrtps_cpp"), [endpoint(FAST), endpoint(CYCLONE), CLIENT]
-    assert fast.details(both) == {"cyclone": {"nodes": ["/of_0110"], "both": ["/lamp"]}}
+    assert fast.details(both) == {"cyclone": {"nodes": ["/of_0110"], "both": ["/lamp"], "mixed": []}}
     assert fast.details(both[:1]) == {}
     (warning,) = fast.warnings(both, {"/ours"})
     assert "the servers on Cyclone DDS are not called" in warning
@@ -72,7 +72,7 @@ def test_on_cyclone_dds_what_cannot_be_reached_is_reported() -> None:
     parameters = endpoint(FAST, topic="/quiet/get_parameters", type="rcl_interfaces/srv/GetParameters", node="/quiet")
     details, warnings = reported(endpoint(CYCLONE), endpoint(FAST), parameters, CLIENT, served={"/ours"})
     assert details == {
-        "nodes": ["/of_0110"], "both": [], "foreign": ["/of_010f", "/quiet"], "uncallable": ["/lamp"],
+        "nodes": ["/of_0110"], "both": [], "mixed": [], "foreign": ["/of_010f", "/quiet"], "uncallable": ["/lamp"],
     }  # fmt: skip
     assert [text.partition(";")[0] for text in warnings] == [
         "/lamp: served on another DDS than Cyclone DDS, so they cannot be called",
@@ -83,7 +83,7 @@ def test_on_cyclone_dds_what_cannot_be_reached_is_reported() -> None:
 def test_on_cyclone_dds_nothing_else_is_warned_of() -> None:
     parameters = endpoint(FAST, topic="/quiet/get_parameters", type="rcl_interfaces/srv/GetParameters")
     assert reported(endpoint(CYCLONE), parameters, CLIENT, served={"/others"})[1] == []
-    assert reported(served=set()) == ({"nodes": [], "both": [], "foreign": [], "uncallable": []}, [])
+    assert reported(served=set()) == ({"nodes": [], "both": [], "mixed": [], "foreign": [], "uncallable": []}, [])
 
 
 def test_services_on_cyclone_dds_need_the_extension(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,7 @@ def test_servers_on_two_kinds_of_dds_cannot_be_called_without_a_filter() -> None
     assert "stop one of them" in obstacle.cure
     assert not vendors.are_cyclone(servers)
     assert vendors.called(servers) == servers[:1]
-    assert vendors.notes(servers) == {"/lamp": "calls go to /of_010f, and not to /of_0110 on Cyclone DDS"}
+    assert vendors.notes(servers) == {"/lamp": ["calls go to /of_010f, and not to /of_0110 on Cyclone DDS"]}
 
 
 @pytest.mark.parametrize("vendor", [FAST, *OTHERS])
@@ -46,7 +46,7 @@ def test_servers_of_other_vendors_are_called_like_those_on_fast_dds(vendor: str)
 
 @pytest.mark.parametrize("vendor", [FAST, CYCLONE])
 def test_servers_of_another_midspan_do_not_count(vendor: str) -> None:
-    """Midspan's servers drop requests of Midspan's clients."""
+    """A Midspan server drops requests from other Midspan daemons."""
     own = endpoint(FAST, made_by=MadeBy.MIDSPAN)
     servers = [endpoint(vendor), own]
     assert vendors.of_servers("/lamp", servers) is None
@@ -70,12 +70,36 @@ def test_report_names_nodes_and_what_is_served_twice() -> None:
             endpoint(CYCLONE, topic="/fine"),
         ]
     )
-    assert result == {"nodes": ["/of_0110", "a node with an unknown name"], "both": ["/go", "/lamp"]}
+    assert result == {"nodes": ["/of_0110", "a node with an unknown name"], "both": ["/go", "/lamp"], "mixed": []}
     assert (
         "/go, /lamp: served on Cyclone DDS and on another DDS, so the servers on Cyclone DDS are not called"
         in vendors.warning(result)
     )
     only_nodes = vendors.report([endpoint(CYCLONE)])
-    assert only_nodes == {"nodes": ["/of_0110"], "both": []}
+    assert only_nodes == {"nodes": ["/of_0110"], "both": [], "mixed": []}
     assert vendors.warning(only_nodes) == ""
     assert vendors.report([endpoint(FAST)]) == {}
+
+
+def test_native_clients_and_servers_of_two_kinds() -> None:
+    """ROS 2 itself delivers such requests, in the wrong form."""
+    send_goal = {"topic": "/go/_action/send_goal", "type": f"{ACTION}_SendGoal"}
+    get_result = {"topic": "/go/_action/get_result", "type": f"{ACTION}_GetResult"}
+    ends = [
+        endpoint(FAST, Kind.CLIENT, node="/remote"),
+        endpoint(CYCLONE, node="/lamp"),
+        *(endpoint(CYCLONE, Kind.CLIENT, node="/panel", **part) for part in (send_goal, get_result)),
+        *(endpoint(FAST, node="/nav", **part) for part in (send_goal, get_result)),
+        endpoint(CYCLONE, Kind.CLIENT, topic="/fine"),
+        endpoint(CYCLONE, topic="/fine"),
+        endpoint(FAST, Kind.CLIENT, MadeBy.MIDSPAN, topic="/fine"),
+    ]
+    lamp, go = "client /remote, server /lamp on Cyclone DDS", "client /panel on Cyclone DDS, server /nav"
+    assert vendors.report(ends)["mixed"] == [f"/go ({go})", f"/lamp ({lamp})"]
+    assert set(vendors.notes(ends)) == {"/lamp", "/go/_action/send_goal", "/go/_action/get_result"}
+    assert vendors.notes(ends)["/lamp"][0].startswith(f"{lamp}: between two kinds of DDS, ROS 2 executes")
+    (text,) = vendors.warnings_on_cyclone(ends, ())[:1]
+    assert text == vendors.mixed_warning(vendors.report(ends)["mixed"])
+    assert text.endswith("; run both on the same RMW_IMPLEMENTATION, or in two domains, each with a Midspan daemon")
+    both = [*ends, endpoint(FAST, node="/other_lamp")]
+    assert len(vendors.notes(both)["/lamp"]) == 2, "the native server on Cyclone DDS still executes it wrongly"

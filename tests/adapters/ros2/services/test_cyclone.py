@@ -371,5 +371,28 @@ def test_status_names_the_nodes(
     assert "cyclone" not in edge.edge.details()
     cyclone().serve("/c/named", TYPE, set_bool.response())
     seen(edge, "/c/named", Kind.SERVER)
-    assert edge.edge.details()["cyclone"] == {"nodes": ["a node with an unknown name"], "both": []}
+    assert edge.edge.details()["cyclone"] == {"nodes": ["a node with an unknown name"], "both": [], "mixed": []}
     assert edge.edge.warnings() == []
+
+
+@pytest.mark.parametrize("on_cyclone", ["server", "client"])
+def test_native_clients_and_servers_of_two_kinds_are_reported(
+    edge: RunningEdge, set_bool: Service, cyclone: Callable[[], CyclonePeer], peer: Callable[..., Peer], on_cyclone: str
+) -> None:
+    """ROS 2 delivers such a request itself, in the wrong form, and the client gets no reply."""
+    fast, native, name, unnamed = peer("fast"), cyclone(), f"/c/{on_cyclone}_mixed", "a node with an unknown name"
+    if on_cyclone == "server":
+        native.serve(name, TYPE, set_bool.response(**YES))
+        fast.ask("call", service=name, type=TYPE, request={"data": True})
+        pair = f"client /fast, server {unnamed} on Cyclone DDS"
+    else:
+        fast.ask("serve", service=name, type=TYPE, reply=YES)
+        call = native.call(name, TYPE, set_bool.request(data=True))
+        pair = f"client {unnamed} on Cyclone DDS, server /fast"
+        assert native.reply(call, 0.5) == b""
+    until(lambda: edge.edge.details().get("cyclone", {}).get("mixed") == [f"{name} ({pair})"], "the pair is reported")
+    (warning,) = edge.edge.warnings()
+    assert warning.startswith(f"{name} ({pair}): between two kinds of DDS, ROS 2 executes requests with wrong values")
+    (note,) = edge.edge.version_notes()["service", "in", name]
+    assert note.startswith(f"{pair}: ")
+    assert "in two domains" in note
