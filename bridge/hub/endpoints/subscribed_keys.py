@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from bridge.hub.endpoints.publisher import EndpointContext
 from bridge.hub.endpoints.variants import Convert, Variants
 from bridge.hub.wire.buffers import BUFFER_TYPES, CPU_BACKEND, group_key
-from bridge.hub.wire.keys import key_type, key_variant
+from bridge.hub.wire.keys import NO_HASH, key_type, key_variant
+from bridge.messages.unchanged import same
 
 End = Callable[[], None]
 """Ends a declaration on zenoh."""
 
 
 class SubscribedKeys:
-    """The keys of a subscription that follow the graph: those of other hashes, and the topic's CPU group.
+    """The keys of a subscription that follow the graph: those of other hashes, and the CPU group of each hash.
 
     Args:
         declare: subscribes to the key of another hash, given the conversion of its messages.
-        declare_group: subscribes to the key of the CPU group.
+        declare_group: subscribes to the key of a CPU group, given the conversion of its messages.
     """
 
     def __init__(
@@ -28,15 +30,15 @@ class SubscribedKeys:
         key: str,
         topic: str,
         declare: Callable[[str, Convert], End],
-        declare_group: Callable[[str], End],
+        declare_group: Callable[[str, Convert], End],
     ) -> None:
         self._context, self._token, self._key, self._topic = context, token, key, topic
         self._declare, self._declare_group = declare, declare_group
         self._type_name, self._type_hash = key_type(key)
-        self._more: dict[str, End] = {}  # by type hash
+        self._more: dict[str, End] = {}  # by key
         self._withdraw: End | None = None
         self._closed = False
-        self._end_group = declare_group(group_key(key)) if self._type_name in BUFFER_TYPES else None
+        self._end_group = declare_group(group_key(key), same) if self._type_name in BUFFER_TYPES else None
 
     def announce(self) -> None:
         """Announce the subscription, as a member of the CPU group if it is one; replaces an earlier announcement."""
@@ -47,22 +49,36 @@ class SubscribedKeys:
         self._withdraw = self._context.graph.announce(token)
 
     def follow_variants(self, variants: Variants) -> None:
-        """Subscribe under the other hashes that publishers announce, and to the CPU group if one has buffers."""
+        """Subscribe under the other hashes that publishers announce, and to the CPU groups if one has buffers."""
         if self._end_group is None and self._context.graph.has_buffers(self._topic, self._type_name):
-            self._end_group = self._declare_group(group_key(self._key))
+            self._end_group = self._declare_group(group_key(self._key), same)
             if self._withdraw is not None:
                 self.announce()
             if self._closed and self._withdraw is not None:
                 self._withdraw()
                 self._end_group()
-        for type_hash in variants.keys() - self._more.keys():
-            convert = self._context.variants.converter(self._type_name, type_hash, self._type_hash)
-            self._more[type_hash] = self._declare(key_variant(self._key, type_hash), convert)
-        for type_hash in self._more.keys() - (() if self._closed else variants.keys()):
-            self._end_more(type_hash)
+        wanted = self._of_variants(variants)
+        for key in wanted.keys() - self._more.keys():
+            self._more[key] = wanted[key]()
+        for key in self._more.keys() - (() if self._closed else wanted.keys()):
+            self._end_more(key)
 
-    def _end_more(self, type_hash: str) -> None:
-        end = self._more.pop(type_hash, None)
+    def _of_variants(self, variants: Variants) -> dict[str, Callable[[], End]]:
+        """Return functions that subscribe to the keys of other hashes, by key.
+
+        A publisher with buffers has the CPU group of its own hash.
+        """
+        keys: dict[str, Callable[[], End]] = {}
+        for type_hash in variants:
+            convert = self._context.variants.converter(self._type_name, type_hash, self._type_hash)
+            key = key_variant(self._key, type_hash)
+            keys[key] = partial(self._declare, key, convert)
+            if self._end_group is not None and type_hash != NO_HASH:  # releases without hashes have no buffers
+                keys[group_key(key)] = partial(self._declare_group, group_key(key), convert)
+        return keys
+
+    def _end_more(self, key: str) -> None:
+        end = self._more.pop(key, None)
         if end is not None:
             end()
 
@@ -73,5 +89,5 @@ class SubscribedKeys:
             self._withdraw()
         if self._end_group is not None:
             self._end_group()
-        for type_hash in tuple(self._more):
-            self._end_more(type_hash)
+        for key in tuple(self._more):
+            self._end_more(key)

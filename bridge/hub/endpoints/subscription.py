@@ -304,23 +304,27 @@ class HubSubscription:
         """
         return partial(undeclare, subscribe(context.session, key, self._on_sample, context.reach))
 
-    def _declare_group(self, context: EndpointContext, key: str) -> Callable[[], None]:
-        """Subscribe to the topic's CPU group on zenoh; return a function that ends the subscription."""
-        return partial(undeclare, subscribe(context.session, key, self._on_grouped, context.reach))
+    def _declare_group(self, context: EndpointContext, key: str, convert: Convert) -> Callable[[], None]:
+        """Subscribe to a CPU group of the topic on zenoh; return a function that ends the subscription."""
+        receive = partial(self._on_grouped, self._receiver(convert))
+        return partial(undeclare, subscribe(context.session, key, receive, context.reach))
 
-    def _on_grouped(self, sample: zenoh.Sample) -> None:
-        """Handle a sample of the CPU group: its publisher also counts what it publishes on other keys."""
+    def _receiver(self, convert: Convert) -> Callable[[zenoh.Sample], None]:
+        """Return a function that receives samples after a conversion."""
+        return self._on_sample if convert is same else partial(self._on_other, convert, self._on_sample)
+
+    def _on_grouped(self, receive: Callable[[zenoh.Sample], None], sample: zenoh.Sample) -> None:
+        """Handle a sample of a CPU group: its publisher also counts what it publishes on other keys."""
         if sample.attachment is not None:
             gid = sample.attachment.to_bytes()[-GID_SIZE:]
             with self._lock:
                 source = self.sources.get(gid) or self.sources.add(gid)
                 source.sparse = True
-        self._on_sample(sample)
+        receive(sample)
 
     def _declare_more(self, context: EndpointContext, key: str, convert: Convert) -> Callable[[], None]:
         """Subscribe to an additional key on zenoh; return a function that ends the subscription."""
-        receive = self._on_sample if convert is same else partial(self._on_other, convert, self._on_sample)
-        return partial(undeclare, subscribe(context.session, key, receive, context.reach))
+        return partial(undeclare, subscribe(context.session, key, self._receiver(convert), context.reach))
 
     def _on_other(self, convert: Convert, receive: Callable[[ConvertedSample], None], sample: zenoh.Sample) -> None:
         """Convert a sample of another version of the type, and pass it on."""

@@ -16,8 +16,8 @@ from bridge.hub.endpoints.calls import CallError, Done, nothing
 from bridge.hub.wire.keys import ANY_HASH, pack_attachment
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.registry import Registry
-from bridge.messages.values import MessageReader
-from tests.messages.fleet import RULES, WHEEL, write_versions
+from bridge.messages.values import MessageReader, MessageWriter
+from tests.messages.fleet import RULES, WHEEL, write_package, write_versions
 from tests.peers.hub.network import HubNetwork
 from tests.peers.hub.node import HubNode
 from tests.peers.zenoh.release_actions import (
@@ -29,6 +29,7 @@ from tests.peers.zenoh.release_actions import (
     hash_in,
 )
 from tests.peers.zenoh.releases import (
+    CPU_GROUP,
     HUMBLE,
     JAZZY,
     KILTED,
@@ -269,3 +270,32 @@ def test_a_value_that_another_version_cannot_hold_is_logged_once(
     warnings = [record.getMessage() for record in caplog.records if "in another version of its type" in record.msg]
     assert len(warnings) == 1
     assert "code must be a text with a number, not 'two'" in warnings[0]
+
+
+@pytest.mark.parametrize("first", ["publisher", "subscription"])
+def test_buffers_of_another_version_of_a_type(network: HubNetwork, node: Nodes, tmp_path: Path, first: str) -> None:
+    """A publisher of Lyrical sends them in the CPU group of its own hash only."""
+    pixels = "fleet_msgs/msg/Pixels"
+    for folder, extra in (("old", ""), ("new", "int32 width\n")):
+        write_package(tmp_path / folder / "fleet_msgs", {"msg/Pixels.msg": f"uint8[] data\n{extra}"})
+    registry = Registry([tmp_path / "old", tmp_path / "new"])
+    there = list(registry.releases.hashes(pixels))[1]
+    payload = MessageWriter(registry.schema(pixels, there)).message({"data": [1, 2, 3], "width": 3})
+    newer, received = Topic("/pixels", pixels, there, array=True), list[dict[str, Any]]()
+    with HubNode(network.settings("midspan"), registry) as own:
+
+        def subscribe() -> None:
+            own.on(lambda: own.node.subscription("/pixels", pixels, received.append))
+
+        if first == "subscription":
+            subscribe()
+        publisher = ReleasePublisher(node(LYRICAL), newer)
+        if first == "publisher":
+            until(lambda: own.hub.graph.publishers("/pixels"), "the publisher is discovered")
+            subscribe()
+            until(publisher.discovered, "the subscription is discovered")
+            assert publisher.put(payload) == [f"{publisher.key}/{CPU_GROUP}"]
+        until(lambda: (publisher.put(payload), received)[1], "the message arrives", every=0.05)
+        assert bytes(received[0]["data"]) == b"\1\2\3"
+        assert set(received[0]) == {"data"}
+        publisher.close()
