@@ -72,6 +72,7 @@ class Endpoint:
         definition: full definition text if the middleware carries one (ROS 1 connection header), else "".
         node: fully qualified node name, for people.
         obstacle: why the calls of a server or client are not bridged, None if they are.
+        uncalled: why a server gets no calls while others of its name do, None if it gets them.
     """
 
     id: str
@@ -84,6 +85,7 @@ class Endpoint:
     type_id: str = ""
     definition: str = ""
     obstacle: Obstacle | None = None
+    uncalled: Obstacle | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,7 +113,10 @@ class Ros2Edge(SideEdge):
             _log.warning("%s; %s", err, err.cure)
         loop = QueueReadLoop(participant.resolve) if rcl.is_compiled() else WaitSetReadLoop(participant)
         loop.start()
-        graph = Ros2Graph(participant, self._prefix, self._changed, self._dds.obstacle, self._versions)
+        graph = Ros2Graph(
+            participant, self._prefix, self._changed, self._dds.obstacle, self._versions,
+            separates_versions=self._dds.separates_versions(),
+        )  # fmt: skip
         send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
         heartbeats = Heartbeats(send_all, later)
         held = HeldRequests(graph, later, participant.marks.made_by)

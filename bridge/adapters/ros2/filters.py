@@ -1,13 +1,13 @@
 """Filters that restrict DDS writers to some of the readers that have matched.
 
 DDS matches endpoints by the name of their type, so a writer reaches the subscriptions of all versions of a type, and a
-client the servers of all vendors. Fast DDS has a filter for each writer, which is C here (``reader_filter.c``), as it
-runs on Fast DDS's threads.
+client the servers of all versions and vendors. Fast DDS has a filter for each writer, which is C here
+(``reader_filter.c``), as it runs on Fast DDS's threads.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from ctypes import CDLL, addressof, c_char, c_void_p, cast
 from functools import cache
 
@@ -71,22 +71,21 @@ class VersionFilter:
         return attached
 
 
-class VendorFilter:
-    """Restricts a client's request writer to the servers of a vendor or, at first, to all others.
+class ListFilter:
+    """Restricts a client's request writer to some servers; at first to none.
 
     Keep it until the writer is destroyed. Raises `MessageTypeError` if Fast DDS does not have the writer.
 
     Args:
         service: the service's name.
         writer: the writer's GID.
-        vendor: the first two bytes of the servers' GIDs.
     """
 
-    def __init__(self, service: str, writer: bytes, vendor: bytes) -> None:
-        self._filter = reader_filter.VendorFilter(vendor)
+    def __init__(self, service: str, writer: bytes) -> None:
+        self._filter = reader_filter.ListFilter()
         if not self._filter.attach(writer):
-            raise MessageTypeError(f"{service}: Fast DDS does not filter the requests of its client by vendor")
+            raise MessageTypeError(f"{service}: Fast DDS does not filter the requests of its client by server")
 
-    def restrict(self, *, only: bool) -> None:
-        """Send the next requests to servers of the vendor only, or to all others."""
-        self._filter.restrict(only)
+    def restrict(self, servers: Iterable[bytes]) -> None:
+        """Send the next requests to the servers whose readers have these GIDs."""
+        self._filter.restrict(b"".join(servers))

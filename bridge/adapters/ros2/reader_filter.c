@@ -1,10 +1,10 @@
-/* Chooses the readers to which a DDS writer sends: by their version of its type, or by their vendor.
+/* Chooses the readers to which a DDS writer sends: by their version of its type, or by a list of their GIDs.
  *
  * Fast DDS calls a writer's filter on its own threads before it sends a message to a reader, and sends a GAP if the
  * filter returns false. The filter is a C++ object with one virtual function (rtps/interfaces/IReaderDataFilter.hpp of
  * Fast DDS 2.14 and 3.2), built here from a table with this function, as in the Itanium C++ ABI. A reader's version is
- * in the graph of rmw before Fast DDS matches it with a writer, and its vendor in its GID, so no message goes to a
- * wrong reader. The filter runs without Python, with the writer's lock held; it takes the graph's lock, which no thread
+ * in the graph of rmw before Fast DDS matches it with a writer, and a reader that is not listed gets nothing, so no
+ * message goes to a wrong reader. The filter runs without Python, with the writer's lock held; it takes the graph's lock, which no thread
  * holds while it waits for a writer. ROS is not linked: the addresses of its functions are passed in.
  */
 
@@ -16,7 +16,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { GID_BYTES = 16, HASH_BYTES = 32, CACHED = 64, FUNCTIONS = 8, VENDOR_BYTES = 2 };
+enum { GID_BYTES = 16, HASH_BYTES = 32, CACHED = 64, FUNCTIONS = 8 };
 
 /* rcutils_allocator_t */
 typedef struct {
@@ -98,9 +98,10 @@ typedef struct {
 
 typedef struct {
     Filter base;
-    uint8_t vendor[VENDOR_BYTES];
-    bool only; /* whether it sends to this vendor's readers only, or to all others; the GIL guards changes */
-} VendorFilter;
+    PyThread_type_lock lock; /* guards the list */
+    uint8_t *gids;
+    size_t count;
+} ListFilter;
 
 static Filter *filter_of(const void *object)
 {
@@ -184,15 +185,20 @@ static bool has_version(const void *self, const void *change, const uint8_t *gid
     return relevant && passes_previous(&filter->base, change, gid);
 }
 
-static bool has_vendor(const void *self, const void *change, const uint8_t *gid)
+static bool has_listed_gid(const void *self, const void *change, const uint8_t *gid)
 {
-    const VendorFilter *filter = (VendorFilter *)filter_of(self);
-    bool same = memcmp(gid, filter->vendor, VENDOR_BYTES) == 0;
-    return same == filter->only && passes_previous(&filter->base, change, gid);
+    ListFilter *filter = (ListFilter *)filter_of(self);
+    bool listed = false;
+    PyThread_acquire_lock(filter->lock, WAIT_LOCK);
+    for (size_t at = 0; at < filter->count && !listed; at++) {
+        listed = memcmp(filter->gids + at * GID_BYTES, gid, GID_BYTES) == 0;
+    }
+    PyThread_release_lock(filter->lock);
+    return listed && passes_previous(&filter->base, change, gid);
 }
 
 static const IsRelevant by_version[FUNCTIONS] = {has_version};
-static const IsRelevant by_vendor[FUNCTIONS] = {has_vendor};
+static const IsRelevant by_list[FUNCTIONS] = {has_listed_gid};
 
 static PyObject *filter_attach(PyObject *self, PyObject *args)
 {
@@ -238,30 +244,36 @@ static int version_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(name
     return 0;
 }
 
-static int vendor_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
+static int list_init(PyObject *self, PyObject *Py_UNUSED(args), PyObject *Py_UNUSED(names))
 {
-    VendorFilter *filter = (VendorFilter *)self;
-    const char *vendor;
-    Py_ssize_t length;
-    if (!PyArg_ParseTuple(args, "y#", &vendor, &length)) {
+    ListFilter *filter = (ListFilter *)self;
+    filter->base.object.table = by_list;
+    filter->lock = PyThread_allocate_lock();
+    if (filter->lock == NULL) {
+        PyErr_NoMemory();
         return -1;
     }
-    if (length != VENDOR_BYTES) {
-        PyErr_SetString(PyExc_ValueError, "a vendor has two bytes");
-        return -1;
-    }
-    filter->base.object.table = by_vendor;
-    memcpy(filter->vendor, vendor, VENDOR_BYTES);
     return 0;
 }
 
-static PyObject *vendor_restrict(PyObject *self, PyObject *only)
+static PyObject *list_restrict(PyObject *self, PyObject *args)
 {
-    int value = PyObject_IsTrue(only);
-    if (value < 0) {
+    ListFilter *filter = (ListFilter *)self;
+    const char *gids;
+    Py_ssize_t length;
+    if (!PyArg_ParseTuple(args, "y#", &gids, &length)) {
         return NULL;
     }
-    ((VendorFilter *)self)->only = value != 0;
+    uint8_t *copy = malloc((size_t)length + 1), *previous = filter->gids;
+    if (copy == NULL) {
+        return PyErr_NoMemory();
+    }
+    memcpy(copy, gids, (size_t)length);
+    PyThread_acquire_lock(filter->lock, WAIT_LOCK);
+    filter->gids = copy;
+    filter->count = (size_t)length / GID_BYTES;
+    PyThread_release_lock(filter->lock);
+    free(previous);
     Py_RETURN_NONE;
 }
 
@@ -284,15 +296,25 @@ static void version_dealloc(PyObject *self)
     release_filter(self);
 }
 
+static void list_dealloc(PyObject *self)
+{
+    ListFilter *filter = (ListFilter *)self;
+    free(filter->gids);
+    if (filter->lock != NULL) {
+        PyThread_free_lock(filter->lock);
+    }
+    release_filter(self);
+}
+
 #define ATTACH                                                                                                         \
     {"attach", filter_attach, METH_VARARGS,                                                                            \
      "Filter what the reliable writer with this GID sends, until it is destroyed; return whether there is one."}
 
 static PyMethodDef version_methods[] = {ATTACH, {NULL, NULL, 0, NULL}};
 
-static PyMethodDef vendor_methods[] = {
+static PyMethodDef list_methods[] = {
     ATTACH,
-    {"restrict", vendor_restrict, METH_O, "Send to readers of the vendor only (true), or to all others (false)."},
+    {"restrict", list_restrict, METH_VARARGS, "Send to the readers with these GIDs only, which are joined."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -301,16 +323,16 @@ static PyType_Slot version_slots[] = {
     {Py_tp_methods, version_methods}, {0, NULL},
 };
 
-static PyType_Slot vendor_slots[] = {
-    {Py_tp_init, vendor_init}, {Py_tp_new, PyType_GenericNew}, {Py_tp_dealloc, release_filter},
-    {Py_tp_methods, vendor_methods}, {0, NULL},
+static PyType_Slot list_slots[] = {
+    {Py_tp_init, list_init}, {Py_tp_new, PyType_GenericNew}, {Py_tp_dealloc, list_dealloc},
+    {Py_tp_methods, list_methods}, {0, NULL},
 };
 
 static PyType_Spec specs[] = {
     {"bridge.adapters.ros2.reader_filter.VersionFilter", sizeof(VersionFilter), 0, Py_TPFLAGS_DEFAULT, version_slots},
-    {"bridge.adapters.ros2.reader_filter.VendorFilter", sizeof(VendorFilter), 0, Py_TPFLAGS_DEFAULT, vendor_slots},
+    {"bridge.adapters.ros2.reader_filter.ListFilter", sizeof(ListFilter), 0, Py_TPFLAGS_DEFAULT, list_slots},
 };
-static const char *const names[] = {"VersionFilter", "VendorFilter"};
+static const char *const names[] = {"VersionFilter", "ListFilter"};
 
 static PyObject *configure(PyObject *Py_UNUSED(module), PyObject *args)
 {

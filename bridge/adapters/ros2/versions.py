@@ -8,11 +8,13 @@ or client.
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from bridge.hub.graph.tokens import EndpointKind
+from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.releases import NO_HASH
 from bridge.messages.registry import Registry
@@ -30,7 +32,17 @@ _KINDS = {
     Kind.SERVER: EndpointKind.SERVER,
     Kind.CLIENT: EndpointKind.CLIENT,
 }
+_CURE_SERVERS = "stop one of them, or rename one with a remapping of its node"
+_UNNAMED = "a node with an unknown name"
 _CURE = "install the same version of the package on both, or give its folder in types.folders"
+
+
+def _by_type(servers: Iterable[Endpoint]) -> dict[str, list[Endpoint]]:
+    """Group servers by their type: DDS matches equal names of types."""
+    types: dict[str, list[Endpoint]] = defaultdict(list)
+    for server in servers:
+        types[server.type].append(server)
+    return types
 
 
 class EndpointVersions:
@@ -107,6 +119,62 @@ class EndpointVersions:
             response_to_side=None,
             response_to_hub=here.response_to_hub if response is same else response,
         )
+
+    def called(self, servers: Iterable[Endpoint]) -> list[Endpoint]:
+        """Return those of a service's servers that get its requests: of each type, the servers of one version.
+
+        That is this machine's if a server has it, or else the most frequent one that can be converted. All servers are
+        returned if there is no such version.
+        """
+        called: list[Endpoint] = []
+        for type_name, of_type in _by_type(servers).items():
+            known = [(server, self._of_server(server)) for server in of_type]
+            version = self._version_to_call(type_name, Counter(v for _, v in known if v is not None))
+            hashless = None if self.varies(type_name) else version  # otherwise the version is not discovered yet
+            called += [server for server, v in known if version in (None, hashless if v is None else v)]
+        return called
+
+    def _version_to_call(self, type_name: str, versions: Counter[str]) -> str | None:
+        here = self._releases.here_hash(type_name)
+        if not self.varies(type_name):
+            with contextlib.suppress(MessageTypeError):
+                here = rihs01(self._registry.service_schemas(type_name)[0])  # servers announce the hash of requests
+        if here in versions or len(versions) < 2:
+            return here if here in versions else next(iter(versions), None)
+        convertible = {v: count for v, count in versions.items() if self._releases.here(type_name, v) == here}
+        return min(convertible, key=lambda v: (-convertible[v], v), default=None)
+
+    def with_uncalled(self, servers: Iterable[Endpoint], called: Collection[str]) -> list[Endpoint]:
+        """Return a service's servers, and mark those whose version differs from that of the servers that are called.
+
+        ``called`` has the ids of the latter.
+        """
+        marked: list[Endpoint] = []
+        for type_name, of_type in _by_type(servers).items():
+            versions = {server.id: self._of_server(server) for server in of_type}
+            chosen = [server for server in of_type if server.id in called]
+            others = {versions[server.id] for server in of_type if server.made_by is MadeBy.NATIVE}
+            others -= {None, *(versions[server.id] for server in chosen)}
+            nodes = self._versions_of_nodes(type_name, of_type)
+            reason = (
+                f"{of_type[0].topic} is served with different versions of {type_name} ({nodes}): calls go to"
+                f" {', '.join(sorted(server.node or _UNNAMED for server in chosen))}"
+            )
+            uncalled = Obstacle(reason, _CURE_SERVERS)
+            marked += [
+                replace(server, uncalled=uncalled if chosen and versions[server.id] in others else None)
+                for server in of_type
+            ]
+        return marked
+
+    def _versions_of_nodes(self, type_name: str, servers: Iterable[Endpoint]) -> str:
+        """Return the nodes of native servers, or other endpoints, by version, as text."""
+        nodes: dict[str, set[str]] = defaultdict(set)
+        for server in servers:
+            version = self._of_server(server) if server.made_by is MadeBy.NATIVE else None
+            if version is not None:
+                nodes[version].add(server.node or _UNNAMED)
+        return "; ".join(f"{self._label(type_name, v)}: {', '.join(sorted(names))}" for v, names in nodes.items())
 
     def check_server(self, endpoint: Endpoint, here: str, request: str) -> None:
         """Raise `MessageTypeError` unless a server has this machine's version of its type, or announces no hash.
@@ -195,26 +263,22 @@ class EndpointVersions:
             servers: all servers of the service.
             expected: the version of a client that is to call them, if it exists.
         """
-        types: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))  # DDS matches equal names
-        for server in servers:
-            version = self._of_server(server) if server.made_by is MadeBy.NATIVE else None
-            if version is not None:
-                types[server.type][version].append(server.node or "a node with an unknown name")
-        for type_name, nodes in types.items():
-            if len(nodes) == 1 and (expected is None or expected in nodes):
+        for type_name, of_type in _by_type(servers).items():
+            versions = {self._of_server(server) for server in of_type if server.made_by is MadeBy.NATIVE} - {None}
+            if not versions or (len(versions) == 1 and (expected is None or expected in versions)):
                 continue
-            found = "; ".join(f"{self._label(type_name, v)}: {', '.join(sorted(names))}" for v, names in nodes.items())
-            if len(nodes) == 1:
+            found = self._versions_of_nodes(type_name, of_type)
+            if len(versions) == 1:
                 return Obstacle(f"{service} is now served with another version of {type_name} ({found})", "call again")
             reason = (
                 f"{service} is served with different versions of {type_name} ({found}): DDS delivers each request to"
                 " all servers, and some would decode it wrongly, so it was not sent"
             )
-            return Obstacle(reason, "stop one of them, or rename one with a remapping of its node")
+            return Obstacle(reason, _CURE_SERVERS)
         return None
 
     def _of_server(self, server: Endpoint) -> str | None:
-        """Return the version of a server, or the hash of an unknown one; None if it is not discovered yet."""
+        """Return the version of an endpoint, or the hash of an unknown one; None if it is not discovered yet."""
         if not self.varies(server.type):
             return server.type_id or None  # the hash of its requests
         known = self._known(server)
@@ -225,6 +289,8 @@ class EndpointVersions:
 
     def notes(self, endpoints: Iterable[Endpoint], separated: Collection[str] = ()) -> Notes:
         """Return what is lost in messages of native endpoints with another version, and who decodes messages wrongly.
+
+        Servers that are not called because of their version are named, too.
 
         Args:
             endpoints: all endpoints of the graph.
@@ -237,7 +303,7 @@ class EndpointVersions:
                 continue
             if endpoint.kind is Kind.SUBSCRIPTION:
                 readers[endpoint.topic, endpoint.type].append(endpoint)
-            if text := self._loss(endpoint):
+            if text := self._loss(endpoint) if endpoint.uncalled is None else endpoint.uncalled.reason:
                 of = "topic" if endpoint.kind in (Kind.PUBLISHER, Kind.SUBSCRIPTION) else "service"
                 direction = "in" if endpoint.kind in (Kind.PUBLISHER, Kind.SERVER) else "out"
                 texts = notes[of, direction, endpoint.topic]
@@ -248,9 +314,9 @@ class EndpointVersions:
         return notes
 
     def warnings(
-        self, endpoints: Iterable[Endpoint], advertised: Mapping[str, str], separated: Collection[str] = ()
+        self, endpoints: Collection[Endpoint], advertised: Mapping[str, str], separated: Collection[str] = ()
     ) -> list[str]:
-        """Return the subscriptions that decode messages of Midspan wrongly.
+        """Return the subscriptions that decode messages of Midspan wrongly, and native pairs of two versions.
 
         Args:
             endpoints: all endpoints of the graph.
@@ -262,7 +328,25 @@ class EndpointVersions:
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
                 readers[endpoint.topic, endpoint.type].append(endpoint)
         wanted = {key: ends for key, ends in readers.items() if advertised.get(key[0]) == key[1]}
-        return [f"{topic}: {text}" for topic, text in self._undecodable(wanted, separated)]
+        warnings = [f"{topic}: {text}" for topic, text in self._undecodable(wanted, separated)]
+        return warnings + list(self._native_pairs(endpoints))
+
+    def _native_pairs(self, endpoints: Iterable[Endpoint]) -> Iterator[str]:
+        """Yield the names of which native nodes have different versions of the type, with these nodes."""
+        ends: dict[tuple[str, str], dict[Kind, list[Endpoint]]] = defaultdict(lambda: defaultdict(list))
+        for end in endpoints:
+            if end.made_by is MadeBy.NATIVE and self.varies(end.type):
+                ends[end.topic, end.type][end.kind].append(end)
+        for (name, type_name), kinds in sorted(ends.items()):
+            for senders, receivers in ((Kind.PUBLISHER, Kind.SUBSCRIPTION), (Kind.CLIENT, Kind.SERVER)):
+                versions = [{self._of_server(end) for end in kinds[kind]} - {None} for kind in (senders, receivers)]
+                if any(one != other for one in versions[0] for other in versions[1]):
+                    nodes = self._versions_of_nodes(type_name, [*kinds[senders], *kinds[receivers]])
+                    yield (
+                        f"{name}: native nodes have different versions of {type_name} ({nodes}), and decode each"
+                        " other's messages wrongly, because DDS delivers them unconverted; use one version for both,"
+                        " or two domains, each with a Midspan daemon"
+                    )
 
     def _loss(self, endpoint: Endpoint) -> str:
         name, version = endpoint.type, endpoint.type_id

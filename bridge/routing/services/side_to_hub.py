@@ -94,6 +94,11 @@ class SideToHubService(ServiceRoute):
         return left
 
 
+def _uncalled(servers: list[Endpoint]) -> Obstacle | None:
+    """Return why these servers are not called while others of their name are; None if they are called."""
+    return next((server.uncalled for server in servers if server.uncalled is not None), None)
+
+
 def _refusal(registry: Registry, type_name: str, type_hash: str) -> Callable[[str], bytes] | None:
     if type_name.endswith(ENDINGS[GET_RESULT]):
         return unknown_result(registry, type_name, type_hash)
@@ -128,7 +133,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         """
         wanted = native_groups(endpoints, Kind.SERVER, decisions)
         taken = {route.hub_topic: key for key, route in self._routes.items()}
-        for key, servers in wanted.items():
+        for key, servers in sorted(wanted.items(), key=lambda item: not _uncalled(item[1])):  # they leave their name
             self._follow(key, servers, gate, taken, decisions)
 
     def _follow(
@@ -140,7 +145,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         decision = RouteDecision("in", key.topic, hub_name, key.type_name, policy, of=_SERVICE)
         decisions.append(decision)
         route = self._routes.get(key)
-        trouble = self._trouble(key, hub_name, taken) if policy.allowed else None
+        trouble = (_uncalled(servers) or self._trouble(key, hub_name, taken)) if policy.allowed else None
         if route is not None and (not policy.allowed or trouble is not None or route.policy != policy):
             self._routes.pop(key).close(f"{key.topic} is no longer bridged")
             taken.pop(hub_name, None)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import pytest
 
 from bridge.adapters.ros2.versions import EndpointVersions
 from bridge.hub.wire.qos import Qos
+from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.mapping.releases import NO_HASH
 from bridge.messages.registry import Registry
@@ -116,6 +118,63 @@ def test_servers_of_two_versions_cannot_be_called(registry: Registry, versions: 
     assert versions.obstacle("/name", own[:2]) is None
     assert versions.obstacle("/name", [own[1], replace(own[2], type="my_msgs/srv/Other")]) is None
     assert versions.obstacle("/name", own) is not None
+
+
+def named(servers: Iterable[Endpoint]) -> list[str]:
+    return [server.node for server in servers]
+
+
+def test_servers_of_one_version_are_called(registry: Registry, versions: EndpointVersions) -> None:
+    """That is this machine's, or else the most frequent one that converts."""
+    (here_request, _), here = next(iter(registry.releases._service_parts(RESULT).items()))
+    kilted = list(registry.releases._service_parts(RESULT).values())[1]
+    old, new, newer, odd = (
+        end(Kind.SERVER, RESULT, type_id, node)
+        for node, type_id in {"/old": here, "/new": kilted, "/newer": kilted, "/odd": UNKNOWN}.items()
+    )
+    assert named(versions.called([new, old, odd])) == ["/old"]
+    assert named(versions.called([odd, new, newer])) == ["/new", "/newer"]
+    assert named(versions.called([odd])) == ["/odd"]
+    two_unknown = [odd, replace(odd, node="/odder", id="/odder", type_id=UNKNOWN[:-1] + "2")]
+    assert named(versions.called(two_unknown)) == ["/odd", "/odder"]
+    assert versions.obstacle("/name", two_unknown) is not None
+    undiscovered = end(Kind.SERVER, RESULT, here_request, "/undiscovered")
+    assert named(versions.called([undiscovered, new])) == ["/new"]
+    assert named(versions.called([undiscovered])) == ["/undiscovered"]
+    midspan = replace(new, made_by=MadeBy.MIDSPAN)
+    assert versions.with_uncalled([old, midspan], {"/old"}) == [old, midspan]
+    first, second = versions.with_uncalled([old, new], {"/old"})
+    assert first.uncalled is None
+    assert second.uncalled is not None
+    assert second.uncalled.reason.endswith("(jazzy: /old; kilted: /new): calls go to /old")
+    assert versions.notes([first, second])["service", "in", "/name"] == [second.uncalled.reason]
+
+
+def test_servers_of_a_type_with_one_version_are_called_by_the_hash_of_their_requests(
+    versions: EndpointVersions,
+) -> None:
+    name = "std_srvs/srv/SetBool"
+    here = rihs01(Registry().service_schemas(name)[0])
+    servers = [
+        end(Kind.SERVER, name, type_id, node) for node, type_id in (("/odd", UNKNOWN), ("/ok", here), ("/bare", ""))
+    ]
+    assert named(versions.called(servers)) == ["/ok", "/bare"]
+
+
+@pytest.mark.parametrize("kinds", [(Kind.PUBLISHER, Kind.SUBSCRIPTION), (Kind.CLIENT, Kind.SERVER)])
+def test_native_nodes_of_two_versions_are_reported(
+    registry: Registry, versions: EndpointVersions, kinds: tuple[Kind, Kind]
+) -> None:
+    type_name = EVENT if kinds[0] is Kind.PUBLISHER else RESULT
+    here, other = list(registry.releases.hashes(type_name))[:2]
+    sender, receiver = (end(kind, type_name, here, f"/{kind.value}") for kind in kinds)
+    newer = replace(receiver, type_id=other, node="/newer")
+    (warning,) = versions.warnings([sender, receiver, newer], {})
+    assert warning.startswith(f"/name: native nodes have different versions of {type_name} (jazzy: ")
+    assert "/newer)" in warning
+    assert versions.warnings([sender, receiver], {}) == []
+    assert versions.warnings([receiver, newer], {}) == []
+    assert versions.warnings([sender, replace(newer, made_by=MadeBy.MIDSPAN)], {}) == []
 
 
 def test_a_server_of_an_unknown_version_is_refused(registry: Registry, versions: EndpointVersions) -> None:

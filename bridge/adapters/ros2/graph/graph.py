@@ -65,10 +65,10 @@ class Ros2Graph:
 
     def __init__(
         self, participant: Participant, own_prefix: bytes, changed: Callable[[GraphSnapshot], None],
-        obstacle: VendorObstacle, versions: EndpointVersions | None = None,
+        obstacle: VendorObstacle, versions: EndpointVersions | None = None, *, separates_versions: bool = False,
     ) -> None:  # fmt: skip
         self._participant, self._own, self._changed, self._versions = participant, own_prefix, changed, versions
-        self._vendor_obstacle = obstacle
+        self._vendor_obstacle, self._separates = obstacle, separates_versions
         self.snapshot = GraphSnapshot()
         self._closed = vendors.ClosedEndpoints()
         self._guard = participant.make_guard_condition()
@@ -120,12 +120,14 @@ class Ros2Graph:
         obstacles: dict[str, Obstacle] = {}
         for service, requests in self._participant.service_topics():
             service_servers = self._servers(service, requests)
-            called = {server.id for server in vendors.called(end for _, end in service_servers)}
+            of_service = [server for _, server in service_servers]
+            called = {server.id for server in self.called(of_service)}
             servers[service] = frozenset(gid for gid, server in service_servers if server.id in called)
-            obstacle = self.obstacle(service, [e for _, e in service_servers])
+            obstacle = self.obstacle(service, of_service)
             if obstacle is not None:
                 obstacles[service] = obstacle
-            endpoints += [replace(e, obstacle=obstacle) for _, e in service_servers]
+            of_service = [replace(server, obstacle=obstacle) for server in of_service]
+            endpoints += of_service if self._versions is None else self._versions.with_uncalled(of_service, called)
             endpoints += self._clients(service, requests)
         prefixes = {gid[:PREFIX_BYTES] for gid in self._participant.participants()}
         self._closed.retain(prefixes)
@@ -138,11 +140,16 @@ class Ros2Graph:
         """Return a service's current servers; reads the graph."""
         return [e for _, e in self._servers(service, request_topic(service))]
 
+    def called(self, servers: Sequence[Endpoint]) -> list[Endpoint]:
+        """Return those of a service's servers that get its requests."""
+        called = vendors.called(servers)
+        return self._versions.called(called) if self._versions is not None and self._separates else called
+
     def obstacle(self, service: str, servers: Sequence[Endpoint], expected: str | None = None) -> Obstacle | None:
         """Return why these servers of a service cannot be called, by a client of the ``expected`` version; or None."""
         obstacle = self._vendor_obstacle(service, servers)
         if obstacle is None and self._versions is not None:
-            obstacle = self._versions.obstacle(service, vendors.called(servers), expected)
+            obstacle = self._versions.obstacle(service, self.called(servers), expected)
         return obstacle
 
     def client_types(self, service: str) -> dict[bytes, str]:

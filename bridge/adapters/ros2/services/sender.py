@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.context import Replied, Ros2Context
-from bridge.adapters.ros2.filters import VendorFilter, is_available
+from bridge.adapters.ros2.filters import ListFilter, is_available
 from bridge.adapters.ros2.graph import vendors
 from bridge.adapters.ros2.participant import request_topic
 from bridge.adapters.ros2.services.cyclone import CycloneCalls
@@ -46,10 +46,10 @@ class FastSender(RequestSender):
         self._name, self._pointer, self._context, self._type_id = name, pointer, context, type_id
         self._open = partial(CycloneCalls, name, response_support, context, replied)
         self._matches = MatchCounter(pointer, "client")
-        self._filter: VendorFilter | None = None
+        self._filter: ListFilter | None = None
         if is_available():  # rmw_get_gid_for_client returns the reader's GID in Kilted
             writer = context.graph.own_writer(request_topic(name)) or b""
-            self._filter = VendorFilter(name, writer, vendors.CYCLONE)
+            self._filter = ListFilter(name, writer)
         self._verified: tuple[int | None, frozenset[bytes]] = None, frozenset()
         self._on_cyclone = False
         self._cyclone: CycloneCalls | None = None
@@ -71,9 +71,10 @@ class FastSender(RequestSender):
             refused = refused_by(servers, self._context, self._name, self._type_id)
             if refused is not None:
                 return refused
-            self._verified, self._on_cyclone = (matched, present), vendors.are_cyclone(servers)
+            called = self._context.graph.called(servers)
+            self._verified, self._on_cyclone = (matched, present), vendors.are_cyclone(called)
             if self._filter is not None:
-                self._filter.restrict(only=self._on_cyclone)
+                self._filter.restrict(bytes.fromhex(server.id) for server in called)
         return None
 
     @property
