@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 
 CURE = "install the same version of the message package on both machines, or name its folder in types.folders"
 
+CURE_SEPARATED = (
+    "use the same release for both, or run one of them on DDS: Midspan converts between the hub and DDS"
+    " (docs/sides/hub.md)"
+)
+_TOPIC_ENDS = (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION)
+
 
 @dataclass(frozen=True, slots=True)
 class Note:
@@ -75,6 +81,53 @@ def _converted(
         return False
     known = versions()
     return len({known.here(type_name, type_hash) for type_hash in hashes}) == 1
+
+
+def separated(endpoints: Iterable[HubEndpoint], workers: Collection[str] = ()) -> list[Note]:
+    """Return which native nodes of different releases on the hub do not reach each other.
+
+    rmw_zenoh shows such nodes as connected, since its graph compares only names. Midspan does not forward from the hub
+    to the hub. Topics whose hashes differ are among the `conflicts`.
+
+    Args:
+        endpoints: of the hub.
+        workers: sessions (zid) of Midspan workers, whose servers accept all versions.
+    """
+    ends: dict[tuple[str, str], dict[EndpointKind, list[HubEndpoint]]] = {}
+    for end in endpoints:
+        ends.setdefault((end.topic, end.type_name), {}).setdefault(end.kind, []).append(end)
+    notes: list[Note] = []
+    for (name, type_name), kinds in sorted(ends.items()):
+        native = {
+            kind: [e for e in of_kind if not (e.origin or e.pending or e.own or e.zid in workers)]
+            for kind, of_kind in kinds.items()
+        }
+        servers = native.get(EndpointKind.SERVER, [])
+        clients = [e for e in native.get(EndpointKind.CLIENT, ()) if _key(e) not in map(_key, servers)]
+        if clients and servers and len(servers) == len(kinds[EndpointKind.SERVER]):
+            text = f"{name}: {nodes(clients)} never get a reply from {nodes(servers)} on the hub"
+            notes.append(Note(f"{text}: they have different versions of {type_name}", CURE_SEPARATED))
+        publishers, subscriptions = (native.get(kind, []) for kind in _TOPIC_ENDS)
+        for sender in publishers:
+            receivers = [e for e in subscriptions if _misses(e, sender)]
+            if receivers:
+                why = (
+                    "only nodes of Lyrical receive its buffers" if sender.buffers else "one of them has no type hashes"
+                )
+                text = f"{name}: {nodes(receivers)} do not receive the messages of {nodes([sender])} on the hub: {why}"
+                notes.append(Note(text, CURE_SEPARATED))
+    return notes
+
+
+def _key(endpoint: HubEndpoint) -> str:
+    """Return what the key of an endpoint has instead of a hash, or the hash."""
+    return NO_HASH if endpoint.hashless else endpoint.type_hash
+
+
+def _misses(subscription: HubEndpoint, publisher: HubEndpoint) -> bool:
+    if subscription.type_hash == UNKNOWN_HASH:  # it accepts all
+        return False
+    return subscription.hashless is not publisher.hashless or (publisher.buffers and not subscription.buffers)
 
 
 def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:

@@ -16,7 +16,7 @@ from bridge.doctor.check import Result
 from bridge.doctor.checks import bridges, types
 from bridge.doctor.checks import hub as hub_checks
 from bridge.doctor.context import HubSnapshot
-from bridge.doctor.hub_problems import conflicts
+from bridge.doctor.hub_problems import conflicts, separated
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, Origin
 from bridge.hub.wire.keys import NO_HASH
@@ -195,6 +195,48 @@ def test_versions_that_a_worker_converts_are_no_conflict() -> None:
     assert len(conflicts([other, bridged], (), lambda: registry.releases)) == 1
     (note,) = conflicts([nav2, client, bridged], (), lambda: registry.releases)
     assert "/client" in note.text
+
+
+def test_native_nodes_of_two_releases_on_the_hub() -> None:
+    """The client waits for ever, while rmw_zenoh reports the server as available."""
+    server = endpoint("lyrical", "a/srv/A", "1", EndpointKind.SERVER)
+    client = replace(endpoint("jazzy", "a/srv/A", "2", EndpointKind.CLIENT), zid="5")
+    (note,) = separated([server, client])
+    assert "/jazzy never get a reply from /lyrical on the hub: they have different versions of a/srv/A" in note.text
+    view = HubSnapshot(endpoints=[server, client])
+    finding = only(types.check_hashes(around(hub=view)))
+    assert (finding.result, finding.seen) == (Result.WARN, note.text)
+    assert "run one of them on DDS" in finding.cure
+    humble = replace(server, hashless=True, type_hash=client.type_hash)
+    assert len(separated([humble, client])) == 1
+    same = replace(server, type_hash=client.type_hash)
+    bridged = replace(server, origin=Origin("ros1", "0" * 24, "robot1"))
+    for answered in ([server, same, client], [server, bridged, client], [client], [server]):
+        assert separated(answered) == []
+    assert separated([server, client], {client.zid}) == []
+
+
+@pytest.mark.parametrize(
+    ("publisher", "subscription", "reason"),
+    [
+        ({"hashless": True}, {}, "one of them has no type hashes"),
+        ({}, {"hashless": True}, "one of them has no type hashes"),
+        ({"buffers": True}, {}, "only nodes of Lyrical receive its buffers"),
+        ({"buffers": True}, {"buffers": True}, ""),
+        ({}, {"buffers": True}, ""),
+        ({"buffers": True}, {"type_hash": UNKNOWN_HASH}, ""),
+        ({"hashless": True}, {"zid": "5"}, ""),
+    ],
+)
+def test_native_topics_of_two_releases_on_the_hub(
+    publisher: dict[str, Any], subscription: dict[str, Any], reason: str
+) -> None:
+    ends = [
+        replace(endpoint("from", "a/msg/A", "1"), **publisher),
+        replace(endpoint("to", "a/msg/A", "1", EndpointKind.SUBSCRIPTION), **subscription),
+    ]
+    texts = [note.text for note in separated(ends, {"5"})]
+    assert [text.rpartition(": ")[2] for text in texts] == [reason] * bool(reason)
 
 
 def test_bridged_endpoints_are_named_by_their_side() -> None:

@@ -183,6 +183,7 @@ def _hub_notes(
 ) -> list[Note]:
     workers = {document.zid for document in documents}
     notes = hub_problems.conflicts(endpoints, workers, lambda: client.registry().releases)
+    notes += hub_problems.separated(endpoints, workers)
     publishers = [e for e in endpoints if e.kind == "publisher"]
     subscriptions = [e for e in endpoints if e.kind == "subscription"]
     if subscriptions and not publishers:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bridge.adapters.ros2.environment import available
 from bridge.doctor.check import Finding, Findings, fail, merged, ok, skip, warn
 from bridge.doctor.context import CheckContext
-from bridge.doctor.hub_problems import CURE, conflicts
+from bridge.doctor.hub_problems import CURE, conflicts, separated
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.interfaces.compiler import Compiler
 from bridge.interfaces.definition import BuildError
@@ -34,6 +34,8 @@ def check_hashes(context: CheckContext) -> Findings:
     workers = {document.zid for document in context.hub.documents}
     notes = conflicts(context.hub.endpoints, workers, lambda: Registry.of(context.config.types).releases)
     findings += merged([fail(note.text, note.cure) for note in notes])[:_SHOWN]
+    apart = separated(context.hub.endpoints, workers)
+    findings += merged([warn(note.text, note.cure) for note in apart])[:_SHOWN]
     return findings or ok("no definitions differ")
 
 
