@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from bridge.adapters.ros2 import discovery
 from bridge.config.model import Config
 from bridge.daemon.workers import worker_kinds
 from bridge.doctor.check import Result
@@ -34,6 +35,13 @@ participant.close()
 """
 
 
+@pytest.fixture
+def _servers_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Find no discovery server that does not run: whether an address is unreachable depends on this machine."""
+    monkeypatch.setattr(discovery, "failing", lambda _servers: [])
+
+
+@pytest.mark.usefixtures("_servers_run")
 @pytest.mark.parametrize(
     ("environ", "config", "result", "words"),
     [
@@ -51,6 +59,9 @@ participant.close()
         ({"ROS_STATIC_PEERS": "10.0.0.2"}, {}, Result.WARN, "set ros2.localhost_only: false"),
         ({"ROS_STATIC_PEERS": "10.0.0.2"}, {"localhost_only": False}, Result.OK, ""),
         ({"ROS_SECURITY_ENABLE": "true"}, {}, Result.OK, ""),
+        ({"ROS_DISCOVERY_SERVER": "192.0.2.1"}, {}, Result.WARN, "names 192.0.2.1:11811, but ros2.localhost_only"),
+        ({"ROS_DISCOVERY_SERVER": "192.0.2.1"}, {"localhost_only": False}, Result.OK, ""),
+        ({"ROS_DISCOVERY_SERVER": "192.0.2.1"}, {"rmw": "rmw_cyclonedds_cpp"}, Result.OK, ""),
     ],
 )
 def test_the_environment_of_ros2_is_checked(
@@ -72,16 +83,26 @@ def test_the_running_daemon_has_another_domain() -> None:
 
 
 @pytest.mark.parametrize(("mine", "result"), [("", Result.WARN), ("10.0.0.1:11811", Result.OK)])
+@pytest.mark.usefixtures("_servers_run")
 def test_discovery_server_of_the_running_daemon(mine: str, result: Result) -> None:
     env = {**os.environ, "ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
         until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "the worker runs")
         view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
-        finding = only(ros2.check_environment(around(environ={"ROS_DISCOVERY_SERVER": mine}, hub=view)))
+        environ = {"ROS_DISCOVERY_SERVER": mine}
+        finding = only(ros2.check_environment(around({"ros2": {"localhost_only": False}}, environ, hub=view)))
     assert finding.result is result
     assert result is Result.OK or "not set in this shell, 10.0.0.1:11811 for the daemon" in finding.seen
 
 
+def test_a_discovery_server_that_does_not_run() -> None:
+    port = free_port()
+    finding = only(ros2.check_environment(around(environ={"ROS_DISCOVERY_SERVER": f"127.0.0.1:{port}"})))
+    assert finding.result is Result.WARN
+    assert f"no discovery server receives at 127.0.0.1:{port}" in finding.seen
+
+
+@pytest.mark.usefixtures("_servers_run")
 def test_a_discovery_server_that_is_younger_than_the_daemon() -> None:
     """The kernel counts start times in hundredths of a second, so each program starts once the previous one runs."""
     port = free_port()
@@ -98,7 +119,8 @@ def test_a_discovery_server_that_is_younger_than_the_daemon() -> None:
 
     def seen(worker: Process) -> list[str]:
         view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
-        return [finding.seen for finding in every(ros2.check_environment(around(environ=environ, hub=view)))]
+        around_it = around({"ros2": {"localhost_only": False}}, environ, hub=view)
+        return [finding.seen for finding in every(ros2.check_environment(around_it))]
 
     with contextlib.ExitStack() as stack:
         older, server, younger = running(stack), running(stack, bind), running(stack)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
-import sys
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from tests.peers.daemon.deployment import Deployment
-from tests.peers.ros2.network import ros2_environment
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import SERVER, ros2_environment
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
@@ -19,19 +19,22 @@ from tests.support.wait import until
 KIND = "std_msgs/String"
 
 
+Server = Callable[[], Process]
+
+
 @pytest.fixture
-def _server(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Run a discovery server, which all programs of the test use."""
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    """Return a function that starts a discovery server at the address that all programs of the test use."""
     port = free_port()
     monkeypatch.setenv("ROS_DISCOVERY_SERVER", f"127.0.0.1:{port}")
-    command = [str(Path(sys.prefix) / "bin/fast-discovery-server"), "-i", "0", "-l", "127.0.0.1", "-p", str(port)]
-    with Process(command, ros2_environment()):
-        yield
+    command = [str(SERVER), "-i", "0", "-l", "127.0.0.1", "-p", str(port)]
+    with contextlib.ExitStack() as stack:
+        yield lambda: stack.enter_context(Process(command, ros2_environment()))
 
 
-@pytest.mark.usefixtures("_server")
-def test_programs_of_a_discovery_server_are_bridged(deployment: Deployment) -> None:
+def test_programs_of_a_discovery_server_are_bridged(deployment: Deployment, server: Server) -> None:
     """Programs that start later, or that were bridged before the worker was killed, are included."""
+    server()
     deployment.start()
     ros1, ros2 = deployment.ros1(), deployment.ros2()
     ends = {
@@ -60,3 +63,41 @@ def test_programs_of_a_discovery_server_are_bridged(deployment: Deployment) -> N
         return bool(ros1.wait(received, 1, 0.2))
 
     until(heard, "a program that starts later is bridged", 40)
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_programs_are_bridged_after_a_restart_of_the_server(
+    deployment: Deployment, server: Server, end: signal.Signals
+) -> None:
+    """Topics and services cross to and from programs that are older than the new server, and that start later."""
+    first = server()
+    deployment.start()
+    ros1, older = deployment.ros1(), deployment.ros2("older")
+    out, received = older.advertise("/from_older", KIND), ros1.subscribe("/from_older", KIND)
+
+    def crosses(source: Peer, publisher: int, sink: Peer, subscription: int, word: str) -> None:
+        def arrived() -> bool:
+            source.publish(publisher, {"data": word})
+            return {"data": word} in sink.wait(subscription, 1, 0.2)
+
+        until(arrived, f"messages cross: {word}", 40)
+
+    crosses(older, out, ros1, received, "before")
+    pid = deployment.worker("ros2")["pid"]
+    first.signal(end)
+    first.popen.wait()
+    server()
+    crosses(older, out, ros1, received, "of an older program")
+    later = deployment.ros2("later")
+    crosses(
+        later, later.advertise("/from_later", KIND), ros1, ros1.subscribe("/from_later", KIND), "of a later program"
+    )
+    back = ros1.advertise("/to_ros2", KIND)
+    for program in (older, later):
+        crosses(ros1, back, program, program.subscribe("/to_ros2", KIND), f"to {program}")
+    later.ask("serve", service="/lamp", type="std_srvs/SetBool", reply={"success": True, "message": "lit"})
+    deployment.until_route("ros1", "/lamp", "out", state="active")
+    ros1.ask("await_service", service="/lamp", seconds=20)
+    call = ros1.ask("call", service="/lamp", type="std_srvs/SetBool", request={"data": True})["id"]
+    assert ros1.ask("result", id=call, seconds=20)["reply"]["message"] == "lit"
+    assert deployment.worker("ros2")["pid"] == pid

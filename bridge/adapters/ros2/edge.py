@@ -16,7 +16,8 @@ from typing_extensions import override
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.context import Ros2Context
 from bridge.adapters.ros2.dds.choice import dds_of
-from bridge.adapters.ros2.environment import domain
+from bridge.adapters.ros2.discovery import ServerWatch, servers
+from bridge.adapters.ros2.environment import CYCLONE, domain
 from bridge.adapters.ros2.filters import VersionFilter
 from bridge.adapters.ros2.graph import middlewares, neighbors, spdp
 from bridge.adapters.ros2.graph.announcements import Announcements
@@ -88,6 +89,7 @@ class Ros2Edge(SideEdge):
         self._prefix = b""
         self._neighbors: neighbors.MemoryNeighbors | None = None
         self._interfaces: InterfaceWatch | None = None
+        self._servers: ServerWatch | None = None
         self._context: Ros2Context | None = None
         self._origins: Origins | None = None
         self._presence: PresenceTopic | None = None
@@ -107,6 +109,8 @@ class Ros2Edge(SideEdge):
             self._neighbors = neighbors.MemoryNeighbors(self._prefix, major, number, self._leave_shared_memory, later)
         if not self._localhost_only:
             self._interfaces = InterfaceWatch(self._use_new_addresses, later)
+        if self._config.ros2.rmw != CYCLONE:
+            self._servers = ServerWatch(servers(os.environ), later, localhost_only=self._localhost_only)
         try:
             self._types.prepare_services()
         except MessageTypeError as err:
@@ -210,6 +214,8 @@ class Ros2Edge(SideEdge):
         for end in ends:
             end.close()
         context.later.close()
+        if self._servers is not None:
+            self._servers.close()
         context.loop.stop()
         context.participant.close()
 
@@ -416,7 +422,7 @@ class Ros2Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return warnings about QoS, versions of types and of Fast DDS, nodes on another DDS, and new addresses."""
+        """Return warnings about QoS, versions, nodes on another DDS, new addresses and discovery servers."""
         offers: dict[str, set[Qos]] = {}
         advertised: dict[str, str] = {}
         separated, served = set[str](), set[str]()
@@ -432,6 +438,7 @@ class Ros2Edge(SideEdge):
         warnings = self._dds.warnings(self.endpoints(), served)
         warnings += self._over_udp() + self._versions.warnings(self.endpoints(), advertised, separated)
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
+        warnings += self._servers.texts if self._servers is not None else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
                 reasons = {mismatch(qos, endpoint.qos) for qos in offers.get(endpoint.topic, ())} - {""}

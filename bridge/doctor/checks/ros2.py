@@ -8,6 +8,7 @@ from pathlib import Path
 
 import psutil
 
+from bridge.adapters.ros2 import discovery
 from bridge.adapters.ros2.environment import CYCLONE, STATIC_PEERS, available, domain
 from bridge.adapters.ros2.security import ENABLE, is_enabled
 from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, skip, warn
@@ -39,7 +40,9 @@ def check_environment(context: CheckContext) -> Findings:
     profile = next(filter(None, set_to), None)
     if profile and not Path(profile).is_file():
         findings.append(warn(f"the Fast DDS profile {profile} of this shell does not exist", "unset the variable"))
-    findings += _discovery(context) + _restarted_server(context) + _peers(context) + _security(context)
+    findings += (
+        _discovery(context) + _servers(context) + _restarted_server(context) + _peers(context) + _security(context)
+    )
     return findings or ok(f"domain {meant}")
 
 
@@ -120,23 +123,28 @@ def _discovery(context: CheckContext) -> list[Finding]:
     return []
 
 
+def _servers(context: CheckContext) -> list[Finding]:
+    """Check that the worker reaches its discovery servers."""
+    if context.config.ros2.rmw == CYCLONE:
+        return []
+    listed = discovery.servers(_worker_environment(context))
+    findings: list[Finding] = []
+    local = context.config.ros2.localhost_only and context.config.ros2.profile is None
+    if seen := discovery.excluded(listed) if local else "":
+        findings.append(warn(seen, discovery.LOCALHOST_CURE))
+    return findings + [warn(discovery.silent(server), discovery.START_CURE) for server in discovery.failing(listed)]
+
+
 def _restarted_server(context: CheckContext) -> list[Finding]:
-    """Check that a discovery server of this machine is not younger than the worker: Fast DDS does not survive that."""
+    """Check that a discovery server of this machine is not younger than the worker: Fast DDS may not survive that."""
     for document in context.hub.of_side("ros2", context.config.name):
         worker = context.process(document)
-        for port in _server_ports(environment_of(worker).get("ROS_DISCOVERY_SERVER", "")):
+        for _, port in discovery.servers(environment_of(worker)):
             server = _udp_process(port)
             if worker is not None and server is not None and server.create_time() > worker.create_time():
-                seen = f"the discovery server at port {port} (process {server.pid}) was restarted after the ROS 2 side"
-                cure = "restart Midspan, and the ROS 2 programs that are older than the server"
-                return [warn(f"{seen}: programs from before and after do not discover each other", cure)]
+                seen = f"the discovery server at port {port} (process {server.pid}) {discovery.RESTARTED}"
+                return [warn(seen, discovery.RESTARTED_CURE)]
     return []
-
-
-def _server_ports(servers: str) -> list[int]:
-    """Return the ports in ``ROS_DISCOVERY_SERVER``: ``HOST:PORT;HOST;...``, by default 11811."""
-    ports = [server.rpartition(":")[2] if ":" in server else "11811" for server in servers.split(";") if server.strip()]
-    return [int(port) for port in ports if port.isascii() and port.isdigit()]
 
 
 def _udp_process(port: int) -> psutil.Process | None:

@@ -18,6 +18,9 @@ from tests.support.missing import ROS2, need
 ROS2_PEER = Path(__file__).with_name("peer.py")
 """The program that `tests.peers.peer.Peer` drives on the ROS 2 side; run it with `sys.executable`."""
 
+SERVER = Path(sys.prefix) / "bin/fast-discovery-server"
+"""Fast DDS's discovery server, which needs `ros2_environment`."""
+
 SHORT_LEASE = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("short_lease.xml"))}
 """Environment of a program whose death is detected after 2 s; Fast DDS's default is 20 s."""
 
@@ -66,6 +69,6 @@ def has_rmw_cyclonedds() -> bool:
 
 
 def ros2_python() -> Path:
-    """Return the interpreter that has rclpy; skip the test if there is none."""
+    """Return the interpreter that has rclpy; skip the test if ROS 2 is missing."""
     need(ROS2)
     return Path(sys.executable)

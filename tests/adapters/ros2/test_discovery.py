@@ -1,0 +1,116 @@
+"""Discovery servers: those in the environment, and whether they are reached."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.adapters.ros2 import discovery
+from bridge.adapters.ros2.discovery import Server, ServerWatch
+from bridge.concurrency import DelayedCalls
+from tests.adapters.ros2.test_new_interface import STRING, edge, machines, program
+from tests.peers.ros2.network import ROS2_PEER, SERVER, ros2_environment, ros2_python
+from tests.support.netns import Cable, Machine
+from tests.support.ports import free_port
+from tests.support.wait import until
+
+__all__ = ["machines"]
+FAR = "192.0.2.1"
+"""An address for documentation (RFC 5737), which no machine has."""
+
+
+@pytest.fixture
+def later() -> Iterator[DelayedCalls]:
+    calls = DelayedCalls("test-later")
+    yield calls
+    calls.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "servers"),
+    [
+        ("", []),
+        ("10.0.0.1", [Server("10.0.0.1", 11811)]),
+        (";10.0.0.1:1234; planner.local", [Server("10.0.0.1", 1234), Server("planner.local", 11811)]),
+        ("UDPv4:[10.0.0.1]:1234", [Server("10.0.0.1", 1234)]),
+        ("TCPv4:[10.0.0.1]:1234;[::1]:1234", []),
+    ],
+)
+def test_servers_in_the_environment(text: str, servers: list[Server]) -> None:
+    assert discovery.servers({"ROS_DISCOVERY_SERVER": text}) == servers
+    assert discovery.servers({}) == []
+
+
+def test_servers_on_other_machines_are_excluded_by_localhost_only(later: DelayedCalls) -> None:
+    listed = [Server("127.0.0.1", 1), Server("localhost", 1), Server(FAR, 11811)]
+    text = discovery.excluded(listed)
+    assert text.startswith(f"ROS_DISCOVERY_SERVER names {FAR}:11811, but ros2.localhost_only keeps")
+    assert discovery.excluded(listed[:2]) == ""
+    watch = ServerWatch(listed[2:], later, localhost_only=True)
+    assert watch.texts[0] == f"{text}; set ros2.localhost_only: false"
+    later.close()
+    watch.close()
+
+
+def test_a_server_that_does_not_run_is_reported(later: DelayedCalls, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(discovery, "PERIOD", 0.05)
+    server = Server("127.0.0.1", free_port())
+    watch = ServerWatch([server], later, localhost_only=True)
+    (text,) = until(lambda: watch.texts, "the server is reported")
+    assert text.startswith(f"no discovery server receives at {server} (ROS_DISCOVERY_SERVER)")
+    assert discovery.failing([server]) == [server]
+    with socket.socket(type=socket.SOCK_DGRAM) as receiver:
+        receiver.bind(server)
+        until(lambda: not watch.texts, "the server runs")
+        assert discovery.failing([server]) == []
+    until(lambda: watch.texts, "the server has ended")
+    with socket.socket(type=socket.SOCK_DGRAM) as receiver:
+        receiver.bind(server)
+        (text,) = until(lambda: [text for text in watch.texts if "restarted" in text], "the restart is reported")
+        assert text.startswith(f"the discovery server at {server} was restarted after the ROS 2 side")
+    assert discovery.failing([Server("no-such-machine.invalid", 1)])
+    later.close()
+    watch.close()
+
+
+@pytest.mark.parametrize("noticed", [True, False], ids=["noticed", "between two probes"])
+@pytest.mark.parametrize("lease", [30.0, 0.0], ids=["soon", "after its lease"])
+def test_a_server_that_is_restarted(monkeypatch: pytest.MonkeyPatch, noticed: bool, lease: float) -> None:
+    monkeypatch.setattr(discovery, "LEASE", lease)
+    server = Server("localhost", free_port())
+    watched = discovery._Watched(server)
+    for _ in range(2):
+        with socket.socket(type=socket.SOCK_DGRAM) as receiver:
+            receiver.bind(server)
+            first = watched.has_restarted()
+            assert not watched.has_restarted()
+        if noticed:
+            assert not watched.has_restarted()
+            assert watched.fails
+    assert first is (lease > 0 or not noticed)
+    watched.close()
+
+
+def test_a_server_on_another_machine(
+    machines: tuple[Machine, Machine], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With ``localhost_only: false`` it is reached; a report of its machine shows when it does not run."""
+    robot, other = machines
+    ros2_python()
+    cable = Cable(robot, other)
+    for machine in machines:
+        until(lambda of=machine: "state UP" in of.run("ip", "link", "show", "eth77"), "the link is up")
+    address, port = cable.addresses[1], free_port()
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", f"{address}:{port}")
+    with edge(robot, tmp_path) as ros2:
+        (text,) = until(lambda: ros2.ask("status")["warnings"], "the server is reported", 30)
+        assert text.startswith(f"no discovery server receives at {address}:{port}")
+        with other.start(SERVER, "-i", "0", "-l", address, "-p", str(port), env=ros2_environment()):
+            until(lambda: not ros2.ask("status")["warnings"], "the server runs", 30)
+            env = ros2_environment(FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
+            with program(other, env, str(ROS2_PEER), "remote") as remote:
+                remote.advertise("/remote", STRING)
+                until(lambda: "publisher /remote native" in ros2.ask("status")["endpoints"], "the node is found", 40)
