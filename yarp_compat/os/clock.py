@@ -15,6 +15,7 @@ import sys
 import threading
 from pathlib import Path
 
+from yarp_compat.interruptible import interruptible
 from yarp_compat.os import time
 from yarp_compat.os.runtime import RUNTIME
 from yarp_compat.ports.message import PortMessage
@@ -81,7 +82,7 @@ class NetworkClock:
             if due <= now or stopped.is_set():
                 return stopped.is_set()
             if self._closed:
-                return stopped.wait(seconds)
+                return interruptible(stopped.wait, seconds)
             heapq.heappush(self._waiters, (due, next(self._numbers), passed))
         while not passed.is_set():
             if stopped.wait(0.01) if stop is not None else passed.wait(1.0):

@@ -13,6 +13,7 @@ from yarp_compat.os import time as clock
 from yarp_compat.os.data.bottle import Bottle, Value
 from yarp_compat.os.ports.connection import ConnectionReader
 from yarp_compat.os.resource_finder import ResourceFinder
+from yarp_compat.os.thread import ended
 from yarp_compat.overriding import override
 from yarp_compat.wire.accessors import setter
 from yarp_compat.wire.portable import PortReader
@@ -145,8 +146,7 @@ class RFModule:
         if self._thread is None:
             log.warning("Cannot call join: RFModule runModule() is not currently threaded.")
             return True
-        self._thread.join(None if seconds < 0 else seconds)
-        if self._thread.is_alive():
+        if not ended(self._thread, seconds):
             log.warning("RFModule joinModule() timed out.")
             return False
         self._thread = None

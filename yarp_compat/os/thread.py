@@ -4,9 +4,20 @@ from __future__ import annotations
 
 import threading
 
+from yarp_compat.interruptible import interruptible
 from yarp_compat.os import time as clock
 from yarp_compat.overriding import override
 from yarp_compat.wire.accessors import getter
+
+
+def ended(thread: threading.Thread, seconds: float) -> bool:
+    """Wait for the end of a thread, at most ``seconds`` (negative: no limit); return whether it has ended."""
+
+    def join(left: float | None) -> bool:
+        thread.join(left)
+        return not thread.is_alive()
+
+    return interruptible(join, None if seconds < 0 else seconds)
 
 
 class Thread:
@@ -73,8 +84,7 @@ class Thread:
         thread = self._thread
         if thread is None or thread is threading.current_thread():
             return True
-        thread.join(None if seconds < 0 else seconds)
-        return not thread.is_alive()
+        return ended(thread, seconds)
 
     def isStopping(self) -> bool:
         """Return whether `stop` was called."""

@@ -6,6 +6,8 @@ import threading
 import time
 from typing import Protocol
 
+from yarp_compat.interruptible import interruptible
+
 YARP_CLOCK_UNINITIALIZED = -1
 YARP_CLOCK_DEFAULT = 0
 YARP_CLOCK_SYSTEM = 1
@@ -55,7 +57,9 @@ def delay(seconds: float) -> None:
 def wait(stop: threading.Event, seconds: float, since: float) -> bool:
     """Wait until ``seconds`` after ``since`` by `steady`, or until ``stop`` is set; return whether it is."""
     clock = _InUse.clock
-    return stop.wait(max(since + seconds - steady(), 0.0)) if clock is None else clock.wait(seconds, stop, since)
+    if clock is None:
+        return interruptible(stop.wait, max(since + seconds - steady(), 0.0))
+    return clock.wait(seconds, stop, since)
 
 
 def steady() -> float:

@@ -18,6 +18,7 @@ from bridge.cli.inspection.refusals import warn_of_refusals
 from bridge.cli.output import CliError, print_json
 from bridge.client.session import Client
 from bridge.text import clean, plural
+from yarp_compat.interruptible import interruptible
 
 if TYPE_CHECKING:
     from bridge.bags.bag import Bag
@@ -210,7 +211,7 @@ def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> Non
         )
     if output.await_listeners(MATCH_SECONDS, ended):
         # the workers have subscribed; programs on their sides still have to connect to the workers' publishers
-        ended.wait(args.settle)
+        interruptible(ended.wait, args.settle)
 
 
 def _follow(

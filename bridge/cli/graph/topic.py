@@ -30,6 +30,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.errors import ConversionError
 from bridge.routing.limits import default_priority
 from bridge.text import clean, side_name, size
+from yarp_compat.interruptible import interruptible
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -190,10 +191,10 @@ def _publish(args: argparse.Namespace, publisher: Publisher, cdr: bytes) -> None
         sent += 1
         due += period
         if sent < count:
-            never.wait(max(0.0, due - time.monotonic()))
+            interruptible(never.wait, max(0.0, due - time.monotonic()))
     if kept and not args.once and args.count is None:
         print("published; kept for late joiners until Ctrl-C", file=sys.stderr)
-        never.wait()
+        interruptible(never.wait)
     never.wait(_LINGER_SECONDS)
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
-import queue
 import signal
 import sys
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -16,6 +17,7 @@ from bridge.cli.arguments import add_verb
 from bridge.cli.output import CliError, json_line
 from bridge.cli.yarp_network.names import add_server_arguments, client
 from bridge.text import clean
+from yarp_compat.interruptible import interruptible
 from yarp_compat.naming import connections
 from yarp_compat.ports import text_client
 from yarp_compat.ports.message import PortMessage
@@ -70,14 +72,16 @@ def register(verbs: Any) -> None:
 
 
 def _read(args: argparse.Namespace) -> int:
-    received: queue.Queue[PortMessage] = queue.Queue(_WAITING)
+    received: deque[PortMessage] = deque()
+    count = threading.Semaphore(0)
     missed = 0
 
     def on_message(message: PortMessage) -> None:
         nonlocal missed
-        try:
-            received.put_nowait(message)
-        except queue.Full:
+        if len(received) < _WAITING:
+            received.append(message)
+            count.release()
+        else:
             missed += 1
 
     names = client(args)
@@ -91,7 +95,8 @@ def _read(args: argparse.Namespace) -> int:
             print(f"{port.name} is open: connect it with 'midspan yarp connect /source {port.name}'", file=sys.stderr)
         shown = 0
         while shown < (math.inf if args.count is None else args.count):
-            print(_shown(args, received.get()), flush=True)
+            interruptible(lambda seconds: count.acquire(timeout=seconds))
+            print(_shown(args, received.popleft()), flush=True)
             shown += 1
     except KeyboardInterrupt:
         pass

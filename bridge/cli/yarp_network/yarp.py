@@ -13,6 +13,7 @@ from typing import Any
 from bridge.cli.arguments import add_verb, add_verbs
 from bridge.cli.output import CliError
 from bridge.cli.yarp_network import names, ports
+from yarp_compat.interruptible import interruptible
 from yarp_compat.naming import config
 from yarp_compat.naming.config import Address
 from yarp_compat.naming.server import GC_SECONDS, NameServer
@@ -74,6 +75,5 @@ def _server(args: argparse.Namespace) -> int:
             print(f"programs find the server if {config.file()} has '{address.host} {address.port} yarp' (use --write)")
         print(f"{space} at {address.host} port {address.port}; web page: http://{address.host}:{address.port}/")
         sys.stdout.flush()
-        while not stop.wait(3600):
-            pass
+        interruptible(stop.wait)
     return 0

@@ -6,6 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
+from yarp_compat.interruptible import interruptible
 from yarp_compat.overriding import override
 from yarp_compat.ports.message import PortMessage
 
@@ -40,6 +41,10 @@ class Gate:
             self.is_closed = True
             self._changed.notify_all()
 
+    def _wait_for(self, condition: Callable[[], bool]) -> None:
+        """Wait on the reader's thread, often the main one, until a condition is true."""
+        interruptible(lambda seconds: self._changed.wait_for(condition, seconds))
+
 
 class Handoff(Gate):
     """A slot for one message: the connection waits until it is read, the reader until one arrives."""
@@ -62,7 +67,7 @@ class Handoff(Gate):
     def receive(self, *, will_reply: bool) -> PortMessage | None:
         """Wait for a message; return None if interrupted or closed. With ``will_reply`` its sender keeps waiting."""
         with self._changed:
-            self._changed.wait_for(lambda: self._message is not None or self.is_closed or self._interrupted)
+            self._wait_for(lambda: self._message is not None or self.is_closed or self._interrupted)
             message = self._message
             if message is None or self.is_closed or self._interrupted:
                 return None
@@ -111,7 +116,7 @@ class Inbox(Gate):
         over = stopped or (lambda: self._interrupted)
         with self._changed:
             if wait:
-                self._changed.wait_for(lambda: self._messages or self.is_closed or over())
+                self._wait_for(lambda: bool(self._messages) or self.is_closed or over())
             if self.is_closed or over() or not self._messages:
                 return None
             message = self._messages.popleft()
