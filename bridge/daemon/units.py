@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from bridge.state_file import SERVICE_STATE
@@ -23,9 +24,16 @@ def unit_of(file: Path | str | None) -> str:
 
 def start_hint(unit: str) -> str:
     """Return the commands that start the daemon of a unit and show its log."""
+    if sys.platform != "linux":
+        return "start the daemon: 'midspan run'"
     command = f"systemctl start {unit}"
     start = f"'midspan run' (or '{command}')" if unit == _MAIN else f"'{command}'"
     return f"start the daemon: {start}; 'journalctl -u {unit}' shows why it exited"
+
+
+def log_hint(unit: str) -> str:
+    """Return how to see the log of a unit's daemon."""
+    return f"see its log: journalctl -u {unit}" if sys.platform == "linux" else "see the log of 'midspan run'"
 
 
 def units_in_use(root: Path = Path("/")) -> dict[str, Path]:

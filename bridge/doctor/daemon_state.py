@@ -188,10 +188,9 @@ def _not_loaded(daemon: DaemonStatus, report: WorkerReport, config: Config) -> s
     kind = worker_kinds().get(report.worker)
     if report.phase != Phase.OFF.value or kind is None or not kind.enabled(config):
         return ""
-    file, unit = daemon.config or "its defaults", units.unit_of(daemon.config)
     return (
         f"the daemon {daemon.daemon} runs without the worker '{report.worker}': it has not loaded this"
-        f" configuration (it runs {file}; reload it: 'systemctl reload {unit}', or SIGHUP)"
+        f" configuration (it runs {daemon.config or 'its defaults'}; 'midspan reload' makes it load its file again)"
     )
 
 

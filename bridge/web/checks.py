@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import stat
-
 from bridge.doctor.check import Check, Finding, Findings, early_cure, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.hub.security.certificates import read_certificate, trouble
@@ -34,7 +32,7 @@ def check_certificate(context: CheckContext) -> Findings:
         findings.append(
             warn(f"{certificate.file} expires in {certificate.days_left()} days, and browsers refuse it then", cure)
         )
-    if files.key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+    if files.others_may_use_key():
         findings.append(warn(f"other users can read {files.key}, and pose as this console", f"chmod 600 {files.key}"))
     strange = [name for name in web.names if name not in certificate.names]
     if strange:

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from bridge.cli.main import main
 from bridge.config.load import load
 from bridge.daemon import units
-from bridge.daemon.units import start_hint, unit_of, units_in_use
+from bridge.daemon.units import log_hint, start_hint, unit_of, units_in_use
 from bridge.doctor.check import Result
 from bridge.doctor.checks.hub import check_services
 from bridge.doctor.daemon_state import Life, daemon_state
@@ -30,6 +31,12 @@ def test_the_unit_of_a_configuration() -> None:
     assert start_hint("midspan@robot2") == (
         "start the daemon: 'systemctl start midspan@robot2'; 'journalctl -u midspan@robot2' shows why it exited"
     )
+
+
+def test_systems_without_systemd_get_no_advice_to_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.daemon.units.sys", SimpleNamespace(platform="darwin"))
+    assert start_hint("midspan") == "start the daemon: 'midspan run'"
+    assert log_hint("midspan") == "see the log of 'midspan run'"
 
 
 class System:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -52,6 +53,14 @@ def test_certificate_and_key_are_examined(tmp_path: Path, days: int, mode: int, 
     authority.issue("robot1", days=days)
     (tmp_path / "robot1.key").chmod(mode)
     assert seen in only(check_certificate(place(tmp_path, names=names))).seen
+
+
+def test_the_mode_of_a_key_says_nothing_on_windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Authority(tmp_path).make()
+    Authority(tmp_path).issue("robot1")
+    (tmp_path / "robot1.key").chmod(0o666)
+    monkeypatch.setattr("bridge.hub.security.key_files.sys", SimpleNamespace(platform="win32"))
+    assert only(check_certificate(place(tmp_path))).result is Result.OK
 
 
 def test_a_certificate_that_is_not_valid_yet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

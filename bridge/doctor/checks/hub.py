@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ssl
-import stat
 from collections.abc import Container, Iterator, Mapping, Sequence
 from itertools import combinations, product
 
@@ -14,7 +13,7 @@ from bridge.config.listeners import listeners
 from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon.query import Phase
-from bridge.daemon.units import STATE, start_hint, units_in_use
+from bridge.daemon.units import STATE, log_hint, start_hint, units_in_use
 from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, early_cure, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
@@ -128,7 +127,7 @@ def _alone(context: CheckContext, daemon: str, workers: Sequence[StatusDocument]
 def _worker(context: CheckContext, document: StatusDocument, elsewhere: Container[str] = ()) -> Finding:
     """Return a finding on a worker's state, without the warnings whose causes are in ``elsewhere``."""
     name = f"{document.daemon}/{document.worker}"
-    state, log = document.state, f"see its log: journalctl -u {context.daemon.unit}"
+    state, log = document.state, log_hint(context.daemon.unit)
     if document.error:
         return fail(f"{name} {'does not answer' if state == 'failed' else f'is {state}'}: {document.error}", log)
     if document.loops:
@@ -270,6 +269,6 @@ def _fit(files: KeyFiles) -> list[Finding]:
 
 
 def _mode(files: KeyFiles) -> list[Finding]:
-    if not files.key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+    if not files.others_may_use_key():
         return []
     return [warn(f"other users may use {files.key}, and so impersonate this machine", f"chmod 600 {files.key}")]

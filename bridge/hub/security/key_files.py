@@ -8,6 +8,8 @@ from __future__ import annotations
 import logging
 import os
 import ssl
+import stat
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,6 +37,10 @@ class KeyFiles:
                 )
             if not os.access(file, os.R_OK):
                 raise HubConfigError(f"{file} cannot be read by this process's user; give it to that user (chown)")
+
+    def others_may_use_key(self) -> bool:
+        """Return whether the key's mode gives rights to other users; Windows has access lists instead of modes."""
+        return sys.platform != "win32" and bool(self.key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO))
 
 
 class KeyWatch:

@@ -261,6 +261,7 @@ def test_a_configuration_that_the_daemon_has_not_loaded(start: Start) -> None:
     for command in (["nav", "status"], ["map", "list"]):
         done = robot.command(*command)
         assert (done.returncode, "it has not loaded this configuration" in done.stderr) == (1, True), done
+        assert "'midspan reload' makes it load its file again" in done.stderr
 
 
 def other_state(robot: RobotDaemon, folder: Path) -> None:
