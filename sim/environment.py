@@ -24,14 +24,18 @@ class SimError(RuntimeError):
 _PACKAGE = "dartpy"
 
 
+def has_wheel() -> bool:
+    """Return whether dartpy is published for this machine and Python."""
+    return sys.platform == "linux" and platform.machine() in ("x86_64", "aarch64") and sys.version_info < (3, 14)
+
+
 def missing() -> str:
     """Return why dartpy is missing, "" if it is installed; does not import dartpy."""
     if importlib.util.find_spec(_PACKAGE) is not None:
         return ""
-    wheels = sys.platform == "linux" and platform.machine() in ("x86_64", "aarch64") and sys.version_info < (3, 14)
     systems = "Linux on x86-64 and arm64 with Python 3.10 to 3.13"
     elsewhere = f"it is published only for {systems}; run 'midspan sim' on such a machine, joined to the same hub"
-    cure = "pip install 'midspan[sim]'" if wheels else elsewhere
+    cure = "pip install 'midspan[sim]'" if has_wheel() else elsewhere
     return f"the simulator needs dartpy, which is not installed: {cure}"
 
 

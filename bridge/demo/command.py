@@ -7,6 +7,7 @@ import contextlib
 import json
 import logging
 import os
+import platform
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,10 @@ _IN_EXTRA = ("ROS 2: ", "simulation: ", "zenoh: ")
 _EXTRA = (
     "pip install 'midspan[demo]' installs the Python packages of the demo (ROS 2, the simulator, the console and"
     " zenoh-ros2-sdk); in a checkout, make setup installs all of it"
+)
+_NOT_WINDOWS = (
+    "the demo runs only on Linux, because ROS 2's wheels and DART (the simulator) are published only for Linux; run it"
+    " on a Linux machine. On Windows, 'midspan run' joins ROS 1, YARP and zenoh (docs/start/pip.md)"
 )
 
 
@@ -60,6 +65,8 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo; return 0 if everything went well."""
+    if sys.platform == "win32":  # before the imports, because the demo's process groups and locks are POSIX's
+        raise ClientError(_NOT_WINDOWS)
     from bridge.demo.shutdown import INTERRUPTED, Shutdown
 
     logging.basicConfig(format="%(message)s", level=logging.WARNING)
@@ -194,8 +201,11 @@ def _require(missing: list[str]) -> None:
     """Raise `ClientError` with everything that is missing, and the cures."""
     if not missing:
         return
+    from sim.environment import has_wheel
+
     lines = ["the demo needs more than this machine has:", *missing]
-    if any(reason.startswith(_IN_EXTRA) for reason in missing):
+    complete = has_wheel() and platform.machine() == "x86_64"  # ROS 2's wheels are only for Linux on x86-64
+    if complete and any(reason.startswith(_IN_EXTRA) for reason in missing):
         lines.append(_EXTRA)
     raise ClientError("\n".join(lines))
 

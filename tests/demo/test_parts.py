@@ -10,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import psutil
@@ -264,6 +265,20 @@ def test_a_demo_without_a_package_names_the_extra_that_has_it(
     args = build_parser(["demo"]).parse_args(["demo", what])
     with pytest.raises(ClientError, match=r"(?s)needs more than this machine has:.*pip install 'midspan\[demo\]'"):
         command.run(args)
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "version"),
+    [("darwin", "arm64", (3, 13)), ("linux", "aarch64", (3, 13)), ("linux", "x86_64", (3, 14))],
+)
+def test_the_extra_is_named_only_where_it_has_all_packages(
+    monkeypatch: pytest.MonkeyPatch, system: str, machine: str, version: tuple[int, int]
+) -> None:
+    monkeypatch.setattr("sim.environment.sys", SimpleNamespace(platform=system, version_info=version))
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    with pytest.raises(ClientError) as raised:
+        command._require(["ROS 2: no", "simulation: no", "zenoh: no"])
+    assert "midspan[demo]" not in str(raised.value)
 
 
 def test_a_demo_that_lacks_compiled_kernels_only_does_not_name_the_extra() -> None:

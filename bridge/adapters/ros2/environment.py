@@ -42,6 +42,8 @@ _CURE = (
 
 def available(config: Config) -> str:
     """Return why rclpy is not available, and the cure; "" if it is."""
+    if sys.platform == "win32":
+        return "the ROS 2 side runs only on Linux; nodes on rmw_zenoh_cpp join the hub without it"
     prefix = _installation(os.environ)
     if prefix is None:
         foreign = next(iter(_foreign(os.environ)), None)

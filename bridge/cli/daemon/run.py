@@ -96,6 +96,8 @@ def run_worker(args: argparse.Namespace) -> int:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         return ended
     config = _config(args)
+    if not args.prepared and (reason := kind.missing(config)):
+        raise CliError(reason)
     if kind.environment and not args.prepared:
         _enter_environment(kind, config, args)
     return run_alone(kind, config, lambda: _config(args), control=args.control)

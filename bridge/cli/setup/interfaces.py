@@ -37,10 +37,10 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.action == "build" and sys.platform == "win32":
+        raise CliError("message packages are built only on Linux, with gcc and ROS 2's generators; build them there")
     try:
-        if args.action == "list":
-            return _list(args)
-        return _build(args)
+        return _list(args) if args.action == "list" else _build(args)
     except BuildError as err:
         raise CliError(str(err)) from None
 
