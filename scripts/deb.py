@@ -32,7 +32,7 @@ sys.path.insert(0, str(ROOT))
 from bridge.cli.main import VERBS, build_parser  # noqa: E402
 from bridge.daemon.install import UNITS  # noqa: E402
 from scripts import dist, lock, manual, processor, sbom  # noqa: E402
-from scripts.reproducible import epoch  # noqa: E402
+from scripts.reproducible import epoch, rewrite_wheel  # noqa: E402
 
 EXTRAS = ("ros2", "web", "foxglove")
 """The package lacks the simulator, because DART adds a quarter of the size, and requires OpenGL on the robot."""
@@ -142,9 +142,13 @@ def download(release: Release, to: Path, arch: str, wanted: Sequence[str]) -> li
     for tag in tags:
         command += ["--platform", f"{tag}_{processor.MACHINES[arch]}"]
     dist.run([*command, *wanted], ROOT)
+    downloaded = set(to.glob("*.whl"))
     for source in to.glob("*.tar.gz"):
         dist.run([*pip, "wheel", "--no-deps", "-w", str(to), str(source)], ROOT)
-    return sorted(to.glob("*.whl"))
+    wheels = sorted(to.glob("*.whl"))
+    for built in set(wheels) - downloaded:
+        rewrite_wheel(built, {})  # setuptools' modes depend on the umask, and the bill of materials has the digest
+    return wheels
 
 
 def unpack(wheel: Path, site: Path, prefix: Path) -> None:
@@ -238,6 +242,7 @@ def pack(
     sums = "".join(f"{hashlib.md5(f.read_bytes()).hexdigest()}  {f.relative_to(root)}\n" for f in files)  # noqa: S324
     control = root / "DEBIAN"
     _write(control / "md5sums", sums)
+    control.chmod(0o755)
     _write(control / "conffiles", "".join(f"/{name}\n" for name in CONFFILES))
     for name in ("postinst", "prerm", "postrm"):
         _write(control / name, (_SOURCE / name).read_text("utf-8"), 0o755)

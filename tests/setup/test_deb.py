@@ -93,6 +93,49 @@ def test_the_bill_of_materials_next_to_a_package_names_each_library(
     assert parts["pkg:pypi/without@1.0"]["hashes"] == [{"alg": "SHA-256", "content": content}]
 
 
+def build(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+    """Build a package with a library that has only a source distribution; return package and bill of materials."""
+
+    def pip(command: list[str], _folder: Path) -> str:
+        to = Path(command[command.index("-w" if "wheel" in command else "-d") + 1])
+        to.mkdir(exist_ok=True)
+        if "wheel" in command:
+            (module := to / "module.py").write_text("VALUE = 1\n")  # setuptools keeps the mode and the time of a file
+            with zipfile.ZipFile(to / "built-1.0-py3-none-any.whl", "w") as archive:
+                archive.write(module, "module.py")
+                archive.writestr("built-1.0.dist-info/METADATA", "Name: built\nVersion: 1.0\n")
+                archive.writestr("built-1.0.dist-info/RECORD", "")
+        else:
+            (to / "built-1.0.tar.gz").touch()
+        return ""
+
+    release, root = deb.RELEASES["bookworm"], folder / "root"
+    with monkeypatch.context() as patch:
+        patch.setattr(dist, "run", pip)
+        wheels = deb.download(release, folder / "wheels", "amd64", ["built"])
+    for file in deb.CONFFILES:
+        (root / file).parent.mkdir(parents=True, exist_ok=True)
+        (root / file).touch()
+    for wheel in wheels:
+        deb.unpack(wheel, root / "opt/site", root / "opt")
+    package = deb.pack(release, root, folder / "packages", compression="none")
+    parts = [sbom.with_digest(sbom.of_wheel(wheel), wheel) for wheel in wheels]
+    return [package.read_bytes(), deb.write_sbom(package, parts).read_bytes()]
+
+
+def test_a_package_built_elsewhere_has_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    builds = []
+    for umask, zone, name in ((0o022, "UTC", "first"), (0o077, "Asia/Tokyo", "another folder")):
+        monkeypatch.setenv("TZ", zone)
+        before = os.umask(umask)
+        try:
+            (tmp_path / name).mkdir()
+            builds.append(build(tmp_path / name, monkeypatch))
+        finally:
+            os.umask(before)
+    assert builds[0] == builds[1]
+
+
 @pytest.mark.parametrize(("number", "arch"), [(62, "amd64"), (183, "arm64")])
 def test_a_library_for_another_processor_is_rejected(
     number: int, arch: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
