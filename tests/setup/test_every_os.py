@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import pytest
 import yaml
@@ -122,8 +123,39 @@ def test_set_up_installs_nothing_for_midspans_own_ci(workflow: dict[Any, Any]) -
 def test_launchd_gets_a_valid_file() -> None:
     job = plistlib.loads((ROOT / "packaging/midspan.plist").read_bytes())
     assert (job["Label"], job["RunAtLoad"], job["KeepAlive"]) == ("midspan", True, {"SuccessfulExit": False})
-    assert job["UserName"] == "_midspan", "the daemon does not run as root"
+    assert job["UserName"] == "@USER@", "the daemon does not run as root"
+    assert job["SoftResourceLimits"] == job["HardResourceLimits"] == {"NumberOfFiles": 49152}, "macOS' default is 256"
     assert job["ProgramArguments"][1:] == ["run", "--config", "/etc/midspan/midspan.yaml"]
     page = (ROOT / "docs/start/pip.md").read_text("utf-8")
-    assert f"sysadminctl -addUser {job['UserName']} -roleAccount" in page
-    assert f"chown {job['UserName']} /var/lib/midspan {job['StandardErrorPath']}" in page
+    assert """sed "s/@USER@/$USER/" /opt/midspan/share/midspan/packaging/midspan.plist""" in page
+    assert f"`{job['StandardErrorPath'].replace('/Users/@USER@', '~')}`" in page
+
+
+def test_the_task_of_windows_does_not_end_by_itself() -> None:
+    """Each setting replaces a default of the Task Scheduler, with which the daemon would end or be slow."""
+    task = ET.parse(ROOT / "packaging/midspan-task.xml").getroot()
+    space = task.tag.partition("}")[0] + "}"
+
+    def text(path: str) -> str | None:
+        return task.findtext("/".join(f"{space}{name}" for name in path.split("/")))
+
+    assert text("Triggers/TimeTrigger/Repetition/Interval") == "PT1M"
+    assert text("Settings/MultipleInstancesPolicy") == "IgnoreNew", "the repetition does not start a second daemon"
+    assert text("Settings/ExecutionTimeLimit") == "PT0S"
+    assert text("Settings/DisallowStartIfOnBatteries") == text("Settings/StopIfGoingOnBatteries") == "false"
+    assert text("Settings/Priority") == "4"
+    arguments = text("Actions/Exec/Arguments") or ""
+    inner = re.fullmatch(r'/c "(.+)"', arguments)  # cmd removes the outer quotes
+    assert inner is not None
+    words = shlex.split(inner[1].replace("\\", "/"))
+    assert words == [
+        "C:/midspan/Scripts/midspan.exe",
+        "run",
+        "--config",
+        "C:/midspan/midspan.yaml",
+        "2>>",
+        "C:/midspan/midspan.log",
+    ]
+    page = (ROOT / "docs/start/pip.md").read_text("utf-8")
+    assert "packaging\\midspan-task.xml) -User" in page
+    assert "packaging/*.xml" in (ROOT / "pyproject.toml").read_text("utf-8")
