@@ -59,7 +59,6 @@ class Program(Commands):
             "failed": self.listener.failures,
             "warnings": self.edge.warnings(),
             "network": self.edge.network(),
-            "warnings": self.edge.warnings(),
             "endpoints": [f"{e.kind.value} {e.topic} {e.made_by.value}" for e in self.edge.endpoints()],
         }
 
