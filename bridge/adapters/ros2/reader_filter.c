@@ -4,8 +4,9 @@
  * filter returns false. The filter is a C++ object with one virtual function (rtps/interfaces/IReaderDataFilter.hpp of
  * Fast DDS 2.14 and 3.2), built here from a table with this function, as in the Itanium C++ ABI. A reader's version is
  * in the graph of rmw before Fast DDS matches it with a writer, and a reader that is not listed gets nothing, so no
- * message goes to a wrong reader. The filter runs without Python, with the writer's lock held; it takes the graph's lock, which no thread
- * holds while it waits for a writer. ROS is not linked: the addresses of its functions are passed in.
+ * message goes to a wrong reader. The filter runs without Python, with the writer's lock held; it takes the graph's
+ * lock, which no thread holds while it waits for a writer. ROS is not linked: the addresses of its functions are passed
+ * in.
  */
 
 #define PY_SSIZE_T_CLEAN
