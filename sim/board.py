@@ -98,9 +98,7 @@ class WheelCommands:
         positions = self.positions()
         for wheel, target in enumerate(self.targets):
             if self.modes[wheel] in _TO_POSITIONS:
-                self._moving[wheel] = (
-                    0.0 if target is None else self._towards(wheel, target - positions[wheel], seconds)
-                )
+                self._moving[wheel] = 0.0 if target is None else self._toward(wheel, target - positions[wheel], seconds)
             else:
                 self._moving[wheel] = self.velocities[wheel] if self.now_ns < self._until[wheel] else 0.0
         return np.radians(self._moving)
@@ -115,7 +113,7 @@ class WheelCommands:
             return self.targets[wheel] is not None
         return self.now_ns < self._until[wheel]
 
-    def _towards(self, wheel: int, distance: float, seconds: float) -> float:
+    def _toward(self, wheel: int, distance: float, seconds: float) -> float:
         """Return the velocity (degrees per second) of a trapezoidal move over ``distance`` (degrees).
 
         In position direct mode, return the velocity of the fastest possible move.

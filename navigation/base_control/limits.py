@@ -69,7 +69,7 @@ class Limiter:
         return self.kinematics.wheels(self.now)
 
     def _approached(self, start: Velocity, target: Velocity, seconds: float) -> Velocity:
-        """Step towards the target for one period: each axis separately if the limits allow, else in proportion."""
+        """Step toward the target for one period: each axis separately if the limits allow, else in proportion."""
         linear, turn = self._reach(start, target, seconds)
         apart = Velocity(
             start.x + (target.x - start.x) * linear,

@@ -39,7 +39,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
         self._post = host.loop.post
         self._pending_start: tuple[Map2DLocation, Matrix] | None = None
         self._connected = False
-        super().__init__(ILocalization2DMsgs, self.place, host.yarp.naming, "midspan-other-localiser")
+        super().__init__(ILocalization2DMsgs, self.place, host.yarp.naming, "midspan-other-localizer")
 
     @override
     def estimate(self) -> PoseEstimate:

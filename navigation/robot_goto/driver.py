@@ -288,11 +288,11 @@ class Driver:
                 return STILL
             return DriveCommand(omega=limits.turn(limits.ang_gain * turn))
         moved = step.moved
-        towards = self._towards(step, task, limits, relative)
-        beta = wrapped(math.atan2(towards.y - moved.y, towards.x - moved.x) - moved.theta)
-        if self._blocked(step, task, limits, beta, distance, towards.blocked):
+        toward = self._toward(step, task, limits, relative)
+        beta = wrapped(math.atan2(toward.y - moved.y, toward.x - moved.x) - moved.theta)
+        if self._blocked(step, task, limits, beta, distance, toward.blocked):
             return STILL
-        if self._stuck(step.now, task, towards.left, distance, math.inf):
+        if self._stuck(step.now, task, toward.left, distance, math.inf):
             return STILL
         ramp = task.obstruction.ramp(step.now)
         wanted = drive(
@@ -317,7 +317,7 @@ class Driver:
         self._move = TimedMove(self.command, COAST)
         return self.command
 
-    def _towards(self, step: Step, task: GotoTask, limits: GoalLimits, relative: Pose) -> Aim:
+    def _toward(self, step: Step, task: GotoTask, limits: GoalLimits, relative: Pose) -> Aim:
         """Return the point to drive to, in the grid's frame."""
         goal = step.moved @ relative
         if not limits.avoid:

@@ -128,8 +128,8 @@ def behind(goal: Pose, here: Pose) -> tuple[float, float] | None:
 
     None if the robot is too far away, or the goal's heading is NaN or differs too much from the direction to the goal.
     """
-    away, towards = here.distance(goal), math.atan2(goal.y - here.y, goal.x - here.x)
-    if not (away < _BEND_FROM and abs(wrapped(goal.theta - towards)) < _BEND_MOST):
+    away, toward = here.distance(goal), math.atan2(goal.y - here.y, goal.x - here.x)
+    if not (away < _BEND_FROM and abs(wrapped(goal.theta - toward)) < _BEND_MOST):
         return None
     length = _BEND * away
     return goal.x - length * math.cos(goal.theta), goal.y - length * math.sin(goal.theta)

@@ -38,7 +38,7 @@ class TimedMove:
 
 @dataclass
 class GoalProgress:
-    """The progress towards a goal."""
+    """The progress toward a goal."""
 
     best: float = math.inf  #: the smallest remaining cost of the path so far, meters of open floor
     nearest: float = math.inf  #: the smallest straight distance so far, meters: the cost rises when obstacles appear
@@ -175,7 +175,7 @@ class Hold:
 
 
 class SearchTurn:
-    """Turns in place, towards the unseen cells, until the laser sees the path."""
+    """Turns in place, toward the unseen cells, until the laser sees the path."""
 
     def __init__(self) -> None:
         self._left = self._sign = 0.0

@@ -39,7 +39,7 @@ _WATCH = 0.5  # seconds between two checks of the path ahead
 _AHEAD = 5.0  # meters of the path that are checked
 _AGAIN = 2.0  # seconds until planning is tried again if there was no path
 _GLITCH = 0.3  # seconds for which a missing pose does not matter
-_NEARER = 0.5  # meters of progress towards the goal that reset the count of attempts
+_NEARER = 0.5  # meters of progress toward the goal that reset the count of attempts
 _PATIENCE_PER_METER, _LONGEST_PATIENCE = 2.0, 20.0
 """Seconds to wait for a blocked path to clear, per meter by which the alternative is longer, and the most in all."""
 _DETOUR = 3.0

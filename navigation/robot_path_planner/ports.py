@@ -166,7 +166,7 @@ def _disc(canvas: Any, place: tuple[float, float], radius: float, color: tuple[i
 
 
 def _arrow(canvas: Any, place: tuple[float, float], theta: float, size: float, color: tuple[int, int, int]) -> None:
-    """Draw a disc with a line towards its heading."""
+    """Draw a disc with a line toward its heading."""
     _disc(canvas, place, size, color)
     if math.isfinite(theta):
         end = place[0] + size * math.cos(theta), place[1] - size * math.sin(theta)

@@ -163,7 +163,7 @@ def test_a_table_is_an_obstacle_and_a_stair_down_is_keep_out_in_the_layer():
     mapped = space(farthest=8.0)
     rng = np.random.default_rng(1)
     turn = np.linspace(0.0, math.tau, 16, endpoint=False)
-    for angle in turn:  # from all sides, from 3 m away, towards the center
+    for angle in turn:  # from all sides, from 3 m away, toward the center
         origin = np.array([3.0 * math.cos(angle), 3.0 * math.sin(angle), 1.3])
         rays = rng.normal(size=(40_000, 3)) * (0.3, 0.3, 0.15) - origin / np.linalg.norm(origin)
         rays[:, 2] -= 0.1

@@ -127,7 +127,7 @@ def test_obstacles_at_the_side_do_not_slow_the_robot():
 
 def test_the_robot_drives_out_of_a_dead_end():
     scene = Scene()
-    for wall in (box(1.6, 0.0, 0.2, 1.6), box(1.1, 0.7, 1.0, 0.2), box(1.1, -0.7, 1.0, 0.2)):  # open towards the robot
+    for wall in (box(1.6, 0.0, 0.2, 1.6), box(1.1, 0.7, 1.0, 0.2), box(1.1, -0.7, 1.0, 0.2)):  # open toward the robot
         scene.sim.world.spawn(wall, f"wall {wall.at}")
     assert scene.goto(2.4, 0.0, seconds=90) is State.REACHED
     assert not scene.touched
@@ -348,7 +348,7 @@ def test_space_without_valid_ranges_is_not_free():
     assert scene.driver.status.state is State.REACHED
 
 
-def test_the_robot_does_not_move_towards_a_side_it_has_not_seen():
+def test_the_robot_does_not_move_toward_a_side_it_has_not_seen():
     scene = Scene(robot="ikart_v1")
     angles = np.degrees(-math.pi + np.arange(720) * math.tau / 720)
     left = (angles > 45.0) & (angles < 135.0)

@@ -46,7 +46,7 @@ def driven(program: Program, side: float, step: Callable[[], int], sides: int = 
             while True:
                 pose = program.pose(now)
                 wanted = heading if goal is not None else heading + math.pi / 2
-                command = _towards(pose, wanted, goal)
+                command = _toward(pose, wanted, goal)
                 program.command(*command)
                 now = step()
                 if command == (0.0, 0.0):
@@ -62,7 +62,7 @@ def _ahead(start: Pose, corner: int, side: float) -> tuple[float, float]:
     return x, y
 
 
-def _towards(pose: Pose, heading: float, goal: tuple[float, float] | None) -> tuple[float, float]:
+def _toward(pose: Pose, heading: float, goal: tuple[float, float] | None) -> tuple[float, float]:
     """Return a command toward a point, or, without a point, to turn to a heading; zero once that is reached."""
     if goal is None:
         left = math.remainder(heading - pose.theta, 2 * math.pi)

@@ -132,11 +132,6 @@ class Publisher(_TopicPort):
             return False
         return reached >= count or not self._wait
 
-    @property
-    def is_latched(self) -> bool:
-        """Whether late joiners receive the last message."""
-        return self._latched
-
     def _store_last(self, message: Any) -> None:
         """Store the last message for late joiners."""
         if self._latched and message is not None:

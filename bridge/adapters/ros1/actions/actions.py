@@ -37,7 +37,7 @@ class Ros1Actions:
         self._network = network
         self._guard = FrameGuard(network)
         self._publishers = LingeringPublishers(network.publish, lambda name: not self._natives(name, network.facts()))
-        self._towards_servers = replace(network, publish=self._publishers.publish)
+        self._toward_servers = replace(network, publish=self._publishers.publish)
         self._found = NOTHING
         self._lock = threading.Lock()
         self._callers: dict[tuple[str, str], ActionCaller] = {}
@@ -152,7 +152,7 @@ class Ros1Actions:
         caller = self._callers.get((action, type_))
         if caller is None:
             caller = ActionCaller(
-                action, self._types(type_), self._towards_servers, self._guard,
+                action, self._types(type_), self._toward_servers, self._guard,
                 lambda server: server in self._natives(action, self._network.facts()),
             )  # fmt: skip
             self._callers[action, type_] = caller
