@@ -124,7 +124,6 @@ class Engine:
         self._context = EngineContext(
             hub, edge, StallDetector(edge.resumed), self._peers.lease, types, small, bulk, wake, registry, hold
         )
-        self._held_calls = self._context.held_calls
         self._routes = EngineRoutes(self._context, daemon, RuleSet(routing))
         self._tokens = NetworkTokens(hub, edge.side, daemon)
         self._term = 0
@@ -156,7 +155,7 @@ class Engine:
         context.small.stop()
         context.bulk.stop()
         self._routes.close()
-        self._held_calls.close()
+        context.held_calls.close()
         self._peers.stop()
         context.stall_detector.stop()
         self.edge.stop()

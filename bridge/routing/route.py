@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, TypeVar
 
 from bridge.hub.session import Hub
@@ -42,6 +41,7 @@ class EngineContext:
         small, bulk: dispatchers of small and large messages to the side.
         wake: schedules a check of the routes.
         registry: creates negative replies.
+        held_calls: the calls that wait for the lease.
     """
 
     hub: Hub
@@ -54,11 +54,10 @@ class EngineContext:
     wake: Callable[[], None]
     registry: Registry | None = None
     hold: Hold | None = None
+    held_calls: HeldCalls = field(init=False)
 
-    @cached_property
-    def held_calls(self) -> HeldCalls:
-        """The calls that wait for the lease."""
-        return HeldCalls(self.edge.side, self.lease)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "held_calls", HeldCalls(self.edge.side, self.lease))
 
 
 class Route:

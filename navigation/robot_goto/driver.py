@@ -184,7 +184,7 @@ class Driver:
 
     @property
     def silent(self) -> bool:
-        """Whether there is no command to publish: nothing to drive for, and the last command was to stand still."""
+        """Whether no command has to be published: no goal is active, and the last command was to stand still."""
         return self.status.state.ended and self.command == STILL
 
     # steps
@@ -352,7 +352,7 @@ class Driver:
         return False
 
     def _stuck(self, now: float, task: GotoTask, left: float, away: float, turn: float) -> bool:
-        """Whether there was no progress for too long; ends or pauses the goal then."""
+        """Whether progress has been missing for too long; ends or pauses the goal then."""
         missing = task.progress.missing(now, left, away, turn)
         if missing <= self.settings.deadlock_time:
             return False

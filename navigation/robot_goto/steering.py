@@ -124,7 +124,7 @@ class Aim(NamedTuple):
 
 
 def behind(goal: Pose, here: Pose) -> tuple[float, float] | None:
-    """Return the point behind a goal, x and y, at which a robot aims to arrive with the goal's heading.
+    """Return the point, x and y, back from a goal along its heading; a robot that aims at it arrives with that heading.
 
     None if the robot is too far away, or the goal's heading is NaN or differs too much from the direction to the goal.
     """
@@ -240,7 +240,7 @@ def side_slowdown(settings: RobotGotoSection, aside: float) -> float:
 
 
 def people_speed(settings: RobotGotoSection, gap: float) -> float:
-    """Return the speed from which the robot can stop before a person, who is `gap` meters away, reaches it at 1 m/s."""
+    """Return the speed from which the robot can stop before a person, at a distance ``gap``, reaches it at 1 m/s."""
     walking, reaction, braking = 1.0, settings.reaction, settings.max_lin_acc
     left = gap - walking * reaction
     if left <= 0.0:

@@ -37,7 +37,7 @@ from navigation.status import Fault, PlanError, PlannerStatus, State
 _JUMP = 0.5  # meters; if localization moves the robot by more than this or 30 degrees at once, a new path is planned
 _WATCH = 0.5  # seconds between two checks of the path ahead
 _AHEAD = 5.0  # meters of the path that are checked
-_AGAIN = 2.0  # seconds until planning is tried again if there was no path
+_AGAIN = 2.0  # seconds until planning is tried again if no path was found
 _GLITCH = 0.3  # seconds for which a missing pose does not matter
 _NEARER = 0.5  # meters of progress toward the goal that reset the count of attempts
 _PATIENCE_PER_METER, _LONGEST_PATIENCE = 2.0, 20.0
@@ -256,7 +256,7 @@ class PathPlanner:
         self._set_out(task, now, pose, local, path)
 
     def _first_path(self, task: DriveTask, pose: Pose) -> PlannedPath:
-        """Return the path around the laser's obstacles unless there is none, or one through them is `_DETOUR` shorter.
+        """Return the path around the laser's obstacles if it exists, unless a path through them is `_DETOUR` shorter.
 
         Such obstacles may have moved away by the time the robot gets there.
         """
@@ -348,7 +348,7 @@ class PathPlanner:
             task.replan_reason = "a wall is between the robot and its waypoint"
             return
         if _waits_for_obstacle(local) and task.passes_wall(ground, pose):
-            task.replan_reason = "a wall is beside the robot's line to its waypoint"
+            task.replan_reason = "a wall is near the robot's line to its waypoint"
             return
         line = task.line(pose)
         if not (len(clutter.cells) or len(clutter.fixed)) or not _is_path_blocked(ground, clutter, line, local):
@@ -483,7 +483,7 @@ def _waits_for_obstacle(local: LocalNavigator) -> bool:
 
 
 def _is_path_blocked(ground: Ground, clutter: Clutter, line: Places, local: LocalNavigator) -> bool:
-    """Whether obstacles are on the path, or beside it if the local navigator already waits for an obstacle."""
+    """Whether obstacles are on the path, or next to it if the local navigator already waits for an obstacle."""
     ahead = cut(line, _AHEAD)
     if _waits_for_obstacle(local):
         return blocked(ground, clutter.closed(), ahead, inside=True)

@@ -1,4 +1,4 @@
-"""The topics and YARP ports of the planner: what it publishes, its map as a picture to click on, and INavigation2D."""
+"""The planner's topics and YARP ports: status, path, the map as a picture to click on, and INavigation2D."""
 
 # ruff: noqa: N802, D102 - YARP's names, documented in its interface
 
@@ -37,7 +37,7 @@ _REASON_PERIOD = 1.0  # seconds between two statuses that differ only in their r
 class PathPlannerTopics(PlannerTopics):
     """Publishes the status and the path when they change, and pictures. Used only on the module's thread.
 
-    Without a prefix, there are no YARP ports.
+    Without a prefix, it opens no YARP ports.
     """
 
     def __init__(self, host: Host, frame: str, prefix: str) -> None:

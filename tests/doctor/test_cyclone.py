@@ -16,7 +16,7 @@ def test_nodes_are_named() -> None:
     finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.OK
     assert "/lamp, /planner on Cyclone DDS" in finding.seen
-    assert "topics, services and actions cross" in finding.seen
+    assert "topics, services and actions are bridged" in finding.seen
 
 
 def test_names_that_are_served_twice() -> None:

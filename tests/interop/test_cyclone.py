@@ -310,4 +310,4 @@ def test_doctor_names_the_nodes(shared: Deployment) -> None:
     assert any(line.startswith("Fast DDS 2 (Iron or Jazzy): ") for line in named), named
     (line,) = [finding for finding in findings if finding["check"] == "cyclone"]
     assert line["result"] == "ok"
-    assert "topics, services and actions cross" in line["seen"]
+    assert "topics, services and actions are bridged" in line["seen"]

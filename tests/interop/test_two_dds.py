@@ -1,6 +1,6 @@
 """Whole workers on Cyclone DDS and on Fast DDS, with real rclpy programs on both.
 
-They need rmw_cyclonedds_cpp, of which there is no wheel (docs/sides/ros2.md).
+They need rmw_cyclonedds_cpp, which is not published as a wheel (docs/sides/ros2.md).
 """
 
 from __future__ import annotations

@@ -9,6 +9,9 @@ import psutil
 
 CPUS = psutil.cpu_count() or 1
 
+_LEAST = 0.25
+"""The smallest share that counts, so that a limit that is divided by it stays a limit."""
+
 
 class ProcessorShare:
     """Measures from its creation on.
@@ -22,7 +25,7 @@ class ProcessorShare:
     def least(self) -> float:
         """Return the share (0 to 1) that the test had if it could have used all the time that others left."""
         elapsed = time.monotonic() - self._begun
-        return max(0.05, 1.0 - max(0.0, _others() - self._others) / (CPUS * elapsed))
+        return max(_LEAST, 1.0 - max(0.0, _others() - self._others) / (CPUS * elapsed))
 
 
 def _others() -> float:

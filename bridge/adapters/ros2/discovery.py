@@ -1,8 +1,8 @@
 """Fast DDS discovery servers: those in ``ROS_DISCOVERY_SERVER``, and whether the ROS 2 side reaches them.
 
 Servers are probed with an RTPS header without submessages, which they ignore. If no program receives at the port, the
-server's machine reports that by ICMP, which the next use of the socket returns as an error. If a
-firewall drops such reports, it is not known whether the server runs.
+server's machine reports that by ICMP, which the next use of the socket returns as an error. If a firewall drops such
+reports, it is not known whether the server runs.
 
 A client of Fast DDS (2.14.5) that has not noticed the end of its server discards what the next one sends as duplicates:
 both have the same GUID, and number their messages from 1. A server that ends without SIGKILL announces its end, and
@@ -17,11 +17,11 @@ import select
 import socket
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
-from pathlib import Path
 from typing import NamedTuple
 
 from typing_extensions import override
 
+from bridge.adapters.ros2.graph.neighbors import udp_sockets
 from bridge.concurrency import DelayedCalls
 
 SERVERS = "ROS_DISCOVERY_SERVER"
@@ -41,7 +41,6 @@ LEASE = 30.0
 
 _SERVER = re.compile(r"(?:UDPv4:)?\[?(?P<host>[^\[\]:]+)\]?(?::(?P<port>[0-9]{1,5}))?")
 _PORT = 11811
-_UDP_SOCKETS = Path("/proc/net/udp")
 _PROBE = b"RTPS\x02\x03\x01\x0f" + bytes(12)
 
 
@@ -161,12 +160,7 @@ def _sockets(server: Server) -> frozenset[str]:
     """Return the inodes of this machine's sockets at the port of a server here; empty if they are unknown."""
     if not _is_here(server.host):
         return frozenset()
-    try:
-        lines = _UDP_SOCKETS.read_text(encoding="utf-8").splitlines()[1:]
-    except OSError:
-        return frozenset()
-    sockets = (line.split() for line in lines)
-    return frozenset(fields[9] for fields in sockets if fields[1].endswith(f":{server.port:04X}"))
+    return frozenset(inode for port, inode in udp_sockets() or () if port == server.port)
 
 
 class _Watched:

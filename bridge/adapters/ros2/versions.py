@@ -13,6 +13,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 
+from bridge.adapters.ros2.graph import vendors
 from bridge.hub.graph.tokens import EndpointKind
 from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import MessageTypeError
@@ -32,8 +33,6 @@ _KINDS = {
     Kind.SERVER: EndpointKind.SERVER,
     Kind.CLIENT: EndpointKind.CLIENT,
 }
-_CURE_SERVERS = "stop one of them, or rename one with a remapping of its node"
-_UNNAMED = "a node with an unknown name"
 _CURE = "install the same version of the package on both, or give its folder in types.folders"
 
 
@@ -158,9 +157,9 @@ class EndpointVersions:
             nodes = self._versions_of_nodes(type_name, of_type)
             reason = (
                 f"{of_type[0].topic} is served with different versions of {type_name} ({nodes}): calls go to"
-                f" {', '.join(sorted(server.node or _UNNAMED for server in chosen))}"
+                f" {', '.join(sorted(server.node or vendors.UNNAMED for server in chosen))}"
             )
-            uncalled = Obstacle(reason, _CURE_SERVERS)
+            uncalled = Obstacle(reason, vendors.CURE)
             marked += [
                 replace(server, uncalled=uncalled if chosen and versions[server.id] in others else None)
                 for server in of_type
@@ -173,7 +172,7 @@ class EndpointVersions:
         for server in servers:
             version = self._of_server(server) if server.made_by is MadeBy.NATIVE else None
             if version is not None:
-                nodes[version].add(server.node or _UNNAMED)
+                nodes[version].add(server.node or vendors.UNNAMED)
         return "; ".join(f"{self._label(type_name, v)}: {', '.join(sorted(names))}" for v, names in nodes.items())
 
     def check_server(self, endpoint: Endpoint, here: str, request: str) -> None:
@@ -274,7 +273,7 @@ class EndpointVersions:
                 f"{service} is served with different versions of {type_name} ({found}): DDS delivers each request to"
                 " all servers, and some would decode it wrongly, so it was not sent"
             )
-            return Obstacle(reason, _CURE_SERVERS)
+            return Obstacle(reason, vendors.CURE)
         return None
 
     def _of_server(self, server: Endpoint) -> str | None:

@@ -115,9 +115,9 @@ class KeyEdge(SideEdge):
 
     def _client_trouble(self, err: zenoh.ZError) -> str:
         """Return why the router of a client does not connect it, with the cure if a certificate is refused."""
-        from bridge.hub.security.handshake import refusal  # imports libraries that only TLS needs
+        for place in filter(_has_certificates, _endpoints(self._settings, "connect")):
+            from bridge.hub.security.handshake import refusal  # imports libraries that only TLS needs
 
-        for place in _endpoints(self._settings, "connect"):
             refused = refusal(place, self._settings)
             if refused is not None:
                 return f"{refused.text}; {_CURE}"
@@ -160,7 +160,7 @@ class KeyEdge(SideEdge):
         self.opened(session)
         self.away = ""
         connect, listen = (_endpoints(self._settings, way) for way in ("connect", "listen"))
-        if any(place.startswith(_WITH_CERTIFICATES) for place in (*connect, *listen)):
+        if any(map(_has_certificates, (*connect, *listen))):
             self._monitor_endpoints(session, connect, listen)
 
     def _monitor_endpoints(self, session: zenoh.Session, connect: list[str], listen: list[str]) -> None:
@@ -265,6 +265,10 @@ class KeyEdge(SideEdge):
     def _unregister(self, endpoint: OwnEndpoint) -> None:
         with self._lock:
             self._endpoints.discard(endpoint)
+
+
+def _has_certificates(place: str) -> bool:
+    return place.startswith(_WITH_CERTIFICATES)
 
 
 def _endpoints(settings: zenoh.Config, way: str) -> list[str]:

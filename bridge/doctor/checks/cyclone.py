@@ -1,18 +1,16 @@
-"""Reports which ROS 2 nodes run on Cyclone DDS, and which calls do not cross between them and another DDS."""
+"""Reports which ROS 2 nodes run on Cyclone DDS, and which calls between them and another DDS fail."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+from bridge.adapters.ros2.graph.vendors import CURE_MIXED
 from bridge.doctor.check import Check, Finding, Findings, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.status import CycloneNodes
 from bridge.text import listed
 
 _CURE = "stop one of the servers, or rename one with a remapping of its node"
-_CURE_MIXED = (
-    "run both on the same RMW_IMPLEMENTATION, or in two domains, each with a Midspan daemon (docs/sides/ros2.md)"
-)
 
 
 def check_nodes(context: CheckContext) -> Findings:
@@ -37,9 +35,9 @@ def _findings(daemon: str, cyclone: CycloneNodes) -> Iterator[Finding]:
     if cyclone.mixed:
         pairs = f"native clients and servers on two kinds of DDS: {listed(cyclone.mixed)}"
         lost = "ROS 2 executes these requests with wrong values, and the clients get no replies"
-        yield warn(f"{seen}; {pairs}: {lost}", _CURE_MIXED)
+        yield warn(f"{seen}; {pairs}: {lost}", CURE_MIXED)
     if not cyclone.both and not cyclone.mixed:
-        yield ok(f"{seen}: topics, services and actions cross")
+        yield ok(f"{seen}: topics, services and actions are bridged")
 
 
 CHECKS = (Check("cyclone", "ROS 2 nodes on Cyclone DDS", check_nodes),)

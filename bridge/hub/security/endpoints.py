@@ -83,6 +83,9 @@ class Owner:
         return self.cure if reason.state is EndpointState.REFUSED else ""
 
 
+HUB_OPEN = Owner()
+
+
 @dataclass(frozen=True, slots=True)
 class EndpointStatus:
     """One endpoint as reported in the router's status document.
@@ -108,7 +111,7 @@ class EndpointStatus:
 
     @override
     def __str__(self) -> str:
-        return self.text("hub.open.")
+        return self.text(HUB_OPEN.prefix)
 
     def text(self, prefix: str) -> str:
         """Return the status for people, without the time and the cure; it begins with the prefix."""
@@ -152,8 +155,8 @@ class _Endpoint:
 class _Connect(_Endpoint):
     """An endpoint to which the router connects."""
 
-    def __init__(self, endpoint: str, identity: Identity | None, owner: Owner | None = None) -> None:
-        super().__init__(endpoint, "connect", EndpointState.CONNECTING, owner or Owner())
+    def __init__(self, endpoint: str, identity: Identity | None, owner: Owner = HUB_OPEN) -> None:
+        super().__init__(endpoint, "connect", EndpointState.CONNECTING, owner)
         self._identity = identity
         self._addresses: Collection[str] = frozenset()
         self._machine = ""
@@ -247,8 +250,8 @@ class _Refusals:
 class _Listen(_Endpoint):
     """An endpoint to which other machines connect."""
 
-    def __init__(self, endpoint: str, owner: Owner | None = None) -> None:
-        super().__init__(endpoint, "listen", EndpointState.LISTENING, owner or Owner())
+    def __init__(self, endpoint: str, owner: Owner = HUB_OPEN) -> None:
+        super().__init__(endpoint, "listen", EndpointState.LISTENING, owner)
         self.refused = 0
         self._read = time.monotonic()
         self._active: dict[str, _Refusals] = {}
@@ -337,7 +340,7 @@ class EndpointMonitor:
 
     def __init__(
         self, session: Any, listen: Sequence[str], connect: Sequence[str], identity: Identity | None = None,
-        zenoh_log: ZenohLog | None = None, own_trouble: Callable[[], str] | None = None, owner: Owner | None = None,
+        zenoh_log: ZenohLog | None = None, own_trouble: Callable[[], str] | None = None, owner: Owner = HUB_OPEN,
     ) -> None:  # fmt: skip
         self._session, self._zenoh_log, self._own_trouble = session, zenoh_log, own_trouble
         self._listen = [_Listen(endpoint, owner) for endpoint in listen]

@@ -62,7 +62,7 @@ class Served(Place):
         """Empty the store, and wait until the module has no current map."""
         for kind in KINDS.values():
             self.store.clear(kind)
-        until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "there is no current map", 20)
+        until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "no map is current", 20)
 
     def client(self, port: str = "/map2D_nws_yarp/rpc") -> Map2DClient:
         return Map2DClient(port, naming=self.names, timeout=20)

@@ -36,7 +36,7 @@ _STATUS = "action_msgs/GoalStatusArray"
 
 
 class ActionServer:
-    """An action server of a DDS node behind a bridge; it accepts all goals, which run until `end`, also if canceled."""
+    """An action server of a bridge's DDS node; it accepts all goals, which run until `end`, also if canceled."""
 
     def __init__(self, bridge: Ros2ddsBridge, name: str) -> None:
         self.bridge = bridge
@@ -84,7 +84,7 @@ class ActionServer:
 
 
 class ActionClient:
-    """An action client of a DDS node behind a bridge."""
+    """An action client of a bridge's DDS node."""
 
     def __init__(self, bridge: Ros2ddsBridge, name: str) -> None:
         self.bridge, self.name = bridge, name

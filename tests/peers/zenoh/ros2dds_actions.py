@@ -1,4 +1,4 @@
-"""Action servers and clients behind a bridge like zenoh-bridge-ros2dds, with the commands of `tests.peers.peer`.
+"""Action servers and clients of a bridge like zenoh-bridge-ros2dds, with the commands of `tests.peers.peer`.
 
 Their only action is ``tf2_msgs/LookupTransform``, whose feedback has no fields.
 """
@@ -101,7 +101,7 @@ class Sent(PolledGoal):
 
 
 class Ros2ddsActions(Commands):
-    """Nodes with action servers and clients behind one bridge.
+    """Nodes with action servers and clients that one bridge connects.
 
     Args:
         bridge: their bridge.

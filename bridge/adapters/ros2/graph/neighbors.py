@@ -172,10 +172,17 @@ def loaded_majors(process: Path) -> set[int]:
 
 
 def bound_ports(proc: Path) -> set[int] | None:
-    """Return the UDP ports that are bound in this network namespace (proc_net(5)); None if unknown."""
+    """Return the UDP ports that are bound in this network namespace; None if unknown."""
+    sockets = udp_sockets(proc)
+    return None if sockets is None else {port for port, _ in sockets}
+
+
+def udp_sockets(proc: Path = Path("/proc")) -> list[tuple[int, str]] | None:
+    """Return port and inode of each UDP socket in this network namespace (proc_net(5)); None if unknown."""
     try:
         lines = (proc / "net/udp").read_text(encoding="utf-8").splitlines()[1:]
-        return {int(line.split()[1].rpartition(":")[2], 16) for line in lines}
+        sockets = [line.split() for line in lines]
+        return [(int(fields[1].rpartition(":")[2], 16), fields[9]) for fields in sockets]
     except (OSError, ValueError, IndexError):
         return None
 

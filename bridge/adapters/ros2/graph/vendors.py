@@ -21,13 +21,13 @@ CYCLONE = b"\x01\x10"
 CLIENT_NOT_ON_CYCLONE = (
     "its client is on another DDS than Cyclone DDS, which gets no replies while ros2.rmw is rmw_cyclonedds_cpp"
 )
-_CURE = "stop one of them, or rename one with a remapping of its node"
-_CURE_MIXED = "run both on the same RMW_IMPLEMENTATION, or in two domains, each with a Midspan daemon"
+CURE = "stop one of them, or rename one with a remapping of its node"
+CURE_MIXED = "run both on the same RMW_IMPLEMENTATION, or in two domains, each with a Midspan daemon"
 _CURE_ON_CYCLONE = "remove ros2.rmw (on Fast DDS Midspan reaches services of both), or run these nodes on Cyclone DDS"
 _MIXED = (
     "between two kinds of DDS, ROS 2 executes requests with wrong values (mostly zeros), and the client gets no reply"
 )
-_UNNAMED = "a node with an unknown name"
+UNNAMED = "a node with an unknown name"
 
 _OF_EACH_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 """Types of services that every node has."""
@@ -116,12 +116,12 @@ def _by_service(pairs: Mapping[str, str]) -> list[str]:
 
 def mixed_warning(pairs: Sequence[str]) -> str:
     """Return a one-line warning for these pairs of `report`, "" without any."""
-    return f"{', '.join(pairs)}: {_MIXED}; {_CURE_MIXED}" if pairs else ""
+    return f"{', '.join(pairs)}: {_MIXED}; {CURE_MIXED}" if pairs else ""
 
 
 def mixed_notes(endpoints: Iterable[Endpoint]) -> dict[str, list[str]]:
     """Return texts about the pairs of `mixed`, by service."""
-    return {name: [f"{text}: {_MIXED}; {_CURE_MIXED}"] for name, text in mixed(endpoints).items()}
+    return {name: [f"{text}: {_MIXED}; {CURE_MIXED}"] for name, text in mixed(endpoints).items()}
 
 
 def notes(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
@@ -162,13 +162,13 @@ def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
         " each request to all servers, and a server would execute one in the other's form with wrong values, so it was"
         " not sent"
     )
-    return Obstacle(reason, _CURE)
+    return Obstacle(reason, CURE)
 
 
 def not_on_cyclone(service: str, servers: Iterable[Endpoint] = ()) -> Obstacle:
     """Return why a client on Cyclone DDS cannot call a service that these servers on another DDS have, too."""
     reason = (
-        f"{service} is served on another DDS than Cyclone DDS ({_nodes(servers) or _UNNAMED}): Midspan, which is on"
+        f"{service} is served on another DDS than Cyclone DDS ({_nodes(servers) or UNNAMED}): Midspan, which is on"
         " Cyclone DDS, can neither send a request in the other's form nor match its reply, so it was not sent"
     )
     return Obstacle(reason, _CURE_ON_CYCLONE)
@@ -190,7 +190,7 @@ def report(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
     nodes: set[str] = set()
     for endpoint in endpoints:
         if _is_cyclone_endpoint(endpoint):
-            nodes.add(endpoint.node or _UNNAMED)
+            nodes.add(endpoint.node or UNNAMED)
         if endpoint.kind is Kind.SERVER and not endpoint.type.startswith(_OF_EACH_NODE):
             by_name.setdefault(endpoint.topic, []).append(endpoint)
     if not nodes:
@@ -204,7 +204,7 @@ def warning(cyclone: dict[str, Any]) -> str:
     if not cyclone["both"]:
         return ""
     names = ", ".join(cyclone["both"])
-    return f"{names}: served on Cyclone DDS and on another DDS, so the servers on Cyclone DDS are not called; {_CURE}"
+    return f"{names}: served on Cyclone DDS and on another DDS, so the servers on Cyclone DDS are not called; {CURE}"
 
 
 def _served_elsewhere(endpoints: Iterable[Endpoint]) -> list[Endpoint]:
@@ -221,10 +221,10 @@ def report_on_cyclone(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
     servers = _served_elsewhere(endpoints)
     names = {split(end.topic)[0] or end.topic for end in servers if not end.type.startswith(_OF_EACH_NODE)}
     return {
-        "nodes": sorted({end.node or _UNNAMED for end in endpoints if _is_cyclone_endpoint(end)}),
+        "nodes": sorted({end.node or UNNAMED for end in endpoints if _is_cyclone_endpoint(end)}),
         "both": [],
         "mixed": _by_service(mixed(endpoints)),
-        "foreign": sorted({end.node or _UNNAMED for end in servers}),
+        "foreign": sorted({end.node or UNNAMED for end in servers}),
         "uncallable": sorted(names),
     }
 
@@ -252,4 +252,4 @@ def warnings_on_cyclone(endpoints: Collection[Endpoint], served: Collection[str]
 
 
 def _nodes(endpoints: Iterable[Endpoint]) -> str:
-    return ", ".join(sorted({endpoint.node or _UNNAMED for endpoint in endpoints}))
+    return ", ".join(sorted({endpoint.node or UNNAMED for endpoint in endpoints}))

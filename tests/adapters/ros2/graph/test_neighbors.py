@@ -46,7 +46,8 @@ class Table:
 
     def bind(self, *ports: int) -> None:
         (self.folder / "net").mkdir(exist_ok=True)
-        lines = [f"{n}: 00000000:{port:04X} 00000000:0000 07 00000000:00000000" for n, port in enumerate(ports)]
+        rest = "00000000:0000 07 00000000:00000000 00:00000000 00000000  0        0 4711 2 0000000000000000 0"
+        lines = [f"{n}: 00000000:{port:04X} {rest}" for n, port in enumerate(ports)]
         (self.folder / "net/udp").write_text("\n".join(["  sl  local_address rem_address   st", *lines, ""]))
 
 
