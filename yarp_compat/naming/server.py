@@ -185,7 +185,7 @@ class NameServer(Openable):
 
     def apply(self, words: Sequence[Any], remote: str) -> Command:
         """Execute a command with its effects."""
-        if words and words[-1] == "gc" and len(words) < 3:
+        if _is_collection(words):
             self.collect(patience=1)
         with self._lock:
             answer = self.registry.apply(words, remote)
@@ -232,13 +232,15 @@ class NameServer(Openable):
         """Count a change. The caller holds the lock, so that a reader of the count also sees the change."""
         self.changes += answer.changed
 
-    def _line(self, line: str, address: tuple[str, int]) -> bytes:
-        """Execute a command in a line; return the bytes of the reply."""
+    def _line(self, line: str, address: tuple[str, int], *, wait: bool) -> bytes | None:
+        """Execute a command in a line; return the reply's bytes, or None if that takes time and may not ``wait``."""
         try:
             command = from_text(line)
         except WireError as err:
             _log.info("invalid command from %s: %s", address[0], err)
             command = []
+        if not wait and (_is_collection(command) or self._lock.locked()):
+            return None
         values = self.apply(command, address[0]).values
         return _encode_lines(values) if values[:1] == [OLD] else _encoded(to_text(values) + "\r\n")
 
@@ -315,6 +317,10 @@ class _OwnNaming(SilentNaming):
     @override
     def query(self, name: str) -> PortContact | None:
         return self._server.registry.find(name)
+
+
+def _is_collection(words: Sequence[Any]) -> bool:
+    return bool(words) and words[-1] == "gc" and len(words) < 3
 
 
 def _encode_lines(values: Sequence[Any]) -> bytes:

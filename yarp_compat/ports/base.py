@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from yarp_compat.ports.loop import PortLoop
 from yarp_compat.ports.message import MessagePeer, PortMessage
@@ -27,7 +27,13 @@ _log = logging.getLogger("yarp.ports")
 _lock = threading.Lock()
 
 OnMessage = Callable[[PortMessage], Any]
-OnLine = Callable[[str, tuple[str, int]], bytes]
+
+
+class OnLine(Protocol):
+    """Answers a name server's command line from a peer's address."""
+
+    def __call__(self, line: str, address: tuple[str, int], *, wait: bool) -> bytes | None:
+        """Return the answer, or None if it takes time and the caller cannot ``wait``."""
 
 
 @dataclass(slots=True)

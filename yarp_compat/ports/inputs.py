@@ -66,12 +66,16 @@ class Input:
             if self._closing:
                 self._end()
             else:
-                self._begin()
+                self._on_bytes(loop)
 
         try:
             loop.watch(self.sock, ready)
         except (OSError, ValueError):  # more sockets than the system's select can watch
             self._begin()
+
+    def _on_bytes(self, loop: PortLoop) -> None:  # noqa: ARG002 - for subclasses
+        """Handle the first bytes after `_await`; called on the shared thread."""
+        self._begin()
 
     def _begin(self) -> None:
         name = f"yarp {self.route.source} > {self.port.name}"
@@ -143,15 +147,19 @@ class Input:
                 self.port.ended(self, self.sock)
                 self._ended.set()
                 return
-        except WireError as error:
+        except Exception as error:
+            self._report(error)
+        self._end()
+
+    def _report(self, error: Exception) -> None:
+        """Log why the connection ends, and count a malformed message."""
+        if isinstance(error, WireError):
             self.counters.refuse(error)
             self.port.refused(self.route, error)
-        except OSError as error:
-            if not self._closing:
-                _log.debug("connection %s -> %s lost: %s", self.route.source, self.route.target, error)
-        except Exception:
-            _log.exception("connection %s -> %s failed", self.route.source, self.route.target)
-        self._end()
+        elif not isinstance(error, OSError):
+            _log.error("connection %s -> %s failed", self.route.source, self.route.target, exc_info=error)
+        elif not self._closing:
+            _log.debug("connection %s -> %s lost: %s", self.route.source, self.route.target, error)
 
     def _greet(self) -> None:
         """Query the peer's dialect, then answer its introduction; the peer sends nothing before the answer.

@@ -52,7 +52,7 @@ class PortCore(ConnectingPort):
         is_output: whether it writes; otherwise outputs are refused.
         on_event: called when a connection opens or closes; must not block.
         on_line: answers command lines for a name server; called with the line, without ``NAME_SERVER``, and the peer's
-            address.
+            address, on the thread that all ports share unless it may ``wait``.
         replies: whether its owner replies; by default like ``rpc``. If so, the dialect of a port that connects over tcp
             or fast_tcp is queried before the connection is accepted, because a C++ port that waits for a reply answers
             no query.

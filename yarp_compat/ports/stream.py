@@ -48,7 +48,7 @@ class ByteStream:
                 size = framing.index_size(self._buffer, start)
                 if have >= size:
                     return self._uncommon(start, size)
-            if not self._receive():
+            if not self.receive():
                 return None
 
     def _uncommon(self, start: int, size: int) -> tuple[str, str, Buffer] | None:
@@ -69,7 +69,7 @@ class ByteStream:
         if length > _BUFFER // 2:
             return self._read_large(length)
         while self._end - self._start < length:
-            if not self._receive():
+            if not self.receive():
                 return None
         self._start += length
         return bytes(self._view[self._start - length : self._start])
@@ -127,8 +127,13 @@ class ByteStream:
             self._start = stop if end < 0 else end + 1
             if end >= 0:
                 return b"".join(parts).removesuffix(b"\r")
-            if not self._receive():
+            if not self.receive():
                 return None
+
+    def received_line(self, longest: int) -> bytes | None:
+        """Return the next line if all its bytes have been received and it has at most ``longest``, else None."""
+        end = self._buffer.find(b"\n", self._start, min(self._end, self._start + longest + 1))
+        return None if end < 0 else self.line(longest)
 
     def exactly(self, length: int) -> bytes | None:
         """Wait for ``length`` bytes and return them; None at the end of the connection."""
@@ -138,7 +143,7 @@ class ByteStream:
             self._start += len(part)
             length -= len(part)
             parts.append(part)
-            if length and not self._receive():
+            if length and not self.receive():
                 return None
         return b"".join(parts)
 
@@ -146,7 +151,7 @@ class ByteStream:
         """Return the bytes that were received and not read yet."""
         return bytes(self._view[self._start : self._end])
 
-    def _receive(self) -> bool:
+    def receive(self) -> bool:
         """Wait for more bytes; return False at the end of the connection."""
         have = self._end - self._start
         if have == 0 or self._end == len(self._buffer):

@@ -9,6 +9,7 @@ from typing import Any
 
 from yarp_compat.overriding import override
 from yarp_compat.ports.inputs import Input
+from yarp_compat.ports.loop import PortLoop
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.outgoing import from_line, to_line
 from yarp_compat.wire import framing, http
@@ -64,22 +65,86 @@ class TextInput(Input):
 
 
 class NameInput(Input):
-    """An input over name_ser: lines that begin with ``NAME_SERVER``. Without ``on_line`` they are ordinary messages."""
+    """An input over name_ser: lines that begin with ``NAME_SERVER``. Without ``on_line`` they are ordinary messages.
+
+    The name server's lines are answered on the shared thread, since a program sends about eight for each of its ports,
+    each over its own connection. A thread continues where that would block: with an incomplete line, a command that
+    takes time, and an answer for which the socket has no room.
+    """
+
+    _unanswered: bytes | None = None
+    _unsent = b""
+
+    @override
+    def start(self, loop: PortLoop) -> None:
+        if self.port.on_line is not None and self._already and loop.is_own_thread:
+            self._serve(loop)
+        else:
+            super().start(loop)
+
+    def _serve(self, loop: PortLoop) -> None:
+        """Answer the received lines, then wait for more."""
+        try:
+            while self._answer_line():
+                pass
+        except Exception as error:
+            self._report(error)
+            self._end()
+            return
+        if self._unsent or self._unanswered or self.stream.left():
+            self._begin()
+        else:
+            self._await(loop)
+
+    def _answer_line(self) -> bool:
+        """Answer a received line; return False if there is none, or if it remains for the thread."""
+        line = self.stream.received_line(LONGEST_REQUEST)
+        if line is None:
+            return False
+        if line:
+            self.counters.received += 1
+            answer = self._answer(line, wait=False)
+            if answer is None:
+                self._unanswered = line
+            else:
+                self._unsent = answer[self._send_now(answer) :]
+        return not (self._unanswered or self._unsent)
+
+    def _send_now(self, answer: bytes) -> int:
+        """Send as much as the socket has room for; return the number of bytes."""
+        self.sock.setblocking(False)
+        try:
+            return self.sock.send(answer)
+        except BlockingIOError:
+            return 0
+        finally:
+            self.sock.setblocking(True)
+
+    @override
+    def _on_bytes(self, loop: PortLoop) -> None:
+        if self.port.on_line is None:
+            super()._on_bytes(loop)
+        elif self.stream.receive():
+            self._serve(loop)
+        else:
+            self._end()
 
     @override
     def handle_messages(self) -> bool:
+        self.sock.sendall(self._unsent)
+        if self._unanswered is not None:
+            self.sock.sendall(self._answer(self._unanswered, wait=True) or b"")
         while (line := self.stream.line(LONGEST_REQUEST)) is not None:
-            if not line:
-                continue
-            self.counters.received += 1
-            text = line.decode(errors="surrogateescape").removeprefix("NAME_SERVER").strip()
-            self.sock.sendall(self._answer(text, line))
-            self.reply_sent()
+            if line:
+                self.counters.received += 1
+                self.sock.sendall(self._answer(line, wait=True) or b"")
+                self.reply_sent()
         return False
 
-    def _answer(self, text: str, line: bytes) -> bytes:
+    def _answer(self, line: bytes, *, wait: bool) -> bytes | None:
         if self.port.on_line is not None:
-            return self.port.on_line(text, self.address)
+            text = line.decode(errors="surrogateescape").removeprefix("NAME_SERVER").strip()
+            return self.port.on_line(text, self.address, wait=wait)
         message = PortMessage(from_line(line, self.port.profile), "", self, wants_reply=True)
         return to_line(self.deliver(message), plain=message.is_plain)
 

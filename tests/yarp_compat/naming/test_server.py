@@ -8,6 +8,7 @@ import socket
 import threading
 import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,54 @@ def test_one_connection_may_send_many_commands(server: NameServer) -> None:
         lines = [peer.line() for _ in range(5)]
     line = f"registration name /p ip 127.0.0.1 port {server.address.port + 2} type tcp"
     assert lines == ["*** end of message", line, "*** end of message", line, "*** end of message"]
+
+
+def test_others_are_answered_while_dead_ports_are_probed(
+    server: NameServer, names: NameClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, release = threading.Event(), threading.Event()
+
+    def collect(**_: int) -> list[str]:
+        begun.set()
+        assert release.wait(20)
+        return []
+
+    monkeypatch.setattr(server, "collect", collect)
+    with ThreadPoolExecutor(1) as pool:
+        collection = pool.submit(names.lines, ["gc"])
+        try:
+            assert begun.wait(20)
+            assert names.register("/new", "127.0.0.1").name == "/new"
+        finally:
+            release.set()
+        assert collection.result(20) is not None
+
+
+def test_a_client_that_reads_no_answers_delays_nobody(server: NameServer, names: NameClient) -> None:
+    for number in range(500):
+        server.apply(["register", f"/port{number}", "tcp", "127.0.0.1", 20000 + number], "127.0.0.1")
+    lists, size = 400, len("".join(f"{line}\r\n" for line in names.lines(["list"])))
+    with socket.create_connection(("127.0.0.1", server.address.port), 10.0) as sock:
+        sock.sendall(b"NAME_SERVER list\n" * lists)
+        until(lambda: any(t.name.endswith(" > /root") for t in threading.enumerate()), "a thread continues", 20)
+        assert names.query("/port7") is not None
+        received = 0
+        while received < lists * size:
+            received += len(sock.recv(1 << 20))
+        assert names.query("/port7") is not None
+
+
+def test_a_line_that_arrives_in_parts_is_answered(server: NameServer) -> None:
+    with socket.create_connection(("127.0.0.1", server.address.port), 10.0) as sock:
+        sock.sendall(b"NAME_SERVER query /root\n")
+        first = sock.recv(4096)
+        sock.sendall(b"NAME_SERVER que")
+        until(lambda: any(t.name.endswith(" > /root") for t in threading.enumerate()), "a thread reads the rest", 20)
+        sock.sendall(b"ry /root\nNAME_SERVER query /root\n")
+        received = b""
+        while len(received) < 2 * len(first):
+            received += sock.recv(4096)
+        assert received == 2 * first
 
 
 def test_text_ack_returns_lines_or_a_bottle(names: NameClient) -> None:
