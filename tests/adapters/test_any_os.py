@@ -80,7 +80,7 @@ def assert_crosses(far: HubSide, peer: PeerLike) -> None:
 
 def test_the_yarp_worker(hubs: QuickHub, tmp_path: Path) -> None:
     names = Names()
-    program = YarpProgram(names, "/program", Definitions(()))
+    program = YarpProgram(names.client, "/program", Definitions(()))
     try:
         yarp = {"nameserver": "site", "address": names.endpoint, "poll": 0.1}
         with worker("yarp", hubs, tmp_path, yarp=yarp) as far:

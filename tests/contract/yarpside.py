@@ -50,7 +50,7 @@ class YarpSide(Side):
         self._definitions = Definitions(PEER_FOLDERS)
 
     def peer(self) -> YarpProgram:
-        peer = YarpProgram(self._names_server, f"/peer{next(self._names)}", self._definitions)
+        peer = YarpProgram(self._names_server.client, f"/peer{next(self._names)}", self._definitions)
         self._open.append(peer)
         return peer
 

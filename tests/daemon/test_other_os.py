@@ -176,7 +176,7 @@ def test_the_daemon_works(other: OtherOs) -> None:
 def assert_crosses(other: OtherOs, word: str) -> None:
     """Messages of a YARP, a zenoh and a ROS 1 program each reach the other two."""
     programs: dict[str, PeerLike] = {
-        "YARP": YarpProgram(other.names, f"/{word}", Definitions(())),
+        "YARP": YarpProgram(other.names.client, f"/{word}", Definitions(())),
         "zenoh": Ros2ddsBridge(other.hub, Messages(ros1=False)),
         "ROS 1": other.ros1_program(word),
     }
@@ -201,7 +201,7 @@ def assert_crosses(other: OtherOs, word: str) -> None:
 def assert_records(other: OtherOs) -> None:
     """The daemon's recorder writes a message of a YARP program, with its bytes unchanged."""
     text = "recorded\n" * 10
-    program = YarpProgram(other.names, "/recorded", Definitions(()))
+    program = YarpProgram(other.names.client, "/recorded", Definitions(()))
     try:
         publisher = program.advertise("/recorded", STRING)
 

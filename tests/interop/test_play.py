@@ -79,7 +79,7 @@ def in_the_bag(seconds: float) -> bool:
 
 def test_each_side_and_the_mapper_receive_a_ros_1_bag_on_its_time(site: Deployment, bag: Path, names: Names) -> None:
     rviz, rospy = site.ros2(), site.ros1()
-    yarp = site.keep(YarpProgram(names, "/reader", Definitions((CUSTOM_FOLDER,))))
+    yarp = site.keep(YarpProgram(names.client, "/reader", Definitions((CUSTOM_FOLDER,))))
     scans, frames = rviz.subscribe("/scan", SCAN), rviz.subscribe("/tf_static", TF, latched=True)
     grids, velocities = rviz.subscribe("/mapper2d/map", GRID, latched=True), rviz.subscribe("/cmd_vel", TWIST)
     ports = yarp.subscribe("/scan", SCAN)

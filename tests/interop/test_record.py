@@ -93,7 +93,7 @@ def test_a_failure_names_the_missing_topics_and_the_file() -> None:
 
 def test_rosbags_and_mcaps_decoder_read_messages_from_all_sides(recorded: Deployment, names: Names) -> None:
     ros1, ros2, sdk = recorded.ros1(), recorded.ros2(), recorded.sdk()
-    yarp = recorded.keep(YarpProgram(names, "/program", Definitions((CUSTOM_FOLDER,))))
+    yarp = recorded.keep(YarpProgram(names.client, "/program", Definitions((CUSTOM_FOLDER,))))
     programs = {"ros1": ros1, "ros2": ros2, "zenoh": sdk, "yarp": yarp}
     pose = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1.5}}}
     ends = {side: (program, program.advertise(f"/from_{side}", STRING)) for side, program in programs.items()}

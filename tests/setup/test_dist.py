@@ -318,7 +318,7 @@ def assert_a_message_crosses(there: Installed) -> None:
         stack.callback(names.stop)
         router = Router()
         stack.callback(router.stop)
-        program = YarpProgram(names, "/program", Definitions(()))
+        program = YarpProgram(names.client, "/program", Definitions(()))
         stack.callback(program.stop)
         bridge = Ros2ddsBridge(router.endpoint, Messages(ros1=False))
         stack.callback(bridge.stop)

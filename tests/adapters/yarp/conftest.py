@@ -94,7 +94,7 @@ class Place(HubRig):
 
     def program(self, node: str) -> YarpProgram:
         """Start a YARP program with ports named ``/topic@/node``."""
-        return self.keep(YarpProgram(self.names, node, DEFINITIONS))
+        return self.keep(YarpProgram(self.names.client, node, DEFINITIONS))
 
     def close(self) -> None:
         super().close()

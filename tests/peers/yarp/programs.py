@@ -61,8 +61,8 @@ class Definitions(MessageLibrary):
 class YarpProgram:
     """A program that publishes and subscribes to topics, with one port per endpoint."""
 
-    def __init__(self, names: Names, node: str, definitions: Definitions) -> None:
-        self._naming, self._node, self._definitions = names.client, node, definitions
+    def __init__(self, naming: NameClient, node: str, definitions: Definitions) -> None:
+        self._naming, self._node, self._definitions = naming, node, definitions
         self._ports: dict[int, PortCore] = {}
         self._types: dict[int, type[Message]] = {}
         self._received: dict[int, Record] = {}
