@@ -228,24 +228,28 @@ def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> N
     with contextlib.suppress(psutil.Error, OSError):
         for connection in process.net_connections("tcp"):
             if connection.raddr and connection.fd >= 0 and far(connection.raddr.ip):
-                _limit(connection.fd, _OPTION)
+                with contextlib.suppress(OSError), duplicate(connection.fd) as copy:
+                    copy.setsockopt(socket.IPPROTO_TCP, _OPTION, LEASE_MS)
 
 
-def _limit(descriptor: int, option: int) -> None:
-    copy = os.dup(descriptor)  # zenoh may close its descriptor meanwhile, and the number may be reused
+def duplicate(descriptor: int) -> socket.socket:
+    """Return a second socket for a connection of zenoh, which may close its descriptor; the number may then be reused.
+
+    Raises `OSError` if it is not a socket.
+    """
+    copy = os.dup(descriptor)
     try:
-        link = socket.socket(fileno=copy)
+        return socket.socket(fileno=copy)
     except OSError:
         os.close(copy)
-        return
-    with link, contextlib.suppress(OSError):
-        link.setsockopt(socket.IPPROTO_TCP, option, LEASE_MS)
+        raise
 
 
 class LinkLimits:
-    """Sets the time limit on new connections, on a separate thread."""
+    """Sets the time limit on new connections, on a separate thread, which then calls ``check`` each second."""
 
-    def __init__(self) -> None:
+    def __init__(self, check: Callable[[], None]) -> None:
+        self._check = check
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hub-link-limits", daemon=True)
         self._thread.start()
@@ -260,3 +264,5 @@ class LinkLimits:
         process = psutil.Process()
         while not self._end.wait(_EVERY):
             limit_links(process)
+            with contextlib.suppress(zenoh.ZError):  # the session is being closed
+                self._check()

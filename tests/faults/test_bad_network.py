@@ -177,6 +177,21 @@ def test_cut_connections_are_restored_with_all_state(link: Link) -> None:
     assert link.latest() < LATE
 
 
+def test_a_link_cut_again_as_soon_as_it_is_back_delivers_commands(link: Link) -> None:
+    """A router of zenoh sends its subscriptions again only if it has noticed the loss before the link is back."""
+    map_ = advertise(link.engine.hub, "/map", LATCHED, "first")
+    for _ in range(3):
+        link.proxy.cut()
+        link.driven.clear()
+        until(lambda: link.command(0.02) or link.driven, "a command arrives", 10)
+    link.proxy.cut()
+    until(link.drives, "commands arrive again", 10)
+    Subscriber(link.operator, "/map", LATCHED).expect("first")
+    map_.put(b"second")
+    Subscriber(link.operator, "/map", LATCHED).expect("second")
+    assert link.latest() < LATE
+
+
 @pytest.mark.alone
 def test_a_slow_link_does_not_delay_other_subscribers(link: Link) -> None:
     """The link carries 50 kB/s of a 3 MB/s stream: local subscribers receive all of it, and commands stay fresh."""

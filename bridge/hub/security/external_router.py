@@ -25,6 +25,7 @@ from bridge.hub.security.access import ANYBODY, access_control
 from bridge.hub.security.endpoints import EndpointMonitor, EndpointStatus
 from bridge.hub.security.handshake import Identity
 from bridge.hub.security.key_files import KeyFiles
+from bridge.hub.security.link_restart import LinkRestarts
 from bridge.hub.security.zenoh_log import ZenohLog
 from bridge.hub.zenoh_config import MAX_PAYLOAD, connect_endpoint, make_config, router_tree
 from yarp_compat.file_names import escaped
@@ -70,7 +71,8 @@ class ExternalRouter:
         except zenoh.ZError as err:
             places = ", ".join((*self._open.listen, *self._open.connect))
             raise HubError(f"cannot open {places}: {zenoh_reason(err)}") from None
-        self._limits = LinkLimits()
+        self._restarts = LinkRestarts(self._session)
+        self._limits = LinkLimits(self._restarts.check)
         files = key_files(config) if has_tls(self._open) else None
         self._endpoints = EndpointMonitor(
             self._session,
@@ -108,6 +110,7 @@ class ExternalRouter:
         """Close all connections to other machines."""
         self._endpoints.close()
         self._limits.close()
+        self._restarts.close()
         self._session.close()  # type: ignore[no-untyped-call]
 
 

@@ -1,0 +1,97 @@
+"""Restarts links to other machines that zenoh restored without sending its state again.
+
+A router of zenoh (1.10) sends a neighbor its subscriptions, services and tokens when it computes its trees, at most
+every 0.1 s, and only if the last computation was without this neighbor (``compute_trees`` in ``network.rs``). So if a
+link is cut and restored between two computations, they are not sent again. The link is connected, but in one direction
+or both no message crosses it until it is cut once more. Measured: if a link is cut within 50 ms after messages cross it
+again, this happens nearly always; if it is cut 250 ms after, never.
+
+So each external router has a token, which it sends and loses together with the rest of its state. If a neighbor's token
+has disappeared although the neighbor is linked, `LinkRestarts` closes the link, and zenoh connects it again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import time
+from threading import Lock
+
+import psutil
+import zenoh
+
+from bridge.hub.graph.tokens import MIDSPAN_SPACE
+from bridge.hub.links import duplicate
+from bridge.hub.security.handshake import HostPort
+from bridge.hub.zenoh_compat import follow_tokens, keep_thread_state, undeclare
+
+_log = logging.getLogger(__name__)
+
+_KEY = f"{MIDSPAN_SPACE}/external"
+_SECONDS = 1.5
+"""Seconds for which a link must lack the token before it is closed: zenoh computes its trees every 0.1 s."""
+
+_REMEMBERED_SECONDS = 60.0
+"""Seconds for which a lost router may return with the same zenoh id."""
+
+
+class LinkRestarts:
+    """Finds and closes the links that lack their neighbor's state.
+
+    A neighbor whose token was never present is another program, or an earlier release, and keeps its link.
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._lock = Lock()
+        self._lost: dict[str, float] = {}
+        """By zenoh id, when a router whose token has disappeared was last linked."""
+        self._since: dict[tuple[str, str, str], float] = {}
+        """By zenoh id and both addresses, when a link was first seen without the token."""
+        self._token = session.liveliness().declare_token(f"{_KEY}/{session.zid()}")
+        self._subscriber = follow_tokens(session, f"{_KEY}/*", self._on_token)
+
+    def check(self) -> None:
+        """Close the links that have lacked the token for a while; called once a second."""
+        with self._lock:
+            if not self._lost:
+                self._since = {}
+                return
+        links = [(str(link.zid), str(link.src), str(link.dst)) for link in self._session.info.links()]
+        now, linked = time.monotonic(), {zid for zid, *_ in links}
+        with self._lock:
+            last = {zid: now if zid in linked else at for zid, at in self._lost.items()}
+            self._lost = {zid: at for zid, at in last.items() if now - at < _REMEMBERED_SECONDS}
+            self._since = {link: self._since.get(link, now) for link in links if link[0] in self._lost}
+        for (_, here, there), since in self._since.items():
+            if now - since >= _SECONDS:
+                _close_connection(here, there)
+
+    def close(self) -> None:
+        """Stop following tokens; the own token ends with the session, and so not before the links."""
+        undeclare(self._subscriber)
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        """Note a router's token; runs on a zenoh thread."""
+        keep_thread_state()
+        zid = str(sample.key_expr).rpartition("/")[2]
+        with self._lock:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                self._lost[zid] = time.monotonic()
+            else:
+                self._lost.pop(zid, None)
+
+
+def _close_connection(here: str, there: str) -> None:
+    """Shut down the TCP connection between two locators of zenoh; do nothing for other protocols."""
+    ends = [(place.host, place.port) for place in (HostPort.of(here), HostPort.of(there)) if place is not None]
+    try:
+        connections = psutil.Process().net_connections("tcp")
+    except (psutil.Error, OSError):
+        return
+    for connection in connections:
+        if connection.fd >= 0 and [tuple(connection.laddr), tuple(connection.raddr)] == ends:
+            with contextlib.suppress(OSError), duplicate(connection.fd) as copy:
+                copy.shutdown(socket.SHUT_RDWR)
+                _log.warning("restarting the link to %s: zenoh restored it without the other machine's topics", there)
