@@ -23,37 +23,64 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 _log = logging.getLogger(__name__)
 
-_SETTLE = 0.3  # seconds after which the graph shows the sender of a map
+_UNKNOWN_SECONDS = 5.0  # for which a map waits until the graph shows its sender; a message may overtake its token
+_MOST_UNKNOWN = 8
 _MOST_POINTS = 10_000
 
 
 class MapIntake:
-    """Imports the maps of one topic, except maps of another Map2DServer, which are in the store already."""
+    """Imports the maps of one topic, except maps of another Map2DServer, which are in the store already.
+
+    Whether a Map2DServer sent a map is decided as soon as the graph shows the sender, which may leave at any time.
+    """
 
     def __init__(self, host: Host, rule: TakenMap, store: Store, on_refusal: Callable[[str], None]) -> None:
         self._host, self._rule, self._store, self._on_refusal = host, rule, store, on_refusal
-        self._waiting: tuple[bytes, Message] | None = None
+        self._unknown: dict[bytes, Message] = {}
+        """The newest map of each sender that the graph does not show yet, by GID."""
+        self._waiting: Message | None = None
         self._due = False
         self._next = 0.0
         self.topic, self.taken = rule.topic, 0
         self._end: Subscription = host.node.subscription(rule.topic, GRID, self._on_map, LATCHED)
 
     def _on_map(self, message: Message) -> None:
-        self._waiting = (self._end.sender, message)
+        sender = self._end.sender
+        if len(self._unknown) >= _MOST_UNKNOWN:
+            self._unknown.pop(next(iter(self._unknown)))
+        self._unknown[sender] = message
+        self.follow_graph()
+        if sender in self._unknown:
+            self._host.loop.after(_UNKNOWN_SECONDS, lambda: self._give_up(sender, message))
+
+    def follow_graph(self) -> None:
+        """Import the maps whose senders the graph shows; called when it changes."""
+        if not self._unknown:
+            return
+        for end in self._host.node.hub.graph.publishers(self.topic):
+            message = self._unknown.pop(end.gid, None)
+            if message is not None and not is_ours(end):
+                self._schedule(message)
+
+    def _give_up(self, sender: bytes, message: Message) -> None:
+        if self._unknown.get(sender) is message:
+            del self._unknown[sender]
+            self._on_refusal(f"{self.topic}: the publisher of a map has left, or is not in the hub's graph")
+
+    def _schedule(self, message: Message) -> None:
+        self._waiting = message
         if not self._due:
             self._due = True
-            pause = max(_SETTLE, self._next - time.monotonic())
-            self._host.loop.after(pause, self._import_map)
+            self._host.loop.after(max(0.0, self._next - time.monotonic()), self._import_map)
 
     def _import_map(self) -> None:
         self._due = False
         waiting, self._waiting = self._waiting, None
-        publishers = self._host.node.hub.graph.publishers(self.topic)
-        if waiting is None or any(end.gid == waiting[0] and is_ours(end) for end in publishers):
+        if waiting is None:
             return
         self._next = time.monotonic() + self._rule.period
         try:
-            grid = from_grid(waiting[1], self._rule.name)
+            grid = from_grid(waiting, self._rule.name)
             with self._store.replica.locked():  # so that flags painted meanwhile are not lost
                 self._store_map(grid)
         except (StoreError, ValueError) as error:

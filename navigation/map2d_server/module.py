@@ -138,6 +138,8 @@ class Map2DServer(Module):
         others = [end for end in self._host.node.hub.graph.publishers(MAP_TOPIC) if not is_ours(end)]
         self._others = sorted({owner(end) for end in others})
         self._current.mute(bool(others))
+        for intake in self._intakes:
+            intake.follow_graph()
 
     def _refuse(self, reason: str) -> None:
         """Count and log a refused call, file or message."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -313,24 +314,74 @@ def test_another_programs_map_is_imported_and_not_republished(served: Served) ->
     served.far.until_published("/map")
 
 
-def test_a_map_of_another_map2d_server_is_not_imported(served: Served) -> None:
-    served.store.put(MAP, "other", six_flags("other"))
-    served.store.use_map("other")
-    served.far.until_published("/map")
+@contextmanager
+def twin_of(served: Served) -> Iterator[Callable[[], None]]:
+    """Run another Map2DServer; yield a function that publishes its map, and returns when the module has received it."""
     with Hub.open(replace(served.hubs.settings("far"), node="map2d_server")) as hub:
         twin = HubSide(hub, served.far.registry)
         current = twin.subscribe("/map", GRID, latched=True, depth=1)
         twin.wait(current, 1, 20)
         out = twin.advertise("/map", GRID, latched=True, depth=1)
         theirs = six_flags("theirs", seed=3)
-        for name in ("one", "two"):  # once the second message is handled, the first one is too
+
+        def publish() -> None:
+            counters = intake(served)._end.counters
+            before = counters.messages
             twin.publish(out, {"header": {"frame_id": "map"}, "info": message_info(theirs), "data": data(theirs)})
-            served.store.put(MAP, name, theirs)
-            until(lambda n=name: n in (served.status("map2d_server") or {}).get("maps", {}), "the map is served", 20)
-            until(lambda: not intake(served)._due, "the message is handled", 20)
-        served.far.until_published("/map", 2)
+            until(lambda: counters.messages > before, "the message is received", 20)
+
+        yield publish
+
+
+@pytest.fixture
+def other(served: Served) -> Served:
+    """Make ``other`` the current map."""
+    served.store.put(MAP, "other", six_flags("other"))
+    served.store.use_map("other")
+    served.far.until_published("/map")
+    return served
+
+
+def check_not_imported(served: Served) -> None:
+    def handled() -> bool:
+        return bool(served.worker.running("map2d_server").host.loop.call(settled, 20))
+
+    def settled() -> bool:
+        return not intake(served)._unknown and not intake(served)._due
+
+    until(handled, "the messages are handled", 20)
     assert served.store.get(MAP, "taken") is None
     assert served.store.current_map() == "other"
+
+
+def test_a_map_of_another_map2d_server_is_not_imported(other: Served) -> None:
+    with twin_of(other) as publish:
+        publish()
+        publish()
+        other.far.until_published("/map", 2)
+        check_not_imported(other)
+
+
+def test_the_map_of_a_map2d_server_that_leaves_at_once_is_not_imported(other: Served) -> None:
+    with twin_of(other) as publish:
+        publish()
+    until(lambda: len(other.far.publishers("/map")) == 1, "the other server has left", 20)
+    check_not_imported(other)
+
+
+def test_a_map_waits_until_the_graph_shows_its_publisher(other: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = intake(other)._host.node.hub.graph
+    tokens: list[str] = []
+    put_token = graph._put_token
+    monkeypatch.setattr(graph, "_put_token", lambda key: bool(tokens.append(key)))
+    with twin_of(other) as publish:
+        publish()
+        with pytest.raises(AssertionError, match="not within"):
+            until(lambda: other.store.get(MAP, "taken"), "the map is in the store", 0.6)
+        monkeypatch.undo()
+        for key in tokens:
+            graph._notify(put_token(key))
+        check_not_imported(other)
 
 
 def intake(served: Served) -> Any:
