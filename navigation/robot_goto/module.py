@@ -158,10 +158,11 @@ class RobotGoto(PlannerModule):
 
     def _use_map(self, grid: MapGrid2D | None) -> None:
         """Stay out of the keep-out cells and areas of a map."""
-        self._areas = MapAreas() if grid is None else self._host.store.areas(grid.name)
-        for text in self._areas.troubles:
+        areas = MapAreas() if grid is None else self._host.store.areas(grid.name)
+        for text in areas.troubles:
             self._host.log.warning("%s", text)
-        self.driver.keep_out.use(grid, self._areas.keep_out)
+        self.driver.keep_out.use(grid, areas.keep_out)
+        self._areas = areas  # last: another thread reads the health, which may be running only with these areas
 
     @property
     def _closed(self) -> str:

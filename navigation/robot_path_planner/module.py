@@ -287,8 +287,9 @@ class RobotPathPlanner(PlannerModule):
 
     def _use(self, grid: MapGrid2D | None) -> None:
         self._atlas.clear()
-        self._areas = MapAreas() if grid is None else self._atlas.areas(grid.name)
-        self.planner.use_map(None if grid is None else self._atlas.ground_of(grid, self._areas))
+        areas = MapAreas() if grid is None else self._atlas.areas(grid.name)
+        self.planner.use_map(None if grid is None else self._atlas.ground_of(grid, areas))
+        self._areas = areas  # last: another thread reads the health, which may be running only with these areas
 
     # state
 

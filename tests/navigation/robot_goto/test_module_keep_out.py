@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +93,31 @@ def test_a_robot_stands_on_a_map_with_an_area_that_cannot_be_read(place: Goto) -
         assert any("robots keep out of the area 'ahead'" in text for text in document["warnings"])
         assert len(module.driver.keep_out.near(0.3, Pose(1.0, 1.0, 0.0), Pose(1.0, 1.0, 0.0)))
     finally:
+        clear_store(place)
+
+
+def test_the_health_is_running_only_once_all_areas_are_obstacles(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, module = place.host.store, place.module
+    entered, go = threading.Event(), threading.Event()
+    use = module.driver.keep_out.use
+
+    def slow(grid: MapGrid2D | None, areas: Iterable[Map2DArea] = ()) -> None:
+        if areas:
+            entered.set()
+            assert go.wait(20)
+        use(grid, areas)
+
+    try:
+        aborted_by(place, AREA, "ahead", b"damaged")
+        monkeypatch.setattr(module.driver.keep_out, "use", slow)
+        store.put(AREA, "ahead", Map2DArea("room", [Vec2D(2, 2), Vec2D(2.5, 2), Vec2D(2.5, 2.5)], "max_speed=fast"))
+        assert entered.wait(20)
+        assert module.health().state == "waiting"
+        go.set()
+        until(lambda: module.health().state == "running", "the area can be read", 20)
+        assert len(module.driver.keep_out.near(0.3, Pose(1.0, 1.0, 0.0), Pose(1.0, 1.0, 0.0)))
+    finally:
+        go.set()
         clear_store(place)
 
 
