@@ -51,7 +51,7 @@ HEARTBEAT = 3.0
 
 @contextlib.contextmanager
 def name_server() -> Iterator[Address]:
-    """Run a YARP name server in a process of its own."""
+    """Run a YARP name server in a separate process."""
     address = Address("127.0.0.1", free_port(room=20))
     command = [*MIDSPAN, "yarp", "server", "--host", address.host, "--port", str(address.port), "--forget"]
     with Process(command):
@@ -76,12 +76,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Deployment,
 
 
 def yarp_program(address: Address, name: str) -> Peer:
-    """Start a YARP program in a process of its own, as the other programs have."""
+    """Start a YARP program in a separate process, like the other programs."""
     return Peer(YARP_PEER, Path(sys.executable), {"PYTHONPATH": str(ROOT)}, address.host, str(address.port), name)
 
 
 def seconds_without_midspan() -> float:
-    """Measure how long YARP programs take to join a network of their own: eight requests for each of 195 ports."""
+    """Measure how long YARP programs take to join a network without Midspan: eight requests for each of 195 ports."""
     with name_server() as address, contextlib.ExitStack() as stack:
         nodes = [stack.enter_context(yarp_program(address, f"/node{number}")) for number in range(NODES)]
         return join(nodes, "/topics")[1]

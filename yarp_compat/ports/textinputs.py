@@ -68,7 +68,7 @@ class NameInput(Input):
     """An input over name_ser: lines that begin with ``NAME_SERVER``. Without ``on_line`` they are ordinary messages.
 
     The name server's lines are answered on the shared thread, since a program sends about eight for each of its ports,
-    each over its own connection. A thread continues where that would block: with an incomplete line, a command that
+    each over a new connection. A thread continues if that would block: after an incomplete line, a command that
     takes time, and an answer for which the socket has no room.
     """
 
@@ -97,7 +97,7 @@ class NameInput(Input):
             self._await(loop)
 
     def _answer_line(self) -> bool:
-        """Answer a received line; return False if there is none, or if it remains for the thread."""
+        """Answer a received line; return False without one, or if it remains for the thread."""
         line = self.stream.received_line(LONGEST_REQUEST)
         if line is None:
             return False
