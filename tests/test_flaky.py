@@ -93,7 +93,7 @@ def test_a_run_without_a_failed_test_may_fail(folder: Path) -> None:
     assert f"no test: make ended with exit code 2, see {folder / 'logs' / 'run-7.log'}" in done.stdout
 
 
-def test_with_busy_processes_and_on_one_core(folder: Path) -> None:
+def test_tests_run_beside_busy_processes_and_on_one_core(folder: Path) -> None:
     assert run(folder, "1").returncode == 0
     assert recorded(folder, 1)["busy"] == 0
     assert run(folder, "1", "--busy", "2", "--one-core").returncode == 0

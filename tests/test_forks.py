@@ -41,7 +41,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
         yield started
 
 
-def test_arguments_exit_code_and_output(start: Start) -> None:
+def test_a_forked_program_has_its_arguments_exit_code_and_output(start: Start) -> None:
     program = start("import sys; print(*sys.argv[1:]); print('bad', file=sys.stderr); sys.exit(7)", "one", "two")
     assert program.popen.wait(20) == 7
     assert set(program.output().splitlines()) == {"one two", "bad"}

@@ -57,7 +57,7 @@ def test_maps_with_invalid_file_names_are_refused(name: str, tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_maps_whose_names_differ_in_capitals(tmp_path: Path) -> None:
+def test_maps_whose_names_differ_only_in_case_are_not_saved(tmp_path: Path) -> None:
     grid = MapGrid2D()
     with pytest.raises(MapFileError, match="differ only in case"):
         save_maps({"lab": grid, "Lab": grid}, tmp_path / "maps.ini")

@@ -78,7 +78,7 @@ def assert_crosses(far: HubSide, peer: PeerLike) -> None:
     assert peer.wait(peer_subscription, 1)[0] == {"data": "out"}
 
 
-def test_the_yarp_worker(hubs: QuickHub, tmp_path: Path) -> None:
+def test_the_yarp_worker_bridges_and_unregisters_its_ports(hubs: QuickHub, tmp_path: Path) -> None:
     names = Names()
     program = YarpProgram(names.client, "/program", Definitions(()))
     try:
@@ -99,7 +99,7 @@ def registered(names: Names) -> list[str]:
     return [contact.name for contact in names.client.list()]
 
 
-def test_the_zenoh_worker(hubs: QuickHub, tmp_path: Path) -> None:
+def test_the_zenoh_worker_bridges_messages(hubs: QuickHub, tmp_path: Path) -> None:
     router = Router()
     bridge = Ros2ddsBridge(router.endpoint, Messages(ros1=False))
     try:

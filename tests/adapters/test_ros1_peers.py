@@ -12,7 +12,7 @@ from tests.peers.ros1.servers import node, tcp_server, until_closed
 from tests.support.ports import free_port
 
 
-def test_values_and_refusals():
+def test_calls_return_values_and_raise_refusals():
     with node(one=lambda _caller: [1, "", 7], no=lambda _caller: [-1, "not set", 0]) as uri:
         client = ros1_peers.XmlRpcClient(uri, 2.0)
         with contextlib.closing(client):
@@ -85,7 +85,7 @@ def ok(body):
         (ok(b"<?xml version='1.0'?><methodResponse></methodResponse>"), Ros1ProtocolError),
     ],
 )
-def test_servers_that_misbehave(serve, error):
+def test_servers_that_misbehave_are_unreachable_or_violate_the_protocol(serve, error):
     with tcp_server(serve) as (host, port), pytest.raises(error):
         ros1_peers.ask(f"http://{host}:{port}/", 0.5, "getPid", "/me")
 

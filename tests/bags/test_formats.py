@@ -192,7 +192,9 @@ def shown(kind: str, world: str) -> list[str]:
 @pytest.mark.parametrize(
     ("world", "ending"), [(world, ending) for world, endings in SOURCES.items() for ending in endings]
 )
-def test_the_table_of_conversions(world: str, ending: str, target: str, registry: Registry, tmp_path: Path) -> None:
+def test_the_table_of_conversions_is_correct(
+    world: str, ending: str, target: str, registry: Registry, tmp_path: Path
+) -> None:
     kinds = [kind for kind, of in ROWS if of == world]
     sources = {tmp_path / f"{world} {kind}{ending}": KINDS[kind] for kind in kinds}
     SOURCES[world][ending](registry, sources)

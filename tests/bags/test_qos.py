@@ -51,7 +51,7 @@ def test_best_available_is_resolved_as_for_a_publisher(text: str, caplog: pytest
 
 
 @pytest.mark.parametrize("text", [NAMES, NUMBERS])
-def test_best_available_in_a_bag(text: str, tmp_path: Path) -> None:
+def test_best_available_in_a_bag_is_resolved(text: str, tmp_path: Path) -> None:
     stream = io.BytesIO()
     writer = Writer(stream)
     writer.start("ros2", "test")

@@ -96,7 +96,7 @@ def test_overlapping_pieces_are_read_in_order_of_time(tmp_path: Path) -> None:
         assert [m.time_ns for m in bag.messages()] == sorted(times)
 
 
-def test_messages_outside_of_chunks_and_of_ros_1_and_of_others(tmp_path: Path) -> None:
+def test_messages_of_ros_1_outside_of_chunks_are_read_and_other_encodings_left_out(tmp_path: Path) -> None:
     stream = io.BytesIO()
     writer = Writer(stream, use_chunking=False)
     writer.start("ros1", "test")

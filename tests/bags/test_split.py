@@ -45,7 +45,7 @@ def test_messages_are_found_at_their_positions() -> None:
 
 
 @pytest.mark.parametrize(("case_", "record"), [("split_mcap", MCAP), ("split_ros1", ROS1_TEXT)], ids=["mcap", "ros1"])
-def test_compiled_and_python_find_the_same_in_damaged_chunks(case_: str, record: bytes) -> None:
+def test_compiled_and_python_forms_agree_on_damaged_chunks(case_: str, record: bytes) -> None:
     dice = random.Random(5)
     ends = set()
     for _ in range(300):

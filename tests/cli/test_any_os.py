@@ -96,7 +96,7 @@ def test_verbs_work_on_other_systems(hub: QuickHub, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["", "--folder", "--ring 1h --trigger /go"])
-def test_a_recording_on_other_systems(hub: QuickHub, tmp_path: Path, place: str) -> None:
+def test_a_recording_has_unchanged_bytes_on_every_system(hub: QuickHub, tmp_path: Path, place: str) -> None:
     """Its bytes are not changed, as those of a text file would be, and its files are moved and replaced."""
     config, folder = config_file(tmp_path, hub), tmp_path / "recordings"
     word = {"data": "one\ntwo\r\n" * 1000}

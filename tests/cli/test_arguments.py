@@ -117,7 +117,7 @@ def test_a_misspelled_verb_option_or_choice_has_its_nearest_name(words: list[str
     assert re.search(rf"\. Did you mean ([\w-]+, )*{meant}\b", error), error
 
 
-def test_no_hint_without_a_similar_name() -> None:
+def test_the_error_has_no_hint_without_a_similar_name() -> None:
     assert error_of("zzz") == "midspan: error: unknown command 'zzz'. 'midspan --help' lists all commands."
     for command in (["status", "--zzz"], ["goto", "kitchen", "-z"], ["status", "extra"], ["topic"]):
         assert "Did you mean" not in error_of(*command)
@@ -130,21 +130,21 @@ def test_each_verb_with_a_configuration_has_its_short_option(verb: str) -> None:
         assert option is parser._option_string_actions.get("-c"), parser.prog
 
 
-def test_the_short_option_of_the_configuration() -> None:
+def test_every_command_accepts_the_short_option_of_the_configuration() -> None:
     for command in (["status"], ["run"], ["worker", "ros1"], ["topic", "list"], ["demo"], ["bag", "convert", "a", "b"]):
         for short in (["-c", "my.yaml"], ["-cmy.yaml"]):
             assert values(*command, *short).config == values(*command, "--config", "my.yaml").config == Path("my.yaml")
 
 
 @pytest.mark.parametrize("words", [["-c", "x.yaml"], ["--config", "x.yaml"], ["--config=x.yaml"]], ids=" ".join)
-def test_an_option_before_the_verb(words: list[str]) -> None:
+def test_the_error_for_an_option_before_the_verb_names_its_place(words: list[str]) -> None:
     option = words[0].partition("=")[0]
     assert error_of(*words, "status").endswith(
         f"error: {option} belongs after the command: 'midspan status {option} ...'"
     )
 
 
-def test_options_without_a_verb() -> None:
+def test_an_unknown_option_without_a_verb_gets_a_hint() -> None:
     assert error_of("--verbose").endswith("unrecognized arguments: --verbose. Did you mean --version?")
 
 

@@ -68,7 +68,7 @@ def test_what_is_neither(text: str, problem: str) -> None:
     assert "<text>:1:" in str(raised.value)
 
 
-def test_a_list_in_an_item_of_a_list() -> None:
+def test_a_text_in_an_item_of_a_list_becomes_a_list() -> None:
     planner = "{name: mine, side: ros1, action: /go, motion_actions: /spin}"
     (result,) = value(f"navigation: {{planners: [{planner}], planner: mine}}", "navigation", "planners")
     assert result.motion_actions == ("/spin",)

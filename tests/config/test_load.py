@@ -275,7 +275,7 @@ START = "The robot's start pose: x, y (meters), direction (degrees)"
         ),
     ],
 )
-def test_a_list_of_the_wrong_length(text: str, expected: str) -> None:
+def test_a_list_of_the_wrong_length_is_refused_with_the_expected_one(text: str, expected: str) -> None:
     (problem,) = problems(text)
     assert expected in problem
 

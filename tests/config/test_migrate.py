@@ -161,7 +161,7 @@ def test_an_alias_on_a_line_of_its_own_goes_with_its_key() -> None:
     assert migrate(old, FILE).text == "version: 1\nros2:\n  localhost_only: &it true\n  # build: *it\n"
 
 
-def test_a_listener_without_certificates_and_beside_hub_open() -> None:
+def test_a_listener_of_all_interfaces_moves_to_hub_open_or_is_left() -> None:
     plain = migrate("hub: {listen: tcp/0.0.0.0:7447, domain: 3}\n", FILE)
     assert plain.text == (
         "version: 1\nhub: {open: {listen: ['tcp/0.0.0.0:7447']}, listen: tcp/127.0.0.1:7448, domain: 3}\n"

@@ -85,7 +85,7 @@ def test_ros_2_has_the_gateways_action_of_several_poses_beside_its_entry_point()
     assert "nav2 has /navigate_through_poses there itself" in closed.why
 
 
-def test_the_planners_with_an_action_of_several_poses() -> None:
+def test_planners_with_an_action_of_several_poses_are_known() -> None:
     mine = {"name": "mine", "side": "ros1", "action": "/mine"}
     section = Config.model_validate({"navigation": {"planner": "nav2", "planners": [mine, {"name": "far"}]}}).navigation
     assert {name: section.through(name) for name in section.choices} == {

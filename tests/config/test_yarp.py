@@ -64,7 +64,7 @@ def test_set_keys_are_distinguished_from_defaults_after_a_json_round_trip() -> N
     assert not loads("yarp: {enabled: true}").yarp.configured
 
 
-def test_the_range_of_our_ports() -> None:
+def test_the_range_of_our_ports_is_parsed() -> None:
     assert loads("yarp: {ports: 20000-20099}").yarp.numbers == range(20000, 20100)
     assert loads("yarp: {ports: server}").yarp.numbers == range(0)
     assert loads("yarp: {poll: 1}").yarp.numbers is None

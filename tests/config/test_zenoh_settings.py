@@ -185,13 +185,13 @@ FILES = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_file_of_zenohs_settings(tmp_path: Path, name: str) -> None:
+def test_problems_in_a_file_of_zenohs_settings_have_its_lines(tmp_path: Path, name: str) -> None:
     text, lines = FILES[name]
     (tmp_path / name).write_text(text)
     assert problems(f"hub: {{zenoh: {name}}}", tmp_path / "m.yaml") == [f"{tmp_path / name}:{line}" for line in lines]
 
 
-def test_the_file_of_a_bridge(tmp_path: Path) -> None:
+def test_plugins_in_the_file_of_a_bridge_are_refused_with_midspans_setting(tmp_path: Path) -> None:
     (tmp_path / "bridge.json5").write_text('{\n  mod: "peer",\n  plugins: {ros2dds: {namespace: "/bot"}}\n}')
     key, plugin = problems("zenoh: {zenoh: bridge.json5}", tmp_path / "m.yaml")
     assert key.startswith(f"{tmp_path / 'bridge.json5'}:2:3: zenoh.zenoh.mod: ")
@@ -233,7 +233,7 @@ def test_settings_that_zenoh_knows(text: str) -> None:
     assert loads(f"hub: {{zenoh: {text}}}").hub.zenoh
 
 
-def test_the_stock_file_of_another_program() -> None:
+def test_the_stock_file_of_another_program_is_accepted() -> None:
     import zenoh_ros2_sdk
 
     folder = Path(zenoh_ros2_sdk.__file__).parent / "config"

@@ -59,14 +59,14 @@ IN_TURN = (("ros1", "ros2", "own"), ("zenoh_ros2dds", "zenoh_ros1"))
 """Groups of sides (with separate processes; dialects of one side): `make test` runs each test on one side of each."""
 
 ANY_OS = {
-    "test_side_to_hub",
-    "test_hub_to_side",
+    "test_messages_of_the_side_arrive_on_the_hub_in_order",
+    "test_messages_of_the_hub_arrive_on_the_side_in_order",
     "test_a_call_from_the_hub_reaches_a_server_on_the_side",
     "test_a_call_from_the_side_reaches_a_server_on_the_hub",
 }
 """Tests of messages and calls, both ways, that `make test` also runs on a side without what Windows lacks."""
 
-BASIC = ANY_OS | {"test_latched_before_the_bridge_started"}
+BASIC = ANY_OS | {"test_the_newest_latched_messages_from_before_the_start_are_bridged"}
 """Tests that `make test` runs on every side."""
 
 VARIANTS = ("ros1_any_os", "ros1_embedded_master", "ros2_kilted")

@@ -28,7 +28,7 @@ def publisher(far: HubSide, topic: str, type_name: str = STRING, qos: Qos = OPEN
     return lambda message: endpoint.put(from_json(far.registry, type_name, message))
 
 
-def test_to_the_side(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_best_available_publisher_of_the_hub_reaches_the_side(side: Side, bridge: Bridge, far: HubSide) -> None:
     publish = publisher(far, "/open")
     peer = side.peer()
     received = peer.subscribe("/open", "std_msgs/String")
@@ -41,7 +41,9 @@ def test_to_the_side(side: Side, bridge: Bridge, far: HubSide) -> None:
     assert [line["decision"] for line in far.explain("/open") if line["direction"] == "out"] == ["bridged"]
 
 
-def test_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_best_available_subscription_of_the_hub_receives_from_the_side(
+    side: Side, bridge: Bridge, far: HubSide
+) -> None:
     received: list[str] = []
     far.hub.subscription(
         "/open_in", STRING, far.registry.ros2(STRING).type_id, OPEN,
@@ -106,7 +108,7 @@ def test_policies_that_rmw_does_not_define(side: Side, bridge: Bridge, far: HubS
 
 
 @pytest.mark.parametrize("side", ["ros2"], indirect=True)
-def test_rclpy_programs_with_best_available(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_rclpy_programs_with_best_available_exchange_messages(side: Side, bridge: Bridge, far: HubSide) -> None:
     """Fast DDS resolves the policies when an endpoint is created; the graph then shows the result."""
     peer = Peer(PROGRAM, ros2_python(), ros2_environment(), "best_available")
     try:

@@ -73,7 +73,7 @@ def test_a_clean_stop_leaves_nothing(side: Side, far: HubSide, config) -> None:
     far.until_unpublished("/mine")
 
 
-def test_killed_and_started_again(side: Side, far: HubSide, config) -> None:
+def test_a_killed_bridge_leaves_no_endpoints_after_its_restart(side: Side, far: HubSide, config) -> None:
     peer = side.peer()
     out = peer.advertise("/survivor", STRING)
     far_out = far.advertise("/from_hub", STRING)

@@ -19,7 +19,9 @@ def _told(side: Side) -> None:
         pytest.skip("this side does not announce latching; tests/adapters/zenoh covers it")
 
 
-def test_three_latched_publishers_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_late_joiner_of_the_hub_receives_the_last_message_of_three_latched_publishers(
+    side: Side, bridge: Bridge, far: HubSide
+) -> None:
     peers = [side.peer() for _ in range(3)]
     ids = [p.advertise("/state", STRING, latched=True, depth=1) for p in peers]
     _publish(peers, ids, "early")
@@ -33,7 +35,9 @@ def test_three_latched_publishers_to_the_hub(side: Side, bridge: Bridge, far: Hu
     assert _late(far, "/state", 2) == ["state 0", "state 2"]
 
 
-def test_three_latched_publishers_to_the_side(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_late_joiner_of_the_side_receives_the_last_message_of_three_latched_publishers(
+    side: Side, bridge: Bridge, far: HubSide
+) -> None:
     ids = [far.advertise("/plans", STRING, latched=True, depth=1) for _ in range(3)]
     for number, id_ in enumerate(ids):
         far.publish(id_, {"data": f"plan {number}"})
@@ -50,7 +54,7 @@ def test_three_latched_publishers_to_the_side(side: Side, bridge: Bridge, far: H
     assert _late_peer(side, "/plans", 2) == ["plan 0", "plan 2"]
 
 
-def test_latched_before_the_bridge_started(side: Side, far: HubSide, config) -> None:
+def test_the_newest_latched_messages_from_before_the_start_are_bridged(side: Side, far: HubSide, config) -> None:
     """Only the newest message of each publisher crosses."""
     peer = side.peer()
     out = peer.advertise("/early", STRING, latched=True, depth=1)
@@ -69,7 +73,9 @@ def test_latched_before_the_bridge_started(side: Side, far: HubSide, config) -> 
     assert routes[1]["latency_ms"] == {}
 
 
-def test_static_transforms_of_three_broadcasters_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_late_joiner_of_the_hub_receives_the_static_transforms_of_three_broadcasters(
+    side: Side, bridge: Bridge, far: HubSide
+) -> None:
     peers = [side.peer() for _ in range(3)]
     ids = [p.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1) for p in peers]
     for number, (peer, id_) in enumerate(zip(peers, ids, strict=True)):
@@ -81,7 +87,9 @@ def test_static_transforms_of_three_broadcasters_to_the_hub(side: Side, bridge: 
     assert _frames(_late_tf(far)) == everything
 
 
-def test_static_transforms_of_three_broadcasters_to_the_side(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_late_joiner_of_the_side_receives_the_static_transforms_of_three_broadcasters(
+    side: Side, bridge: Bridge, far: HubSide
+) -> None:
     ids = [far.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1) for _ in range(3)]
     for number, id_ in enumerate(ids):
         far.publish(id_, _transforms(f"sensor{number}"))

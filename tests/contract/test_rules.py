@@ -10,7 +10,7 @@ from tests.support.wait import until
 STRING = "std_msgs/String"
 
 
-def test_deny_rename_and_rate(side: Side, far: HubSide, config) -> None:
+def test_rules_deny_rename_and_limit_topics(side: Side, far: HubSide, config) -> None:
     side.bridge(
         config(
             rules=[

@@ -116,7 +116,7 @@ def test_error_texts_cross_in_both_directions(side: Side, bridge: Bridge, far: H
     until(reported, "the client receives the error's text", 60)
 
 
-def test_rules_of_services(side: Side, far: HubSide, config) -> None:
+def test_rules_deny_and_rename_services(side: Side, far: HubSide, config) -> None:
     side.bridge(
         config(
             rules=[

@@ -10,7 +10,9 @@ from tests.support.wait import until
 STRING = "std_msgs/String"
 
 
-def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) -> None:
+def test_messages_of_the_side_arrive_on_the_hub_in_order(
+    side: Side, bridge: Bridge, far: HubSide, *, lane: bool
+) -> None:
     peer = side.peer()
     out = peer.advertise("/chatter", STRING, depth=100)
     subscription = far.subscribe("/chatter", STRING)
@@ -27,7 +29,9 @@ def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) ->
     )
 
 
-def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide, *, lane: bool) -> None:
+def test_messages_of_the_hub_arrive_on_the_side_in_order(
+    side: Side, bridge: Bridge, far: HubSide, *, lane: bool
+) -> None:
     peer = side.peer()
     subscription = peer.subscribe("/orders", STRING, depth=100)
     out = far.advertise("/orders", STRING)
@@ -66,7 +70,7 @@ def test_same_topic_both_ways_does_not_loop(side: Side, bridge: Bridge, far: Hub
     assert [m for m in received if m.startswith("peer")] == expected
 
 
-def test_two_types_of_messages(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_velocity_is_bridged_with_its_values(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     twist = {"linear": {"x": 1.0, "y": 2.0, "z": 3.0}, "angular": {"x": 4.0, "y": 5.0, "z": 6.0}}
     out = peer.advertise("/speed", "geometry_msgs/Twist")
@@ -75,7 +79,7 @@ def test_two_types_of_messages(side: Side, bridge: Bridge, far: HubSide) -> None
     assert far.wait(subscription, 1)[0] == twist
 
 
-def test_custom_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_custom_type_is_bridged_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None:
     thing = {
         "header": {"frame_id": "map"},
         "number": 7,
@@ -96,7 +100,7 @@ def test_custom_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None
     assert _without_stamp(peer.wait(heard_back, 1))[0] == thing
 
 
-def test_own_empty_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_an_own_empty_type_is_bridged_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     out = peer.advertise("/pings", "own_msgs/Ping")
     received = far.subscribe("/pings", "own_msgs/Ping")
@@ -110,7 +114,7 @@ def test_own_empty_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> N
     assert _bare(peer.wait(received_back, 1)[0]) == {}
 
 
-def test_octomap_from_a_folder(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_an_octomap_whose_definition_is_in_a_folder_is_bridged(side: Side, bridge: Bridge, far: HubSide) -> None:
     tree = {
         "header": {"frame_id": "map"},
         "binary": True,

@@ -65,7 +65,9 @@ def test_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "services are not installed below" in capsys.readouterr().out
 
 
-def test_install_for_another_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_install_for_another_user_writes_that_user_into_the_units(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["install", "--root", str(tmp_path), "--user", "robot"]) == 0
     assert all("\nUser=robot\n" in text for text in units(tmp_path))
     assert not (tmp_path / "etc/sysusers.d").exists()

@@ -52,7 +52,7 @@ def systemd(tmp_path: Path) -> Iterator[Systemd]:
     systemd.close()
 
 
-def test_ready_status_and_stopping(daemon: Daemon, systemd: Systemd) -> None:
+def test_systemd_is_notified_of_status_readiness_and_stopping(daemon: Daemon, systemd: Systemd) -> None:
     process = daemon.start(env=systemd.env)
     systemd.expect("READY=1")
     line = "STATUS=router running: router fine | ros1 running: ros1 fine | ros2 running: ros2 fine"
@@ -129,7 +129,7 @@ def test_workers_do_not_inherit_the_daemons_systemd_variables(daemon: Daemon, sy
         assert b"WATCHDOG_USEC" not in environ
 
 
-def test_abstract_socket_and_foreign_watchdog(tmp_path: Path) -> None:
+def test_an_abstract_socket_is_notified_and_a_foreign_watchdog_is_not_fed(tmp_path: Path) -> None:
     name = f"midspan-test-{os.getpid()}-{tmp_path.name}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind("\0" + name)
@@ -145,7 +145,7 @@ def test_abstract_socket_and_foreign_watchdog(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("environ", [{}, {"NOTIFY_SOCKET": "/nowhere/at/all"}, {"WATCHDOG_USEC": "x"}])
-def test_silent_without_systemd(environ: dict[str, str]) -> None:
+def test_without_systemd_nothing_is_sent(environ: dict[str, str]) -> None:
     notifier = Notifier(environ)
     notifier.ready()
     notifier.feed_watchdog()

@@ -250,7 +250,7 @@ def test_a_daemon_reports_and_reloads_under_its_stored_name(
     assert supervisor._source.reload(supervisor.config) == supervisor.config
 
 
-def test_table_of_workers() -> None:
+def test_the_variable_replaces_workers_in_the_table() -> None:
     kinds = worker_kinds({VARIABLE: "ros1=a.b:C"})
     assert (kinds["ros1"].factory, kinds["ros1"].arguments, kinds["ros1"].environment) == ("a.b:C", (), "")
     assert worker_kinds({VARIABLE: "web=a.b:C"})["web"].needs == ()

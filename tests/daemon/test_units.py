@@ -23,7 +23,7 @@ from tests.peers.daemon.robot_daemon import RobotDaemon
 from tests.support.wait import until
 
 
-def test_the_unit_of_a_configuration() -> None:
+def test_only_configurations_in_etc_midspan_have_units_of_their_own() -> None:
     assert unit_of("/etc/midspan/robot2.yaml") == "midspan@robot2"
     assert unit_of(Path("/etc/midspan/robot-3.yaml")) == "midspan@robot-3"
     for file in (None, "/etc/midspan/midspan.yaml", "robot2.yaml", "/home/a/robot2.yaml", "/etc/midspan/keys/a.yaml"):

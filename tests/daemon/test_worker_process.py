@@ -335,7 +335,7 @@ def test_a_disabled_service_exits_without_failing(daemon: Daemon) -> None:
     assert "router is disabled by the configuration" in process.output()
 
 
-def test_broken_configuration_at_the_start(daemon: Daemon) -> None:
+def test_the_daemon_exits_with_78_if_its_configuration_is_broken(daemon: Daemon) -> None:
     daemon.configure("hubb: 1\n")
     process = daemon.start()
     assert process.popen.wait(40) == 78
@@ -383,7 +383,7 @@ def test_state_folder_that_cannot_be_used(daemon: Daemon) -> None:
     assert "set 'state' in the configuration" in process.output()
 
 
-def test_state_folder_too_long_for_a_socket(daemon: Daemon) -> None:
+def test_a_state_folder_too_long_for_a_socket_is_refused_with_the_cure(daemon: Daemon) -> None:
     daemon.file.write_text(f"name: test\nstate: {'x' * 90}\n")
     process = daemon.start()
     assert process.popen.wait(40) == 1

@@ -60,7 +60,7 @@ def test_a_sourced_ros1_has_precedence(packages: Path) -> None:
 
 
 @needs_ros1
-def test_real_rospy_with_midspans_libraries(tmp_path: Path) -> None:
+def test_real_rospy_imports_with_midspans_libraries(tmp_path: Path) -> None:
     code = "import rospy, std_msgs.msg, netifaces, numpy, zenoh; print(std_msgs.msg.String._md5sum, numpy.__file__)"
     env = program_environment(Config(), {"PATH": os.environ["PATH"]}, tmp_path / "links")
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)

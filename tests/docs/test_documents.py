@@ -65,7 +65,7 @@ def test_pages_name_only_existing_tests() -> None:
     sources = "".join(file.read_text() for file in (ROOT / "tests").rglob("test_*.py"))
     existing = set(re.findall(r"^def (test_\w+)", sources, re.MULTILINE))
     named = {name for page in PAGES for name in re.findall(r"`(test_\w+)`", page.read_text())}
-    assert "test_topics_of_cyclone_dds" in named
+    assert "test_topics_of_cyclone_dds_are_bridged_both_ways" in named
     assert named - existing == set()
 
 

@@ -19,7 +19,7 @@ def test_the_examples_assertions_pass(code: str) -> None:
     exec(compile(code, "docs/yarp/values.md", "exec", dont_inherit=True), {"__name__": "example"})
 
 
-def test_the_surprising_texts() -> None:
+def test_the_documented_surprising_texts_are_parsed_as_described() -> None:
     """The table's descriptions are correct."""
     rows = re.findall(r"^\| (`.*?`) \|", PAGE.split("## Text")[1].split("Printed")[0], re.MULTILINE)
     parsed = [from_text(text) for row in rows for text in re.findall(r"`([^`]*)`", row)]

@@ -27,7 +27,7 @@ def test_one_cause_for_twenty_topics_is_one_line() -> None:
         (["goals to /go.", "goals to /stop."], "goals to /go. (the same for /stop)"),
     ],
 )
-def test_one_line_of_each_cause(texts: list[str], line: str) -> None:
+def test_problems_with_the_same_cause_are_one_line(texts: list[str], line: str) -> None:
     assert grouped(texts) == [line]
 
 

@@ -53,7 +53,7 @@ def test_a_successful_and_a_failed_connection_are_reported(keys: Path) -> None:
         assert "from another authority" in foreign.seen
 
 
-def test_a_listener_of_this_machine(keys: Path) -> None:
+def test_a_listener_of_this_machine_is_tested_on_loopback(keys: Path) -> None:
     """The listener is tested on loopback, whatever names its certificate has."""
     Authority(keys / "a").issue("far", ["10.9.9.9"])
     port = free_port()

@@ -27,7 +27,7 @@ def test_names_that_are_served_twice() -> None:
     assert "stop one of the servers" in finding.cure
 
 
-def test_clients_and_servers_on_two_kinds_of_dds() -> None:
+def test_clients_and_servers_on_two_kinds_of_dds_are_a_warning() -> None:
     report = {"nodes": ["/lamp"], "both": [], "mixed": ["/lamp (client /a, server /b on Cyclone DDS)"]}
     finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.WARN
@@ -46,19 +46,19 @@ def test_many_nodes_are_counted() -> None:
 
 
 @pytest.mark.parametrize("report", [None, [], "text", {}, {"nodes": 3}])
-def test_report_of_another_version(report: object) -> None:
+def test_a_report_of_another_version_is_ignored(report: object) -> None:
     finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.OK
 
 
-def test_without_such_nodes() -> None:
+def test_without_nodes_on_cyclone_dds_the_check_passes() -> None:
     assert only(cyclone.check_nodes(around(hub=hub(WORKER)))).result is Result.OK
     report = {"nodes": [], "both": [], "foreign": ["/lamp"], "uncallable": ["/lamp"]}
     finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert (finding.result, finding.seen) == (Result.OK, "no node uses Cyclone DDS")
 
 
-def test_without_a_worker() -> None:
+def test_without_a_worker_the_check_is_skipped() -> None:
     assert only(cyclone.check_nodes(around(hub=hub()))).result is Result.SKIP
     assert only(cyclone.check_nodes(around())).result is Result.SKIP
 

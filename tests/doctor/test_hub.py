@@ -49,7 +49,7 @@ def test_open_hub_causes_a_warning(section: dict[str, Any], count: int) -> None:
     assert results(hub_checks.check_config(around({"hub": section}))) == [Result.OK, Result.WARN][:count]
 
 
-def test_every_problem_of_a_configuration() -> None:
+def test_each_problem_of_a_configuration_is_a_finding() -> None:
     place = around(config_text="a.yaml:1:1: x: bad\na.yaml:2:1: y: bad", config_good=False)
     assert results(hub_checks.check_config(place)) == [Result.FAIL, Result.FAIL]
 
@@ -90,11 +90,11 @@ def test_reason_of_the_last_restart_is_named() -> None:
     assert (finding.result, finding.seen) == (Result.WARN, f"{again}, and warns: a QoS mismatch")
 
 
-def test_a_free_port() -> None:
+def test_a_free_port_passes_the_check() -> None:
     assert only(hub_checks.check_port(around({"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}))).result is Result.OK
 
 
-def test_our_own_router() -> None:
+def test_a_port_with_midspans_own_router_passes_the_check() -> None:
     with HubNetwork() as network:
         finding = only(hub_checks.check_port(around({"hub": {"listen": network.endpoint}})))
     assert (finding.result, "Midspan daemon test" in finding.seen) == (Result.OK, True), finding
@@ -124,7 +124,7 @@ def strangers_port() -> Iterator[int]:
             connection.close()
 
 
-def test_port_used_by_another_program(strangers_port: int) -> None:
+def test_a_port_that_another_program_uses_fails_the_check(strangers_port: int) -> None:
     finding = only(hub_checks.check_port(around({"hub": {"listen": f"tcp/127.0.0.1:{strangers_port}"}})))
     assert finding.result is Result.FAIL
     assert "that is not zenoh" in finding.seen
@@ -145,7 +145,7 @@ def test_another_router_at_the_address_is_reported(mode: str, wanted: Any, resul
     assert (finding.result, listen in finding.seen) == (result, True), finding
 
 
-def test_refused_types_and_differing_definitions() -> None:
+def test_refused_types_and_differing_definitions_are_reported() -> None:
     unknown = {"direction": "in", "topic": "/a", "type": "x/A", "reason": "no definition of x/A is known", "cure": "c"}
     differs = {
         "direction": "out",
@@ -168,7 +168,7 @@ def test_refused_types_and_differing_definitions() -> None:
     assert only(types.check_hashes(nothing)).result is Result.OK
 
 
-def test_conflicts_on_the_hub() -> None:
+def test_conflicting_types_and_hashes_on_the_hub_are_reported() -> None:
     any_hash = endpoint("any", "a/msg/A", "0", EndpointKind.SUBSCRIPTION)
     assert conflicts([endpoint("one", "a/msg/A", "1"), any_hash]) == []
     humble = endpoint("humble", "a/msg/A", "", EndpointKind.SUBSCRIPTION)
@@ -197,7 +197,7 @@ def test_versions_that_a_worker_converts_are_no_conflict() -> None:
     assert "/client" in note.text
 
 
-def test_native_nodes_of_two_releases_on_the_hub() -> None:
+def test_native_clients_and_servers_of_two_releases_are_reported_as_separated() -> None:
     """The client waits for ever, while rmw_zenoh reports the server as available."""
     server = endpoint("lyrical", "a/srv/A", "1", EndpointKind.SERVER)
     client = replace(endpoint("jazzy", "a/srv/A", "2", EndpointKind.CLIENT), zid="5")
@@ -228,7 +228,7 @@ def test_native_nodes_of_two_releases_on_the_hub() -> None:
         ({"hashless": True}, {"zid": "5"}, ""),
     ],
 )
-def test_native_topics_of_two_releases_on_the_hub(
+def test_native_publishers_and_subscriptions_of_two_releases_are_reported_as_separated(
     publisher: dict[str, Any], subscription: dict[str, Any], reason: str
 ) -> None:
     ends = [
@@ -257,7 +257,7 @@ def test_node_that_subscribes_to_several_types_has_no_conflict() -> None:
     assert len(conflicts([*both, second, deaf])) == 1
 
 
-def test_a_map_server_of_ros_beside_map2d_server() -> None:
+def test_services_that_a_ros_map_server_serves_already_are_no_failure() -> None:
     # refused by the ros1 worker if a real map_server runs (navigation 1.17.3), which serves both
     def refused(service: str, *, reason: str = "") -> list[dict[str, Any]]:
         entry = {"kind": "service", "topic": service, "hub_topic": service, "type": "nav_msgs/srv/GetMap"}
@@ -289,7 +289,7 @@ def test_a_missing_compiler_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> Non
     assert only(types.check_compiler(around({"ros2": {"enabled": False}}))).result is Result.SKIP
 
 
-def test_two_daemons_on_one_network() -> None:
+def test_two_active_daemons_on_one_network_fail_the_check() -> None:
     off = {"ros1": {"enabled": False}, "ros2": {"enabled": False}}
     documents = [
         {"daemon": name, "worker": "ros1", "side": "ros1", "network": network, "state": state}

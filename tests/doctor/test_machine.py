@@ -73,7 +73,7 @@ def test_an_offset_between_clocks_is_reported(seconds: float, error: float, resu
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("clocks", [{}, {"robot/ros1": Offset(0.0, 0.001)}])
-def test_simulated_time_without_a_publisher(
+def test_simulated_time_without_a_publisher_fails_the_check(
     source: str, kinds: list[EndpointKind], missing: bool, clocks: dict[str, Offset]
 ) -> None:
     ends: Any = [SimpleNamespace(topic="/clock", kind=kind) for kind in kinds]
@@ -99,7 +99,7 @@ def test_a_worker_that_runs_out_of_descriptors() -> None:
             assert (Result.FAIL in results(finding)) is (result is Result.FAIL)
 
 
-def test_the_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_folder_on_a_full_disk_fails_the_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def check_state(folder: Path) -> Finding:
         return only(machine.check_state(around({"state": folder})))
 
@@ -136,7 +136,7 @@ SEGMENT_3 = "fastdds_00000000deadbeef"
 
 
 @pytest.mark.parametrize("proc", [PROC, Path("/nowhere")])
-def test_holders_of_a_shared_file(tmp_path: Path, proc: Path) -> None:
+def test_shared_files_are_marked_as_held_young_or_port(tmp_path: Path, proc: Path) -> None:
     ports = {"fastrtps_port7410", "fastdds_port7410"}
     names = (SEGMENT, "12345.zenoh", *ports, "somebody_elses", OTHER_SEGMENT, SEGMENT_3)
     locks = {name: shm_file(tmp_path, name) for name in names}
@@ -168,7 +168,7 @@ def test_files_of_dead_processes_in_shared_memory_are_reported(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("transport", "result"), [("auto", Result.WARN), ("shared_memory", Result.FAIL), ("udp", Result.OK)]
 )
-def test_another_users_fast_dds(tmp_path: Path, transport: str, result: Result) -> None:
+def test_shared_memory_of_another_users_fast_dds_is_reported(tmp_path: Path, transport: str, result: Result) -> None:
     place = around({"ros2": {"transport": transport}}, shm=tmp_path, proc=PROC)
     mine, theirs = shm_file(tmp_path, SEGMENT), shm_file(tmp_path, OTHER_SEGMENT)
     os.chown(tmp_path / OTHER_SEGMENT, 65534, -1)
@@ -194,7 +194,7 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
     assert str(tmp_path) in only(sharedmemory.check_size(around(shm=tmp_path))).seen
 
 
-def test_a_profile_of_the_user_without_room_in_shared_memory(tmp_path: Path) -> None:
+def test_a_custom_profile_without_room_in_shared_memory_is_a_warning(tmp_path: Path) -> None:
     profile = tmp_path / "own.xml"
     profile.write_text('<dds><profiles><participant is_default_profile="true"><rtps/></participant></profiles></dds>')
     settings = {"ros2": {"profile": str(profile)}}

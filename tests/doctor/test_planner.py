@@ -60,7 +60,7 @@ def test_planner_whose_action_is_rejected() -> None:
     assert ("cannot cross: no definition" in finding.text, finding.cure) == (True, "install it")
 
 
-def test_running_or_unknown_planner() -> None:
+def test_a_running_or_unknown_planner_is_not_reported_as_absent() -> None:
     section = NavigationSection(planner="move_base")
     assert absence(section, "move_base", [server(MOVE_BASE)], [document(ROS1)]) is None
     assert absence(section, "another", [], [document(ROS1)]) is None

@@ -38,7 +38,7 @@ def native(node: str, type_hash: str = "RIHS01_" + "1" * 64, **more: Any) -> Hub
         ({"nodes": ["/x"]}, Result.OK, "unknown DDS (unknown release): /x"),
     ],
 )
-def test_nodes_of_the_side(group: dict[str, Any], result: Result, words: str) -> None:
+def test_nodes_of_the_side_are_listed_with_their_release(group: dict[str, Any], result: Result, words: str) -> None:
     finding = only(releases.check_releases(around(hub=hub(side(group)))))
     assert finding.result is result
     assert words in finding.seen
@@ -51,7 +51,7 @@ def test_two_versions_of_fast_dds_share_no_memory() -> None:
     assert "Fast DDS 2 and Fast DDS 3.2.2 on one network: they share no memory" in findings[2].seen
 
 
-def test_native_nodes_of_the_hub() -> None:
+def test_native_nodes_of_the_hub_are_listed_with_their_release() -> None:
     ends = [
         native("humble", NO_HASH, hashless=True),
         native("lyrical", buffers=True),
@@ -72,6 +72,6 @@ def test_midspan_itself_is_not_a_node_of_a_release() -> None:
     assert only(releases.check_releases(around(hub=view))).seen == "no ROS 2 node found"
 
 
-def test_without_a_worker() -> None:
+def test_without_a_worker_the_check_is_skipped() -> None:
     assert results(releases.check_releases(around(hub=hub()))) == [Result.SKIP]
     assert "ros2-releases" in [check.id for check in CHECKS]

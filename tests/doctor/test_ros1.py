@@ -92,7 +92,7 @@ def test_missing_packages_fail_only_if_ros1_is_enabled(tmp_path: Path) -> None:
     assert only(ros1.check_master(around({"ros1": {"packages": missing}}))).result is Result.SKIP
 
 
-def test_a_machine_without_ros1(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_machine_without_ros1_the_master_check_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bridge.adapters.ros1.environment.DEFAULT_MASTER", f"http://127.0.0.1:{free_port()}")
     place = around({})
     assert only(ros1.check_packages(place)).result is Result.OK
@@ -132,13 +132,15 @@ def test_unreachable_nodes_are_reported_by_cause(master: RosMaster) -> None:
         ({"ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": REMOTE}, {}, Result.FAIL),
     ],
 )
-def test_address_announced_to_peers(environ: dict[str, str], config: dict[str, str], result: Result) -> None:
+def test_an_address_that_peers_cannot_reach_fails_the_check(
+    environ: dict[str, str], config: dict[str, str], result: Result
+) -> None:
     finding = only(ros1.check_address(around({"ros1": config}, environ, hub=hub(WORKER))))
     assert (finding.result, bool(finding.cure)) == (result, result is Result.FAIL), finding
 
 
 @needs_ros1
-def test_another_master_than_the_daemons(master: RosMaster) -> None:
+def test_a_shell_with_another_master_than_the_daemons_is_reported(master: RosMaster) -> None:
     shell = {"ROS_MASTER_URI": master.uri}
     run_id = master.call("getParam", "/run_id")
     for network, result in ((run_id, Result.OK), ("another run id", Result.FAIL)):
@@ -172,7 +174,7 @@ def living() -> Iterator[str]:
 
 
 @needs_ros1
-def test_other_bridges_on_the_master(master: RosMaster, living: str, tmp_path: Path) -> None:
+def test_other_bridges_on_the_master_are_reported(master: RosMaster, living: str, tmp_path: Path) -> None:
     config = {"ros1": {"master": master.uri}, "ros2": {"enabled": False}, "state": tmp_path}
 
     def place() -> CheckContext:

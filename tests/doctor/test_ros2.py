@@ -84,7 +84,7 @@ def test_the_running_daemon_has_another_domain() -> None:
 
 @pytest.mark.parametrize(("mine", "result"), [("", Result.WARN), ("10.0.0.1:11811", Result.OK)])
 @pytest.mark.usefixtures("_servers_run")
-def test_discovery_server_of_the_running_daemon(mine: str, result: Result) -> None:
+def test_a_shell_without_the_daemons_discovery_server_is_a_warning(mine: str, result: Result) -> None:
     env = {**os.environ, "ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
         until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "the worker runs")
@@ -129,7 +129,7 @@ def test_a_discovery_server_that_is_younger_than_the_daemon() -> None:
         assert seen(younger) == ["domain 0"]
 
 
-def test_peers_and_security_of_the_running_daemon() -> None:
+def test_a_shell_with_other_peers_or_security_than_the_daemons_is_reported() -> None:
     env = {**os.environ, "ROS_DOMAIN_ID": "0"}
     mine = {"ROS_STATIC_PEERS": "10.0.0.2", "ROS_SECURITY_ENABLE": "true"}
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
@@ -208,7 +208,7 @@ def test_without_a_report_only_the_library_is_checked(
 
 
 @needs(ROS2)
-def test_other_bridges_on_dds(tmp_path: Path) -> None:
+def test_other_bridges_on_dds_are_reported(tmp_path: Path) -> None:
     domain = ros2_domain()
     config = Config.model_validate({"ros2": {"domain": domain}})
     env = worker_kinds({})["ros2"].child_environment(config)

@@ -21,7 +21,7 @@ def names() -> Iterator[Names]:
     name_servers.stop()
 
 
-def test_the_name_server(names: Names) -> None:
+def test_an_unreachable_name_server_is_reported(names: Names) -> None:
     reachable = around({"yarp": {"address": names.endpoint, "nameserver": "site"}})
     assert only(yarp.check_name_server(reachable)).result is Result.OK
     address = f"127.0.0.1:{free_port()}"
@@ -31,7 +31,7 @@ def test_the_name_server(names: Names) -> None:
     assert only(yarp.check_name_server(around({"yarp": {"enabled": False}}))).result is Result.SKIP
 
 
-def test_this_shells_yarp(names: Names, tmp_path: Path) -> None:
+def test_a_shell_with_another_name_server_than_the_daemons_is_reported(names: Names, tmp_path: Path) -> None:
     config = {"yarp": {"address": names.endpoint}}
     environ = {"YARP_CONFIG_HOME": str(tmp_path)}
     none = only(yarp.check_environment(around(config, environ)))
@@ -50,7 +50,7 @@ def report_on(*peers: dict[str, str]) -> list[Finding]:
     return [findings] if isinstance(findings, Finding) else list(findings)
 
 
-def test_the_releases_of_clients() -> None:
+def test_clients_of_an_unknown_release_are_a_warning() -> None:
     assert only(yarp.check_releases(around())).result is Result.SKIP
     known = {"port": "/new/rpc", "generation": "4.0", "generation_why": "it asked"}
     guess = {"port": "/old/rpc", "generation": "3.12", "generation_why": "a guess", "generation_cure": "set it"}

@@ -28,7 +28,7 @@ hub.serve("verb", lambda params: 1)
 
 
 @pytest.mark.parametrize(("first", "second"), [(True, True), (True, False), (False, False)])
-def test_large_messages_with_and_without_shared_memory(first: bool, second: bool):
+def test_large_messages_arrive_with_and_without_shared_memory(first: bool, second: bool):
     with (
         HubNetwork() as network,
         Hub.open(network.settings("a", shared_memory=first)) as a,

@@ -144,7 +144,7 @@ class Daemon:
 
 
 @pytest.mark.parametrize("router", ["Midspan's", "another"])
-def test_daemons_with_the_same_name_at_one_router(
+def test_daemons_with_the_same_name_at_one_router_are_reported(
     router: str, stack: ExitStack, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"

@@ -96,7 +96,7 @@ def tiny(tiny_outputs: list[list[str]]) -> Path:
 
 
 @needs(COMPILER)
-def test_two_processes_build_once(tiny_outputs: list[list[str]]) -> None:
+def test_two_processes_build_a_package_only_once(tiny_outputs: list[list[str]]) -> None:
     assert tiny_outputs[0][-1] == tiny_outputs[1][-1]
     assert sum("building" in line for output in tiny_outputs for line in output) == 1
 

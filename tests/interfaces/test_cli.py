@@ -28,7 +28,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @needs(COMPILER)
-def test_build_and_list(folder: Path, cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_interfaces_are_built_once_and_listed(folder: Path, cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["interfaces", "build", str(folder), "--cache", str(cache), "--json"]) == 0
     printed = capsys.readouterr()
     assert "midspan_one_msgs: built" in printed.err
@@ -60,7 +60,7 @@ print([Greet().greeting, Umlaut().greeting, Umlaut.NAME, Umlaut().wide, Words().
 
 
 @needs(COMPILER)
-def test_the_folder_of_a_package_with_unusual_strings(
+def test_unusual_strings_survive_the_build_of_a_packages_folder(
     tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The package gets its name from package.xml, not from the folder."""

@@ -40,14 +40,14 @@ def test_a_package_has_the_name_of_its_package_xml(tmp_path: Path) -> None:
     assert read_folders([tmp_path / "broken"]) == {"broken": ONE}
 
 
-def test_a_folder_of_packages(tmp_path: Path) -> None:
+def test_all_packages_in_a_folder_are_read(tmp_path: Path) -> None:
     write(tmp_path, "a_msgs/msg/One.msg", "b_msgs/One.msg", "c_pkg/package.xml", "c_pkg/msg/One.msg", "docs/readme.md")
     write(tmp_path, "package.xml")  # the package.xml of a metapackage
     assert read_folders([tmp_path]) == {"a_msgs": ONE, "b_msgs": ONE, "xml_pkg": ONE}
 
 
 @pytest.mark.parametrize("kind", ["srv", "action"])
-def test_a_package_of_services_or_actions(tmp_path: Path, kind: str) -> None:
+def test_a_package_of_services_or_actions_is_read(tmp_path: Path, kind: str) -> None:
     package = write(tmp_path / "my_srvs", f"{kind}/Ask.{kind}")
     assert read_folders([package]) == read_folders([package / kind]) == {"my_srvs": {f"{kind}/Ask.{kind}": "uint8 a\n"}}
 

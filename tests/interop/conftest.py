@@ -13,7 +13,7 @@ from tests.peers.navigation.shared_mix import SharedMix
 from tests.peers.ros1.network import EMBEDDED
 
 ON_BOTH_MASTERS = {
-    "test_every_direction_without_the_lane", "test_parameters_are_shared_in_both_directions",
+    "test_messages_are_bridged_in_every_direction_without_the_lane", "test_parameters_are_shared_in_both_directions",
     "test_a_clean_stop_leaves_nothing_on_the_master", "test_the_goal_of_a_ros_1_client_continues_and_is_canceled",
     "test_the_goal_of_a_hub_client_continues_and_a_killed_planner_is_lost",
 }  # fmt: skip

@@ -155,13 +155,13 @@ def text(data: str) -> bytes:
     ],
     ids=["huge", "field too long", "no equals", "no type", "error"],
 )
-def test_invalid_ros1_headers(siege: Siege, said: bytes, why: str) -> None:
+def test_invalid_ros1_headers_are_reported_with_the_reason(siege: Siege, said: bytes, why: str) -> None:
     topic = siege.name("header")
     siege.hostile(topic, says(said))
     assert why in siege.warning(topic)
 
 
-def test_invalid_ros1_messages(siege: Siege) -> None:
+def test_invalid_ros1_messages_are_dropped_and_valid_ones_bridged(siege: Siege) -> None:
     """The messages end before their string does, are empty, or have trailing bytes."""
     topic = siege.name("lying")
     good = frame(text("good"))
@@ -173,13 +173,13 @@ def test_invalid_ros1_messages(siege: Siege) -> None:
     until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the valid message after them crosses")
 
 
-def test_an_impossible_ros1_length(siege: Siege) -> None:
+def test_an_impossible_ros1_length_is_reported(siege: Siege) -> None:
     topic = siege.name("endless")
     siege.hostile(topic, says(header(), struct.pack("<I", 0xFFFFFFF0) + b"x"))
     assert "4294967280 bytes" in siege.route("ros1", topic, "in", bad=1)["error"]
 
 
-def test_64_megabytes_on_ros1_with_a_limit_of_16(siege: Siege) -> None:
+def test_ros1_messages_above_the_limit_are_dropped_and_small_ones_bridged(siege: Siege) -> None:
     topic = siege.name("huge")
     siege.hostile(topic, says(header(), frame(bytes(64 * MEGABYTE)), frame(text("small"))))
     route = siege.route("ros1", topic, "in", large=1)
@@ -211,7 +211,9 @@ LOOP = "=" * 80 + "\nMSG: loop_msgs/Loop\nloop_msgs/Loop again\n"
         "endless name",
     ],
 )
-def test_invalid_ros1_types(siege: Siege, fields: dict[str, str], why: str) -> None:
+def test_topics_with_invalid_ros1_types_are_refused_with_the_reason(
+    siege: Siege, fields: dict[str, str], why: str
+) -> None:
     topic = siege.name("type")
     siege.hostile(topic, says(header(**fields)))
     line = siege.refusal(topic)
@@ -219,14 +221,14 @@ def test_invalid_ros1_types(siege: Siege, fields: dict[str, str], why: str) -> N
     assert why in siege.deployment.command("explain", topic).stdout.replace("\n", " ")
 
 
-def test_ros1_names_with_illegal_characters(siege: Siege) -> None:
+def test_ros1_names_with_illegal_characters_get_legal_hub_names(siege: Siege) -> None:
     topic = siege.name("1-a/*/é%?")
     siege.hostile(topic, says(header(), frame(text("x"))))
     route = siege.route("ros1", topic, "in")
     assert re.fullmatch(r"/n1_a/_/___\d+", route["hub_topic"])
 
 
-def test_hostile_ros1_subscribers(siege: Siege) -> None:
+def test_hostile_ros1_subscribers_do_not_affect_others(siege: Siege) -> None:
     """Raw connections to the node: invalid headers, another md5, and a subscriber that is admitted and never reads."""
     topic = siege.name("outward")
     subscription = siege.ros1.subscribe(topic, STRING)
@@ -260,7 +262,7 @@ def test_hostile_ros1_subscribers(siege: Siege) -> None:
         until(seen, "the other subscriber keeps receiving messages", 30)
 
 
-def test_hostile_requests_to_the_ros1_node(siege: Siege) -> None:
+def test_hostile_requests_to_the_ros1_node_are_rejected(siege: Siege) -> None:
     with xmlrpc.client.ServerProxy(siege.deployment.master.uri) as master:
         uri = str(master.lookupNode("/test", "/midspan")[2])  # type: ignore[index]
     bomb = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10 if n else "lol"}">' for n in range(10))
@@ -284,7 +286,7 @@ def test_hostile_requests_to_the_ros1_node(siege: Siege) -> None:
 # -- ROS 2 -------------------------------------------------------------------------------------------------------------
 
 
-def test_invalid_cdr_on_ros2(siege: Siege) -> None:
+def test_invalid_cdr_on_ros2_is_dropped_and_valid_messages_bridged(siege: Siege) -> None:
     """CDR that is truncated, big-endian, followed by other bytes or has an invalid length, and bytes that are not CDR.
 
     Each is published by a real rclpy publisher of raw bytes.
@@ -314,7 +316,7 @@ def test_invalid_cdr_on_ros2(siege: Siege) -> None:
     assert "bad 5" in siege.deployment.command("explain", topic).stdout
 
 
-def test_64_megabytes_on_ros2_with_a_limit_of_16(siege: Siege) -> None:
+def test_ros2_messages_above_the_limit_are_dropped_and_small_ones_bridged(siege: Siege) -> None:
     topic = siege.name("raw")
     out = siege.ros2.advertise(topic, STRING)
     siege.deployment.until_route("ros2", topic, "in")
@@ -329,7 +331,7 @@ def test_64_megabytes_on_ros2_with_a_limit_of_16(siege: Siege) -> None:
 # -- zenoh -------------------------------------------------------------------------------------------------------------
 
 
-def test_invalid_samples_on_the_hub(siege: Siege) -> None:
+def test_invalid_samples_on_the_hub_are_dropped_and_valid_ones_bridged(siege: Siege) -> None:
     """Missing or invalid attachments, invalid CDR and too large samples are refused toward ROS 1 and ROS 2."""
     topic = siege.name("hub")
     subscription = siege.ros1.subscribe(topic, STRING)
@@ -365,7 +367,7 @@ def test_invalid_samples_on_the_hub(siege: Siege) -> None:
     until(lambda: {"data": "good"} in siege.ros1.wait(subscription, 100_000, 0.2), "a valid sample crosses")
 
 
-def test_invalid_tokens_on_the_hub(siege: Siege) -> None:
+def test_invalid_tokens_on_the_hub_are_ignored_and_reported(siege: Siege) -> None:
     session = siege.session()
     good = topic_token(siege, "/tokens", "std_msgs::msg::dds_::String_", "RIHS01_" + "ab" * 32)
     tokens = [
@@ -399,7 +401,7 @@ def topic_token(siege: Siege, topic: str, dds_type: str, type_hash: str) -> str:
     return f"@ros2_lv/0/{'7' * 32}/0/9/MP/%/%/raw/{topic.replace('/', '%')}/{dds_type}/{type_hash}/::,7:,:,:,,"
 
 
-def test_invalid_control_queries(siege: Siege) -> None:
+def test_invalid_control_queries_get_a_reply_and_the_control_plane_still_responds(siege: Siege) -> None:
     """The replies to any payload have a value or an error, and the control plane still responds afterwards."""
     session = siege.session()
     for payload in (

@@ -187,7 +187,7 @@ CORNERS = ((SIDE, 0.0), (SIDE, SIDE), (0.0, SIDE), (0.0, 0.0))
 
 @pytest.mark.thorough
 @pytest.mark.timeout(300)  # several hundred steps, each of which waits for four processes
-def test_squares_through_every_side(deployment: Deployment) -> None:
+def test_programs_of_every_side_drive_a_square(deployment: Deployment) -> None:
     """The first program drives a square, the others two sides, which shows both axes of the command."""
     robot = Robot(deployment)
     yarp = deployment.keep(YarpProgram(robot.names))

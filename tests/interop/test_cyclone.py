@@ -126,7 +126,7 @@ def test_clients_of_each_side_call_a_service_of_cyclone_dds(shared: Deployment) 
     assert executed(native, server) == [on, off, on, on, on]
 
 
-def test_name_served_on_two_kinds_of_dds(shared: Deployment) -> None:
+def test_a_name_served_on_two_kinds_of_dds_is_called_on_fast_dds(shared: Deployment) -> None:
     """The server on Fast DDS is called, and the one on Cyclone DDS gets no request; explain and doctor name both."""
     native, ros2, service = cyclone(shared), shared.ros2(), Service(Registry(), SET_BOOL)
     server = native.serve("/twice", TYPE, service.response(success=False))
@@ -150,7 +150,7 @@ def test_name_served_on_two_kinds_of_dds(shared: Deployment) -> None:
     assert ros2.ask("requests", id=fast, count=2, seconds=20)["requests"] == [{"data": True}] * 2
 
 
-def test_actions_of_cyclone_dds(shared: Deployment) -> None:
+def test_goals_reach_a_server_on_cyclone_dds(shared: Deployment) -> None:
     """The goals of a client on the hub and of one on ROS 1 are accepted and end, at the same server."""
     native = cyclone(shared)
     service = Service(Registry(), f"{ACTION}_GetResult")
@@ -195,7 +195,7 @@ def test_goal_on_cyclone_dds_is_canceled(shared: Deployment) -> None:
     assert everything in executed(native, servers)
 
 
-def test_parameters_of_cyclone_dds(shared: Deployment) -> None:
+def test_parameters_of_a_node_on_cyclone_dds_are_copied_to_ros1(shared: Deployment) -> None:
     """A node's parameters are copied to ROS 1."""
     native, ros1 = cyclone(shared), shared.ros1()
     for name, values in PARAMETERS.items():
@@ -208,7 +208,7 @@ def test_parameters_of_cyclone_dds(shared: Deployment) -> None:
     until(copied, "the node's parameter is in ROS 1", 40, every=0.2)
 
 
-def test_cyclone_clients_of_a_ros1_service(shared: Deployment) -> None:
+def test_clients_on_cyclone_dds_call_a_ros1_service(shared: Deployment) -> None:
     native, service, ros1 = cyclone(shared), Service(Registry(), SET_BOOL), shared.ros1()
     server = ros1.ask("serve", service="/fan", type=TYPE, reply={"success": True, "message": "on"})["id"]
     shared.until_route("ros2", "/fan", "out", state="active")
@@ -219,7 +219,7 @@ def test_cyclone_clients_of_a_ros1_service(shared: Deployment) -> None:
     assert sorted(request["data"] for request in requests) == [False, True]
 
 
-def test_topics_of_cyclone_dds(shared: Deployment) -> None:
+def test_topics_of_cyclone_dds_are_bridged_both_ways(shared: Deployment) -> None:
     native, ros1 = cyclone(shared), shared.ros1()
     kind = "std_msgs/String"
     out, subscription = native.advertise("/from_cyclone", kind), ros1.subscribe("/from_cyclone", kind)

@@ -209,15 +209,15 @@ Begin = Callable[[Config], Fresh]
 @pytest.mark.parametrize(
     "name", ["allow_list.yaml", "demo.yaml", "zenoh_dialects.yaml", "navigation.yaml", "tables.yaml"]
 )
-def test_configurations_without_other_programs(fresh: Begin, name: str) -> None:
+def test_configurations_without_other_programs_have_no_problem(fresh: Begin, name: str) -> None:
     fresh(from_file(name)).until_all_is_well()
 
 
-def test_the_pages_combined(fresh: Begin) -> None:
+def test_the_configurations_of_the_pages_combined_have_no_problem(fresh: Begin) -> None:
     fresh(from_pages()).until_all_is_well(ALL_CHECKS)
 
 
-def test_map_server_and_map2d_server_together(fresh: Begin) -> None:
+def test_map_server_and_map2d_server_run_together_without_a_problem(fresh: Begin) -> None:
     site = fresh(from_file("ros_map_server.yaml"))
     site.until_it_waits(
         "localization_server waits: waiting for a map on /map",
@@ -230,13 +230,13 @@ def test_map_server_and_map2d_server_together(fresh: Begin) -> None:
     until(lambda: any("/change_map, /static_map: the map server" in text for text in findings), str(findings), 0.0)
 
 
-def test_a_robot_on_yarp(fresh: Begin) -> None:
+def test_a_robot_on_yarp_has_no_problem(fresh: Begin) -> None:
     site = fresh(from_file("yarp_robot.yaml"))
     site.robot()
     site.until_all_is_well()
 
 
-def test_move_base_and_a_robot_on_yarp(fresh: Begin) -> None:
+def test_move_base_drives_a_robot_on_yarp_without_a_problem(fresh: Begin) -> None:
     site = fresh(from_file("yarp_robot_move_base.yaml"))
     site.until_it_waits(
         "gateway waits: the planner move_base is not available: no node serves its action /move_base on ROS 1 .start",
@@ -258,7 +258,7 @@ def test_the_nav2_configuration_passes_once_nav2_runs(fresh: Begin) -> None:
     site.until_all_is_well()
 
 
-def test_a_robot_and_its_operator(fresh: Begin, tmp_path: Path) -> None:
+def test_a_robot_and_its_operator_have_no_problem(fresh: Begin, tmp_path: Path) -> None:
     keys, endpoint = tmp_path / "keys", f"tls/127.0.0.1:{free_port()}"
     for name in ("robot1", "operator1"):
         assert main(["keys", "make", name, "127.0.0.1", "--folder", str(keys)]) == 0

@@ -97,7 +97,7 @@ def placed(file: Path, **sections: dict) -> None:
     file.write_text(yaml.safe_dump(config), encoding="utf-8")
 
 
-def test_the_example_of_ros1_bridge(deployment: Deployment, tmp_path: Path) -> None:
+def test_the_imported_example_of_ros1_bridge_bridges_only_what_it_lists(deployment: Deployment, tmp_path: Path) -> None:
     source = tmp_path / "bridge.yaml"
     source.write_text(PARAMETERS)
     (created,) = imported("ros1_bridge", source, tmp_path)
@@ -172,7 +172,7 @@ def two_domains(tmp_path: Path) -> Iterator[TwoDomains]:
         process.stop()
 
 
-def test_a_domain_bridge(two_domains: TwoDomains) -> None:
+def test_an_imported_domain_bridge_bridges_topics_services_and_actions(two_domains: TwoDomains) -> None:
     first, second = two_domains.program(0), two_domains.program(1)
     subscription = second.subscribe("/chitter", STRING)
     unnamed = second.subscribe("/unnamed", STRING)

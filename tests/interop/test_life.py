@@ -17,7 +17,7 @@ STRING = "std_msgs/String"
 TWIST = "geometry_msgs/Twist"
 
 
-def test_reload_with_a_valid_and_with_an_invalid_file(running: Deployment) -> None:
+def test_a_reload_applies_a_valid_file_and_rejects_an_invalid_one(running: Deployment) -> None:
     ros1, ros2 = running.ros1(), running.ros2()
     subscription = ros2.subscribe("/kept", STRING)
     out = ros1.advertise("/kept", STRING)

@@ -112,7 +112,7 @@ def broken(number: int, good: str) -> str:
     return files[number % len(files)]
 
 
-def test_a_hundred_broken_configurations(running: Deployment) -> None:
+def test_a_hundred_broken_configurations_are_rejected_without_effect(running: Deployment) -> None:
     flow = Flow(running)
     processes, good = pids(running), running.file.read_text()
     assert running.daemon is not None
@@ -175,7 +175,7 @@ def kill_each_worker(deployment: Deployment, flow: Flow) -> None:
 
 
 @needs_root
-def test_a_full_disk_from_the_start(deployment: Deployment) -> None:
+def test_the_daemon_starts_and_bridges_on_a_full_disk(deployment: Deployment) -> None:
     """The state folder and the log are on a full disk."""
     with small_disk() as disk:
         log = disk / "log"
@@ -234,7 +234,9 @@ def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment) -> Non
         flow.check()
 
 
-def test_an_unwritable_state_folder_at_the_start(deployment: Deployment, tmp_path: Path) -> None:
+def test_an_unwritable_state_folder_at_the_start_is_refused_with_the_cure(
+    deployment: Deployment, tmp_path: Path
+) -> None:
     file = tmp_path / "file"
     file.write_text("")
     deployment.configure(state=str(file / "state"))
@@ -243,7 +245,7 @@ def test_an_unwritable_state_folder_at_the_start(deployment: Deployment, tmp_pat
     assert f"state folder {file / 'state'}: Not a directory; set 'state' in the configuration to" in done.stderr
 
 
-def test_no_descriptors_left(running: Deployment) -> None:
+def test_a_worker_without_descriptors_recovers(running: Deployment) -> None:
     assert running.daemon is not None
     daemon = running.daemon
     flow = Flow(running)
@@ -283,7 +285,7 @@ def test_no_descriptors_left(running: Deployment) -> None:
     assert pids(running) == processes
 
 
-def test_a_router_without_descriptors(running: Deployment) -> None:
+def test_a_router_without_descriptors_recovers(running: Deployment) -> None:
     """Programs cannot join, but the joined ones continue; the log has the reason, and the router recovers."""
     assert running.daemon is not None
     daemon = running.daemon

@@ -15,7 +15,7 @@ COUNT = 1000
 
 
 @pytest.mark.timeout(300)  # for the start and both waits on a busy machine
-def test_a_thousand_topics(running: Deployment) -> None:
+def test_a_thousand_latched_topics_are_bridged(running: Deployment) -> None:
     ros1, ros2 = running.ros1(), running.ros2()
     ids = [ros1.advertise(f"/many/t{number}", STRING, latched=True) for number in range(COUNT)]
     for number in ids:

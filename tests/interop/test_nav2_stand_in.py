@@ -103,7 +103,7 @@ def test_the_tree_aborts_while_the_controller_keeps_driving(direct: Direct) -> N
     direct.stands()
 
 
-def test_paths_of_another_client(direct: Direct) -> None:
+def test_paths_of_another_client_end_the_goals_path(direct: Direct) -> None:
     goal = direct.goto(FAR)
     direct.moves()
     path = direct.follow(FAR)

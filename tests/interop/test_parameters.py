@@ -122,7 +122,7 @@ def _a_reload_applies_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer
 
 
 @pytest.mark.parametrize("owner", ["ros2", "ros1"])
-def test_parameters_of_a_hub_node(deployment: Deployment, owner: str) -> None:
+def test_parameters_of_a_hub_node_are_shared_only_by_a_rule(deployment: Deployment, owner: str) -> None:
     """One native hub node, declared as rmw_zenoh does, has a rule; another one has none."""
     deployment.master.start()
     deployment.configure(routing={"parameters": [{"ros1": "/copy", "node": "/ns/named", "owner": owner}]})

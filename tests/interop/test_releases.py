@@ -66,7 +66,7 @@ def crossing(source: Peer, sink: Peer, topic: str) -> list[Any]:
     return [volatile, *sink.wait(late, 1)]
 
 
-def test_topics_and_latched_data(rig: Rig) -> None:
+def test_topics_and_latched_data_are_bridged_between_releases(rig: Rig) -> None:
     both = [{"data": "again"}, {"data": "kept"}]
     assert crossing(rig.ros2, rig.ros1, "/to_ros1") == both
     assert crossing(rig.ros1, rig.ros2, "/to_ros2") == both
@@ -105,7 +105,7 @@ def test_actions_cross_to_nodes_of_other_releases(rig: Rig, native: str) -> None
 
 
 @pytest.mark.parametrize("native", ["server", "client"])
-def test_actions_whose_fields_differ(rig: Rig, native: str) -> None:
+def test_goals_are_converted_for_actions_whose_fields_differ(rig: Rig, native: str) -> None:
     """Kilted's ``NavigateThroughPoses`` has its poses in a ``Goals``, and more fields in result and feedback."""
     server, client = (rig.ros2, rig.hub) if native == "server" else (rig.hub, rig.ros2)
     name, poses = f"/through_{native}", [GOAL["pose"], GOAL["pose"]]

@@ -50,7 +50,9 @@ def test_three_latched_ros2_publishers_reach_late_ros1(shared: Deployment) -> No
     assert sorted(m["data"] for m in late(shared.ros1(), "/word", 2)) == ["word 1", "word 2"]
 
 
-def test_complete_tf_static_of_three_broadcasters_in_both_directions(shared: Deployment) -> None:
+def test_late_joiners_receive_the_complete_tf_static_of_three_broadcasters_in_both_directions(
+    shared: Deployment,
+) -> None:
     for make, side, joiner in ((shared.ros1, "ros2", shared.ros2), (shared.ros2, "ros1", shared.ros1)):
         frames = [f"from_{side}_{number}" for number in range(3)]
         for frame in frames:

@@ -31,7 +31,7 @@ def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict) -> dict
     return first
 
 
-def test_every_direction_between_ros1_ros2_and_zenoh(shared: Deployment) -> None:
+def test_messages_are_bridged_in_every_direction_between_ros1_ros2_and_zenoh(shared: Deployment) -> None:
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2(), "sdk": shared.sdk()}
     for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}"
@@ -145,7 +145,7 @@ def called(side: str, program: Any, service: str) -> dict[str, Any]:
 
 
 @pytest.mark.thorough
-def test_every_direction_without_the_lane(deployment: Deployment) -> None:
+def test_messages_are_bridged_in_every_direction_without_the_lane(deployment: Deployment) -> None:
     deployment.start(hub={"listen": f"tcp/127.0.0.1:{deployment.port}", "lane": False})
     programs = {"ros1": deployment.ros1(), "ros2": deployment.ros2()}
     for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
@@ -248,7 +248,7 @@ def test_a_command_to_the_probe_is_not_delivered_late(shared: Deployment) -> Non
     assert {message["linear"]["x"] for message in received} == {3.0, 2.0}
 
 
-def test_no_loop_whatever_the_names_of_nodes(shared: Deployment) -> None:
+def test_messages_do_not_loop_whatever_the_names_of_nodes(shared: Deployment) -> None:
     """Three programs publish and subscribe on one topic; two have the names of the bridge's own nodes."""
     ros1, ros2, zenoh = shared.ros1("midspan_ros2"), shared.ros2("midspan"), shared.zenoh()
     programs: dict[str, Any] = {"ros1": ros1, "ros2": ros2, "zenoh": zenoh}
@@ -272,7 +272,7 @@ def test_no_loop_whatever_the_names_of_nodes(shared: Deployment) -> None:
         assert sorted(counted) == sorted(expected), name
 
 
-def test_custom_types_between_ros1_and_ros2(shared: Deployment) -> None:
+def test_custom_types_are_bridged_between_ros1_and_ros2(shared: Deployment) -> None:
     thing = {
         "header": {"frame_id": "map"},
         "number": 513,
@@ -339,7 +339,7 @@ def test_incompatible_qos_is_reported(shared: Deployment) -> None:
     until(named, "the mismatch is reported", 20, every=0.2)
 
 
-def test_diagnostics_on_both_ros_sides(shared: Deployment) -> None:
+def test_diagnostics_on_both_ros_sides_name_the_routes(shared: Deployment) -> None:
     ros1, ros2 = shared.ros1(), shared.ros2()
     ros1.advertise("/watched", STRING)
     shared.until_route("ros2", "/watched", "out")

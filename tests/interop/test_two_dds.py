@@ -116,7 +116,7 @@ def call(peer: Peer, service: str, **request: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("first", [FAST, CYCLONE])
-def test_two_daemons_on_one_hub(site: Site, first: str) -> None:
+def test_the_second_of_two_daemons_on_one_hub_stands_by(site: Site, first: str) -> None:
     """The second one recognizes the network of the first, and stands by: nothing crosses twice."""
     hub = site.hub()
     far, native = site.far(hub), site.program(CYCLONE, "native")
@@ -150,7 +150,7 @@ def crosses_once(far: RmwSide, native: Peer) -> None:
     assert data(native.wait(heard, 0), "h") == [f"h{number}" for number in range(COUNT)]
 
 
-def test_two_daemons_on_two_hubs(site: Site) -> None:
+def test_two_daemons_on_two_hubs_are_both_active_without_duplicates(site: Site) -> None:
     """Both are active on the domain: neither brings to its hub what the other one has published or serves."""
     hubs = [site.hub(), site.hub()]
     fars = [site.far(hub) for hub in hubs]
@@ -213,7 +213,7 @@ def test_the_call_of_a_client_that_leaves_is_abandoned(site: Site, on_cyclone: t
     until(lambda: serving.abandoned == 1, "its call is abandoned", 30)
 
 
-def test_actions(site: Site, on_cyclone: tuple[RmwSide, WorkerProcess]) -> None:
+def test_goals_are_bridged_both_ways_on_cyclone_dds(site: Site, on_cyclone: tuple[RmwSide, WorkerProcess]) -> None:
     """Goals of the hub at a program, and of a program at the hub: feedback, result and cancel."""
     far, _ = on_cyclone
     native, hub = site.program(CYCLONE, "native"), site.actions(site.hubs[0])
@@ -235,7 +235,7 @@ def test_actions(site: Site, on_cyclone: tuple[RmwSide, WorkerProcess]) -> None:
     assert native.ask("goal", id=goal, until={"status": CANCELED}, seconds=30)["status"] == CANCELED
 
 
-def test_parameters(deployment: Deployment) -> None:
+def test_parameters_are_shared_both_ways_on_cyclone_dds(deployment: Deployment) -> None:
     """ROS 1's parameters appear on a node of the bridge, and those of a node on Cyclone DDS in ROS 1."""
     deployment.master.start()
     ros2 = {"domain": ros2_domain(), "rmw": CYCLONE}

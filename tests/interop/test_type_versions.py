@@ -101,7 +101,7 @@ def numbered(messages: list[dict[str, Any]]) -> list[tuple[int, float]]:
     return [(m["load"], m["rpm"] if "rpm" in m else m["speed"]) for m in messages if m["name"]]
 
 
-def test_publishers_of_two_versions_on_one_topic(rig: Rig) -> None:
+def test_messages_of_publishers_of_two_versions_are_converted(rig: Rig) -> None:
     name, old, new = "/wheels", rig.hub_node("old"), rig.hub_node("new")
     ros1 = rig.ros1.subscribe(name, TOPIC_TYPE)
     hub = {
@@ -146,7 +146,7 @@ def decoded(rig: Rig, version: str, end: ReleaseSubscription) -> list[dict[str, 
     return [MessageReader(schema, sample.payload).message() for sample in end.samples]
 
 
-def test_subscriptions_of_two_versions_on_one_topic(rig: Rig) -> None:
+def test_subscriptions_of_two_versions_receive_their_own_version(rig: Rig) -> None:
     """Each subscription receives the messages in its version, on DDS and on the hub, and no others."""
     name, old, new = "/commands", rig.hub_node("old"), rig.hub_node("new")
     hub = {
@@ -198,7 +198,7 @@ def test_late_subscriptions_of_two_versions_receive_latched_messages(rig: Rig) -
             peer.drop(subscription)
 
 
-def test_latched_publishers_of_two_versions_on_one_topic(rig: Rig) -> None:
+def test_late_joiners_receive_latched_messages_of_two_versions_in_their_own(rig: Rig) -> None:
     """Late subscriptions on ROS 1 and the hub receive the last message of each publisher, in their own version."""
     name, values = "/latched_sources", {rig.jazzy: {"rpm": 1.5, "code": "7"}, rig.kilted: {"speed": 2.5, "code": 7}}
     for load, (peer, fields) in enumerate(values.items(), 1):
@@ -217,7 +217,7 @@ def test_latched_publishers_of_two_versions_on_one_topic(rig: Rig) -> None:
         )
 
 
-def test_a_service_of_the_newer_version(rig: Rig) -> None:
+def test_a_service_of_the_newer_version_is_called_with_converted_fields(rig: Rig) -> None:
     """A client on ROS 1 calls Kilted's server; explain names the field that is rounded."""
     served = rig.kilted.ask("serve", service="/of_kilted", type=SERVICE, reply={"offset": 0.5})["id"]
     rig.deployment.until_route("ros1", "/of_kilted", "out", state="active")
@@ -238,7 +238,7 @@ def test_clients_of_two_versions_call_one_server(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("native", ["server", "client"])
-def test_an_action(rig: Rig, native: str) -> None:
+def test_goals_and_feedback_of_an_action_are_converted_between_versions(rig: Rig, native: str) -> None:
     server, client = (rig.kilted, rig.hub) if native == "server" else (rig.hub, rig.kilted)
     sent, received = ("angle", "radians") if native == "server" else ("radians", "angle")
     name = f"/turn_{native}"
@@ -251,7 +251,7 @@ def test_an_action(rig: Rig, native: str) -> None:
     assert server.ask("goals", id=served, count=1, seconds=20)["goals"] == [{received: 1.5}]
 
 
-def test_servers_of_two_versions_with_one_name(rig: Rig) -> None:
+def test_of_servers_of_two_versions_the_one_of_this_machine_is_called_first(rig: Rig) -> None:
     """The server with this machine's version is called until it leaves, and then the other one, in its own version."""
     newer = rig.kilted.ask("serve", service="/twice", type=SERVICE, reply={"offset": 0.5})["id"]
     rig.deployment.until_route("ros1", "/twice", "out", state="active")
@@ -279,7 +279,7 @@ def test_servers_of_two_versions_with_one_name(rig: Rig) -> None:
     assert rig.kilted.ask("requests", id=newer)["requests"][-1] == {"goal": 2.0}
 
 
-def test_publishers_of_two_versions_on_the_hub(rig: Rig) -> None:
+def test_messages_of_hub_publishers_of_two_versions_are_received_once(rig: Rig) -> None:
     """ROS 1 and Jazzy receive the messages of both publishers once, in the older version."""
     name, nodes = "/hub_wheels", {version: rig.hub_node(version) for version in ("old", "new")}
     publishers = {version: ReleasePublisher(node, rig.topic(name, version)) for version, node in nodes.items()}

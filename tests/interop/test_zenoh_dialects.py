@@ -56,7 +56,7 @@ def programs(deployment: Deployment) -> Iterator[dict[str, Any]]:
         bridge.stop()
 
 
-def test_real_programs_and_every_dialect(programs: dict[str, Any], deployment: Deployment) -> None:
+def test_real_programs_exchange_messages_with_every_dialect(programs: dict[str, Any], deployment: Deployment) -> None:
     """Texts cross in each direction, late joiners receive a latched map, and the documented script works."""
     pairs = [(a, b) for a in ("ros1", "ros2") for b in ("ros2dds", "ros1keys", "json")]
     for from_, to in pairs + [(b, a) for a, b in pairs]:

@@ -49,7 +49,7 @@ def test_float32_shows_no_more_digits_than_it_has(registry: Registry):
     assert to_json(registry, name, cdr)["data"] == [0.1, 1e-07, 16777216.0]
 
 
-def test_text_beyond_ascii():
+def test_text_beyond_ascii_survives_the_round_trip():
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Wide", "string s\nwstring w\nuint8 n\n")
     value = {"s": "Küche 😀", "w": "Küche 😀", "n": 3}
@@ -103,7 +103,7 @@ def test_trailing_bytes_of_rclpy_are_accepted(registry: Registry):
     assert to_json(registry, "std_msgs/msg/Bool", cdr + b"\xff\xff\xff") == {"data": True}
 
 
-def test_service_messages_round_trip(registry: Registry):
+def test_service_messages_survive_the_round_trip(registry: Registry):
     codec = CallCodec(registry, "nav_msgs/srv/LoadMap", registry.service_ros2("nav_msgs/srv/LoadMap").type_id)
     assert codec.request_value(codec.request({"map_url": "file:///a"})) == {"map_url": "file:///a"}
     values = codec.response_value(codec.response({"result": 3, "map": {"data": [1, -1]}}))

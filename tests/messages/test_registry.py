@@ -238,7 +238,7 @@ def test_move_base_is_derived_whole(registry: Registry):
         assert registry.ros2(name).definition.startswith(text.rstrip("\n")), name
 
 
-def test_package_sources_of_ros2_packages(registry: Registry):
+def test_the_sources_of_ros2_packages_are_found(registry: Registry):
     files = registry.ros2_package_sources("nav2_msgs")
     assert "action/NavigateToPose.action" in files
     assert "msg/Costmap.msg" in files
@@ -319,7 +319,7 @@ def test_fields_on_one_side_get_defaults(
         ("float32 a_\nfloat32 A\nfloat32 a__\n", {"a": 1.0, "a_2": 2.0, "a_3": 3.0}),
     ],
 )
-def test_fields_that_differ_only_in_case(ros1: str, expected: dict[str, float]):
+def test_fields_that_differ_only_in_case_are_numbered(ros1: str, expected: dict[str, float]):
     registry = Registry()
     message = struct.pack(f"<{len(expected)}f", *expected.values())
     to_hub = registry.ros1_to_hub("my_msgs/Thing", definition=ros1)
@@ -338,7 +338,9 @@ def test_fields_that_differ_only_in_case(ros1: str, expected: dict[str, float]):
         ("float32 t_2\nfloat32 t\n", {"t_2": 1.0, "t": 2.0}),
     ],
 )
-def test_fields_that_differ_only_in_case_and_a_type_of_ros2(tmp_path: Path, ros2: str, expected: dict[str, float]):
+def test_fields_that_differ_only_in_case_match_those_of_a_ros2_type(
+    tmp_path: Path, ros2: str, expected: dict[str, float]
+):
     registry = with_ros2(tmp_path, ros2)
     convert = registry.ros1_to_hub("my_msgs/Thing", definition="float32 T\nfloat32 t\n").convert
     assert convert is not None
@@ -369,7 +371,7 @@ def test_a_folder_serves_both_worlds(tmp_path: Path):
 
 
 @pytest.mark.parametrize("layout", ["pkg/msg", "pkg", ""])
-def test_layouts_of_folders(tmp_path: Path, layout: str):
+def test_definitions_are_found_in_each_layout_of_folders(tmp_path: Path, layout: str):
     root = tmp_path / "pkg" if not layout else tmp_path
     folder = root / layout
     folder.mkdir(parents=True, exist_ok=True)
@@ -378,7 +380,7 @@ def test_layouts_of_folders(tmp_path: Path, layout: str):
     assert registry.ros1_to_hub("pkg/Thing").target.name == "pkg/msg/Thing"
 
 
-def test_prefixes_of_built_packages(tmp_path: Path):
+def test_definitions_are_found_in_prefixes_of_built_packages(tmp_path: Path):
     folder = tmp_path / "share" / "built_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Thing.idl").write_text("module built_msgs { module msg { struct Thing { int32 a; }; }; };")

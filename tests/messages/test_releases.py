@@ -18,7 +18,7 @@ TYPES = (
 
 
 @pytest.mark.parametrize("release", [release for release in Release if release is not Release.HUMBLE])
-def test_definitions_of_each_release(release: Release) -> None:
+def test_the_hashes_of_each_releases_definitions_admit_that_release(release: Release) -> None:
     """The expected definitions are those of rosbags' type stores, which are independent of the table."""
     store = get_typestore(Stores[f"ROS2_{release.name}"])
     hashes = {name: store.hash_rihs01(name) for name in TYPES if name in store.fielddefs}
@@ -49,12 +49,12 @@ def test_definitions_of_each_release(release: Release) -> None:
         ("../msg/Own", "0" * 64, ""),
     ],
 )
-def test_definitions_of_navigation(name: str, type_hash: str, text: str) -> None:
+def test_hashes_of_navigation_types_give_their_releases(name: str, type_hash: str, text: str) -> None:
     admitted = by_hash(name, f"RIHS01_{type_hash}")
     assert release_text(admitted) == (text or release_text(releases.WITH_HASHES))
 
 
-def test_nodes_with_several_announcements() -> None:
+def test_a_node_with_several_announcements_has_their_common_releases() -> None:
     early = frozenset({Release.JAZZY, Release.KILTED})
     assert common([early, frozenset({Release.KILTED, Release.LYRICAL})]) == {Release.KILTED}
     assert common([]) == releases.ALL

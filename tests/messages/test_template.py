@@ -54,7 +54,7 @@ def test_arrays_change_and_texts_stay(registry: Registry) -> None:
     )
 
 
-def test_one_element_of_a_list_of_messages(registry: Registry) -> None:
+def test_a_template_fills_one_element_of_a_list_of_messages(registry: Registry) -> None:
     schema = registry.schema("tf2_msgs/msg/TFMessage")
 
     def message(height: float) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def test_a_side_without_a_running_worker_is_stale() -> None:
     assert named["module gateway"].level is Level.STALE
 
 
-def test_levels_of_modules_and_boards() -> None:
+def test_modules_and_boards_that_wait_or_are_missing_raise_the_level() -> None:
     boards = [{"board": "/r/base", "trouble": "not reached yet"}, {"board": "/r/arm", "trouble": "", "joints": ["a"]}]
     head = {"module": True, "routes": []}
     named = statuses(
@@ -109,7 +109,7 @@ def test_levels_of_modules_and_boards() -> None:
     assert named["module gateway"].message == "not running"
 
 
-def test_level_of_the_daemon() -> None:
+def test_the_daemons_level_is_stale_or_warn_without_a_process_or_after_a_refusal() -> None:
     assert statuses()["daemon"].level is Level.STALE
     assert statuses(pid=1, refused="line 3")["daemon"].level is Level.WARN
 

@@ -212,7 +212,7 @@ def test_a_module_that_cannot_start_does_not_affect_others_and_is_restarted(plac
     assert place.answer("refuses")["state"] == "running"
 
 
-def test_a_worker_for_one_module(place: Place) -> None:
+def test_a_worker_for_one_module_runs_no_other(place: Place) -> None:
     place.worker = place.keep(ModulesWorker("other"))
     place.worker.start(place.config(echo(), echo("other")))
     until(lambda: place.status("other"), "the module runs")

@@ -25,7 +25,7 @@ def test_cells_from_50_on_become_points():
     assert read_layer(layer([[0, -1]])).shape == (0, 2)
 
 
-def test_a_rotated_layer_and_one_in_another_frame():
+def test_points_of_a_rotated_layer_are_transformed_to_another_frame():
     (points,) = read_layer(layer([[0, 100]], yaw=math.pi / 2))
     np.testing.assert_allclose(points, (1.0 - 0.025, 2.0 + 0.075), atol=1e-9)
     np.testing.assert_allclose(on(np.array([points]), Pose(1.0, 0.0, math.pi)), [(1.0 - 0.975, -2.075)], atol=1e-9)

@@ -52,7 +52,7 @@ def test_each_code_of_an_action_has_a_reason(action: str) -> None:
         (9102, "a transform is missing or too old"),
     ],
 )
-def test_reason_of_a_code(code: int, text: str) -> None:
+def test_each_error_code_of_nav2_has_a_reason(code: int, text: str) -> None:
     assert reason(code) == text
 
 

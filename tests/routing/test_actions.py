@@ -49,7 +49,7 @@ def decided(gate: EntryGate) -> dict[str, str | None]:
         ("/go/send_goal", ("", "")),
     ],
 )
-def test_names_of_parts(name: str, parts: tuple[str, str]) -> None:
+def test_names_of_parts_are_split_into_action_and_part(name: str, parts: tuple[str, str]) -> None:
     assert split(name) == parts
 
 

@@ -154,7 +154,7 @@ def test_lone_daemon_becomes_active_once_settled(world: World) -> None:
 
 
 @pytest.mark.parametrize("hubs", ["hh", "ij"])
-def test_a_ring_of_two_started_at_once(world: World, hubs: str) -> None:
+def test_a_ring_of_two_started_at_once_is_bridged_once(world: World, hubs: str) -> None:
     ring(world, hubs)
     world.until(lambda: world.reached() == pairs("XY"), 5)
     world.run(10)
@@ -162,7 +162,7 @@ def test_a_ring_of_two_started_at_once(world: World, hubs: str) -> None:
 
 
 @pytest.mark.parametrize("hubs", ["hhh", "ijk", "iij"])
-def test_a_triangle_of_three(world: World, hubs: str) -> None:
+def test_a_triangle_of_three_is_bridged_once(world: World, hubs: str) -> None:
     for daemon, networks, hub in zip("ABC", ("XY", "YZ", "ZX"), hubs, strict=True):
         for network in networks:
             world.add(f"{daemon}/{network}", network, hub)
@@ -315,7 +315,7 @@ def test_joined_hubs_agree_on_one_active_daemon(world: World) -> None:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_never_two_active_daemons(seed: int) -> None:
+def test_two_daemons_are_never_active_on_one_network(seed: int) -> None:
     """Daemons start, die and are suspended at random, with slow links and wrong clocks; each step is checked."""
     dice, world = random.Random(seed), World()
     names = (f"D{n}" for n in itertools.count())
@@ -343,7 +343,7 @@ def test_never_two_active_daemons(seed: int) -> None:
     assert world.reached() == {pair for networks in hubs.values() for pair in itertools.permutations(networks, 2)}
 
 
-def test_record_round_trip() -> None:
+def test_records_survive_the_round_trip() -> None:
     claims = {frozenset({"x", "y"}): Claim(1, held=False, first=9)}
     record = Record("a", "A", 9, {"b": 3}, frozenset({"a", "b"}), "p", Claim(7, held=True, first=4), claims)
     assert Record.decode(record.encode()) == record

@@ -133,7 +133,7 @@ CHECKS: list[tuple[Demand, dict[str, Any], Demand]] = [
 
 
 @pytest.mark.parametrize(("begin", "check", "end"), CHECKS)
-def test_each_transition_of_the_demand(clock: Clock, begin: Demand, check: dict[str, Any], end: Demand) -> None:
+def test_each_transition_leads_to_its_demand(clock: Clock, begin: Demand, check: dict[str, Any], end: Demand) -> None:
     demand = StreamDemand()
     if begin is Demand.WANTED:
         assert demand.update(0, wanted=True, subscribed=True) is begin

@@ -61,7 +61,7 @@ def test_rules_decide_what_enters_the_hub(
         ([{"topic": "/scan", "deny": True}, {"topic": "/scan", "to": "ros2"}], {}, "ros1", False),
     ],
 )
-def test_leaving_to_ros2(entries: list[dict], section: dict, origin: str, allowed: bool) -> None:
+def test_rules_decide_what_leaves_to_ros2(entries: list[dict], section: dict, origin: str, allowed: bool) -> None:
     assert rules(*entries, **section).leave(origin, "ros2", "/scan", STRING).allowed is allowed
 
 

@@ -123,7 +123,7 @@ def test_a_wheel_contains_exactly_the_files_of_its_packages(files: Sequence[Path
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_the_metadata_of_the_distributions(files: Sequence[Path]) -> None:
+def test_the_metadata_lists_requirements_and_extras(files: Sequence[Path]) -> None:
     for file in files:
         if file.suffix == ".whl":
             with zipfile.ZipFile(file) as archive:

@@ -199,7 +199,7 @@ def test_the_emergency_stop_holds_the_wheels() -> None:
     assert sim.base.pose().x > at.x + 0.05
 
 
-def test_a_base_with_three_omnidirectional_wheels() -> None:
+def test_a_base_with_three_omnidirectional_wheels_drives_in_all_directions() -> None:
     sim = simulation(robot="ikart_v1")
     drive(sim, 3, 0.2, 0.1, 0.1)
     drive(sim, 1, 0.0)

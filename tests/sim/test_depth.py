@@ -72,7 +72,7 @@ def test_depths_out_of_range_are_infinite() -> None:
     assert not np.isfinite(depth_camera.points(np.full((480, 640), np.inf, np.float32))[..., 2]).any()
 
 
-def test_pitch_and_yaw_of_the_mount() -> None:
+def test_the_mounts_pitch_and_yaw_turn_the_rays() -> None:
     """The middle pixel's ray hits the floor at the distance given by the pitch, in the direction of the yaw."""
     depth_camera = camera(at=(0.2, 0.1, 1.2), pitch=30.0, yaw=20.0, width=17, height=17)
     box = (1.2 / math.tan(math.radians(30.0))) * np.array([math.cos(math.radians(20.0)), math.sin(math.radians(20.0))])
@@ -124,7 +124,7 @@ def test_invalid_camera_settings_are_rejected(changed: dict[str, object], error:
         CameraSection.model_validate(changed)
 
 
-def test_pictures_at_the_configured_rate_and_faults() -> None:
+def test_pictures_have_the_configured_rate_and_faults() -> None:
     sim = simulation(camera={"rate": 5.0, "width": 16, "height": 16})
     taken = set[int]()
     for _ in range(100):

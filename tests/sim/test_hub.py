@@ -247,7 +247,7 @@ def test_depth_pictures_are_computed_only_for_subscribers(place: Place, monkeypa
     assert cloud["row_step"] == 32 * 12
 
 
-def test_depths_in_millimeters() -> None:
+def test_depths_in_millimeters_are_zero_if_invalid() -> None:
     seen = np.array([[1.2345, np.inf, -np.inf], [np.nan, 0.0004, 64.9]], np.float32)
     image = messages.depth(5, seen, "16UC1")
     assert (image["encoding"], image["step"]) == ("16UC1", 6)

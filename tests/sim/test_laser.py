@@ -83,7 +83,7 @@ def test_distances_equal_darts_ray_casts() -> None:
     assert skeleton.getNumBodyNodes() == 1
 
 
-def test_noise_range_limits_and_lost_echoes() -> None:
+def test_noise_range_limits_and_lost_echoes_apply_as_configured() -> None:
     segments, circles = shapes(clutter(3, 60))
     mount = robot.load("r1").lasers
 
@@ -141,7 +141,7 @@ def test_people_crates_and_closed_doors_are_seen_but_low_things_are_not() -> Non
     assert ahead()[3] == math.inf
 
 
-def test_distances_to_the_walls_of_a_plan() -> None:
+def test_scans_have_the_distances_to_the_walls_of_a_plan() -> None:
     hall = load_plan("hall")
     sim = simulation(floor={"walls": hall.floors["hall"].walls}, laser={"beams": 4})
     np.testing.assert_allclose(sim.scan.ranges, [9.95, 6.95, 9.95, 6.95], atol=1e-9)

@@ -34,7 +34,7 @@ def test_the_robot_can_stand_at_every_place_of_every_plan(name: str) -> None:
                 pytest.fail(f"{name}/{floor_name}/{place}: {err}")
 
 
-def test_the_plans_that_come_with_midspan() -> None:
+def test_the_plans_that_come_with_midspan_are_found_by_name() -> None:
     assert ready("plans") == ["apartment", "hall", "lab", "office", "tables", "two_storeys"]
     assert {"kitchen", "bedroom"} < load_plan("apartment").floors["apartment"].rooms.keys()
     with pytest.raises(SimError, match="neither a file nor one of the plans"):

@@ -100,7 +100,7 @@ def test_messages_fill_the_history() -> None:
     assert poses.translations[:, 0].tolist() == list(range(300))
 
 
-def test_large_and_unusual_messages() -> None:
+def test_large_messages_are_stored_and_unusual_transforms_refused() -> None:
     buffer = TransformBuffer()
     many = [("base", f"link{n}", START, (n, 0, 0), UNIT) for n in range(1000)]
     assert buffer.set_message(message(many), "arm") == [None] * 1000

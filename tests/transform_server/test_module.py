@@ -121,7 +121,7 @@ def laser_point(client: TransformClient) -> list[float] | None:
         return None
 
 
-def test_frames_in_simulated_time(place: ServedPlace) -> None:
+def test_frames_expire_in_simulated_time(place: ServedPlace) -> None:
     place.worker.stop()
     place.worker.start(place.served(clock={"source": "sim"}))
     clock = place.far.advertise("/clock", "rosgraph_msgs/Clock")

@@ -101,7 +101,7 @@ def test_other_robots_are_shown(desk: Desk) -> None:
 
 
 @pytest.mark.usefixtures("frames")
-def test_the_pose_of_one_frame_in_another(desk: Desk) -> None:
+def test_a_pose_feed_has_the_pose_of_one_frame_in_another(desk: Desk) -> None:
     with TestPage(desk.port) as page:
         page.watch("pose:map>base_link", "pose:base_link>odom", "pose:map>camera", "pose:map", "pose:>map")
         pose = page.value("pose:map>base_link")

@@ -97,7 +97,7 @@ def test_a_page_that_closes_stops_the_base(desk: Desk, how: str) -> None:
         until(base.stands, "the base stands")
 
 
-def test_no_hold_without_a_velocity_topic(desk: Desk) -> None:
+def test_a_hold_is_refused_without_a_velocity_topic(desk: Desk) -> None:
     desk.open_with(navigation={"planner": "nav2", "velocity": ""})
     with TestPage(desk.port) as page:
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
@@ -121,7 +121,7 @@ def test_one_page_drives_at_a_time(desk: Desk) -> None:
         assert all(x >= 0.0 for _, x, _ in base.received)
 
 
-def test_no_hold_against_a_planner(desk: Desk) -> None:
+def test_a_hold_is_refused_while_a_planner_drives(desk: Desk) -> None:
     base = Base(desk)
     status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)
     desk.far.publish(status, {"state": "moving"})

@@ -102,7 +102,7 @@ def test_image_addresses_depend_on_the_content() -> None:
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_the_colors_of_images(*, dark: bool) -> None:
+def test_images_have_the_colors_of_the_theme(*, dark: bool) -> None:
     grid, pictures = house(), Pictures()
     grid.flags[1, 2], grid.flags[1, 5] = WALL, MapFlag.UNKNOWN
     ((address,),) = pictures.put("occupancy", occupancy_picture(grid))["tiles"]

@@ -109,7 +109,7 @@ def test_compressed_images_are_decoded_and_scaled(kind: str) -> None:
     assert picture_.image.getpixel((5, 5)) == pytest.approx(RED, abs=4)
 
 
-def test_compressed_depth_images() -> None:
+def test_compressed_depth_images_are_decoded() -> None:
     out = io.BytesIO()
     Image.fromarray(np.array([[0, 1000], [2000, 3000]], np.uint16)).save(out, "PNG")
     data = struct.pack("<iff", 0, 0.0, 0.0) + out.getvalue()

@@ -126,7 +126,7 @@ def ask(port: int, path: str, **headers: str) -> tuple[int, dict[str, str], byte
         connection.close()
 
 
-def test_the_page_and_its_policy(desk: Desk) -> None:
+def test_the_page_is_served_with_a_strict_policy(desk: Desk) -> None:
     status, headers, body = ask(desk.port, "/")
     assert status == 200
     assert b"<title>" in body

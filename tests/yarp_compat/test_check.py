@@ -76,7 +76,7 @@ def test_names_methods_and_devices_are_detected() -> None:
         ("import yarp\nd = yarp.PolyDriver('(device usb)')", {(2, "PolyDriver"), (2, "usb"), (2, "(device usb)")}),
     ],
 )
-def test_uses_in_a_script(text: str, expected: set[tuple[int, str]]) -> None:
+def test_uses_of_the_bindings_in_a_script_are_listed(text: str, expected: set[tuple[int, str]]) -> None:
     assert uses(text) == expected
 
 
@@ -133,7 +133,7 @@ def test_an_invalid_script_is_an_error(
     assert "1 script for YARP, 1 with every name" in out, "the other files are checked"
 
 
-def test_files_and_folders_on_the_command_line(tmp_path: Path) -> None:
+def test_files_and_folders_on_the_command_line_are_checked(tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     (folder / "inner").mkdir(parents=True)
     (folder / "inner" / "one.py").write_text("import yarp\nyarp.Network.init()\n")

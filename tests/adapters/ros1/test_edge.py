@@ -65,7 +65,7 @@ def test_the_graph_lists_publishers_and_subscribers(master, edge):
     until(lambda: not edge.endpoints(topic="/graph/plain"), "the endpoints disappear with their node")
 
 
-def test_publishers_of_different_types_on_one_topic(master, edge):
+def test_a_subscription_receives_only_messages_of_its_type(master, edge):
     with master.peer("two_a") as first, master.peer("two_b") as second:
         a = first.advertise("/two", "std_msgs/String", latched=True)
         b = second.advertise("/two", "std_msgs/Int32", latched=True)
@@ -130,7 +130,7 @@ def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge)
         assert any(latches(number) for number in range(5))
 
 
-def test_messages_from_and_to_roscpp_programs(master, edge):
+def test_messages_reach_and_leave_roscpp_programs(master, edge):
     # roscore's rosout is a roscpp program that republishes /rosout on /rosout_agg, as does the embedded master's
     with master.peer("logger") as peer:
         endpoint = edge.endpoint(topic="/rosout_agg", made_by="native")
@@ -158,7 +158,7 @@ def test_messages_from_and_to_roscpp_programs(master, edge):
         edge.drop(inbox)
 
 
-def test_a_custom_type_in_both_directions(master, edge):
+def test_a_custom_type_is_bridged_in_both_directions(master, edge):
     with master.peer("custom") as peer:
         md5 = peer.ask("define", type="my_pkg/Thing", definition=THING)["md5"]
         out = peer.advertise("/thing/in", "my_pkg/Thing", latched=True)

@@ -31,7 +31,7 @@ def on(packages):
     return Config(ros1=Ros1Section(packages=packages))
 
 
-def test_a_sourced_shell(tmp_path, noetic):
+def test_packages_of_a_sourced_ros_2_do_not_shadow_the_workers_libraries(tmp_path, noetic):
     """ROS 2's packages, and the neighbors of ROS 1's packages, must not shadow Midspan's libraries."""
     jazzy, work = tmp_path / "jazzy", tmp_path / "work"
     (jazzy / "rclpy").mkdir(parents=True)

@@ -42,7 +42,7 @@ def test_definitions_in_any_encoding_are_accepted():
     assert decode(field("message_definition=# Müller".encode("latin-1")))["message_definition"].startswith("# M")
 
 
-def test_a_valid_publisher():
+def test_the_handshake_with_a_publisher_loses_no_byte_after_the_header():
     def serve(sock) -> None:
         sock.recv(65536)
         sock.sendall(encode(HEADER) + b"\2\0\0\0hi")
@@ -107,7 +107,7 @@ def test_misbehaving_publishers_raise_a_specific_error(serve, error, words):
         (5, Ros1ProtocolError),
     ],
 )
-def test_responses_of_misbehaving_nodes(answer, error):
+def test_invalid_responses_to_request_topic_are_errors(answer, error):
     with node(requestTopic=lambda *_: answer) as uri, pytest.raises(error):
         connect("/me", uri, "/topic", 2.0)
 
@@ -130,12 +130,12 @@ def test_a_lack_of_descriptors_is_not_the_peers_fault(name):
 @pytest.mark.parametrize(
     "address", ["", "nonsense", "rosrpc://", "rosrpc://host", "rosrpc://host:99999", "rosrpc://[::1"]
 )
-def test_services_without_a_valid_address(address):
+def test_services_without_a_valid_address_are_refused(address):
     with pytest.raises(Ros1ProtocolError, match="not a ROS 1 service's address"):
         connect_service("/me", address, "/serve", 5.0, md5sum="*")
 
 
-def test_a_service_without_a_type():
+def test_a_service_without_a_type_is_refused():
     with (
         tcp_server(sending(encode({"callerid": "/odd"}))) as (host, port),
         pytest.raises(Ros1ProtocolError, match="no type"),

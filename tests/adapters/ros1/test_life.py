@@ -89,7 +89,7 @@ def test_registrations_of_a_killed_edge_are_removed(master, tmp_path):
         assert (master.state(), master.parameters()) == before
 
 
-def test_the_same_name_again_after_a_kill(master, tmp_path):
+def test_a_restarted_worker_takes_over_the_name_of_the_killed_one(master, tmp_path):
     edge = edge_on(master, tmp_path)
     edge.ask("advertise", topic="/same", type="std_msgs/String")
     until(lambda: "/same" in master.state()["publishers"], "the publisher is registered")

@@ -41,7 +41,7 @@ def test_long_names_stay_distinct():
 
 
 @given(st.text(max_size=300))
-def test_always_legal_and_stable(name):
+def test_hub_names_are_always_legal_and_stable(name):
     hub = hub_name(name)
     assert LEGAL.fullmatch(hub)
     assert len(hub) <= MAX_LENGTH

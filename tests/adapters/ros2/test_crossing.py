@@ -193,7 +193,9 @@ def test_same_user_keeps_shared_memory(programs: Programs, own_shm: Callable[[st
     assert segments(edge)
 
 
-def test_full_shared_memory(programs: Programs, own_shm: Callable[[str], int]) -> None:
+def test_large_messages_are_bridged_while_the_shared_memory_is_full(
+    programs: Programs, own_shm: Callable[[str], int]
+) -> None:
     """Fast DDS uses UDP; LTTng, which would crash the process without a page for its file, cannot open that file."""
     mounts = own_shm("1m")
     fill = "head -c 2m /dev/zero > /dev/shm/fill 2> /dev/null"

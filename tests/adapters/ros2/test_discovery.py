@@ -39,7 +39,7 @@ def later() -> Iterator[DelayedCalls]:
         ("TCPv4:[10.0.0.1]:1234;[::1]:1234", []),
     ],
 )
-def test_servers_in_the_environment(text: str, servers: list[Server]) -> None:
+def test_discovery_servers_are_read_from_the_environment(text: str, servers: list[Server]) -> None:
     assert discovery.servers({"ROS_DISCOVERY_SERVER": text}) == servers
     assert discovery.servers({}) == []
 
@@ -94,7 +94,7 @@ def test_a_server_that_is_restarted(monkeypatch: pytest.MonkeyPatch, noticed: bo
     watched.close()
 
 
-def test_a_server_on_another_machine(
+def test_a_server_on_another_machine_is_reached_if_not_localhost_only(
     machines: tuple[Machine, Machine], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With ``localhost_only: false`` it is reached; a report of its machine shows when it does not run."""

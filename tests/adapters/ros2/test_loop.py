@@ -165,7 +165,7 @@ def test_an_exception_in_one_route_does_not_stop_the_others(edge: RunningEdge, p
     until(ten, "ten messages arrive in spite of the broken route")
 
 
-def test_without_a_compiler(
+def test_messages_are_published_and_received_without_a_compiler(
     registry: Registry, peer: Callable[..., Peer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rcl, "service_callbacks", None)

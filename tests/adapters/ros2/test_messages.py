@@ -94,7 +94,7 @@ def test_messages_do_not_wake_the_timer_thread(edge: RunningEdge, peer: Callable
 
 
 @pytest.mark.parametrize("size", [1_000_000, 6_000_000])
-def test_large_messages(edge: RunningEdge, peer: Callable[..., Peer], size: int) -> None:
+def test_large_messages_are_bridged_in_both_directions(edge: RunningEdge, peer: Callable[..., Peer], size: int) -> None:
     native = peer()
     subscription = native.subscribe("/m/large_out", "std_msgs/String")
     publisher = native.advertise("/m/large_in", "std_msgs/String")

@@ -27,7 +27,7 @@ def texts(xml: str, tag: str) -> list[str | None]:
     return [element.text for element in ET.fromstring(xml).iter(SPACE + tag)]
 
 
-def test_shared_memory_and_udp() -> None:
+def test_a_local_profile_uses_shared_memory_and_udp_on_loopback() -> None:
     xml = FastDdsProfile(PREFIX, 32 << 20, localhost_only=True).xml()
     assert texts(xml, "type") == ["SHM", "UDPv4"]
     assert texts(xml, "segment_size") == [str(32 << 20)]
@@ -37,7 +37,7 @@ def test_shared_memory_and_udp() -> None:
     assert [[child.text for child in time] for time in times] == [["0", "500000000"], ["0", "100000000"]]
 
 
-def test_only_udp_on_all_interfaces() -> None:
+def test_a_profile_without_shared_memory_uses_udp_on_all_interfaces() -> None:
     xml = FastDdsProfile(PREFIX, 0, localhost_only=False).xml()
     assert texts(xml, "type") == ["UDPv4"]
     assert texts(xml, "interfaceWhiteList") == []
@@ -122,7 +122,9 @@ UDP = SHM.replace("SHM", "UDPv4")
         (UDP, USER, 512 << 10),
     ],
 )
-def test_the_shared_memory_of_a_custom_profile(tmp_path: Path, transports: str, rtps: str, size: int) -> None:
+def test_the_size_of_a_custom_profiles_shared_memory_is_known(
+    tmp_path: Path, transports: str, rtps: str, size: int
+) -> None:
     custom = own(tmp_path, transports, rtps)
     assert own_profile.segment(own_profile.read(custom)) == size
     assert own_profile.trouble(custom, tmp_path) == ""

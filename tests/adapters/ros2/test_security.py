@@ -26,7 +26,7 @@ ON = {"ROS_SECURITY_ENABLE": "true"}
         (ON | {"ROS_SECURITY_ENCLAVE_OVERRIDE": "/robot/bridge"}, "/robot/bridge"),
     ],
 )
-def test_enclave_of_the_worker(environ: dict[str, str], enclave: str | None) -> None:
+def test_the_worker_gets_an_enclave_if_security_is_on(environ: dict[str, str], enclave: str | None) -> None:
     assert worker_environment(Config(), environ).get("ROS_SECURITY_ENCLAVE_OVERRIDE") == enclave
 
 

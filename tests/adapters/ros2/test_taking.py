@@ -124,7 +124,7 @@ def test_a_burst_is_divided_and_lets_others_in_between(fake: Rcl) -> None:
     assert rest == [("other", b"x"), *(("burst", message) for message in messages[BATCH:])]
 
 
-def test_fewer_messages_than_reported(fake: Rcl) -> None:
+def test_fewer_messages_than_reported_reset_the_event(fake: Rcl) -> None:
     fake.add("a", b"1", count=9)
     assert fake.wait() == [("a", b"1")]
     assert fake.resets == 1

@@ -10,7 +10,7 @@ from bridge.messages.errors import MessageTypeError
 HASH = "RIHS01_" + "0a" * 32
 
 
-def test_one_class_per_name_and_hash() -> None:
+def test_each_name_and_hash_has_one_class() -> None:
     types = TypeSupports()
     first = types.message_class("a_msgs/msg/B", HASH)
     assert types.message_class("a_msgs/msg/B", HASH) is first

@@ -64,7 +64,7 @@ def near(value: Any, other: Any) -> bool:
     return bool(value == (pytest.approx(other, rel=1e-6, abs=1e-6) if isinstance(other, float) else other))
 
 
-def test_each_type_in_both_directions(place: Place) -> None:
+def test_each_natural_type_is_bridged_in_both_directions(place: Place) -> None:
     rules = []
     for number, name in enumerate(CASES):
         type_ = name.replace("/", "/msg/")

@@ -36,7 +36,7 @@ def test_stamps_survive_the_envelope(stamp_ns: int, count: int) -> None:
         ("(1 2) 3", None),
     ],
 )
-def test_envelopes_of_other_programs(text: str, stamp_ns: int | None) -> None:
+def test_only_valid_envelopes_of_other_programs_give_a_stamp(text: str, stamp_ns: int | None) -> None:
     assert stamp(text) == stamp_ns
 
 

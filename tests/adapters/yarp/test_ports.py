@@ -58,7 +58,7 @@ def test_topic_is_written_to_the_port_in_a_rule_again_when_it_returns(place: Pla
         port.stop()
 
 
-def test_one_topic_in_two_contents_and_two_profiles(place: Place) -> None:
+def test_one_topic_is_sent_in_two_contents_and_two_profiles(place: Place) -> None:
     """The topic's main port has the converter's layout; the rule's port has the rule's fields and profile."""
     place.bridge({"port": "/short", "topic": "/cmd_vel", "direction": "out", "fields": SHORT, "profile": "yarp4"})
     short, long = place.port("/short", Profile.YARP4), place.port("/long")

@@ -86,7 +86,7 @@ def test_hub_service_is_an_rpc_port(place: Place, robot: Robot, profile: Profile
         assert plans.ask([pose, pose, 0.5], timeout=20)[0][0][1:] == [[12, 5], "map"]
 
 
-def test_chosen_fields_and_an_empty_reply(place: Place, robot: Robot) -> None:
+def test_a_rule_chooses_the_fields_of_request_and_reply(place: Place, robot: Robot) -> None:
     robot.node.server("/lamp", BOOL, robot.switch)
     cleared: list[Any] = []
     robot.node.server("/clear", EMPTY, lambda request, answer: (cleared.append(request), answer({})))

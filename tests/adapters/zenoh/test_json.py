@@ -54,7 +54,7 @@ def test_invalid_json_is_refused_with_the_reason(text: bytes, reason: str) -> No
         text_to_cdr(REGISTRY, "std_msgs/msg/String")(text)
 
 
-def test_keys_in_each_direction(place: Place) -> None:
+def test_json_keys_are_bridged_in_their_configured_directions_only(place: Place) -> None:
     program = place.json()
     place.bridge(
         keys(

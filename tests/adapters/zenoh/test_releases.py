@@ -98,7 +98,7 @@ def test_topics_of_a_dialect_reach_humble_and_jazzy_once(place: Place, humble: R
     jazzy.close()
 
 
-def test_a_latched_map_in_each_direction(place: Place, humble: ReleaseNode) -> None:
+def test_a_latched_map_is_bridged_in_each_direction(place: Place, humble: ReleaseNode) -> None:
     bridge = place.ros2dds()
     type_name = "nav_msgs/OccupancyGrid"
     there = Topic("/there", "nav_msgs/msg/OccupancyGrid", "unused", LATCHED)
@@ -127,7 +127,7 @@ def test_a_type_that_no_one_defines_is_refused_with_the_cure(place: Place, humbl
     assert line["cure"]
 
 
-def test_services_in_each_direction(place: Place, humble: ReleaseNode) -> None:
+def test_services_are_called_in_each_direction(place: Place, humble: ReleaseNode) -> None:
     bridge = place.ros2dds()
     server = ReleaseServer(humble, LIGHT, lambda _: ROS2.encode("std_srvs/SetBool_Response", YES))
     place.until_route(SIDE, "/light", "out")

@@ -260,7 +260,7 @@ def test_a_free_fleet_client_exchanges_goals_and_transforms(place: Place) -> Non
     assert received["transforms"][0]["child_frame_id"] == "base_footprint"
 
 
-def test_services_byte_for_byte(place: Place) -> None:
+def test_keys_beacons_requests_and_replies_of_services_are_exact(place: Place) -> None:
     """Keys, beacons, requests and responses are exact; empty requests are valid, and any bridge may call a service."""
     set_bool, trigger, yes = "std_srvs/SetBool", "std_srvs/Trigger", {"success": True, "message": "hi"}
     bridge, named = place.ros1(), place.ros1("robot1")

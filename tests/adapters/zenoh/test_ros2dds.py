@@ -44,7 +44,7 @@ def test_tokens_are_written_as_the_plugin_writes_them() -> None:
         (":1:3:0,2", Kind.PUBLISHER, Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=2)),
     ],
 )
-def test_qos_of_tokens(qos: str, kind: Kind, read: Qos) -> None:
+def test_the_qos_is_read_from_tokens(qos: str, kind: Kind, read: Qos) -> None:
     letters = "MP" if kind is Kind.PUBLISHER else "MS"
     (token,) = parse(f"@/1/@ros2_lv/{letters}/a/std_msgs§msg§String/{qos}")
     assert (token.qos, token.type_hash) == (read, "")
@@ -76,7 +76,7 @@ def test_invalid_tokens_are_rejected(text: str) -> None:
         parse(text)
 
 
-def test_tokens_of_services_and_actions() -> None:
+def test_tokens_of_services_and_actions_are_parsed_into_their_parts() -> None:
     assert parse("@/1/@ros2_lv") == ()
     text = "@/1/@ros2_lv/SS/bot§add/example_interfaces§srv§AddTwoInts"
     (token,) = parse(text)
@@ -137,7 +137,7 @@ def test_the_topic_of_a_bridge_crosses(place: Place) -> None:
     until(lambda: not bridge.tokens("/chatter", "MS"), "Midspan's token is withdrawn with the publisher")
 
 
-def test_the_namespace_of_a_bridge(place: Place) -> None:
+def test_only_the_bridge_in_the_configured_namespace_is_bridged(place: Place) -> None:
     robot = place.ros2dds("robot1")
     stranger = place.ros2dds("robot2")
     place.bridge({"dialect": "ros2dds", "namespace": "/robot1"})
@@ -168,7 +168,7 @@ def test_the_history_of_a_deep_publisher_arrives_complete_and_in_order(place: Pl
     assert len(place.far.wait(subscription, 7, 0.3)) == 6
 
 
-def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> None:
+def test_all_static_transforms_of_several_nodes_behind_one_bridge_are_retained(place: Place) -> None:
     """The plugin has one cache for all writers of a topic, and the whole set counts, not only its last message."""
     bridge = place.ros2dds()
     out = bridge.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1)
@@ -185,7 +185,7 @@ def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> N
     until(lambda: frames() == ["camera", "imu", "laser"], "all static transforms are retained")
 
 
-def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
+def test_each_sample_of_a_numbering_publisher_arrives_once(place: Place) -> None:
     """A Python program has an advanced publisher whose history has numbers and time stamps, and arrives once."""
     session = open_session(place.router.endpoint)
     publisher = ext.declare_advanced_publisher(
@@ -213,7 +213,7 @@ def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
         session.close()
 
 
-def test_a_plain_program_on_a_configured_key(place: Place) -> None:
+def test_messages_of_a_plain_program_on_a_configured_key_are_bridged(place: Place) -> None:
     """Like free_fleet's clients, the program declares no token, and as a client of the router it sets no time stamp."""
     place.bridge({"dialect": "ros2dds", "keys": [{"topic": "/robot1/goal", "type": "std_msgs/msg/String"}]})
     subscription = place.far.subscribe("/robot1/goal", STRING)
@@ -247,7 +247,7 @@ def test_keys_without_announcement_are_ignored(place: Place) -> None:
     assert place.explain(SIDE, "/0/chatter") == []
 
 
-def test_a_token_that_claims_a_key_of_the_hub(place: Place) -> None:
+def test_a_token_that_claims_a_key_of_the_hub_is_ignored_and_reported(place: Place) -> None:
     """The token is ignored and reported, and the hub's own topic is not affected."""
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})

@@ -35,7 +35,7 @@ class Sent:
         return goal.status, result
 
 
-def test_from_the_hub_to_a_server_behind_a_bridge(place: Place) -> None:
+def test_goals_of_the_hub_reach_a_server_behind_a_bridge(place: Place) -> None:
     bridge = place.ros2dds()
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
@@ -90,7 +90,7 @@ def test_a_server_that_leaves_ends_its_goals(place: Place, end: str, caplog: pyt
     assert "suspended or is on standby" not in caplog.text
 
 
-def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> None:
+def test_goals_of_a_client_behind_a_bridge_reach_a_server_of_the_hub(place: Place) -> None:
     bridge = place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     goals: list[Any] = []

@@ -115,7 +115,7 @@ def test_invalid_replies_and_error_replies(place: Place) -> None:
 
 
 @pytest.mark.parametrize("dialect", ["ros2dds", "ros1"])
-def test_a_hundred_calls_at_once(place: Place, dialect: str) -> None:
+def test_a_hundred_held_calls_delay_no_others(place: Place, dialect: str) -> None:
     """The calls run in both directions; held calls do not delay the replies to others."""
     bridge = place.ros2dds() if dialect == "ros2dds" else place.ros1()
     place.bridge({"dialect": dialect})
@@ -173,7 +173,7 @@ def expect_single_request(call: Callable[[], Any], requests: Callable[[], list[A
 
 
 @pytest.mark.parametrize("hubs", ["one hub", "two hubs"])
-def test_two_daemons_on_one_network(place: Place, hubs: str) -> None:
+def test_two_daemons_on_one_network_send_each_call_once(place: Place, hubs: str) -> None:
     """Each call is sent once, each service is served once, and neither daemon bridges the other's services."""
     bridge = place.ros2dds()
     served = bridge.ask("serve", service="/in", type=SET, reply=YES)["id"]

@@ -198,7 +198,7 @@ def test_angles_are_about_fixed_axes() -> None:
     assert angles_of((0.5, 0.5, 0.5, 0.5)) == pytest.approx((math.pi / 2, 0, math.pi / 2))
 
 
-def test_path_between_two_frames() -> None:
+def test_the_path_between_two_frames_leads_through_their_common_ancestor() -> None:
     buffer = TransformBuffer()
     for parent, child in ("ab", "bc", "bd", "de", "xy"):
         buffer.set_transform(parent, child, 1, (0, 0, 0), UNIT)

@@ -111,7 +111,7 @@ def test_echo_prints_latched_messages_at_once(midspan: Midspan, worker: EngineWo
 
 
 @pytest.mark.parametrize("topic", ["/rosout", "/secret"])
-def test_echo_of_an_unbridged_topic(midspan: Midspan, worker: EngineWorker, registry: Registry, topic: str) -> None:
+def test_echo_prints_an_unbridged_topic(midspan: Midspan, worker: EngineWorker, registry: Registry, topic: str) -> None:
     writer = worker.advertise(topic, STRING)
     until(lambda: len(worker.engine.decisions()) == 1, "the engine has decided on the topic")
     with talking(worker, writer, from_json(registry, STRING, {"data": "hidden"})):
@@ -137,7 +137,7 @@ def test_echo_of_a_topic_that_only_a_side_has(
     assert sides == {"ros1": "from the side", "zenoh": "from the hub"}
 
 
-def test_echo_without_the_topic(midspan: Midspan, worker: EngineWorker) -> None:
+def test_echo_suggests_a_similar_topic_and_times_out_without_messages(midspan: Midspan, worker: EngineWorker) -> None:
     worker.advertise("/chatter", STRING)
     bridged(worker, 1)
     done = midspan("topic", "echo", "/chattr")

@@ -101,7 +101,7 @@ def test_other_verbs_mention_the_dead_daemon(dead: tuple[RobotDaemon, str], word
     assert down in robot.command(*words).stderr
 
 
-def test_a_router_that_answers_late(dead: tuple[RobotDaemon, str]) -> None:
+def test_a_command_waits_for_a_router_that_answers_late(dead: tuple[RobotDaemon, str]) -> None:
     """Signals simulate a busy machine; the router's port accepts connections all the time."""
     robot, down = dead
     router = psutil.Process(int(re.findall(r"\d+", down)[-1]))
@@ -116,7 +116,7 @@ def test_a_router_that_answers_late(dead: tuple[RobotDaemon, str]) -> None:
 
 
 @pytest.mark.thorough
-def test_the_daemon_of_another_user(dead: tuple[RobotDaemon, str], tmp_path: Path) -> None:
+def test_a_dead_daemon_of_another_user_is_recognized(dead: tuple[RobotDaemon, str], tmp_path: Path) -> None:
     """The state folder cannot be read, but the process table shows that the router has lost its daemon."""
     robot, down = dead
     file = tmp_path / "other.yaml"
@@ -236,7 +236,9 @@ def test_a_router_that_cannot_work(start: Start) -> None:
         assert "cannot work" in done.stdout
 
 
-def test_without_router_and_daemon(dead: tuple[RobotDaemon, str], tmp_path: Path) -> None:
+def test_without_router_and_daemon_the_error_names_the_command_that_starts_it(
+    dead: tuple[RobotDaemon, str], tmp_path: Path
+) -> None:
     robot = dead[0]
     file = tmp_path / "other.yaml"
     file.write_text(
@@ -292,7 +294,7 @@ def test_status_while_another_program_holds_the_port(tmp_path: Path, words: list
                 assert "Is the daemon running?" not in done.stderr
 
 
-def test_status_beside_a_router_of_another_project(tmp_path: Path) -> None:
+def test_status_finds_a_daemon_that_uses_a_router_of_another_project(tmp_path: Path) -> None:
     """The daemon uses that router, and may have no worker that replies on the hub."""
     config = zenoh.Config()
     place = f"tcp/127.0.0.1:{free_port()}"
@@ -316,7 +318,7 @@ def test_status_beside_a_router_of_another_project(tmp_path: Path) -> None:
             robot.close()
 
 
-def test_status_of_a_daemon_without_a_router(tmp_path: Path) -> None:
+def test_status_finds_a_daemon_whose_router_is_down(tmp_path: Path) -> None:
     """`hub.router: false`: the configured router is elsewhere, and down."""
     with contextlib.closing(
         RobotDaemon(tmp_path, navigation={}, hub={"listen": f"tcp/127.0.0.1:{free_port()}", "router": False})

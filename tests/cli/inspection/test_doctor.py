@@ -27,7 +27,9 @@ def results_by_check(done: Any) -> dict[str, list[str]]:
     return by_check
 
 
-def test_without_a_daemon(tmp_path: Path, network: HubNetwork, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_daemon_all_checks_run_or_are_skipped(
+    tmp_path: Path, network: HubNetwork, capsys: pytest.CaptureFixture[str]
+) -> None:
     nobody = {"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}
     midspan = Midspan(config_file(tmp_path, network, **NO_ROS, **nobody), capsys)
     done = midspan("doctor", "--json")
@@ -39,7 +41,7 @@ def test_without_a_daemon(tmp_path: Path, network: HubNetwork, capsys: pytest.Ca
     assert done.code == (1 if any("fail" in outcomes for outcomes in results.values()) else 0)
 
 
-def test_with_a_daemon(
+def test_with_a_daemon_clock_and_refused_types_are_checked(
     tmp_path: Path, network: HubNetwork, closing: list[FakeWorker], capsys: pytest.CaptureFixture[str]
 ) -> None:
     midspan = Midspan(config_file(tmp_path, network, **NO_ROS), capsys)
@@ -92,7 +94,7 @@ def test_daemon_reports_a_worker_that_does_not_respond(
     assert "midspan run" not in report
 
 
-def test_a_broken_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_broken_configuration_is_reported_with_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "midspan.yaml"
     file.write_text(f"hub:\n  listen: tcp/127.0.0.1:{free_port()}\n  domian: 3\n")
     done = Midspan(file, capsys)("doctor", "--only", "config")

@@ -87,7 +87,9 @@ def test_only_refused_calls_are_reported(midspan: Midspan, network: HubNetwork, 
 
 
 @pytest.mark.parametrize("place", ["beyond a router", "beyond two routers", "program", "other link", "trusted link"])
-def test_commands_through_another_router(midspan: Midspan, network: HubNetwork, closing: list[Any], place: str) -> None:
+def test_explain_names_the_other_router_whose_commands_are_refused(
+    midspan: Midspan, network: HubNetwork, closing: list[Any], place: str
+) -> None:
     """The robot is connected to a router without a status document, such as zenohd with TLS, and does not trust it."""
     fleet = Fleet(network, closing, name="middle")
     fleet.machine["zid"] = "m1"
@@ -218,7 +220,7 @@ def test_play_reports_a_machine_that_refuses_its_commands(
         assert "refuses" not in commander(host, name, tmp_path, capsys)(*command).err
 
 
-def test_commands_through_the_router_of_an_untrusted_machine(
+def test_a_command_reports_that_its_machine_is_refused(
     host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The command joins its own machine's hub, which is connected to the robot's external listener."""
@@ -234,7 +236,9 @@ def test_commands_through_the_router_of_an_untrusted_machine(
         until(refused, "the machines are linked, and the robot's refusal is reported", 30)
 
 
-def test_commands_through_a_foreign_router(host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_explain_reports_a_foreign_router_to_the_commanding_machine(
+    host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The machines are connected through a TLS router like zenohd; `explain` reports it to the commanding machine."""
     place = f"tls/127.0.0.1:{free_port()}"
     guest = {name: str(host.folder / f"guest.{end}") for name, end in (("certificate", "pem"), ("private_key", "key"))}

@@ -112,7 +112,7 @@ def test_halt_reports_what_does_not_stop(
     }
 
 
-def test_nothing_to_halt(midspan: Midspan) -> None:
+def test_halt_fails_without_velocity_topics(midspan: Midspan) -> None:
     done = midspan("halt", "--seconds", "0.1")
     assert (done.code, "nothing to halt" in done.err) == (1, True)
 
@@ -331,7 +331,9 @@ def test_an_answer_that_does_not_confirm_the_halt_is_not_a_success(
     )  # fmt: skip
 
 
-def test_halt_over_a_slow_network(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
+def test_halt_reaches_subscribers_over_a_slow_network(
+    midspan: Midspan, network: HubNetwork, registry: Registry
+) -> None:
     received: list[Any] = []
     with Hub.open(network.settings("robot")) as hub, FaultProxy(network.port) as slow:
         hub.subscription("/cmd_vel", TWIST, registry.ros2(TWIST).type_id, Qos(), received.append)

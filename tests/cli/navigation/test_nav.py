@@ -159,7 +159,7 @@ def test_goal_that_ends_with_a_nav2_error_code(rig: Rig, midspan: Midspan) -> No
     assert outcome.lines()[-1]["reason"].startswith("the robot is outside the map (Nav2 203)")
 
 
-def test_to_a_place_with_progress(rig: Rig, midspan: Midspan) -> None:
+def test_goto_drives_to_a_place_and_prints_the_progress(rig: Rig, midspan: Midspan) -> None:
     def drive() -> None:
         goal = rig.planner.until(1)
         assert where(goal) == (2.5, 1.0, 90.0)
@@ -184,7 +184,7 @@ def test_goto_pose_that_aborts(rig: Rig, midspan: Midspan) -> None:
     assert outcome.lines()[-1] == {"status": "aborted", "reason": "no way leads there", "code": 20006}
 
 
-def test_goto_several_places(rig: Rig, midspan: Midspan) -> None:
+def test_goto_drives_to_several_places_in_order(rig: Rig, midspan: Midspan) -> None:
     def reach_both() -> None:
         for number, x in ((1, 5.0), (2, 2.5)):
             goal = rig.planner.until(number)
@@ -196,7 +196,7 @@ def test_goto_several_places(rig: Rig, midspan: Midspan) -> None:
     assert "; 2.50, 1.00 m, 90 degrees in map" in outcome.out.splitlines()[0]
 
 
-def test_in_any_heading(rig: Rig, midspan: Midspan) -> None:
+def test_a_goal_without_heading_is_reached_in_any_heading(rig: Rig, midspan: Midspan) -> None:
     def reach_goal() -> None:
         goal = rig.planner.until(1)
         assert "heading" in goal.goal["behavior_tree"]

@@ -46,7 +46,7 @@ def test_released_key_stops_the_robot() -> None:
     assert keys.velocity(1.01 + HOLD_SECONDS)[0] == 0.0
 
 
-def test_faster_and_slower_within_bounds() -> None:
+def test_keys_change_the_speed_within_bounds() -> None:
     keys = Keys(0.2, 0.5)
     keys.press("q", 1.0)
     assert (keys.speed, keys.turn) == pytest.approx((0.22, 0.55))

@@ -13,7 +13,7 @@ from bridge.config.load import loads
 from bridge.config.model import Config
 
 
-def test_check_of_a_good_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_accepts_a_valid_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "good.yaml"
     file.write_text("log: {level: debug}\n")
     assert main(["config", "check", str(file)]) == 0
@@ -22,7 +22,7 @@ def test_check_of_a_good_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert json.loads(capsys.readouterr().out) == {"file": str(file), "problems": []}
 
 
-def test_check_of_a_bad_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reports_each_problem_with_line_and_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text("log:\n  levl: debug\n  level: x\n")
     assert main(["config", "check", str(file)]) == 1
@@ -44,7 +44,7 @@ def test_check_finds_the_same_file_as_run(
     assert str(file) in capsys.readouterr().out
 
 
-def test_example_schema_and_reference(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_printed_example_schema_and_reference_are_current(capsys: pytest.CaptureFixture[str]) -> None:
     main(["config", "example"])
     assert loads(capsys.readouterr().out) == Config()
     main(["config", "schema"])

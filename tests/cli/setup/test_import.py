@@ -202,7 +202,9 @@ services:
     assert len(done.configs()) == 2
 
 
-def test_services_and_actions_of_domains(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_services_and_actions_are_bridged_from_their_servers_domain(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A file may contain only services and actions. Each is bridged from its server's domain.
 
     This is ``from_domain``, or ``to_domain`` with ``reversed``.

@@ -72,7 +72,9 @@ def test_make_prints_what_a_listener_and_an_operator_need(tmp_path: Path, capsys
     assert snippet(capsys.readouterr().out) == {"connect": places, "trusted": ["base", "robot1"]}
 
 
-def test_an_operator_before_its_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_keys_of_an_operator_are_made_before_the_robots_address_is_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The address that the operator connects to is not known yet."""
     assert run(tmp_path, "make", "operator1") == 0
     text = capsys.readouterr().out

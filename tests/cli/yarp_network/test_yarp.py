@@ -93,7 +93,9 @@ def test_where_shows_the_name_server(yarp: Yarp, server: NameServer, tmp_path: P
     assert "Start it" in outcome.err
 
 
-def test_without_any_name_server(yarp: Yarp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_any_name_server_the_error_names_the_missing_file(
+    yarp: Yarp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The error is one line, and names the missing file."""
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path / "none"))
     done = yarp("list")

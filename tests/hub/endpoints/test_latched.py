@@ -37,7 +37,7 @@ EACH_LATCHED = pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], id
 
 
 @EACH_LATCHED
-def test_three_publishers_of_one_session_and_late_joiners(network: HubNetwork, qos: Qos):
+def test_late_joiners_receive_from_all_publishers_of_one_session(network: HubNetwork, qos: Qos):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         publishers = [advertise(a, "/map", qos, "old", name) for name in ("one", "two", "three")]
@@ -51,7 +51,7 @@ def test_three_publishers_of_one_session_and_late_joiners(network: HubNetwork, q
 
 
 @EACH_LATCHED
-def test_three_publishers_of_several_sessions(network: HubNetwork, qos: Qos):
+def test_late_joiners_receive_from_all_publishers_of_several_sessions(network: HubNetwork, qos: Qos):
     with (
         Hub.open(network.settings("a")) as a,
         Hub.open(network.settings("b")) as b,
@@ -87,7 +87,7 @@ def test_latched_messages_disappear_with_their_session(network: HubNetwork):
         Subscriber(b, "/map", LATCHED).expect("stays")
 
 
-def test_publishers_after_the_subscription(network: HubNetwork):
+def test_a_subscription_receives_from_publishers_that_start_later(network: HubNetwork):
     with Hub.open(network.settings("b")) as b:
         early = Subscriber(b, "/map", LATCHED)
         with Hub.open(network.settings("a")) as a:
@@ -98,7 +98,7 @@ def test_publishers_after_the_subscription(network: HubNetwork):
             Subscriber(b, "/map", LATCHED).expect("two", "three")
 
 
-def test_history_and_live_messages_without_gaps_or_duplicates(network: HubNetwork):
+def test_history_and_live_messages_join_without_gaps_or_duplicates(network: HubNetwork):
     """A subscription that joins while a publisher publishes receives all cached and all later messages, in order."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
@@ -175,7 +175,7 @@ def test_latched_subscription_receives_from_volatile_publishers(network: HubNetw
         subscriber.expect("one", "two")
 
 
-def test_large_latched_message(network: HubNetwork):
+def test_late_joiners_receive_a_large_latched_message(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         payload = "x" * 5_000_000

@@ -145,7 +145,7 @@ def within(part: dict[str, Any], message: dict[str, Any]) -> bool:
 
 @pytest.mark.parametrize("qos", [Qos(depth=10), replace(LATCHED, depth=5)], ids=["volatile", "latched"])
 @pytest.mark.parametrize(("release", "type_name", "there", "here"), STREAMS, ids=["humble", "lyrical"])
-def test_topics_of_another_release_in_both_directions(
+def test_topics_of_another_release_are_converted_in_both_directions(
     own: HubNode, node: Nodes, release: Release, type_name: str, there: Any, here: Any, qos: Qos
 ) -> None:
     peer = ReleaseTypes(node(release))
@@ -200,7 +200,7 @@ def decoded(payload: bytes, type_hash: str) -> int:
     return int(MessageReader(REGISTRY.schema(TRACE, type_hash), payload).message()["timestamp"])
 
 
-def test_servers_of_two_releases(own: HubNode, node: Nodes) -> None:
+def test_the_server_with_the_hubs_version_is_called_first(own: HubNode, node: Nodes) -> None:
     """A server with another version of the type is called only while no server has the hub's version."""
     clear = "nav2_msgs/srv/ClearEntireCostmap"
     lyrical, jazzy = ReleaseTypes(node(LYRICAL)), ReleaseTypes(node(JAZZY))
@@ -273,7 +273,9 @@ def test_a_value_that_another_version_cannot_hold_is_logged_once(
 
 
 @pytest.mark.parametrize("first", ["publisher", "subscription"])
-def test_buffers_of_another_version_of_a_type(network: HubNetwork, node: Nodes, tmp_path: Path, first: str) -> None:
+def test_buffers_of_another_version_of_a_type_are_received(
+    network: HubNetwork, node: Nodes, tmp_path: Path, first: str
+) -> None:
     """A publisher of Lyrical sends them in the CPU group of its own hash only."""
     pixels = "fleet_msgs/msg/Pixels"
     for folder, extra in (("old", ""), ("new", "int32 width\n")):

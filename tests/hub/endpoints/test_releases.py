@@ -194,7 +194,7 @@ def test_an_endpoint_without_a_hash_counts_as_one_of_the_hash_that_others_announ
     assert hub.graph.publishers("/chatter")[0].type_hash == NO_HASH
 
 
-def test_endpoints_of_the_hub_without_a_hash(hub: Hub, node: Nodes) -> None:
+def test_endpoints_of_the_hub_without_a_hash_match_nodes_of_humble(hub: Hub, node: Nodes) -> None:
     """Routes create such endpoints for topics and services that only nodes of Humble announce."""
     peer = node(HUMBLE)
     received = Subscriber(hub, "/chatter", type_hash=NO_HASH)
@@ -401,7 +401,7 @@ def test_only_subscriptions_in_the_group_announce_it(hub: Hub, node: Nodes) -> N
     watch.undeclare()
 
 
-def test_standard_types_with_buffers() -> None:
+def test_standard_types_with_buffers_have_a_sequence_of_bytes() -> None:
     registry = Registry()
     for type_name in BUFFER_TYPES:
         definitions = registry.schema(type_name).types.values()

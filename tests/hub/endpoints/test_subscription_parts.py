@@ -30,7 +30,7 @@ def message(sequence: int, time_ns: int = 0, gid: bytes = GID, size: int = 1) ->
         ([1, 2_000_000], [0, 0]),
     ],
 )
-def test_gaps_and_duplicates_by_number(numbers: list[int], gaps: list[int | None]) -> None:
+def test_gaps_and_duplicates_are_detected_by_number(numbers: list[int], gaps: list[int | None]) -> None:
     state = PublisherState("z")
     assert [state.accept(message(number)) for number in numbers] == gaps
 

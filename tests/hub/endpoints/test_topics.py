@@ -345,7 +345,7 @@ def test_publisher_used_by_many_threads_numbers_without_gaps(network: HubNetwork
         ("stream", zenoh.Priority.DATA),
     ],
 )
-def test_priority_on_the_wire(network: HubNetwork, priority: str, expected: zenoh.Priority):
+def test_each_class_of_topics_has_its_zenoh_priority(network: HubNetwork, priority: str, expected: zenoh.Priority):
     with (
         Hub.open(network.settings("a")) as a,
         network.program() as program,

@@ -40,7 +40,7 @@ TALKER = (
 LISTENER = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
 
 
-def test_demo_talker_of_rmw_zenoh():
+def test_the_token_of_rmw_zenohs_demo_talker_is_parsed():
     """Parse the token that rmw_zenoh_cpp's demo talker declares."""
     token = parse_token(TALKER)
     owner = NodeToken(0, "8b20917502ee955ac4476e0266340d5c", "0", "/", "talker")
@@ -58,7 +58,7 @@ def test_a_gid_is_the_hash_of_its_token():
 
 
 @pytest.mark.parametrize("kind", EndpointKind)
-def test_endpoint_token_round_trip(kind: EndpointKind):
+def test_endpoint_tokens_survive_the_round_trip(kind: EndpointKind):
     owner = NodeToken(42, "abc1", "3", "/a/b", "node_1", "/enclave/x")
     token = EndpointToken(owner, "77", kind, "/very/deep/name", "a_msgs/srv/B", HASH, Qos(depth=1))
     assert parse_token(endpoint_key(token)) == token
@@ -75,7 +75,7 @@ WORDS = st.text(st.characters(codec="utf-8"), max_size=30)
 
 
 @given(WORDS, WORDS, WORDS)
-def test_origin_token_round_trip(side: str, network: str, daemon: str):
+def test_origin_tokens_survive_the_round_trip_as_legal_keys(side: str, network: str, daemon: str):
     token = OriginToken(5, "abc", Origin(side, network, daemon))
     key = origin_key(token)
     assert parse_origin(key) == token
@@ -104,7 +104,7 @@ BAD_TOKENS = [
 
 
 @pytest.mark.parametrize("more", ["backends:cpu:", "backends:cpu:;cuda:device=0", "backends:cpu:/and/what/comes/later"])
-def test_token_of_a_later_release(more: str):
+def test_additions_of_a_later_release_to_a_token_are_ignored(more: str):
     """rmw_zenoh_cpp 0.10.5 (Lyrical) appends ``backends:cpu:`` for volatile endpoints of Image and PointCloud2."""
     key = f"{TALKER}/{more}"
     assert parse_token(key) == parse_token(TALKER)
@@ -112,7 +112,7 @@ def test_token_of_a_later_release(more: str):
     assert gid_of(key) != gid_of(TALKER)
 
 
-def test_token_without_a_type_hash():
+def test_a_token_without_a_type_hash_is_parsed():
     """Humble's rmw_zenoh writes a word in place of the hash, because Humble's types have no hash."""
     key = TALKER.replace(HASH, "TypeHashNotSupported")
     token = parse_token(key)
@@ -127,7 +127,7 @@ def test_malformed_tokens_are_rejected(key: str):
         parse_token(key)
 
 
-def test_velocity_token_round_trip():
+def test_velocity_tokens_survive_the_round_trip():
     key = velocity_key(5, "abc", "/robot_1/cmd_vel", "geometry_msgs/msg/Twist")
     assert parse_velocity(key) == ("abc", "/robot_1/cmd_vel", "geometry_msgs/msg/Twist")
 
@@ -135,13 +135,13 @@ def test_velocity_token_round_trip():
 @pytest.mark.parametrize(
     "topic", ["", "/", "cmd_vel", "/*/cmd_vel", "/**", "/cmd vel", "//cmd_vel", "/a$*", "/@midspan"]
 )
-def test_velocity_token_with_a_malformed_topic(topic: str):
+def test_a_velocity_token_with_a_malformed_topic_is_refused(topic: str):
     with pytest.raises(HubWireError):
         parse_velocity(velocity_key(5, "abc", topic, "geometry_msgs/msg/Twist"))
 
 
 @pytest.mark.parametrize("type_name", ["", "Twist", "geometry_msgs/Twist", "geometry_msgs/msg/*"])
-def test_velocity_token_with_a_malformed_type(type_name: str):
+def test_a_velocity_token_with_a_malformed_type_is_refused(type_name: str):
     with pytest.raises(HubWireError):
         parse_velocity(velocity_key(5, "abc", "/cmd_vel", type_name))
 
@@ -179,7 +179,7 @@ PARTS = st.lists(
 
 
 @given(PARTS)
-def test_token_of_any_text(parts: list[str]):
+def test_a_token_of_any_text_is_parsed_or_refused(parts: list[str]):
     for parse in (parse_token, parse_origin):
         assert_refused_or_kept(parse, "/".join(parts))
 
@@ -193,7 +193,7 @@ def assert_refused_or_kept(parse: Callable[[str], Any], key: str) -> None:
 
 
 @given(st.integers(0, 12), st.text(max_size=20))
-def test_token_with_one_part_changed(index: int, text: str):
+def test_a_token_with_one_part_changed_is_parsed_or_refused(index: int, text: str):
     parts = TALKER.split("/")
     parts[index] = text
     assert_refused_or_kept(parse_token, "/".join(parts))

@@ -23,7 +23,7 @@ BY_IMAGES = {"humble": "Humble", "lyrical": "Lyrical or later"}
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: release.name)
-def test_a_node_of_each_release(network: HubNetwork, release: Release) -> None:
+def test_the_release_of_a_native_node_is_known_from_its_endpoints(network: HubNetwork, release: Release) -> None:
     """Jazzy and Kilted announce the same; Lyrical differs only for types with buffers."""
     with Hub.open(network.settings("midspan")) as hub:
         node = ReleaseNode(network.endpoint, network.domain, "camera", release)

@@ -125,7 +125,7 @@ def inlet(zid: str = "z") -> Inlet:
 
 
 @pytest.mark.parametrize("message", [True, False])
-def test_each_step_of_leaving_a_lane(message: bool) -> None:
+def test_a_subscriber_leaves_a_lane_step_by_step(message: bool) -> None:
     lanes, lane = Lanes(), inlet()
     lanes.inlets[lane] = 0.0
     assert [lanes.leave(lane), lanes.leave(lane)] == [LeavingStep.DECLARED] * 2

@@ -237,7 +237,7 @@ def test_each_message_is_received_once_from_any_session(network: HubNetwork, wri
         session.close()
 
 
-def test_late_publishers_and_subscribers(reader: Hub, writer: Hub) -> None:
+def test_late_publishers_and_subscribers_use_the_lane(reader: Hub, writer: Hub) -> None:
     subscriber = Subscriber(reader, "/t")
     first = advertise(writer, "/t")
     goes_by(subscriber, "lane")
@@ -257,7 +257,7 @@ def test_late_publishers_and_subscribers(reader: Hub, writer: Hub) -> None:
     assert first.pass_over()
 
 
-def test_no_lane_with_zenoh_access_control(network: HubNetwork, lane: str) -> None:
+def test_a_session_with_zenoh_access_control_has_no_lane(network: HubNetwork, lane: str) -> None:
     empty: dict[str, Any] = {key: [] for key in ("rules", "policies", "subjects")}
     rules = {"access_control": {"enabled": True, "default_permission": "allow", **empty}}
     with Hub.open(network.settings("ruled", lane=lane, zenoh=rules)) as hub:

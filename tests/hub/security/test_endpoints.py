@@ -86,7 +86,9 @@ def test_a_connection_is_reported_on_both_machines(keys: Path, port: int) -> Non
         assert operator.router.health().text.endswith("; 1 other machines")
 
 
-def test_a_foreign_authority_and_recovery(keys: Path, port: int, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_refused_endpoint_reports_the_foreign_authority_and_recovers(
+    keys: Path, port: int, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.INFO, "bridge.hub.security")
     place = f"tls/127.0.0.1:{port}"
     robot = Machine("robot1", keys / "a", listen=[place])
@@ -152,7 +154,7 @@ def test_an_endpoint_without_tls_connects(keys: Path, port: int) -> None:
             assert operator.wait(EndpointState.CONNECTED).machine == ""
 
 
-def test_endpoint_without_zenoh(keys: Path, port: int) -> None:
+def test_an_endpoint_without_zenoh_is_reported(keys: Path, port: int) -> None:
     import socket
 
     with (

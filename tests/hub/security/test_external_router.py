@@ -133,7 +133,7 @@ def put_each(keys: list[str]) -> Callable[[zenoh.Session], None]:
     return send
 
 
-def test_a_trusted_machine_commands(machines: Machines) -> None:
+def test_commands_of_a_trusted_machine_are_delivered(machines: Machines) -> None:
     messages = received_from(machines, "friend", put_each(COMMANDS + HARMLESS))
     assert [entry for entry in messages if entry[1]] == [(entry, "go") for entry in COMMANDS + HARMLESS]
 

@@ -49,7 +49,9 @@ def called(server: Hub, caller: Hub, name: str, type_name: str) -> tuple[bytes |
 
 
 @pytest.mark.parametrize(("name", "commands"), [("friend", True), ("guest", False)])
-def test_a_machine_calls(machines: Machines, name: str, commands: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_trusted_machine_calls_services_that_command(
+    machines: Machines, name: str, commands: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(calls, "_AT_ONCE", 40.0)  # no matter how slow the machine is
     with Hub.open(machines.network.settings("robot")) as robot, machines.hub(name) as other:
         for service, type_name in QUESTIONS.items():
@@ -65,7 +67,7 @@ def test_a_machine_calls(machines: Machines, name: str, commands: bool, monkeypa
 
 
 @pytest.mark.parametrize("name", ["friend", "guest"])
-def test_a_machine_answers(machines: Machines, name: str) -> None:
+def test_every_machine_answers_calls_of_its_own_services(machines: Machines, name: str) -> None:
     """The other machine's replies to goal requests pass, too, because the service is its own."""
     with Hub.open(machines.network.settings("robot")) as robot, machines.hub(name) as other:
         for service, type_name in {**QUESTIONS, **COMMANDS}.items():

@@ -103,7 +103,7 @@ def test_a_listener_refuses_the_certificate_after_the_handshake(keys: Path, cert
     assert expected in result.reason.text
 
 
-def test_a_handshake_over_ipv6(keys: Path) -> None:
+def test_a_handshake_succeeds_over_ipv6(keys: Path) -> None:
     port = free_port()
     with listener(keys / "a", "robot1", f"tls/[::1]:{port}"):
         result = attempted(f"tls/[::1]:{port}?rel=1#iface=lo", identity(keys / "a", "operator1"))
@@ -118,7 +118,7 @@ def test_an_address_without_a_listener_is_reported(keys: Path) -> None:
     assert "hub.open.listen" in result.reason.cure
 
 
-def test_an_unknown_host(keys: Path) -> None:
+def test_an_unknown_host_is_unreachable(keys: Path) -> None:
     result = attempted("tls/robot9.invalid:7448", identity(keys / "a", "operator1"))
     assert result.reason.state is EndpointState.UNREACHABLE
     assert "robot9.invalid cannot be resolved" in result.reason.text
@@ -229,7 +229,7 @@ def test_files_that_cannot_be_used(keys: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("endpoint", ["tls/robot1", "unixsock-stream//tmp/x", "tls/robot1:http", "tls/:7448", "x"])
-def test_endpoints_without_a_host_and_a_port(endpoint: str) -> None:
+def test_endpoints_without_a_host_and_a_port_are_not_tested(endpoint: str) -> None:
     assert HostPort.of(endpoint) is None
 
 
@@ -248,7 +248,7 @@ def test_endpoints_without_a_host_and_a_port(endpoint: str) -> None:
         ("Too many open files (os error 24)", ""),
     ],
 )  # fmt: skip
-def test_zenoh_log_of_a_refusal(error: str, text: str) -> None:
+def test_the_reason_of_a_refusal_is_read_from_zenohs_log(error: str, text: str) -> None:
     reason = refusal_in_log(error, "10.0.0.9")
     assert (reason is None) is (text == "")
     assert reason is None or (reason.text.startswith("a machine at 10.0.0.9 ") and text in reason.text and reason.cure)

@@ -37,7 +37,9 @@ END = "0/end/std_msgs::msg::dds_::String_/RIHS01_ab"
 
 
 @pytest.mark.parametrize(("trusted", "expected"), [([], {DATA, END}), (["*"], {COMMAND, "0/**", DATA, END})])
-def test_commands_without_tls(trusted: list[str], expected: set[str]) -> None:
+def test_commands_without_tls_are_delivered_only_if_all_machines_are_trusted(
+    trusted: list[str], expected: set[str]
+) -> None:
     need_namespaces()
     robot, other = Machine("open-robot"), Machine("open-other")
     env = {**os.environ, "PYTHONPATH": str(ROOT)}

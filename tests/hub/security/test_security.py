@@ -164,7 +164,7 @@ def test_two_machines_join_by_their_routers():
         Subscriber(b, "/map", LATCHED).expect("state")
 
 
-def test_without_a_router():
+def test_two_peers_exchange_latched_messages_without_a_router():
     """Two peers, one of which listens at the address to which the other connects."""
     network = HubNetwork(run=False)
     listens = network.settings("a", router=None, zenoh={"listen": {"endpoints": [network.endpoint]}})

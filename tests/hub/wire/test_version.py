@@ -81,7 +81,7 @@ def test_session_announces_its_version(network: HubNetwork) -> None:
         assert str(reply.ok.key_expr).split("/")[4] == WIRE
 
 
-def test_answers_of_the_control_plane(network: HubNetwork) -> None:
+def test_only_answers_of_a_compatible_wire_version_are_accepted(network: HubNetwork) -> None:
     with Hub.open(network.settings("here")) as hub, network.program() as program:
         key = f"@midspan/{network.domain}/far/worker"
         answers = {"later": {"wire": LATER}, "next": {"wire": NEXT}, "none": {}}

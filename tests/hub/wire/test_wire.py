@@ -64,12 +64,12 @@ def test_qos_is_encoded_as_rmw_zenoh_does(text: str, qos: Qos):
 
 
 @pytest.mark.parametrize(("text", "qos"), QOS_READ)
-def test_qos_text_of_other_implementations(text: str, qos: Qos):
+def test_qos_text_of_other_implementations_is_decoded(text: str, qos: Qos):
     assert decode_qos(text) == qos
 
 
 @pytest.mark.parametrize("text", BAD_QOS)
-def test_bad_qos_text(text: str):
+def test_invalid_qos_text_is_refused(text: str):
     with pytest.raises(HubWireError):
         decode_qos(text)
 
@@ -92,12 +92,12 @@ TIMES = st.none() | st.integers(1, 9_223_372_035 * 10**9)
         TIMES,
     )
 )
-def test_qos_round_trip(qos: Qos):
+def test_qos_survives_the_round_trip(qos: Qos):
     assert decode_qos(encode_qos(qos)) == qos
 
 
 @given(st.text(alphabet="0123456789:,x-", max_size=40))
-def test_qos_of_any_text(text: str):
+def test_qos_of_any_text_is_decoded_or_refused(text: str):
     with contextlib.suppress(HubWireError):
         assert isinstance(decode_qos(text), Qos)
 
@@ -116,7 +116,7 @@ def test_malformed_attachments_are_rejected(data: bytes):
 
 
 @given(st.binary(max_size=80))
-def test_attachment_of_any_bytes(data: bytes):
+def test_an_attachment_of_any_bytes_is_unpacked_or_refused(data: bytes):
     with contextlib.suppress(HubWireError):
         assert pack_attachment(*unpack_attachment(data)) == data
 
@@ -181,6 +181,6 @@ def test_type_names_are_converted_to_dds_and_back(ros: str, dds: str):
 
 
 @pytest.mark.parametrize("dds", ["", "std_msgs::msg::String", "std_msgs::msg::dds_::String", "a::b::dds_::C_"])
-def test_bad_dds_name(dds: str):
+def test_an_invalid_dds_name_is_refused(dds: str):
     with pytest.raises(HubWireError):
         keys.ros_type_name(dds)

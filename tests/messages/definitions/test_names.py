@@ -42,10 +42,10 @@ def test_msgs_and_interfaces_are_tried_for_each_other():
 
 
 @pytest.mark.parametrize("name", ["a/b/c", "../x/Y", "std_msgs", "std_msgs/", "std_msgs/String\n", "/etc/passwd"])
-def test_invalid_ros1_names(name: str):
+def test_invalid_ros1_names_are_refused(name: str):
     assert not names.is_ros1_name(name)
 
 
 @pytest.mark.parametrize("name", ["a/B", "../msg/Y", "std_msgs/msg", "std_msgs/msg/../X", "std_msgs/foo/X"])
-def test_invalid_ros2_names(name: str):
+def test_invalid_ros2_names_are_refused(name: str):
     assert not names.is_ros2_name(name)

@@ -203,7 +203,7 @@ def test_feedback_and_result_of_navigate_to_pose_are_move_bases(registry: Regist
 
 
 @needs_genpy
-def test_the_topics_of_an_action(registry: Registry):
+def test_the_topics_of_an_action_have_actionlibs_types_and_md5_sums(registry: Registry):
     for part, md5 in GOAL_MD5.items():
         topic = getattr(registry.ros1_action("move_base_msgs/MoveBase"), part)
         assert (topic.name, topic.type_id) == (f"move_base_msgs/MoveBaseAction{part.capitalize()}", md5)

@@ -42,7 +42,7 @@ def sections(name: str) -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize("key", HASHES, ids="-".join)
-def test_hashes_of_the_releases(registry: Registry, key: tuple[str, str]) -> None:
+def test_each_hash_gives_its_release_and_the_hash_of_this_one(registry: Registry, key: tuple[str, str]) -> None:
     type_hash = HASHES[key]
     assert registry.releases.release(key[0], type_hash) == key[1]
     assert registry.releases.here(key[0], type_hash) == HASHES[key[0], "jazzy"]
@@ -97,7 +97,7 @@ def test_fields_that_a_rule_moves_keep_their_values(registry: Registry) -> None:
     assert not any("speed" in field for field in lost)
 
 
-def test_messages_that_replace_each_other(registry: Registry) -> None:
+def test_messages_that_replace_each_other_are_converted(registry: Registry) -> None:
     name = "nav2_msgs/action/FollowWaypoints_GetResult"
     jazzy, kilted = registry.releases.hashes(name)
     value = {"result": {"missed_waypoints": [{"index": 2, "error_code": 9}, {"index": 4}]}}

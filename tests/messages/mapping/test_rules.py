@@ -97,7 +97,7 @@ def test_reordered_and_nested_fields_cross(tmp_path: Path, new_msgs: Path):
     assert again == {**values, "offset": {"up": 0.0, "north": 2.5}, "floor": 3}
 
 
-def test_reordered_fields_within_sequences(tmp_path: Path):
+def test_reordered_fields_within_sequences_are_mapped(tmp_path: Path):
     folder = tmp_path / "defs" / "b_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Item.msg").write_text("string[] words\nuint8 number\nstring name\n")

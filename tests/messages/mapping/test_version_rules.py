@@ -69,7 +69,7 @@ def test_renamed_and_retyped_fields_keep_their_values(registry: Registry) -> Non
     assert {**back, "past": old["past"]} == {**old, "rpm": 2.5}
 
 
-def test_services_and_actions(registry: Registry) -> None:
+def test_services_and_actions_are_converted_between_versions(registry: Registry) -> None:
     for older, names in ((False, ("target", "goal")), (True, ("goal", "target"))):
         sent, received = names
         assert convert(registry, CALIBRATE, {sent: 1.5}, older=older, part="Request") == {received: 1.5}

@@ -49,7 +49,7 @@ def words(*numbers: int) -> bytes:
     return struct.pack(f"<{len(numbers)}i", *numbers)
 
 
-def test_a_laser_scan_byte_for_byte() -> None:
+def test_a_laser_scan_is_encoded_byte_for_byte_as_by_yarp() -> None:
     """Messages are lists, with tags before fields and arrays of one type, as RosTypeCodeGenYarp.cpp writes them."""
     scan = {
         "header": {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": "ab"},
@@ -66,7 +66,7 @@ def test_a_laser_scan_byte_for_byte() -> None:
     ))  # fmt: skip
 
 
-def test_octets_and_arrays_of_fixed_length() -> None:
+def test_octets_and_arrays_of_fixed_length_are_encoded_as_lists() -> None:
     info = payload("sensor_msgs/msg/CameraInfo", {"k": [float(n) for n in range(9)]}, Profile.YARP4)
     assert words(256 | 20, 9) + struct.pack("<9d", *range(9)) in info
     array = payload("std_msgs/msg/UInt8MultiArray", {"data": [1, 255]})
@@ -76,7 +76,7 @@ def test_octets_and_arrays_of_fixed_length() -> None:
 @pytest.mark.parametrize("profile", Profile)
 @pytest.mark.parametrize("name", TYPES)
 @pytest.mark.parametrize("length", [0, 2, 40])
-def test_every_field_round_trip(name: str, profile: Profile, length: int) -> None:
+def test_every_field_survives_the_round_trip(name: str, profile: Profile, length: int) -> None:
     cdr = from_json(REGISTRY, name, sample(REGISTRY.schema(name), length))
     known = codec(name, profile)
     bottle = b"".join(known.to_yarp(cdr).payload)
@@ -102,7 +102,9 @@ def _has_empty_list(values: list[Any]) -> bool:
     st.integers(-(2**31), 2**31 - 1),
     st.integers(0, 999_999_999),
 )
-def test_any_joint_state(profile: Profile, joints: list[tuple[str, float]], sec: int, nanosec: int) -> None:
+def test_any_joint_state_survives_the_round_trip(
+    profile: Profile, joints: list[tuple[str, float]], sec: int, nanosec: int
+) -> None:
     value = {
         "header": {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": "é"},
         "name": [name for name, _ in joints],

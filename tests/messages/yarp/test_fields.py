@@ -37,7 +37,9 @@ numbers = st.floats(-1e6, 1e6)
 
 
 @given(st.sampled_from(list(Profile)), numbers, numbers, numbers)
-def test_the_short_bottle_of_a_velocity(profile: Profile, x: float, y: float, turn: float) -> None:
+def test_a_velocity_survives_the_round_trip_through_its_short_bottle(
+    profile: Profile, x: float, y: float, turn: float
+) -> None:
     known = codec(TWIST, "linear.x", "linear.y", "angular.z", profile=profile)
     cdr = from_json(REGISTRY, TWIST, {"linear": {"x": x, "y": y}, "angular": {"z": turn}})
     payload = b"".join(known.to_yarp(cdr).payload)
@@ -55,7 +57,7 @@ def test_constants_and_degrees_make_a_command_of_robot_goto() -> None:
         back(known, TWIST, [2, 0.0, 0.5, 90.0, 100.0])
 
 
-def test_times_texts_arrays_and_elements() -> None:
+def test_times_texts_arrays_and_elements_become_values_of_the_bottle() -> None:
     name = "sensor_msgs/msg/JointState"
     known = codec(name, "header.stamp", "name", "position", "velocity[1]", "'end'")
     message = {

@@ -60,7 +60,7 @@ def values(payload: bytes, profile: Profile = Profile.YARP4) -> list[Any]:
 SCAN = "sensor_msgs/msg/LaserScan"
 
 
-def test_a_laser_scan_of_a_real_yarp() -> None:
+def test_a_laser_scan_of_a_real_yarp_is_read_and_written() -> None:
     payload = captured("LaserScan2D")
     scan = back(SCAN, payload, frame="lidar")
     assert scan["header"] == {**HEADER, "frame_id": "lidar"}
@@ -73,7 +73,7 @@ def test_a_laser_scan_of_a_real_yarp() -> None:
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_laser_scan_to_yarp(profile: Profile) -> None:
+def test_a_laser_scan_has_degrees_in_yarp(profile: Profile) -> None:
     scan = {"header": HEADER, "angle_min": -math.pi / 2, "angle_max": math.pi / 2, "angle_increment": math.pi / 4,
             "range_min": 0.25, "range_max": 8.0, "ranges": [1.0, "Infinity", 2.5, "NaN", 3.0]}  # fmt: skip
     sent = codec(SCAN, profile).to_yarp(from_json(REGISTRY, SCAN, scan))
@@ -85,7 +85,7 @@ def test_laser_scan_to_yarp(profile: Profile) -> None:
     assert sent.stamp_ns == STAMP
 
 
-def test_an_image_of_a_real_yarp_byte_for_byte() -> None:
+def test_an_image_of_a_real_yarp_is_written_byte_for_byte() -> None:
     for name, encoding in (("ImageOf<PixelMono> 3x2", "mono8"), ("ImageOf<PixelRgb> 2x1", "rgb8")):
         payload = captured(name)
         picture = back("sensor_msgs/msg/Image", payload)
@@ -100,7 +100,9 @@ def test_an_image_of_a_real_yarp_byte_for_byte() -> None:
      ("bayer_rggb16", None)],
 )  # fmt: skip
 @pytest.mark.parametrize("profile", Profile)
-def test_image_round_trip(encoding: str, kind: type[image.Image] | None, profile: Profile) -> None:
+def test_images_of_each_encoding_survive_the_round_trip(
+    encoding: str, kind: type[image.Image] | None, profile: Profile
+) -> None:
     pixel = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "bayer_grbg8": 1, "32FC1": 4}.get(encoding, 2)
     width, height, step = 5, 3, 5 * pixel + 3  # rows with padding
     rows = np.arange(height * step, dtype=np.uint8).reshape(height, step)
@@ -217,7 +219,7 @@ def test_a_bad_cloud_is_refused_by_the_name_of_its_field(change: dict[str, Any],
         [_field("rgb", 12), _field("kind", 16, 0), {**_field("signature", 16), "count": 33}],
     ],
 )
-def test_duplicate_and_unsupported_cloud_fields(more: list[dict[str, Any]]) -> None:
+def test_duplicate_and_unsupported_cloud_fields_are_skipped(more: list[dict[str, Any]]) -> None:
     data = struct.pack("<3f4B4B", 1.0, 2.0, 3.0, 10, 20, 30, 40, 9, 9, 9, 9)
     message = {"height": 1, "width": 1, "point_step": 20, "row_step": 20, "data": data,
                "fields": [_field("x", 0), _field("y", 4), _field("z", 8), *more]}  # fmt: skip
@@ -235,7 +237,7 @@ def test_rows_that_are_padded_but_for_the_last_and_numbers_that_no_float_holds()
 
 
 @pytest.mark.parametrize("step", [16, 4_294_967_295])
-def test_a_cloud_without_points(step: int) -> None:
+def test_a_cloud_without_points_is_valid(step: int) -> None:
     fields = [_field("x", 0), _field("y", 4), _field("z", 8)]
     message = {"height": 1, "width": 0, "point_step": step, "row_step": 0, "data": b"", "fields": fields}
     assert pointcloud.PointCloudXYZ.from_bytes(out(CLOUD, message)).size() == 0
@@ -273,7 +275,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_odometry_both_ways(profile: Profile) -> None:
+def test_odometry_survives_the_round_trip(profile: Profile) -> None:
     half = math.radians(90) / 2
     message = {
         "header": {**HEADER, "frame_id": "odom"},
@@ -294,7 +296,7 @@ def test_odometry_both_ways(profile: Profile) -> None:
     assert twist["angular"]["z"] == pytest.approx(math.pi)
 
 
-def test_a_velocity_of_a_real_yarp_byte_for_byte() -> None:
+def test_a_velocity_of_a_real_yarp_is_written_byte_for_byte() -> None:
     payload = captured("MobileBaseVelocity")
     twist = back("geometry_msgs/msg/Twist", payload)
     assert (twist["linear"]["x"], twist["linear"]["y"]) == (0.1, 0.2)
@@ -318,7 +320,7 @@ def test_joints_are_a_vector_in_degrees() -> None:
         back(name, payload, joints=("a",))
 
 
-def test_places_of_a_real_yarp() -> None:
+def test_places_of_a_real_yarp_are_read_and_written() -> None:
     pose = back("geometry_msgs/msg/PoseStamped", captured("Map2DLocation"))
     assert pose["header"] == {**HEADER, "frame_id": "map1"}
     assert pose["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
@@ -336,7 +338,7 @@ def test_places_of_a_real_yarp() -> None:
 GRID = "nav_msgs/msg/OccupancyGrid"
 
 
-def test_maps_of_a_real_yarp() -> None:
+def test_maps_of_a_real_yarp_are_read_and_written() -> None:
     plain, zipped = (back(GRID, captured(f"MapGrid2D 5x2 {how}")) for how in ("uncompressed", "compressed"))
     assert plain == zipped
     assert (plain["info"]["width"], plain["info"]["height"], plain["info"]["resolution"]) == (5, 2, pytest.approx(0.05))
@@ -367,7 +369,7 @@ def test_a_map_that_unzips_without_end_is_refused() -> None:
         back(GRID, payload)
 
 
-def test_texts_and_numbers() -> None:
+def test_texts_and_numbers_become_single_values() -> None:
     assert values(out("std_msgs/msg/String", {"data": "two words"})) == ["two words"]
     assert back("std_msgs/msg/String", binary.encode(["two words"], Profile.YARP4)) == {"data": "two words"}
     assert back("std_msgs/msg/String", binary.encode(["two", "words", 3], Profile.YARP4)) == {"data": "two words 3"}
@@ -383,7 +385,7 @@ def test_texts_and_numbers() -> None:
         back("std_msgs/msg/Int8", binary.encode([300], Profile.YARP4))
 
 
-def test_a_vector_of_a_real_yarp_byte_for_byte() -> None:
+def test_a_vector_of_a_real_yarp_is_written_byte_for_byte() -> None:
     assert out("geometry_msgs/msg/Quaternion", {"w": 1.0}) == captured("Quaternion x0y0z0w1")
     array = {"data": [1.0, 2.5]}
     assert out("std_msgs/msg/Float64MultiArray", array) == struct.pack("<ii2d", 256 | 20, 2, 1.0, 2.5)
@@ -450,7 +452,9 @@ def test_bytes_changed_in_a_message_harm_nothing(data: st.DataObject) -> None:
     st.integers(0, 2**31 - 1),
     st.integers(0, 999_999_999),
 )
-def test_any_scan_round_trip(profile: Profile, ranges: list[float], low: float, sec: int, nanosec: int) -> None:
+def test_any_scan_survives_the_round_trip(
+    profile: Profile, ranges: list[float], low: float, sec: int, nanosec: int
+) -> None:
     stamp = {"sec": sec, "nanosec": nanosec}
     message = {"header": {"stamp": stamp}, "angle_min": low, "angle_max": low + 0.1, "ranges": list(map(_json, ranges))}
     sent = codec(SCAN, profile).to_yarp(from_json(REGISTRY, SCAN, message))

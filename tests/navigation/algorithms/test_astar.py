@@ -114,7 +114,7 @@ def touched_free(weights: Grid, one: NDArray[np.int32], other: NDArray[np.int32]
     return bool(weights[near[apart, 0], near[apart, 1]].all())
 
 
-def test_a_path_around_a_wall() -> None:
+def test_a_path_around_a_wall_is_shortened_to_few_points() -> None:
     weights = np.ones((21, 21), np.uint8)
     weights[5:, 10] = 0
     grid_path = astar(weights, (20, 0), (20, 20))

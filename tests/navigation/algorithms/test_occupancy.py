@@ -81,7 +81,9 @@ def test_a_hit_outweighs_beams_that_pass_in_the_same_scan(grid: OccupancyMap) ->
 
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (-50.0, 3.0, 1.0), (1e9, 0.0, 0.0)])
-def test_poses_at_the_border_and_outside_the_map(grid: OccupancyMap, pose: tuple[float, float, float]) -> None:
+def test_poses_at_the_border_and_outside_the_map_are_harmless(
+    grid: OccupancyMap, pose: tuple[float, float, float]
+) -> None:
     grid.insert(pose, np.full(BEAMS, 2.0), 0.0, STEP, 10.0)
     assert np.isfinite(grid.odds).all()
 
@@ -140,7 +142,7 @@ def test_huge_distances_are_handled(map_type: type[OccupancyMap], odd: float, fa
 
 
 @pytest.mark.parametrize("map_type", [OccupancyMap, Uncompiled])
-def test_scans_without_beams_or_steps_and_of_any_layout(map_type: type[OccupancyMap]) -> None:
+def test_scans_without_beams_and_of_any_layout_are_inserted(map_type: type[OccupancyMap]) -> None:
     grid = map_type(20, 30, CELL, (0.0, 0.0))
     assert grid.insert((0.5, 0.5, 0.0), np.empty(0), 0.0, 0.1, 10.0) == 0
     assert grid.insert((0.31, 0.51, 0.0), np.ones((4, 2), np.float32)[:, 0], 0.0, 0.0, 10.0) == 21

@@ -96,7 +96,7 @@ def test_paths_are_connected_and_end_at_the_goal_or_the_border(seed):
     assert end == tuple(round(at) for at in goal) or min(end) == 0 or max(end) == SIDE - 1
 
 
-def test_a_goal_at_the_largest_distance():
+def test_a_goal_at_the_largest_distance_is_approached():
     walls = free()
     walls[:, 40] = True
     assert way(free(), (30, 20), (30.0, 1e300)).direct

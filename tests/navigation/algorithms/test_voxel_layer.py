@@ -55,7 +55,7 @@ FAR = slice(30, 40)
 ALL = slice(None)
 
 
-def test_the_heights_of_obstacles():
+def test_the_layer_has_the_lowest_and_highest_voxel_of_obstacles():
     room = Room().box(FAR, FAR, 0.7, 0.75).box(FAR, slice(50, 55), 0.1, 0.2).box(FAR, slice(50, 55), 0.9, 1.0)
     layer = room.box(slice(50, 55), FAR, 1.3, 1.35).columns()
     hits = layer.hits.transpose(1, 0, 2)
@@ -84,7 +84,7 @@ def test_a_bare_floor_is_free_and_unknown_beyond():
         (0.0, 2.0, OBSTACLE),
     ],
 )
-def test_standing_and_hanging_obstacles(low, high, kind):
+def test_standing_and_hanging_obstacles_block_only_within_the_robots_height(low, high, kind):
     layer = Room().box(FAR, FAR, low, high).kinds()
     assert (layer[FAR, FAR] == kind).all()
     layer[FAR, FAR] = FLOOR

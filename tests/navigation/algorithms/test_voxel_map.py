@@ -67,7 +67,7 @@ def test_compiled_and_uncompiled_leaves_are_equal():
 
 
 @pytest.mark.parametrize("made", [VoxelMap, Uncompiled])
-def test_hit_and_passed_voxels(made):
+def test_hit_voxels_gain_and_passed_voxels_lose_odds(made):
     voxels = made(0.1, 100)
     points = np.array([[1.05, 0.05, 0.05], [np.nan, 0, 0], [np.inf, 0, 0], [0, 1e30, 0]], np.float32)
     assert voxels.insert(points, (0.05, 0.05, 0.05), 5.0, 7.0) == 11

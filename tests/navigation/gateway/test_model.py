@@ -17,7 +17,7 @@ BLOCK = 100
 
 
 @pytest.mark.parametrize("seed", FOUND)
-def test_reports_that_once_contradicted_the_base(seed: int) -> None:
+def test_reports_never_contradict_the_base_in_recorded_seeds(seed: int) -> None:
     assert world.run(seed).gateway is not None
 
 

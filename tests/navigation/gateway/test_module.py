@@ -331,7 +331,7 @@ def test_another_planner_waits_for_the_release_of_a_goal(rig: Rig, monkeypatch: 
     rig.planner.on(goal.canceled)
 
 
-def test_a_published_goal_and_places_by_name(rig: Rig) -> None:
+def test_places_are_returned_by_name_and_a_published_goal_is_sent(rig: Rig) -> None:
     store = rig.worker.store
     store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 4, name="house"))
     store.use_map("house")

@@ -74,7 +74,7 @@ def place(goal: object) -> tuple[float, float, float]:
     return position["x"], position["y"], math.degrees(2 * math.atan2(q["z"], q["w"]))
 
 
-def test_a_goto_its_status_and_its_target(rig: Rig, yarp: INavigation2DMsgs) -> None:
+def test_a_goto_reports_its_status_and_its_target(rig: Rig, yarp: INavigation2DMsgs) -> None:
     with Reader("/test/status:i", strict=True, naming=rig.names) as reader:
         connections.connect(rig.names, "/navigation2D_nws_yarp/status:o", reader.name)
         assert yarp.goto_target_by_absolute_location_and_set_name_RPC(Map2DLocation("house", 3.0, 1.0, 90.0), "kitchen")
@@ -183,7 +183,7 @@ def test_another_clients_goal_is_reported_and_can_be_stopped(rig: Rig, yarp: INa
     assert client_goal.end() == ("CANCELED", "it was stopped")
 
 
-def test_the_path_and_the_maps(rig: Rig, yarp: INavigation2DMsgs) -> None:
+def test_the_path_and_the_maps_are_returned(rig: Rig, yarp: INavigation2DMsgs) -> None:
     assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 5.0, 2.0, 0.0))
     rig.planner.until(1)
     out = rig.planner.node.publisher("/planner/robot_goto/path", "nav_msgs/msg/Path", LATCHED)

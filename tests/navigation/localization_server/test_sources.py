@@ -107,7 +107,9 @@ def test_the_pose_of_amcl_is_served(place: Place, robot: Robot) -> None:
     until(reports(place, "error", "localization is stale"), "a dead amcl is reported", 20)
 
 
-def test_poses_from_a_topic_and_from_a_port(place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_poses_are_received_from_a_topic_and_from_a_port(
+    place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
     frames = place.far.subscribe("/tf", "tf2_msgs/TFMessage")
     section = {"enabled": True, "period": 0.05, "topic": "/uwb", "pose_age": 1.0}
 
@@ -175,7 +177,7 @@ def received(running: Running, name: str) -> int:
     return sum(port["messages"] for port in running.host.yarp.status() if port["port"] == name)
 
 
-def test_poses_with_a_covariance_and_from_odometry(place: Place) -> None:
+def test_poses_with_a_covariance_keep_it(place: Place) -> None:
     section = {"enabled": True, "period": 0.05, "source": "topic", "topic": "/gnss", "pose_age": 10.0}
     place.worker.start(place.config(modules={"localization_server": section}, store={}))
     poses = place.far.subscribe("/localization/pose", POSE_COVARIANCE.replace("/msg", ""))

@@ -517,7 +517,7 @@ def test_several_clients_write_at_once(served: Served) -> None:
     assert len(served.store.names(LOCATION)) == 160
 
 
-def test_topic_names_of_maps() -> None:
+def test_maps_get_legal_topic_names() -> None:
     assert topic_of("office") == "/maps/office"
     assert topic_of("1st floor") == "/maps/n1st_floor"
     first = topic_of("a b")

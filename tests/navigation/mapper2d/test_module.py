@@ -208,7 +208,7 @@ def test_a_pose_whose_quaternion_is_not_a_rotation_is_ignored(tmp_path: Path, ca
 
 
 @pytest.mark.parametrize("by", ["tf", "topic"])
-def test_poses_from_frames_and_from_topics(tmp_path: Path, by: str) -> None:
+def test_a_wall_is_mapped_at_its_place_with_poses_from_frames_and_from_topics(tmp_path: Path, by: str) -> None:
     """The robot drives along x toward a wall at x = 3 m. The laser, 0.5 m in front of the base, has one beam ahead.
 
     With frames, the laser is mounted upside down and turned by half a radian: ahead is half a radian to its left.

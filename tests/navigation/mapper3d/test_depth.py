@@ -37,7 +37,7 @@ def test_all_encodings_give_the_same_points(encoding, kind, gap):
     np.testing.assert_allclose(points, np.stack(((u - 1.5) / 2 * z, (v - 1.0) / 2 * z, z), -1), rtol=1e-6)
 
 
-def test_every_nth_pixel_and_a_changed_camera():
+def test_every_nth_pixel_is_used_and_a_changed_camera_applies():
     rays = Rays(2)
     assert rays.points(read_depth(image()), CAMERA)[:, 2].tolist() == [1.0, 7.0]
     wide = CAMERA._replace(cx=0.0)

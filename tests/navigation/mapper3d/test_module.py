@@ -238,7 +238,7 @@ def test_the_floor_is_at_base_footprint(tmp_path_factory: pytest.TempPathFactory
         until(lambda: not health_has("floor"), "the floor is found", 30)
 
 
-def test_services_and_rpc_commands(place: Place) -> None:
+def test_services_and_rpc_commands_report_their_errors(place: Place) -> None:
     robot = Robot(place)
     assert trigger(place, "stop")["message"] == "not mapping"
     clouds = place.answer("mapper3d")["clouds"]

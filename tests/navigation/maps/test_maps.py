@@ -213,7 +213,7 @@ def nearest(x: float, y: float, corners: list[tuple[float, float]]) -> float:
     return best
 
 
-def test_huge_and_invalid_polygons() -> None:
+def test_huge_polygons_cover_the_map_and_invalid_ones_nothing() -> None:
     grid = empty()
     assert keepout_mask(grid, [square(-1e12, 1e12)]).all()
     for points in (

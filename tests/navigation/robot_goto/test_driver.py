@@ -48,7 +48,7 @@ def test_with_blind_sectors_the_robot_turns_before_it_drives():
     assert turns, "the robot's lasers do not see its sides, so it must turn first"
 
 
-def test_a_goal_without_heading_and_with_its_own_tolerance():
+def test_a_goal_without_heading_is_reached_within_its_own_tolerance():
     scene = Scene()
     assert scene.goto(1.0, 0.2, 90.0, heading=False, tolerance_lin=0.3) is State.REACHED
     assert 0.2 < scene.pose.distance(Pose(1.0, 0.2, 0.0)) < 0.31
@@ -434,7 +434,7 @@ def test_a_retreat_lasts_at_most_two_seconds():
 # pause, cancel and settings
 
 
-def test_pause_and_resume():
+def test_a_paused_goal_stops_the_robot_until_it_is_resumed():
     scene = Scene()
     assert not scene.driver.pause(1.0), "no goal to pause"
     scene.driver.goal(Pose(2.0, 0.0, math.nan))

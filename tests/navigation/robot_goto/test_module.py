@@ -211,7 +211,7 @@ def test_a_yarp_scan_is_stamped_on_reception(place: Goto, monkeypatch: pytest.Mo
         assert len(stamps) == 1, "an old scan, and one from before a clock jump, are dropped"
 
 
-def test_robot_gotos_own_commands_as_text_and_as_a_service(place: Goto) -> None:
+def test_robot_gotos_own_commands_work_as_text_and_as_a_service(place: Goto) -> None:
     rpc = place.registered("/robotGoto/rpc")
     driver = place.module.driver
     with Client(rpc, naming=place.names) as rpc_client:
@@ -267,7 +267,7 @@ def seen(*heights: float) -> dict[str, Any]:
     return {**size, "fields": fields, "data": points.view(np.uint8).ravel()}
 
 
-def test_clouds_and_layers_on_the_hub(tmp_path: Path) -> None:
+def test_the_robot_waits_for_clouds_and_layers_on_the_hub(tmp_path: Path) -> None:
     sources = [{"topic": "/points", "type": "cloud", "timeout": 1.5}, {"topic": "/layer", "timeout": 0.5}]
     with Goto(tmp_path, obstacles=sources, floor=-0.2, enable_obstacles_avoidance=False) as place:
         robot, driver = place.robot, place.module.driver

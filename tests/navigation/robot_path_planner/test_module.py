@@ -216,7 +216,7 @@ def test_a_goal_in_the_robots_frame_is_transformed_to_the_map(place: Planning) -
     assert (place.robot.x, place.robot.y) == pytest.approx((1.0, 2.0), abs=0.01)
 
 
-def test_yarp_rpc_clicks_and_views(place: Planning) -> None:
+def test_yarp_rpc_and_clicks_are_handled_and_views_published(place: Planning) -> None:
     names, robot = place.names, place.robot
     port = place.registered("/robotPathPlanner/rpc")
     with Client(port, naming=names) as rpc:

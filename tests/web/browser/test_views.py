@@ -232,7 +232,7 @@ def test_the_system_view_shows_log_configuration_and_doctor(operator: Operator, 
 
 
 @pytest.mark.thorough
-def test_a_message_and_a_call_from_a_form(operator: Operator, watch: TestPage) -> None:
+def test_forms_publish_a_message_and_call_a_service(operator: Operator, watch: TestPage) -> None:
     chrome = operator.chrome
     operator.open("topics/%2Fbattery_state")
     operator.button("Publish …").click()

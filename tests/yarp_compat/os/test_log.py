@@ -33,7 +33,7 @@ def test_messages_use_yarps_streams(capsys: pytest.CaptureFixture[str]) -> None:
     assert err == "[WARNING] careful\n[ERROR] broken\n"
 
 
-def test_log_streams_as_in_cpp(capsys: pytest.CaptureFixture[str]) -> None:
+def test_log_streams_print_as_in_cpp(capsys: pytest.CaptureFixture[str]) -> None:
     Log.setMinimumPrintLevel(Log.DebugType)
     Log().info() << "speed" << 0.25 << 3 << True << 1 / 3 << [1, 2.5]
     stream = Log("f.py", 12, "go").debug()
@@ -43,7 +43,9 @@ def test_log_streams_as_in_cpp(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == "[DEBUG] later\n"
 
 
-def test_source_location_of_a_message(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_message_is_printed_with_its_source_location(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     Log.setMinimumPrintLevel(Log.TraceType)
     Log("f.py", 12, "go").info("hello")
     Log("f.py", 12, "go").trace("hello")
@@ -105,7 +107,7 @@ def test_messages_of_the_library_name_their_component(capsys: pytest.CaptureFixt
     assert capsys.readouterr().err == "[ERROR] |yarp.os.Port| port /a failed\n"
 
 
-def test_format_of_lines() -> None:
+def test_lines_have_level_and_component() -> None:
     assert line(LogType.InfoType, "text", "yarp.os.Port", color=True) == "[\033[01;34mINFO\033[00m] |yarp.os.Port| text"
     assert enabled({"X": "1"}, "X", default=False)
     assert not enabled({"X": "no"}, "X", default=True)

@@ -106,7 +106,7 @@ def test_wait_for_a_port() -> None:
     port.close()
 
 
-def test_write_without_a_port(ports: object) -> None:
+def test_a_bottle_is_written_without_a_port(ports: object) -> None:
     class Answer(yarp.PortReader):
         def read(self, connection: yarp.ConnectionReader) -> bool:
             command = yarp.Bottle()
@@ -145,7 +145,7 @@ def test_another_name_server_can_be_selected() -> None:
     assert not yarp.Network.setNameServerContact(yarp.Contact())
 
 
-def test_missing_name_server(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_missing_name_server_fails_each_call(caplog: pytest.LogCaptureFixture) -> None:
     assert yarp.Network.setNameServerContact(yarp.Contact("/root", "tcp", "127.0.0.1", free_port()))
     assert not yarp.Network.checkNetwork(0.5)
     assert not yarp.Port().open("/x")
@@ -154,7 +154,7 @@ def test_missing_name_server(caplog: pytest.LogCaptureFixture) -> None:
     assert "name server" in caplog.text
 
 
-def test_type_of_service_of_a_connection(ports: tuple[yarp.Port, yarp.Port]) -> None:
+def test_the_type_of_service_of_a_connection_is_set_and_read(ports: tuple[yarp.Port, yarp.Port]) -> None:
     style, at_source, at_target = yarp.QosStyle(), yarp.QosStyle(), yarp.QosStyle()
     style.setPacketPriorityByLevel(yarp.QosStyle.PacketPriorityHigh)
     assert yarp.Network.connect("/w", "/r")
@@ -174,7 +174,7 @@ def test_type_of_service_of_a_connection(ports: tuple[yarp.Port, yarp.Port]) -> 
     ("text", "tos", "dscp"),
     [("LEVEL:CRIT", 176, 44), ("DSCP:AF11", 40, 10), ("TOS:5", 5, 0x7FFF), ("DSCP:XX", -1, -1), ("HIGH", -1, -1)],
 )
-def test_styles_of_service(text: str, tos: int, dscp: int) -> None:
+def test_styles_of_service_are_parsed(text: str, tos: int, dscp: int) -> None:
     style = yarp.QosStyle()
     assert style.setPacketPriority(text) == (tos >= 0)
     assert (style.getPacketPriorityAsTOS(), style.getPacketPriorityAsDSCP()) == (tos, dscp)

@@ -30,7 +30,7 @@ def test_bottles_are_parsed_and_printed_as_in_yarp() -> None:
 
 
 @pytest.mark.parametrize("kind", ["files", "commands"])
-def test_files_and_commands(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_and_commands_are_parsed_as_by_real_yarp(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("Y1V", "/val")
     wrong = []
     for given, printed in DATA[kind]:

@@ -39,7 +39,7 @@ def finder(*arguments: str, context: str = "nav", main: str = "robot.ini") -> ya
     return rf
 
 
-def test_order_of_the_folders(places: dict[str, Path]) -> None:
+def test_files_are_searched_in_yarps_order_of_folders(places: dict[str, Path]) -> None:
     in_order = [
         write_file(places["here"], "map.txt"),
         write_file(places["data"], "robots/r1/map.txt"),
@@ -81,7 +81,7 @@ def test_command_line_has_priority_over_the_file(places: dict[str, Path]) -> Non
     assert "(name r1)" in rf.toString()
 
 
-def test_context_and_file_from_the_command_line(places: dict[str, Path]) -> None:
+def test_context_and_file_are_read_from_the_command_line(places: dict[str, Path]) -> None:
     write_file(places["installed"], "contexts/other/their.ini", "a 1\n")
     wanted = write_file(places["installed"], "contexts/other/table.txt")
     rf = finder("--context", "other", "--from", "their.ini", "--table", "table.txt")
@@ -93,13 +93,15 @@ def test_context_and_file_from_the_command_line(places: dict[str, Path]) -> None
     assert rf.getContextPath() == str(places["installed"] / "contexts/other")
 
 
-def test_missing_file_from_the_command_line(places: dict[str, Path], caplog: pytest.LogCaptureFixture) -> None:
+def test_a_missing_file_from_the_command_line_is_an_error(
+    places: dict[str, Path], caplog: pytest.LogCaptureFixture
+) -> None:
     assert finder().configured  # the default file may be missing
     assert not finder("--from", "missing.ini").configured
     assert "missing.ini" in caplog.text
 
 
-def test_files_next_to_the_main_file_in_the_current_folder(places: dict[str, Path]) -> None:
+def test_contexts_are_not_searched_if_the_main_file_is_in_the_current_folder(places: dict[str, Path]) -> None:
     write_file(places["here"], "robot.ini", "a 2\n")
     write_file(places["installed"], "contexts/nav/map.txt")
     rf = finder()
@@ -171,7 +173,7 @@ def test_user_folder_of_a_context_is_not_normalized(places: dict[str, Path], mon
     assert (places["here"] / "mine").is_dir()
 
 
-def test_main_file_with_a_path(places: dict[str, Path]) -> None:
+def test_files_next_to_a_main_file_with_a_path_are_found(places: dict[str, Path]) -> None:
     write_file(places["here"], "conf/robot.ini", "a 1\n")
     beside = write_file(places["here"], "conf/map.txt")
     rf = finder("--from", "./conf/robot.ini")
@@ -180,7 +182,7 @@ def test_main_file_with_a_path(places: dict[str, Path]) -> None:
     assert rf.findFile("map.txt") == beside.replace("/conf/", "/./conf/")
 
 
-def test_older_forms_of_configure(places: dict[str, Path]) -> None:
+def test_older_forms_of_configure_still_work(places: dict[str, Path]) -> None:
     rf = yarp.ResourceFinder()
     assert rf.configure("YARP_POLICY", ["program", "--a", "1"])
     assert rf.configure(2, ["program", "--b", "2"])
@@ -192,7 +194,7 @@ def test_older_forms_of_configure(places: dict[str, Path]) -> None:
     assert yarp.ResourceFinder.getResourceFinderSingleton() is yarp.ResourceFinder.getResourceFinderSingleton()
 
 
-def test_defaults_of_keys(places: dict[str, Path]) -> None:
+def test_defaults_apply_to_missing_keys(places: dict[str, Path]) -> None:
     rf = yarp.ResourceFinder()
     rf.setDefault("period", 0.02)
     rf.setDefault("robot", "r1")

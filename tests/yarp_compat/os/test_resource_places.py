@@ -40,7 +40,9 @@ def test_variables_have_priority() -> None:
         ("win32", {"APPDATA": "C:/a", "YARP_DATA_DIRS": "C:/d;D:/e", "YARP_DATA_HOME": "C:/h"}, "C:/h", "C:/d"),
     ],
 )
-def test_folders_of_macos_and_windows(platform: str, environment: dict[str, str], data: str, dirs: str) -> None:
+def test_macos_and_windows_have_their_own_folders(
+    platform: str, environment: dict[str, str], data: str, dirs: str
+) -> None:
     folders = Directories(environment, platform)
     assert folders.data_home() == data
     assert folders.data_dirs()[0] == dirs
@@ -51,7 +53,7 @@ def test_empty_variable_counts_as_set() -> None:
     assert (folders.data_home(), folders.data_dirs()) == ("", [])
 
 
-def test_functions_of_the_bindings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_functions_of_the_bindings_return_folders_and_variables(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("YARP_CACHE_HOME", "XDG_CACHE_HOME", "YARP_RUNTIME_DIR", "XDG_RUNTIME_DIR", "TMPDIR"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", "/h")

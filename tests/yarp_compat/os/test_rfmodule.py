@@ -109,7 +109,7 @@ def test_commands_are_answered() -> None:
     assert module.said[-2:] == ["interrupt", "close"]
 
 
-def test_answer_with_many_lines() -> None:
+def test_an_answer_with_many_lines_is_sent_in_each_carriers_form() -> None:
     """Text carriers send the answer as separate lines (as seen in telnet), binary ones as one Bottle."""
     module, port, client = Module(), yarp.Port(), yarp.RpcClient()
     module.attach(port)

@@ -99,7 +99,9 @@ def test_properties_are_set_and_listed(make_port: MakePort) -> None:
     [("(tos 32)", 32), ("(dscp AF41)", 136), ("(dscp 10)", 40), ("(priority HIGH)", 144), ("(priority NORM)", 0)],
 )
 @pytest.mark.parametrize("carrier", ["tcp", "udp"])
-def test_type_of_service_of_a_connection(make_port: MakePort, carrier: str, requested: str, tos: int) -> None:
+def test_the_type_of_service_of_a_connection_is_set_and_read(
+    make_port: MakePort, carrier: str, requested: str, tos: int
+) -> None:
     reader, writer = make_port("/r"), make_port("/w")
     writer.add_output(f"{carrier}://r")
     until(lambda: reader.inputs(), "the reader is connected")
@@ -136,7 +138,7 @@ def test_port_describes_a_connection(make_port: MakePort) -> None:
     assert text.endswith(")) (qos ((tos 0)))")
 
 
-def test_one_letter_commands(make_port: MakePort) -> None:
+def test_one_letter_commands_are_answered_as_by_yarp(make_port: MakePort) -> None:
     writer, reader = make_port("/w"), make_port("/r")
     assert type_lines(writer, "/r") == "Added connection from /w to /r\r\n"
     until(lambda: not writer.inputs(), "the querying client has left")

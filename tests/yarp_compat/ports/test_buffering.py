@@ -374,7 +374,7 @@ def test_request_that_is_only_acknowledged_is_an_error(make_port: MakePort, slow
 
 
 @pytest.mark.parametrize("profile", list(Profile))
-def test_long_reply_in_pieces(make_port: MakePort, slow: Slow, profile: Profile) -> None:
+def test_a_long_reply_in_pieces_is_joined(make_port: MakePort, slow: Slow, profile: Profile) -> None:
     """The end and the dialect of the reply are detected while it arrives."""
     client = make_port("/c")
     client.add_output("tcp://slow")

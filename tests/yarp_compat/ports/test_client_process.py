@@ -61,7 +61,7 @@ def test_closed_connection_has_no_process(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
-def test_release_of_a_real_process(tmp_path: Path, host: str) -> None:
+def test_the_release_of_a_real_process_is_read_from_its_library(tmp_path: Path, host: str) -> None:
     """The process is the test itself, after it has mapped a file with the library's name."""
     file = tmp_path / "libYARP_os.so.3.9.1"
     file.write_bytes(bytes(mmap.PAGESIZE))

@@ -151,7 +151,7 @@ def test_text_without_a_line_end(works: Works) -> None:
     assert receive_all(sock) == b""
 
 
-def test_long_line_of_data(works: Works) -> None:
+def test_a_long_line_of_data_closes_the_connection(works: Works) -> None:
     sock = call(works.port, b"CONNACK x\r\nd\r\n")
     with contextlib.suppress(OSError):
         for _ in range(40):
@@ -160,7 +160,7 @@ def test_long_line_of_data(works: Works) -> None:
 
 
 @pytest.mark.parametrize("depth", [300, 1_000_000 // 8])
-def test_deeply_nested_lists(works: Works, depth: int) -> None:
+def test_deeply_nested_lists_are_harmless(works: Works, depth: int) -> None:
     """The lists arrive as a message in text, and as administrative commands in text and in binary."""
     text = b"(" * depth
     receive_all(call(works.port, b"CONNACK x\r\nd\r\n" + text + b"\r\nq\r\n"))
@@ -172,7 +172,7 @@ def test_deeply_nested_lists(works: Works, depth: int) -> None:
     assert b"send [help]" in answer
 
 
-def test_a_thousand_silent_connections(make_port: MakePort) -> None:
+def test_a_thousand_silent_connections_do_not_block_a_valid_peer(make_port: MakePort) -> None:
     """Silent connections do not block a valid peer; the oldest are closed, and none has a thread."""
     works = Works(make_port)
     silent = []
@@ -248,7 +248,7 @@ def test_connections_changed_at_random_leave_the_port_working(works: Works) -> N
     until(lambda: len(works.port.inputs()) == 1, "all changed connections are closed")
 
 
-def test_datagrams_from_other_senders_and_garbage(make_port: MakePort) -> None:
+def test_datagrams_from_other_senders_and_garbage_are_dropped(make_port: MakePort) -> None:
     got: list[bytes] = []
     port = make_port("/r", lambda m: got.append(bytes(m.payload)))
     writer = make_port("/w")

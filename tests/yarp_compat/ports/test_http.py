@@ -29,7 +29,7 @@ def echo(message: PortMessage) -> None:
     message.reply(encode(["got", decode(message.payload)], Profile.YARP3))
 
 
-def test_page_about_the_port(make_port: MakePort) -> None:
+def test_a_browser_gets_a_page_about_the_port(make_port: MakePort) -> None:
     port = make_port("/r")
     make_port("/w").add_output("/r")
     kind, page = fetch(port, "/")
@@ -39,11 +39,11 @@ def test_page_about_the_port(make_port: MakePort) -> None:
 
 
 @pytest.mark.parametrize("path", ["/data=hello+1", "/?data=hello%201", "/hello/1"])
-def test_message_from_a_browser(make_port: MakePort, path: str) -> None:
+def test_a_browser_sends_a_message(make_port: MakePort, path: str) -> None:
     assert "got (hello 1)" in fetch(make_port("/r", echo), path)[1]
 
 
-def test_message_from_a_form(make_port: MakePort) -> None:
+def test_a_form_sends_a_message(make_port: MakePort) -> None:
     assert "got (hello 1)" in fetch(make_port("/r", echo), "/form", b"data=hello+1")[1]
 
 
@@ -66,7 +66,7 @@ def test_a_request_from_http_gets_json(make_port: MakePort) -> None:
     assert got == [["list", ["REQUEST_URI", "/?req=list&format=json"], ["format", "json"], ["req", "list"]]]
 
 
-def test_page_made_by_the_owner(make_port: MakePort) -> None:
+def test_the_owner_of_a_port_serves_pages(make_port: MakePort) -> None:
     port = make_port("/r", lambda m: m.reply(encode(["web", "h1 {}", "mime", "text/css"], Profile.YARP3)))
     assert fetch(port, "/web/main.css") == ("text/css", "h1 {}")
 
@@ -84,7 +84,7 @@ def test_message_text_is_escaped(make_port: MakePort) -> None:
     assert "&lt;script&gt;" in page
 
 
-def test_administrative_command_from_a_browser(make_port: MakePort) -> None:
+def test_a_browser_sends_an_administrative_command(make_port: MakePort) -> None:
     assert "[ver] 1 2 3" in fetch(make_port("/r"), "/?admin=%5Bver%5D")[1]
 
 

@@ -42,7 +42,7 @@ class Reader:
 
 
 @pytest.mark.parametrize("carrier", ALL)
-def test_message_with_an_envelope(make_port: MakePort, carrier: str) -> None:
+def test_a_message_arrives_with_its_envelope(make_port: MakePort, carrier: str) -> None:
     reader = Reader()
     make_port("/r", reader)
     writer = make_port("/w")
@@ -54,7 +54,7 @@ def test_message_with_an_envelope(make_port: MakePort, carrier: str) -> None:
 
 
 @pytest.mark.parametrize("carrier", ALL)
-def test_message_without_an_envelope(make_port: MakePort, carrier: str) -> None:
+def test_a_message_arrives_without_an_envelope(make_port: MakePort, carrier: str) -> None:
     reader = Reader()
     make_port("/r", reader)
     writer = make_port("/w")
@@ -66,7 +66,7 @@ def test_message_without_an_envelope(make_port: MakePort, carrier: str) -> None:
 
 @pytest.mark.parametrize("carrier", BINARY)
 @pytest.mark.parametrize("size", [0, 1, 1 << 15, (1 << 15) + 1, 100_000])
-def test_messages_of_all_sizes(make_port: MakePort, carrier: str, size: int) -> None:
+def test_messages_of_all_sizes_arrive(make_port: MakePort, carrier: str, size: int) -> None:
     got: list[bytes] = []
     make_port("/r", lambda m: got.append(bytes(m.payload)))
     writer = make_port("/w")
@@ -99,7 +99,7 @@ def test_large_messages_do_not_share_memory(make_port: MakePort) -> None:
     assert addresses[2] != addresses[1]
 
 
-def test_message_in_many_blocks(make_port: MakePort) -> None:
+def test_a_message_in_many_blocks_is_joined(make_port: MakePort) -> None:
     """C++ programs send large objects in several blocks."""
     import struct
 
@@ -432,7 +432,7 @@ def test_port_gets_the_requested_number_and_name(naming: LocalNaming) -> None:
 
 @pytest.mark.parametrize("profile", list(Profile))
 @pytest.mark.parametrize("carrier", ["text", "text_ack"])
-def test_text_in_either_dialect(make_port: MakePort, carrier: str, profile: Profile) -> None:
+def test_text_is_converted_to_the_readers_dialect(make_port: MakePort, carrier: str, profile: Profile) -> None:
     """A message in a port's dialect becomes a line, and the line a Bottle in the reader's dialect."""
     got: list[bytes] = []
     make_port("/r", lambda m: got.append(bytes(m.payload)), profile=profile)

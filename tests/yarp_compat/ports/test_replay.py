@@ -133,7 +133,7 @@ def _comparable(talk: Talk) -> Talk:
 
 
 @pytest.mark.parametrize("number", [t.number for t in talks("carriers-admin.txt", 10005, without=MCAST)])
-def test_reader_of_carriers(number: int) -> None:
+def test_a_reader_answers_each_carrier_as_recorded(number: int) -> None:
     got: list[str] = []
     with opened("/r", 10005, on_message=lambda m: got.append(str(decode(m.payload)))) as (port, address):
         (talk,) = [t for t in talks("carriers-admin.txt", 10005) if t.number == number]

@@ -43,7 +43,7 @@ def test_request_always_gets_a_reply(make_port: MakePort, carrier: str) -> None:
             assert port.counters.dropped.total() == 1
 
 
-def test_reply_from_another_thread(make_port: MakePort) -> None:
+def test_a_reply_may_come_from_another_thread(make_port: MakePort) -> None:
     waiting: list[PortMessage] = []
 
     def on_message(message: PortMessage) -> None:

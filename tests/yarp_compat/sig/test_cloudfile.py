@@ -33,7 +33,7 @@ def test_pcd_keeps_rows() -> None:
     assert (again.width(), again.height(), again == cloud) == (3, 2, True)
 
 
-def test_pcls_text_file_with_colors_and_an_invalid_point() -> None:
+def test_pcls_text_file_with_colors_and_an_invalid_point_is_read() -> None:
     """The shortened example of the page about the format at pointclouds.org."""
     data = (
         b"# .PCD v.7 - Point Cloud Data file format\nVERSION .7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\n"
@@ -47,7 +47,7 @@ def test_pcls_text_file_with_colors_and_an_invalid_point() -> None:
     assert cloud.isDense() is False
 
 
-def test_ply_of_other_programs_with_faces_in_text_and_big_endian() -> None:
+def test_ply_of_other_programs_with_faces_is_read_in_text_and_big_endian() -> None:
     head = "ply\nformat {}\ncomment x\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\n"
     head += "property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n"
     head += "property list uchar int vertex_index\nend_header\n"

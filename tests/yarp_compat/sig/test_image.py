@@ -67,7 +67,7 @@ def test_image_is_a_bottle(code: PixelCode) -> None:
     assert code == struct.unpack("<i", pixels.encode("latin-1").ljust(4, b"\0"))[0]
 
 
-def test_image_of_3_12() -> None:
+def test_an_image_of_3_12_is_read() -> None:
     """The image's header has a 1 after the quantum, which 3.9 reads as upside down and 4.0 as a part of the quantum."""
     data = TYPED["ImageRgb"]
     for image in (ImageRgb.from_bytes(data), FlexImage.from_bytes(data)):
@@ -76,7 +76,7 @@ def test_image_of_3_12() -> None:
         assert image.to_bytes(Profile.YARP3) == data[:42] + b"\0\0" + data[44:]
 
 
-def test_names_of_pixel_codes() -> None:
+def test_pixel_codes_have_yarps_names_and_sizes() -> None:
     """The names in `yarp/sig/Image.h`."""
     assert PixelCode.MONO_FLOAT.to_bytes(4, "little") == b"dec\0"
     assert PixelCode.RGB_FLOAT.to_bytes(4, "little") == b"rgb."
@@ -132,7 +132,7 @@ def test_array_is_sent_without_a_copy() -> None:
 
 
 @pytest.mark.parametrize("width", [4, 5, 6, 7, 8])
-def test_arrays_of_any_width(width: int) -> None:
+def test_arrays_of_any_width_have_no_padding(width: int) -> None:
     """C++ YARP treats an array's rows as padded if the image was resized before; Midspan never does."""
     array = np.arange(width * 3 * 3, dtype=np.uint8).reshape(3, width, 3)
     for resized in (False, True):

@@ -39,7 +39,7 @@ def test_images_survive_a_file(tmp_path: Path, image: Any, pixels: NDArray[Any],
     assert np.array_equal(read.numpy(), pixels)
 
 
-def test_bytes_of_yarps_formats(tmp_path: Path) -> None:
+def test_files_have_the_bytes_of_yarps_formats(tmp_path: Path) -> None:
     """The bytes that `ImageFile.cpp` of 3.9.1 to 4.0 writes."""
     assert yarp.write(yarp.ImageRgb.of(COLORS), str(tmp_path / "a.ppm"))
     assert (tmp_path / "a.ppm").read_bytes() == b"P6\n7 5\n255\n" + COLORS.tobytes()
@@ -52,7 +52,7 @@ def test_bytes_of_yarps_formats(tmp_path: Path) -> None:
     assert np.frombuffer(zlib.decompress(packed[16:]), "<f4").reshape(5, 4)[:, :3].tolist() == FLOATS.tolist()
 
 
-def test_files_of_other_programs(tmp_path: Path) -> None:
+def test_files_of_other_programs_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.ppm").write_bytes(b"P6\n# by hand\n2 1 255\n" + bytes(range(6)))
     image, gray = yarp.ImageRgb(), yarp.ImageMono()
     assert yarp.read(image, str(tmp_path / "a.ppm"))
@@ -105,7 +105,7 @@ def filtered(kind: int, row: bytes, above: bytes, step: int) -> bytes:
 
 
 @pytest.mark.parametrize("kind", range(5))
-def test_filters_of_png(kind: int) -> None:
+def test_every_filter_of_png_is_decoded(kind: int) -> None:
     rows = [row.tobytes() for row in np.random.default_rng(kind).integers(0, 256, (6, 15), np.uint8)]
     packed = b"".join(filtered(kind, row, above, 3) for row, above in zip(rows, [bytes(15), *rows], strict=False))
     plain = png.write(np.zeros((6, 5, 3), np.uint8))

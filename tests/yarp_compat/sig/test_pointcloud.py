@@ -17,7 +17,7 @@ POINT = bytes.fromhex("0000803f 00000040 00004040 00000000")
 
 
 @pytest.mark.parametrize(("profile", "tag"), [(Profile.YARP3, "0a010000"), (Profile.YARP4, "14010000")])
-def test_bytes_of_a_cloud(profile: Profile, tag: str) -> None:
+def test_a_cloud_has_yarps_bytes(profile: Profile, tag: str) -> None:
     cloud = PointCloudXYZ()
     cloud.push_back((1, 2, 3))
     data = bytes.fromhex("01000000 01000000 02000000 01" + tag + "01000000") + POINT
@@ -27,7 +27,9 @@ def test_bytes_of_a_cloud(profile: Profile, tag: str) -> None:
 
 
 @given(st.sampled_from(PointType), st.integers(0, 5), st.integers(1, 3), st.sampled_from(Profile), st.booleans())
-def test_every_point_type(kind: PointType, width: int, height: int, profile: Profile, dense: bool) -> None:
+def test_every_point_type_survives_the_round_trip(
+    kind: PointType, width: int, height: int, profile: Profile, dense: bool
+) -> None:
     points = np.zeros((height, width), LAYOUTS[kind])
     for place, name in enumerate(points.dtype.names or ()):
         points[name] = place + 1
@@ -85,7 +87,7 @@ SAMPLES = "000001000200f6fff7fff8ff"
 NUMBERS = "0100000003000000 0100000002000000 0100000002000000 0100000044ac0000"
 
 
-def test_sound_of_3_10_and_later() -> None:
+def test_a_sound_has_the_bytes_of_3_10_and_later() -> None:
     data = bytes.fromhex("0001000005000000" + NUMBERS + "4001000006000000" + SAMPLES)
     assert tone().to_bytes(Profile.YARP3) == data
     assert Sound.from_bytes(data) == tone()
@@ -124,7 +126,7 @@ def test_truncated_and_inconsistent_sounds_are_refused(profile: Profile) -> None
             Sound.from_bytes(bad, profile)
 
 
-def test_sound_methods_of_yarp() -> None:
+def test_sound_methods_work_as_in_yarp() -> None:
     sound = tone()
     assert (sound.getSamples(), sound.getChannels(), sound.getBytesPerSample(), sound.getFrequency()) == (
         3,

@@ -88,7 +88,7 @@ def of_yarp3(data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_bytes_of_yarp_4(name: str) -> None:
+def test_values_have_the_bytes_of_yarp_4(name: str) -> None:
     value, data = VALUES[name], PORTABLES[name]
     assert value.to_bytes(Profile.YARP4) == data
     assert b"".join(value.to_wire(Profile.YARP4)) == data
@@ -96,7 +96,7 @@ def test_bytes_of_yarp_4(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in VALUES if "ReturnValue" not in name])
-def test_bytes_of_yarp_3(name: str) -> None:
+def test_values_have_the_bytes_of_yarp_3(name: str) -> None:
     value, data = VALUES[name], of_yarp3(PORTABLES[name])
     assert value.to_bytes(Profile.YARP3) == data
     assert type(value).from_bytes(data, Profile.YARP3) == value
@@ -110,7 +110,7 @@ def kind_of(name: str) -> type[Portable]:
 
 
 @pytest.mark.parametrize("name", TYPED)
-def test_bytes_of_yarp_3_12_3(name: str) -> None:
+def test_values_have_the_bytes_of_yarp_3_12_3(name: str) -> None:
     """Re-encoded, the bytes are the same, apart from the 1 that 3.10 to 3.12 write after an image's quantum."""
     data, kind = TYPED[name], kind_of(name)
     value = kind.from_bytes(data, Profile.YARP3)
@@ -121,7 +121,7 @@ def test_bytes_of_yarp_3_12_3(name: str) -> None:
     assert kind.from_bytes(value.to_bytes(Profile.YARP4), Profile.YARP4) == value
 
 
-def test_content_of_yarp_3_12_3s_values() -> None:
+def test_values_of_yarp_3_12_3_are_read_with_their_content() -> None:
     def read(name: str) -> Any:
         return kind_of(name).from_bytes(TYPED[name])
 
@@ -164,7 +164,7 @@ def test_truncated_or_too_long_bytes_are_refused_and_change_nothing(name: str, p
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_read_and_write_on_a_connection(name: str) -> None:
+def test_values_are_read_and_written_on_a_connection(name: str) -> None:
     """`read` and `write` work as in YARP's classes, also if another value follows."""
     from yarp_compat.wire.elements import ElementReader, ElementWriter
 
@@ -192,7 +192,7 @@ def test_read_and_write_on_a_connection(name: str) -> None:
         (Generation.YARP_4, "0001000001000000090000006f6b0000", "00010000010000000900000065727235"),
     ],
 )
-def test_outcomes_of_calls_in_four_generations(generation: Generation, ok: str, failed: str) -> None:
+def test_outcomes_of_calls_have_the_bytes_of_each_generation(generation: Generation, ok: str, failed: str) -> None:
     assert ReturnValue(ReturnCode.OK).to_bytes(generation.profile, generation).hex() == ok
     assert ReturnValue(ReturnCode.METHOD_FAILED).to_bytes(generation.profile, generation).hex() == failed
 
@@ -243,7 +243,7 @@ def test_empty_values_are_written_as_in_yarp_and_read() -> None:
     assert np.asarray(ImageRgb()).shape == (0, 0, 3)
 
 
-def test_parts_of_a_matrix() -> None:
+def test_parts_of_a_matrix_are_read_and_replaced() -> None:
     matrix, out = yarp.Matrix([[1, 2, 3], [4, 5, 6], [7, 8, 9]]), yarp.Matrix()
     assert list(matrix.subrow(1, 1, 2)) == [5, 6]
     assert list(matrix.subcol(1, 2, 2)) == [6, 9]

@@ -16,7 +16,7 @@ def sound() -> yarp.Sound:
     return sound
 
 
-def test_parts_of_a_sound(sound: yarp.Sound) -> None:
+def test_parts_of_a_sound_are_extracted_and_replaced(sound: yarp.Sound) -> None:
     assert sound.subSound(1, 2).sound2VecNonInterleaved() == (2, 3, 40, 0)
     assert sound.subSound("from", "to").sound2VecInterleaved() == (2, 40, 3, 0)
     assert sound.subSound("nowhere", "to").getSamples() == 3
@@ -29,7 +29,7 @@ def test_parts_of_a_sound(sound: yarp.Sound) -> None:
     assert sound.getMarkersCount() == 0
 
 
-def test_append_and_overwrite(sound: yarp.Sound, caplog: pytest.LogCaptureFixture) -> None:
+def test_sounds_are_appended_and_overwritten(sound: yarp.Sound, caplog: pytest.LogCaptureFixture) -> None:
     part = sound.subSound(2, 2)
     sound += part
     assert sound.getSamples() == 6
@@ -41,7 +41,7 @@ def test_append_and_overwrite(sound: yarp.Sound, caplog: pytest.LogCaptureFixtur
     assert "channels or frequencies" in caplog.text
 
 
-def test_peaks_and_amplification_of_sounds(sound: yarp.Sound) -> None:
+def test_sounds_are_amplified_and_normalized_by_their_peaks(sound: yarp.Sound) -> None:
     assert sound.findPeakInChannel(0) == (3, 4)
     assert sound.findPeak() == (1, 3, 100)
     sound.amplifyChannel(0, 2.5)
@@ -58,7 +58,7 @@ def test_peaks_and_amplification_of_sounds(sound: yarp.Sound) -> None:
     assert sound.findPeak() == (0, 0, 0)
 
 
-def test_markers_and_times(sound: yarp.Sound) -> None:
+def test_markers_and_times_refer_to_samples(sound: yarp.Sound) -> None:
     assert sound.get_marker("to") == (True, 2, 1)
     assert sound.getMarker(0).label == "from"
     sound.remove_marker("to")
@@ -81,7 +81,7 @@ def test_tones_and_waves_have_the_samples_of_yarp(caplog: pytest.LogCaptureFixtu
     assert "cannot generate" in caplog.text
 
 
-def test_mix_of_two_sounds() -> None:
+def test_two_sounds_are_mixed() -> None:
     first, other = yarp.Sound.of(np.array([100, -100, 50]), 8), yarp.Sound.of(np.array([10]), 8)
     assert yarp.mix(first, other, 0.7).sound2VecNonInterleaved() == (73, -70, 35)
     assert yarp.mix(first, yarp.Sound.of(np.array([10]), 9)).getSamples() == 0

@@ -58,7 +58,7 @@ def test_numbers_that_do_not_fit_the_type_are_refused(kind: type[VectorOf], text
     assert list(vector) == [7]
 
 
-def test_vector_methods_of_yarp() -> None:
+def test_vector_methods_work_as_in_yarp() -> None:
     vector = Vector(3, 1.5)
     assert (vector.size(), vector.length(), len(vector), list(vector)) == (3, 3, 3, [1.5] * 3)
     vector.set(1, 2)
@@ -147,7 +147,7 @@ def test_matrices_survive_the_wire(rows: int, cols: int, profile: Profile) -> No
     assert (matrix.rows(), matrix.cols()) == (rows, cols)
 
 
-def test_matrix_methods_of_yarp() -> None:
+def test_matrix_methods_work_as_in_yarp() -> None:
     matrix = Matrix(2, 3)
     matrix.set(0, 1, 5)
     matrix[1, 2] = 6

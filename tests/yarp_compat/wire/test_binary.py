@@ -55,7 +55,7 @@ def data(text: str) -> bytes:
 
 
 @pytest.mark.parametrize("name", MEASURED)
-def test_bytes_of_real_yarp(name: str) -> None:
+def test_values_have_the_bytes_of_real_yarp(name: str) -> None:
     values, wire = MEASURED[name], PORTABLES[f"Bottle {name}"]
     assert encode(values, Profile.YARP4) == wire
     assert typed(decode(wire, Profile.YARP4)) == typed(values)
@@ -66,7 +66,7 @@ def test_bytes_of_real_yarp(name: str) -> None:
         assert typed(decode(older, Profile.YARP3)) == typed(values)
 
 
-def test_property_and_stamp_of_real_yarp() -> None:
+def test_property_and_stamp_have_the_bytes_of_real_yarp() -> None:
     stamp = [5, 123.5]
     assert encode(stamp, Profile.YARP4) == PORTABLES["Stamp"]
     assert encode(stamp, Profile.YARP3) == PORTABLES["Stamp"].replace(b"\x14\0\0\0", b"\x0a\0\0\0")
@@ -153,7 +153,7 @@ def test_arrays_are_lists_of_their_type(profile: Profile, kind: str, python: typ
     assert encode([numbers[0]], profile) == encode([python(1)], profile)
 
 
-def test_arrays_of_other_types_and_shapes() -> None:
+def test_arrays_of_other_types_and_shapes_are_encoded_like_lists() -> None:
     assert encode([np.eye(2)], Profile.YARP3) == encode([[[1.0, 0.0], [0.0, 1.0]]], Profile.YARP3)
     assert encode([np.array([200, 1], np.uint8)], Profile.YARP3) == encode([[Int8(-56), Int8(1)]], Profile.YARP3)
     assert encode([np.array([1.5], np.float16)], Profile.YARP3) == encode([[Float32(1.5)]], Profile.YARP3)

@@ -24,7 +24,7 @@ NAMES = st.text(st.characters(min_codepoint=33, exclude_categories=["Cs"]), min_
 
 
 @pytest.mark.parametrize("name", OPENINGS)
-def test_the_opening_bytes_of_each_carrier(name: str) -> None:
+def test_each_carrier_has_its_opening_bytes(name: str) -> None:
     carrier = carriers.CARRIERS[name]
     assert carrier.opening == bytes.fromhex(OPENINGS[name])
     data = carriers.opening(carrier, "/w")
@@ -45,7 +45,7 @@ def test_qualifiers_follow_the_senders_name() -> None:
 @pytest.mark.parametrize(
     ("data", "carrier"), [(b"GET / HTTP/1.1", "http"), (b"POST /form", "http"), (b"NAME_SERVER q", "name_ser")]
 )
-def test_openings_without_a_name(data: bytes, carrier: str) -> None:
+def test_openings_without_a_name_are_parsed(data: bytes, carrier: str) -> None:
     opened = carriers.parse_opening(data)
     assert opened is not None
     assert (opened.carrier.name, opened.size) == (carrier, 0)
@@ -59,7 +59,7 @@ def test_an_opening_with_any_name_is_parsed(carrier: str, name: str) -> None:
     assert (opened.sender, opened.size) == (name, len(data))
 
 
-def test_the_answer_of_each_carrier() -> None:
+def test_each_carrier_gets_its_answer() -> None:
     def answer(name: str) -> bytes:
         return carriers.answer(Opening(carriers.CARRIERS[name], "/w", "", 0), 10005)
 
@@ -77,13 +77,13 @@ def test_the_answer_of_each_carrier() -> None:
         ("x", "unknown"),
     ],
 )
-def test_carriers_without_outputs(name: str, reason: str) -> None:
+def test_carriers_without_outputs_are_refused_with_the_supported_ones(name: str, reason: str) -> None:
     with pytest.raises(WireError, match=f"{name}.*{reason}.*use one of tcp, fast_tcp, udp"):
         carriers.parse(name)
 
 
 @pytest.mark.parametrize(("number", "named"), [(14, "shmem"), (5, "number 5"), (-7777, "number 0")])
-def test_openings_of_unsupported_carriers(number: int, named: str) -> None:
+def test_openings_of_unsupported_carriers_are_refused(number: int, named: str) -> None:
     with pytest.raises(WireError, match=named):
         carriers.recognize(carriers.frame(7777 + number))
 
@@ -174,7 +174,7 @@ def test_messages_are_split(size: int) -> None:
 
 
 @given(st.lists(st.integers(0, 4), max_size=30))
-def test_lost_repeated_and_swapped_datagrams(order: list[int]) -> None:
+def test_only_messages_with_complete_datagrams_in_order_are_returned(order: list[int]) -> None:
     """Only messages whose datagrams arrived in order are returned, each complete."""
     whole = framing.prefix(200) + bytes(200)
     parts = [datagram(whole[i * 50 : i * 50 + 50], i) for i in range(5)]

@@ -28,7 +28,7 @@ PARSED = re.findall(r"PARSE <(.*)>\n((?:    \[\d+\] code=\d+ <[^>]*>\n)+)", MEAS
 
 
 @pytest.mark.parametrize(("printed", "name"), PRINTED, ids=[name for _, name in PRINTED])
-def test_text_printed_by_real_yarp(printed: str, name: str) -> None:
+def test_text_is_printed_as_by_real_yarp(printed: str, name: str) -> None:
     values = decode(PORTABLES[name], Profile.YARP4)
     assert to_text(values) == printed
     assert to_text(from_text(printed)) == printed
@@ -40,7 +40,7 @@ def test_all_measurements_are_tested() -> None:
 
 
 @pytest.mark.parametrize(("given_text", "recorded"), PARSED, ids=[given_text for given_text, _ in PARSED])
-def test_text_parsed_by_real_yarp(given_text: str, recorded: str) -> None:
+def test_text_is_parsed_as_by_real_yarp(given_text: str, recorded: str) -> None:
     expected = re.findall(r"code=(\d+) <([^>]*)>", recorded)
     values = [Value.of(value) for value in from_text(given_text)]
     assert [(str(value.getCode(Profile.YARP4)), value.toString()) for value in values] == expected
@@ -97,7 +97,7 @@ def test_subclasses_are_printed_as_their_base() -> None:
             to_text([wrong])
 
 
-def test_text_of_one_value() -> None:
+def test_one_value_is_printed_plain_or_quoted() -> None:
     values = ["a b", Vocab("set"), [1, ["x y"]], b"\x01\x02", 1.5, True, {"k": 1}]
     assert [plain_text(value) for value in values] == ["a b", "set", '1 ("x y")', "1 2", "1.5", "true", "(k 1)"]
     assert value_text("a b") == '"a b"'

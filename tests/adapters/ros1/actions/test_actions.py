@@ -113,7 +113,7 @@ def test_the_hub_cancels_goals_of_a_ros1_server(master, edge, servers):
     hub.close()
 
 
-def test_cancel_before_a_time(master, edge, servers):
+def test_a_cancel_request_by_time_cancels_the_goals_accepted_until_then(master, edge, servers):
     peer = servers
     peer.ask("server", name="/before")
     hub = HubClient(edge, "/before")

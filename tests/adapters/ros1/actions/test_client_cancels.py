@@ -15,7 +15,7 @@ def world():
     return World()
 
 
-def test_cancel_one_goal(world):
+def test_a_cancel_request_for_one_goal_is_answered_once_the_goal_is_preempting(world):
     world.send(1), world.send(2)
     world.report((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
     answers = world.stop(1)
@@ -36,7 +36,7 @@ def test_cancel_a_goal_that_has_just_ended(world):
     assert canceled(world.stop(7)) == (CancelCode.UNKNOWN_GOAL_ID, set())
 
 
-def test_cancel_all_goals(world):
+def test_a_cancel_request_for_all_goals_names_all_active_ones_in_its_reply(world):
     for number in range(4):
         world.send(number)
     world.report((0, Ros1State.PENDING), (1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
@@ -48,7 +48,7 @@ def test_cancel_all_goals(world):
     assert canceled(World().stop()) == (CancelCode.NONE, set())
 
 
-def test_cancel_before_a_time(world):
+def test_a_cancel_request_by_time_names_the_goals_up_to_that_time(world):
     for number in (1, 2, 3):
         world.send(number)
     world.report(*((n, Ros1State.ACTIVE, RosTime(n, 0)) for n in (1, 2, 3)))

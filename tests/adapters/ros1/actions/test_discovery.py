@@ -87,7 +87,7 @@ def test_the_origin_of_a_server_is_known_once_it_has_responded():
 
 
 @pytest.mark.parametrize("part", [*ros2_action.SERVICES, *ros2_action.TOPICS])
-def test_names_and_types_of_parts(part):
+def test_only_names_and_types_of_an_actions_parts_are_recognized_as_parts(part):
     name, type_name = ros2_action.part_name("/a/b", part), discovery.part_type("move_base_msgs/MoveBase", part)
     assert discovery.split_part(name, type_name) == ("/a/b", part)
     assert discovery.split_part(name, "std_msgs/String") is None

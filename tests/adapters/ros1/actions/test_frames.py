@@ -85,7 +85,7 @@ def test_a_truncated_message_is_refused(length):
         frames_in(SCHEMA, data + b"x")
 
 
-def test_an_empty_message():
+def test_all_fields_of_an_empty_message_are_zero():
     assert [f.frame for f in frames_in(SCHEMA, empty(SCHEMA))] == [b"", b""]
     assert len(empty(SCHEMA)) == 4 + 16 + 24 + 4 + 4 + 8 + 4 + 16
     assert empty(schema("", "move_base_msgs/MoveBaseResult")) == b""

@@ -47,7 +47,7 @@ def test_a_client_runs_a_goal_of_the_hub(master, edge, clients):
     until(lambda: "/run/status" not in master.state()["publishers"], "the edge's topics are unregistered", SECONDS)
 
 
-def test_outcomes_of_goals_at_a_hub_server(master, edge, clients):
+def test_ros_1_clients_receive_the_outcome_of_each_goal_of_a_hub_server(master, edge, clients):
     ends = {
         1: (GoalState.SUCCEEDED, Ros1State.SUCCEEDED), 2: (GoalState.ABORTED, Ros1State.ABORTED),
         3: (GoalState.CANCELED, Ros1State.PREEMPTED), 4: (GoalState.UNKNOWN, Ros1State.ABORTED),
@@ -70,7 +70,7 @@ def test_outcomes_of_goals_at_a_hub_server(master, edge, clients):
     act.hub.close()
 
 
-def test_cancel_from_ros_1(master, edge, clients):
+def test_a_ros_1_client_cancels_goals_of_a_hub_server(master, edge, clients):
     peer = clients
     act = Served(edge, peer, "/stop")
     act.send(1, 2)

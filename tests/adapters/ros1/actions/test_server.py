@@ -152,7 +152,7 @@ def test_a_goal_that_is_canceled_before_it_executes_is_recalled(world):
     assert world.results[0][1] is Ros1State.RECALLED
 
 
-def test_a_rejected_goal(world):
+def test_a_rejected_goal_gets_a_result_with_the_reason(world):
     uuid = world.goal()
     world.answer(uuid, accepted=False)
     assert world.results == [("g", Ros1State.REJECTED, EMPTY, "the action server rejected the goal")]

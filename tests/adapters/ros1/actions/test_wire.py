@@ -73,7 +73,7 @@ def test_bodies_are_unchanged(goal, status, body):
 @given(
     uuids, stamps, st.booleans(), st.integers(-128, 127), st.lists(infos, max_size=4), st.binary(max_size=20), st.text()
 )
-def test_the_parts_of_a_ros_2_action(uuid, stamp, accepted, number, found, body, text):
+def test_the_parts_of_a_ros_2_action_survive_the_round_trip(uuid, stamp, accepted, number, found, body, text):
     assert wire.read_with_uuid(uuid + body) == (uuid, body)
     assert wire.read_goal_response(wire.goal_response(stamp, accepted=accepted)) is accepted
     assert wire.read_result_response(wire.result_response(number, body, text)) == (number, body, text)

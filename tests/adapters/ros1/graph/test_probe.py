@@ -51,7 +51,7 @@ def known(prober, links, link):
     return until(poll, f"{link} is known")
 
 
-def test_facts_from_a_header(prober):
+def test_a_publishers_header_gives_type_latching_and_origin(prober):
     with publisher(serve()) as native, publisher(serve(latching="0", **{ORIGIN_FIELD: "robot2"})) as ours:
         links = frozenset({Registration("/a", "/t", native), Registration("/b", "/t", ours)})
         facts = known(prober, links, Registration("/a", "/t", native))

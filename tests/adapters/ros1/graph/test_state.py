@@ -64,7 +64,7 @@ def reader(master):
             yield MasterReader(client, "/me")
 
 
-def test_a_complete_state(master, reader):
+def test_the_state_lists_registrations_types_and_presence_entries(master, reader):
     state = reader.read()
     assert (state.network, state.run) == ("run", "run#42")
     assert state.publishers == {Registration("/a", "/topic", "http://a:1/")}
@@ -92,7 +92,7 @@ def test_a_node_that_registers_during_a_read(master, reader):
     assert Registration("/late", "/topic", "http://late:1/") in reader.read().publishers
 
 
-def test_a_node_that_moved(master, reader):
+def test_a_node_that_moved_is_listed_at_its_new_address(master, reader):
     reader.read()
     master.nodes["/a"] = "http://a:2/"
     assert reader.read().publishers == {Registration("/a", "/topic", "http://a:2/")}

@@ -171,7 +171,7 @@ def test_a_node_of_the_same_name_replaces_the_first(network: Network):
         first.stop()
 
 
-def test_a_roscpp_node(network: Network, talker: Peer, tmp_path: Path):
+def test_a_roscpp_node_registers_connects_and_unregisters(network: Network, talker: Peer, tmp_path: Path):
     env = {**network.env, "ROS_LOG_DIR": str(tmp_path)}
     with Process([ROSCPP_NODE, "__name:=cpp", "/rosout_agg:=/cpp_agg"], env) as process:
         until(lambda: "/cpp" in network.master.nodes(), "the node registers")

@@ -30,14 +30,14 @@ def test_names_resolve_relative_to_the_node(name: str, node: str, resolved: str)
     assert resolve(name, node) == resolved
 
 
-def test_joined_and_canonical_names():
+def test_names_are_joined_and_made_canonical():
     assert [join("/a", "b"), join("/a/", "b"), join("/a", "/b"), join("/a", "~b"), join("~", "b"), join("", "b")] == [
         "/a/b", "/a/b", "/b", "~b", "~b", "b",
     ]  # fmt: skip
     assert [canonical(n) for n in ("", "/", "/a//b/", "a//b/")] == ["", "/", "/a/b", "a/b"]
 
 
-def test_values_and_subtrees():
+def test_values_are_set_read_and_deleted_with_their_subtrees():
     tree = ParameterTree()
     tree.set("/a/b/c", 1)
     tree.set("/a/d", [1, {"x": 2}])
@@ -135,5 +135,7 @@ def test_size_is_limited_and_freed_by_replacement_and_deletion(monkeypatch: pyte
         ("/a", {}, ["/a/", "/a/x/"], [("/a/", "/a/", {}), ("/a/x/", "/a/x/", {})]),
     ],
 )
-def test_updates_of_subscribers(key: str, value: Any, subscribed: list[str], updates: list[tuple[str, str, Any]]):
+def test_a_changed_parameter_updates_only_the_subscribers_of_its_path(
+    key: str, value: Any, subscribed: list[str], updates: list[tuple[str, str, Any]]
+):
     assert [u[:3] for u in ParameterTree().updates(key, value, subscribed)] == updates

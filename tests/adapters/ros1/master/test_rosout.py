@@ -45,7 +45,7 @@ def test_a_rosout_that_registers_first_keeps_the_name():
         (7, False),
     ],
 )
-def test_another_rosout_with_any_list_of_publications(publications: Any, elsewhere: bool):
+def test_another_rosout_is_detected_by_its_publications(publications: Any, elsewhere: bool):
     """Since Python 3.12, in which slices are hashable, slicing a dictionary raises `KeyError`, not `TypeError`."""
     server = XmlRpcServer({"getPublications": lambda _caller: [1, "", publications]})
     server.start()

@@ -43,7 +43,7 @@ print(json.dumps(results))
 
 
 @needs_ros1
-def test_rules_of_rosgraph() -> None:
+def test_addresses_follow_the_rules_of_rosgraph() -> None:
     done = subprocess.run(
         [ROS1_PYTHON, "-c", ROSGRAPH], env=ros1_environment(), input=json.dumps(ENVIRONMENTS), text=True,
         capture_output=True, check=True,

@@ -28,7 +28,7 @@ class Master(RosMaster):
 
 @needs_ros1
 @pytest.mark.parametrize("embedded", [False, True], ids=["roscore", "embedded"])
-def test_topics_and_a_service_over_ipv6(tmp_path: Path, embedded: bool) -> None:
+def test_topics_and_a_service_work_over_ipv6(tmp_path: Path, embedded: bool) -> None:
     """A rospy node registers ``http://::1:port/``, without brackets, and cannot call services at such addresses."""
     master = Master(embedded=embedded)
     variables = {"ROS_IPV6": "on", "ROS_IP": "::1"}
@@ -63,7 +63,7 @@ def test_topics_and_a_service_over_ipv6(tmp_path: Path, embedded: bool) -> None:
         ("", ""),
     ],
 )
-def test_addresses_without_brackets(uri: str, expected: str) -> None:
+def test_ipv6_addresses_without_brackets_get_them(uri: str, expected: str) -> None:
     assert bracketed(uri) == expected
 
 

@@ -147,14 +147,14 @@ def test_a_plain_node_that_cannot_listen_for_the_slave_api_closes_its_other_sock
     assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("unlistening")]
 
 
-def test_facts_about_the_node(node: Node) -> None:
+def test_the_slave_api_returns_process_id_master_name_and_uri(node: Node) -> None:
     assert node.value("getPid") == os.getpid()
     assert node.value("getMasterUri") == MASTER
     assert node.value("getName") == "/midspan"
     assert node.value("getUri") == node.node.uri
 
 
-def test_its_topics_and_figures(node: Node) -> None:
+def test_the_slave_api_lists_topics_connections_and_statistics(node: Node) -> None:
     text = node.registry.ros1("std_msgs/String")
     publisher = node.edge.advertise("/figures", text, LATCHED)
     subscription = node.edge.subscribe("/read", text, Qos(), lambda *_: None)

@@ -48,7 +48,7 @@ def run(master: RosMaster, *lines: str) -> dict[str, str]:
     return {part.partition("\n")[0]: part.partition("\n")[2] for part in parts}
 
 
-def test_rosnode_and_rostopic(master: RosMaster, edge: EdgeUnderTest) -> None:
+def test_rosnode_and_rostopic_work_with_midspans_node(master: RosMaster, edge: EdgeUnderTest) -> None:
     with master.peer("tool_peer") as peer:
         peer.advertise("/tool/in", "std_msgs/String")
         edge.endpoint(topic="/tool/in", made_by="native")

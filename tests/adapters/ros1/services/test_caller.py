@@ -121,7 +121,7 @@ def test_sequential_calls_share_a_connection(bench):
 
 
 @pytest.mark.parametrize("size", [0, 1, 65_531, 65_536, 65_537, LIMIT])
-def test_every_size_both_ways(bench, size):
+def test_requests_and_replies_of_every_size_arrive(bench, size):
     body = bytes(range(256)) * (size // 256) + bytes(size % 256)
     with tcp_server(Server(echo)) as address:
         bench.toward(address)
@@ -152,7 +152,7 @@ def test_a_slow_call_does_not_delay_others(bench):
         until(lambda: bench.caller.load.connections <= 8, "only a few idle connections are kept")
 
 
-def test_a_reply_in_pieces(bench):
+def test_a_reply_in_pieces_is_joined(bench):
     def serve(sock, _header) -> None:
         request_of(sock)
         for byte in framed(b"in pieces"):
@@ -244,7 +244,7 @@ def test_a_request_is_never_sent_twice(bench):
     assert len(requests) == 20
 
 
-def test_a_server_that_moved(bench):
+def test_calls_go_to_the_new_address_of_a_server_that_moved(bench):
     def new(sock, _header) -> None:
         request_of(sock)
         sock.sendall(framed(b"new"))
@@ -260,7 +260,7 @@ def test_a_server_that_moved(bench):
         assert "no server" in bench.call().error()
 
 
-def test_a_reply_above_the_limit(bench):
+def test_a_reply_above_the_limit_is_an_error_and_later_calls_work(bench):
     def serve(sock, _header) -> None:
         while True:
             size = int(request_of(sock))
@@ -336,7 +336,7 @@ def test_a_client_that_leaves_before_the_connection_is_open(bench):
         assert (requests, ends.items) == ([b"second"], [])
 
 
-def test_too_many_calls(bench):
+def test_calls_beyond_the_limit_are_refused(bench):
     with tcp_server(Server(lambda sock, _: until_closed(sock))) as address:
         bench.toward(address)
         under_way = [bench.caller.call(b"", (ends := Ends()).done) for _ in range(MAX_CALLS)]

@@ -124,7 +124,7 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     bench.close()
 
 
-def test_one_call_per_connection(bench):
+def test_a_connection_that_is_not_persistent_is_closed_after_one_call(bench):
     client, header = bench.connect()
     assert header == {
         "callerid": "/midspan", "service": "/serve", "type": "pkg/Serve", "md5sum": "5e7e",
@@ -135,7 +135,7 @@ def test_one_call_per_connection(bench):
     until(lambda: bench.server.clients == 0, "the client is removed")
 
 
-def test_a_persistent_connection(bench):
+def test_a_persistent_connection_serves_many_calls(bench):
     client = bench.open()
     for n in range(50):
         assert client.call(f"call {n}".encode()) == (1, f"call {n}".encode()[::-1])
@@ -143,14 +143,14 @@ def test_a_persistent_connection(bench):
 
 @pytest.mark.parametrize("persistent", ["", "1"])
 @pytest.mark.parametrize("size", [0, 1, 65_536, 65_537, LIMIT])
-def test_every_size_both_ways(bench, size, persistent):
+def test_requests_and_replies_of_every_size_arrive(bench, size, persistent):
     body = bytes(range(256)) * (size // 256) + bytes(size % 256)
     client, _ = bench.connect(persistent=persistent)
     for _ in range(2 if persistent else 1):
         assert client.call(body) == (1, body[::-1])
 
 
-def test_probes_and_clients_of_any_md5(bench):
+def test_probes_and_clients_of_any_md5_are_accepted(bench):
     client, header = bench.connect(probe="1", md5sum="*")
     assert (header["type"], header["md5sum"]) == ("pkg/Serve", "5e7e")
     assert client.ended()
@@ -212,7 +212,7 @@ def test_a_slow_call_does_not_delay_others(bench):
     assert [client.reply()[1] for client in slow] == [f"reply to {n}".encode() for n in range(100)]
 
 
-def test_a_request_in_pieces(bench):
+def test_a_request_in_pieces_is_joined(bench):
     client = bench.open()
     for byte in struct.pack("<I", 9) + b"in pieces":
         client.sock.sendall(bytes([byte]))
@@ -231,7 +231,7 @@ def test_requests_in_one_segment_are_served_in_sequence(bench):
 
 
 @pytest.mark.parametrize("size", [LIMIT + 1, 20 * LIMIT])
-def test_a_request_above_the_limit(bench, size):
+def test_a_request_above_the_limit_is_refused_with_an_error(bench, size):
     client = bench.open()
     assert client.call(bytes(size)) == (0, f"the request has {size} bytes, limits.message allows {LIMIT}".encode())
     assert client.call(b"small") == (1, b"llams")
@@ -240,7 +240,7 @@ def test_a_request_above_the_limit(bench, size):
     assert bench.handler.requests == [b"small"]
 
 
-def test_a_reply_above_the_limit(bench):
+def test_a_reply_above_the_limit_becomes_an_error(bench):
     bench.handler.at_once = False
     client = bench.open()
     client.send(b"")
@@ -356,14 +356,14 @@ def test_closing_abandons_a_call_that_is_just_starting(bench):
     until(lambda: bench.handler.abandoned == [0], "the call is abandoned")
 
 
-def test_two_servers_of_one_name(bench):
+def test_a_second_server_of_one_name_and_a_type_without_md5_are_refused(bench):
     with pytest.raises(MessageTypeError, match="already served on ROS 1 as pkg/Serve"):
         bench.servers.open("/serve", TYPE, bench.handler)
     with pytest.raises(MessageTypeError, match="md5 sum of pkg/Other is unknown"):
         bench.servers.open("/other", SideType("pkg/Other", "", ""), bench.handler)
 
 
-def test_too_many_clients(bench, monkeypatch):
+def test_clients_beyond_the_limit_are_refused_until_one_leaves(bench, monkeypatch):
     assert MAX_CLIENTS == 1000
     monkeypatch.setattr("bridge.adapters.ros1.services.server.MAX_CLIENTS", 5)
     clients = [bench.open() for _ in range(5)]
@@ -373,7 +373,7 @@ def test_too_many_clients(bench, monkeypatch):
     assert bench.open().call(b"ab") == (1, b"ba")
 
 
-def test_many_clients_at_once(bench):
+def test_many_clients_at_once_get_their_own_replies(bench):
     replies = []
 
     def run(client: Client, name: int) -> None:

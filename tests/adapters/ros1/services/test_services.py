@@ -100,7 +100,7 @@ def test_servers_are_listed(master, edge):
         until(lambda: not edge.endpoints(topic="/seen/set"), "the service disappears with its server", SECONDS)
 
 
-def test_calling_a_server(master, edge):
+def test_each_call_gets_the_reply_or_the_error_of_the_rospy_server(master, edge):
     with master.peer("good") as peer:
         service = peer.ask("serve", service="/good/set", type=SET_BOOL, reply={"success": True, "message": "ön"})["id"]
         failing = {"service": "/good/fail", "type": SET_BOOL, "error": "no such motor"}
@@ -118,7 +118,7 @@ def test_calling_a_server(master, edge):
 
 
 @pytest.mark.usefixtures("rosout")
-def test_calling_a_roscpp_server(edge):
+def test_a_roscpp_server_responds_to_each_call(edge):
     # not its get_loggers: Debian 12's rosout crashes at the first such call, whichever client makes it
     caller = caller_of(edge, "/rosout/set_logger_level", "roscpp/SetLoggerLevel")
     request = b"".join(struct.pack("<I", len(name)) + name for name in (b"ros.rosout", b"info"))
@@ -241,7 +241,7 @@ def test_rosservice_describes_and_calls_a_service_of_the_hub(master, edge):
     give_back(master, edge, served, "/tool/set")
 
 
-def test_many_clients_with_calls_of_any_length(master, edge):
+def test_many_clients_with_calls_of_any_length_get_their_replies(master, edge):
     served = edge.ask("serve", service="/many", type=SET_BOOL)["id"]
     registered(master, "/many")
     with master.peer("many_a") as first, master.peer("many_b") as second:
@@ -370,7 +370,7 @@ def test_services_of_a_killed_edge_are_removed(master, tmp_path):
     assert master.state() == before
 
 
-def test_servers_that_misbehave(master, edge):
+def test_servers_that_misbehave_are_reported_and_delay_no_others(master, edge):
     def silent(sock) -> None:
         until_closed(sock)
 

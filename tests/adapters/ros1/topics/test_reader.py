@@ -101,7 +101,7 @@ def test_messages_arrive_complete_and_in_order(connection, sizes, piece):
     assert "closed" in connection.trouble
 
 
-def test_byte_by_byte(connection):
+def test_messages_that_arrive_byte_by_byte_are_joined(connection):
     connection.publisher.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     for byte in frame(b"abc") + frame(b"") + frame(b"d"):
         connection.publisher.sendall(bytes([byte]))

@@ -47,7 +47,9 @@ def announcement(prefix: bytes, *parameters: tuple[int, bytes], order: str = "<"
         (CYCLONES, [(0x8007, bytes(24) + b"host/" + b"9" * 400 + b"/x\0")], ""),
     ],
 )
-def test_versions_of_each_vendor(prefix: bytes, parameters: list[tuple[int, bytes]], version: str, order: str) -> None:
+def test_the_version_of_each_vendor_is_read_from_its_announcement(
+    prefix: bytes, parameters: list[tuple[int, bytes]], version: str, order: str
+) -> None:
     assert parse(announcement(prefix, *parameters, order=order)) == Announcement(prefix, version)
 
 
@@ -89,7 +91,9 @@ def groups(edge: RunningEdge) -> dict[str, dict[str, Any]]:
 
 
 @needs(ROS2)
-def test_a_real_node_on_fast_dds(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+def test_a_real_node_on_fast_dds_is_listed_with_its_version_and_release(
+    edge: RunningEdge, peer: Callable[..., Peer]
+) -> None:
     """The node's discovery range is LOCALHOST, so it does not use multicast."""
     before = peer("before")
     before.advertise("/before", "std_msgs/String")
@@ -98,7 +102,7 @@ def test_a_real_node_on_fast_dds(edge: RunningEdge, peer: Callable[..., Peer]) -
 
 
 @needs(CYCLONE)
-def test_a_real_program_on_cyclone_dds(edge: RunningEdge) -> None:
+def test_a_real_program_on_cyclone_dds_is_listed_with_its_version(edge: RunningEdge) -> None:
     program = CyclonePeer()
     try:
         program.advertise("/lamp", "std_msgs/msg/String")

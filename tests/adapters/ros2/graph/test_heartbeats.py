@@ -27,7 +27,7 @@ def later() -> Iterator[DelayedCalls]:
     calls.close()
 
 
-def test_the_bytes_of_a_heartbeat() -> None:
+def test_a_heartbeat_has_the_bytes_of_the_specification() -> None:
     """DDSI-RTPS 2.5, 9.4.5.7: any reader, the writer, first 1, last, count 0; little-endian and final."""
     (message,) = spdp.heartbeats({WRITER: 3})
     assert message[:20] == b"RTPS\2\3\1\x0f" + PREFIX

@@ -45,7 +45,7 @@ def test_a_participants_middleware_and_release_are_recognized(
     assert group["hashes"] is any(endpoint.type_id for endpoint in ends)
 
 
-def test_programs_without_ros() -> None:
+def test_programs_without_ros_are_listed_without_a_release() -> None:
     (group,) = middlewares.groups([end(CYCLONE, "", node="")], frozenset(), {})
     assert group["ros"] is False
     assert group["release"] == ""

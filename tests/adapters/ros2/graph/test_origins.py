@@ -35,7 +35,7 @@ def case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
     case.later.close()
 
 
-def test_own_and_seen_participants(case: Case) -> None:
+def test_own_and_seen_participants_count_as_own(case: Case) -> None:
     current, seen = new_prefix(HOST), new_prefix(HOST)
     case.seen.add(seen)
     origins = case.start(current)

@@ -53,7 +53,7 @@ def test_servers_of_another_midspan_do_not_count(vendor: str) -> None:
     assert vendors.are_cyclone(servers) is (vendor == CYCLONE)
 
 
-def test_without_a_server() -> None:
+def test_without_a_server_there_is_no_vendor() -> None:
     assert not vendors.are_cyclone([])
     assert vendors.of_servers("/lamp", []) is None
 
@@ -81,7 +81,7 @@ def test_report_names_nodes_and_what_is_served_twice() -> None:
     assert vendors.report([endpoint(FAST)]) == {}
 
 
-def test_native_clients_and_servers_of_two_kinds() -> None:
+def test_native_clients_and_servers_of_two_kinds_are_reported() -> None:
     """ROS 2 itself delivers such requests, in the wrong form."""
     send_goal = {"topic": "/go/_action/send_goal", "type": f"{ACTION}_SendGoal"}
     get_result = {"topic": "/go/_action/get_result", "type": f"{ACTION}_GetResult"}

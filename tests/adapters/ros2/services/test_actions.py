@@ -67,7 +67,7 @@ def send(client: Peer, count: int = 1) -> list[int]:
     return [int(client.ask("send_goal", action="/shown", type=TYPE, goal=GOAL)["id"]) for _ in range(count)]
 
 
-def test_goal_feedback_and_result(edge: RunningEdge, server: Peer, client: Peer) -> None:
+def test_a_goal_gets_its_feedback_and_its_result(edge: RunningEdge, server: Peer, client: Peer) -> None:
     feedback = [{"distance_remaining": float(n)} for n in (3, 2, 1)]
     repeated = {"times": 100, "period": 0.1}  # the first may precede the match of the client's reader
     acting = act(server, edge, held=True, feedback=feedback, result={"error_msg": "none"}, **repeated)
@@ -96,7 +96,7 @@ def test_an_aborted_goal_has_its_result(edge: RunningEdge, server: Peer, client:
     assert (state["status"], state["result"]["error_code"]) == (ABORTED, 7)
 
 
-def test_canceled_goal_among_others(edge: RunningEdge, server: Peer, client: Peer) -> None:
+def test_only_the_canceled_goal_among_others_ends(edge: RunningEdge, server: Peer, client: Peer) -> None:
     acting = act(server, edge, held=True)
     goals = send(client, 3)
     for goal in goals:
@@ -109,7 +109,7 @@ def test_canceled_goal_among_others(edge: RunningEdge, server: Peer, client: Pee
         assert client.ask("goal", id=goal, until={"status": SUCCEEDED})["status"] == SUCCEEDED
 
 
-def test_rejected_cancel_request(edge: RunningEdge, server: Peer, client: Peer) -> None:
+def test_a_goal_succeeds_after_a_rejected_cancel_request(edge: RunningEdge, server: Peer, client: Peer) -> None:
     acting = act(server, edge, held=True, keeps=True)
     (goal,) = send(client)
     client.ask("goal", id=goal, until={"accepted": True})

@@ -87,7 +87,9 @@ def executed(native: CyclonePeer, server: int) -> list[bytes]:
     return [request.payload.rstrip(b"\0") for request in framed if request is not None]
 
 
-def test_server_on_cyclone_dds(edge: RunningEdge, set_bool: Service, cyclone: Callable[[], CyclonePeer]) -> None:
+def test_a_server_on_cyclone_dds_replies_to_each_call(
+    edge: RunningEdge, set_bool: Service, cyclone: Callable[[], CyclonePeer]
+) -> None:
     """Each call gets a reply, and the server receives the requests as they were sent."""
     native = cyclone()
     server = native.serve("/c/server", TYPE, set_bool.response(**YES))
@@ -101,7 +103,9 @@ def test_server_on_cyclone_dds(edge: RunningEdge, set_bool: Service, cyclone: Ca
     caller.close()
 
 
-def test_first_call_at_once(edge: RunningEdge, set_bool: Service, cyclone: Callable[[], CyclonePeer]) -> None:
+def test_the_first_call_at_once_gets_its_reply(
+    edge: RunningEdge, set_bool: Service, cyclone: Callable[[], CyclonePeer]
+) -> None:
     """The call waits until the new server has discovered the client; before that, request or reply would be lost."""
     for number in range(2):
         native = cyclone()
@@ -115,7 +119,7 @@ def test_first_call_at_once(edge: RunningEdge, set_bool: Service, cyclone: Calla
 
 
 @pytest.mark.parametrize("part", ["send_goal", "get_result", "cancel_goal"])
-def test_each_part_of_an_action_on_cyclone_dds(
+def test_each_part_of_an_action_on_cyclone_dds_is_called(
     edge: RunningEdge, cyclone: Callable[[], CyclonePeer], part: str
 ) -> None:
     native = cyclone()
@@ -130,7 +134,7 @@ def test_each_part_of_an_action_on_cyclone_dds(
     assert executed(native, servers) == [request.rstrip(b"\0")]
 
 
-def test_one_server_on_cyclone_dds_and_one_on_fast_dds(
+def test_the_server_on_fast_dds_is_called_while_it_exists(
     edge: RunningEdge, set_bool: Service, peer: Callable[..., Peer], cyclone: Callable[[], CyclonePeer]
 ) -> None:
     """While the server on Fast DDS exists, only it is called; each server gets requests in its own DDS's form."""
@@ -205,7 +209,7 @@ def test_cyclone_server_that_joins_later(
     assert replies == [YES] * len(ends.items)
 
 
-def test_killed_server_replaced_by_one_on_cyclone_dds(
+def test_calls_reach_the_server_on_cyclone_dds_that_replaced_a_killed_one(
     edge: RunningEdge, set_bool: Service, peer: Callable[..., Peer], cyclone: Callable[[], CyclonePeer]
 ) -> None:
     """Calls are refused until Fast DDS has removed the dead server from the graph, then they reach the new one."""
@@ -223,7 +227,7 @@ def test_killed_server_replaced_by_one_on_cyclone_dds(
     assert set(executed(native, server)) == {request.rstrip(b"\0")}
 
 
-def test_server_replaced_by_one_on_fast_dds(
+def test_calls_reach_the_server_on_fast_dds_that_replaced_one_on_cyclone_dds(
     edge: RunningEdge, set_bool: Service, peer: Callable[..., Peer], cyclone: Callable[[], CyclonePeer]
 ) -> None:
     native = cyclone()
@@ -270,7 +274,7 @@ def test_a_call_does_not_read_the_graph(
     assert reads == []
 
 
-def test_clients_on_cyclone_dds(
+def test_clients_on_both_dds_implementations_get_their_own_replies(
     edge: RunningEdge, set_bool: Service, peer: Callable[..., Peer], cyclone: Callable[[], CyclonePeer]
 ) -> None:
     """Clients on both DDS implementations call one service of Midspan; each call gets its own reply."""
@@ -344,7 +348,9 @@ def test_topics_cross_both_ways(edge: RunningEdge, cyclone: Callable[[], Cyclone
 
 
 @pytest.mark.parametrize("latched", [False, True], ids=["volatile", "latched"])
-def test_first_large_message(edge: RunningEdge, cyclone: Callable[[], CyclonePeer], latched: bool) -> None:
+def test_the_first_large_message_arrives_on_cyclone_dds(
+    edge: RunningEdge, cyclone: Callable[[], CyclonePeer], latched: bool
+) -> None:
     """A message of 1 MB is sent in fragments; a latched one is sent by a new writer, not matched yet."""
     native, topic, large = cyclone(), f"/c/large{int(latched)}", "x" * 1_000_000
     subscription = native.subscribe(topic, "std_msgs/String")

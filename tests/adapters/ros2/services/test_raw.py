@@ -235,7 +235,7 @@ def test_forgotten_clients_are_checked_again(pair: Pair) -> None:
     assert not serving.send(request, REQUEST)
 
 
-def test_both_wake_by_the_reader(client: RawClient, pair: Pair) -> None:
+def test_client_and_server_register_their_readers_waker(client: RawClient, pair: Pair) -> None:
     waker = rcl.Waker(1, 2)
     client.wake(waker)
     assert pair.waker == waker

@@ -178,7 +178,7 @@ def test_closing_a_caller_ends_its_calls(edge: RunningEdge, peer: Peers, set_boo
     assert "no longer bridged" in ends.error()
 
 
-def test_large_reply_and_large_request(edge: RunningEdge, peer: Peers, registry: Registry) -> None:
+def test_large_replies_and_large_requests_arrive(edge: RunningEdge, peer: Peers, registry: Registry) -> None:
     get_map, set_map = Service(registry, "nav_msgs/srv/GetMap"), Service(registry, "nav_msgs/srv/SetMap")
     grid = {"info": {"width": 1000, "height": 1000}, "data": [7] * 1_000_000}
     native = peer()

@@ -17,7 +17,7 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Float32, Int8, Int64, Vocab
 
 
-def test_bottle_filled_as_in_scripts() -> None:
+def test_a_bottle_filled_as_in_scripts_has_values_of_each_type() -> None:
     bottle = Bottle()
     bottle.addString("count")
     bottle.addInt8(-1)
@@ -45,7 +45,7 @@ def test_bottle_filled_as_in_scripts() -> None:
         assert Bottle.from_bytes(bottle.to_bytes(profile)) == bottle
 
 
-def test_methods_of_yarp_2() -> None:
+def test_methods_of_yarp_2_still_work() -> None:
     bottle = Bottle()
     bottle.addInt(1)
     bottle.addDouble(1.5)
@@ -107,7 +107,7 @@ def test_values_are_found_by_key() -> None:
     assert Bottle("x").check("x") is False
 
 
-def test_copy_tail_and_pop() -> None:
+def test_copy_append_tail_and_pop_work_as_in_yarp() -> None:
     bottle = Bottle("a b c d")
     part = Bottle()
     part.copy(bottle, 1, 2)
@@ -171,7 +171,7 @@ def test_a_bottle_is_a_list_in_python() -> None:
     assert Bottle(), "an empty Bottle is true, because scripts test received Bottles that way"
 
 
-def test_bytes_and_connections() -> None:
+def test_a_bottle_is_read_from_and_written_to_bytes_and_connections() -> None:
     bottle = Bottle("a 1.5 (2 [set])")
     for profile in Profile:
         again = Bottle()
@@ -194,7 +194,7 @@ def test_bytes_and_connections() -> None:
     assert again.to_text() == "x 1"
 
 
-def test_type_of_a_bottle() -> None:
+def test_a_bottle_reports_the_common_type_of_its_values() -> None:
     assert Bottle("1 2").getSpecialization() == 1
     assert Bottle("1 a").getSpecialization() == 0
     assert [Bottle.describeBottleCode(code) for code in (1, 256, 256 + 10, 512, 99)] == [

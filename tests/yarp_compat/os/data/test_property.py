@@ -25,7 +25,7 @@ def measured() -> Property:
     return property_
 
 
-def test_text_and_bytes_of_real_yarp() -> None:
+def test_a_property_has_the_text_and_bytes_of_real_yarp() -> None:
     property_ = measured()
     assert property_.toString() == "(GRP (z 1)) (device x) (f 0.5) (n 3)"
     assert property_.to_bytes(Profile.YARP4) == PORTABLES["Property"]
@@ -120,7 +120,7 @@ def test_options_of_a_command_line_become_keys_and_groups(arguments: list[str], 
     assert len(property_) == len(Property(expected)) + 1
 
 
-def test_command_line_as_one_text_and_url() -> None:
+def test_arguments_in_one_text_and_a_url_are_parsed() -> None:
     property_ = Property()
     property_.fromArguments('--name "/my port" --n 5')
     assert property_.toString() == '(n 5) (name "/my port")'
@@ -273,7 +273,7 @@ def test_included_files_become_keys_and_groups(tmp_path: Path) -> None:
     assert property_.findGroup("SUB").findGroup("G").find("b").asInt32() == 2
 
 
-def test_folder_of_files(tmp_path: Path) -> None:
+def test_a_folder_of_files_is_read(tmp_path: Path) -> None:
     (tmp_path / "a.ini").write_text("[G]\nx 1\n")
     (tmp_path / "b.ini").write_text("y 2\n")
     (tmp_path / "c.txt").write_text("z 3\n")
@@ -319,7 +319,7 @@ def test_a_stamp_is_written_read_and_updated() -> None:
     assert fresh == Stamp(0, 1.0)
 
 
-def test_stamp_as_envelope() -> None:
+def test_a_stamp_is_read_from_and_written_to_an_envelope() -> None:
     assert Stamp(3580, 1795143618.02289).to_text() == "3580 1795143618.02289"
     stamp = Stamp()
     stamp.from_text("3580 1795143618.02289")
@@ -335,7 +335,7 @@ def test_stamp_as_envelope() -> None:
             Stamp.from_bytes(Bottle(wrong).to_bytes())
 
 
-def test_places_of_keys(tmp_path: Path) -> None:
+def test_each_key_has_the_file_and_line_of_its_text(tmp_path: Path) -> None:
     (tmp_path / "inner.ini").write_text("deep 1\n[SUB]\nleaf 2 // comment\n")
     main = tmp_path / "main.ini"
     main.write_text(

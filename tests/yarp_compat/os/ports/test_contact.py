@@ -41,7 +41,7 @@ def test_an_invalid_host_name_has_no_address() -> None:
     assert yarp.Contact.convertHostToIp("127.0.0.1") == "127.0.0.1"
 
 
-def test_contact_from_a_property() -> None:
+def test_a_contact_is_read_from_a_property() -> None:
     contact = yarp.Contact.fromConfig(yarp.Property("(name /a) (ip 10.0.0.7) (port_number 5)"))
     assert (contact.getName(), contact.toURI()) == ("/a", "tcp://10.0.0.7:5/")
     assert not yarp.Contact.fromConfig(yarp.Property()).isValid()
