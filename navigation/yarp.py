@@ -81,8 +81,7 @@ class NavigationDevice(ABC):
         """Return the robot's pose on the map; an error fails the call."""
 
     @abstractmethod
-    def _target(self) -> Map2DLocation | None:
-        """Return the current target."""
+    def _target(self) -> Map2DLocation | None: ...
 
     @abstractmethod
     def _go_to(self, pose: Pose) -> None:

@@ -155,7 +155,8 @@ def shared_classes(files: Mapping[str, File]) -> dict[str, list[str]]:
 def undocumented(file: File) -> list[str]:
     """Return the public methods and functions without a docstring (D102, D103).
 
-    None is required for `override` methods, close, start and stop, and the functions that register and run a verb.
+    None is required if the name suffices: for `override` methods, properties, methods named close, open, start,
+    stop or clear, and the functions that register and run a verb.
     """
     if re.search("^# ruff: noqa:.*D102", file.path.read_text(encoding="utf-8"), re.MULTILINE):
         return []
@@ -163,8 +164,10 @@ def undocumented(file: File) -> list[str]:
     return [
         f"{file.path}:{node.lineno}: {name}{node.name} needs a docstring"
         for name, node in (*functions, *_methods(file.tree.body))
-        if not re.match("_|(close|start|stop)$" if name else "_|(register|run)(_|$)", node.name)
-        and not any(re.search("override|overload|setter", ast.unparse(decorator)) for decorator in node.decorator_list)
+        if not re.match("_|(close|open|start|stop|clear)$" if name else "_|(register|run)(_|$)", node.name)
+        and not any(
+            re.search("override|overload|setter|property", ast.unparse(decorator)) for decorator in node.decorator_list
+        )
         and ast.get_docstring(node) is None
     ]
 

@@ -81,11 +81,11 @@ class Base(ABC):
 
     @abstractmethod
     def pose(self) -> BasePose:
-        """Return the true pose."""
+        """Return the true pose, without the odometry's drift."""
 
     @abstractmethod
     def twist(self) -> Twist:
-        """Return the true velocity."""
+        """Return the true velocity, which may differ from the commanded one."""
 
     @abstractmethod
     def place(self, pose: BasePose) -> None:

@@ -73,7 +73,7 @@ class Odometry:
         self.now = Estimate(0, BasePose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), 0.0, 0.0)
 
     def add(self, encoders: Encoders) -> Estimate:
-        """Add a reading."""
+        """Add a reading of the wheels' encoders, and return the new estimate."""
         last = encoders.positions if self._last is None else self._last
         dx, dy, turned = (float(v) for v in self._inverse @ (encoders.positions - last))
         self._last = encoders.positions
@@ -122,7 +122,6 @@ class Battery:
 
     @property
     def charge(self) -> Charge:
-        """The current state."""
         share = self._left / self._described.capacity
         full, empty = self._described.full, self._described.empty
         voltage = empty + (full - empty) * share

@@ -139,7 +139,7 @@ class Stepping:
         return self._answer is not None
 
     def serve(self, request: dict[str, Any], answer: Answer) -> None:
-        """Start a step."""
+        """Start a step of simulated time; an invalid request gets the reason at once."""
         seconds, patience = request["seconds"], request["patience"]
         if not (math.isfinite(seconds) and 0.0 < seconds <= _LONGEST_STEP and math.isfinite(patience)):
             text = f"a step is more than 0 and at most {_LONGEST_STEP:g} seconds, and its patience is finite"

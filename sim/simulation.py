@@ -92,7 +92,6 @@ class Simulation:
 
     @property
     def camera(self) -> DepthCamera | None:
-        """The depth camera."""
         return self.sensing.camera
 
     @property
@@ -102,7 +101,6 @@ class Simulation:
 
     @property
     def faults(self) -> Faults:
-        """The injected faults."""
         return self.sensing.faults
 
     def depth(self) -> Depths:

@@ -44,7 +44,7 @@ class Motors:
         self._encoders = encoders
 
     def wheels(self) -> np.ndarray:
-        """Return the current target velocities."""
+        """Return the target velocity of each wheel in radians per second, zero after the commands' timeout."""
         return self._wanted if self.now < self._until else np.zeros(len(self.names))
 
 

@@ -81,8 +81,9 @@ def test_public_functions_need_a_docstring_except_those_that_register_or_run_a_v
     ]  # fmt: skip
 
 
-def test_public_methods_need_a_docstring_except_overriding_ones_and_close_start_and_stop(tmp_path: Path) -> None:
+def test_public_methods_need_a_docstring_except_overriding_ones_properties_and_names_like_close(tmp_path: Path) -> None:
     methods = "    def close(self): ...\n    @override\n    def run(self): ...\n    def _go(self): ...\n"
+    methods += "    @property\n    def state(self): ...\n    def clear(self): ...\n"
     text = f"class One:\n{methods}    def send(self): ...\nclass _Two:\n    def send(self): ...\n"
     files = write(tmp_path, {"sim/a.py": text, "sim/b.py": f"# ruff: noqa: N802, D102 - YARP's\n{text}"})
-    assert house.wrong(files, known_large=set()) == [f"{tmp_path}/sim/a.py:6: One.send needs a docstring"]
+    assert house.wrong(files, known_large=set()) == [f"{tmp_path}/sim/a.py:9: One.send needs a docstring"]

@@ -33,12 +33,10 @@ class _Port:
         return self._port.name
 
     async def open(self) -> Self:
-        """Open the port."""
         await asyncio.to_thread(self._port.open)
         return self
 
     async def close(self) -> None:
-        """Close the port."""
         await asyncio.to_thread(self._port.close)
 
     async def __aenter__(self) -> Self:
@@ -151,7 +149,6 @@ class Server(_Port):
 
     @override
     async def open(self) -> Self:
-        """Open the port and start serving."""
         await self._reader.open()
         self._start(self._serve())
         return self

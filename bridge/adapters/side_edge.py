@@ -45,7 +45,6 @@ class SideEdge(Edge):
 
     @override
     def sightings(self) -> Sequence[Sighting]:
-        """Return the other Midspan workers on this network; none before the edge has joined it."""
         presence = self._presence
         return () if presence is None else presence.sightings()
 

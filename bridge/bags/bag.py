@@ -153,8 +153,7 @@ class Bag(ABC):
         """Skip damaged data from now on, and report it, if the rest is readable without it."""
 
     @abstractmethod
-    def close(self) -> None:
-        """Close the file."""
+    def close(self) -> None: ...
 
     def __enter__(self) -> Self:
         return self

@@ -43,7 +43,7 @@ Fields = dict[bytes, bytes]
 
 
 class Ros1Bag(SpanBag):
-    """One ROS 1 bag."""
+    """A bag of ROS 1, as its chunks and the messages outside of chunks."""
 
     kind: Kind = "bag"
 

@@ -9,7 +9,7 @@ from bridge.config.sections.section import ModuleSection, OptionalTopic, PortNam
 
 
 class ControlBoardSection(Section):
-    """One board."""
+    """A YARP control board, whose joints appear on the hub."""
 
     remote: PortName = Field(description="Prefix of the names of the board's ports, such as `/cer/mobile_base`.")
     joint_states: TopicName = setting("/joint_states", "Topic of the joint states on the hub (`JointState`, radians).")

@@ -42,7 +42,6 @@ class Default:
 
     @property
     def model(self) -> type[Section]:
-        """The section's model."""
         model: type[Section] = imported(self.place)
         return model
 

@@ -34,7 +34,7 @@ class Installation:
         self._dry_run = dry_run
 
     def files(self) -> list[InstalledFile]:
-        """Return all files."""
+        """Return the files to install: units, Midspan's own user if it is used, and the initial configuration."""
         files = [InstalledFile(UNIT_FOLDER / name, self._unit(name)) for name in UNITS]
         if self._user == OWN_USER:
             files.append(InstalledFile(Path("etc/sysusers.d/midspan.conf"), _template("packaging/midspan.sysusers")))
@@ -136,7 +136,7 @@ def _quoted(word: str) -> str:
 
 
 def _closed_folder(folder: Path) -> Path | None:
-    """Return the outermost parent folder that other users cannot enter, None if there is none."""
+    """Return the outermost parent folder that other users cannot enter, or None."""
     for part in reversed([folder, *folder.parents]):
         if not part.stat().st_mode & 0o001:
             return part

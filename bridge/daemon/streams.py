@@ -49,8 +49,7 @@ class Writer(ABC):
         """Write data, or queue it."""
 
     @abstractmethod
-    def close(self) -> None:
-        """Stop writing."""
+    def close(self) -> None: ...
 
 
 def reader(loop: SelectorLoop, pipe: IO[bytes], on_data: OnData) -> Reader:

@@ -126,7 +126,6 @@ class Supervisor:
 
     @property
     def config(self) -> Config:
-        """The active configuration."""
         return self._config
 
     # -- from signal handlers and other threads ------------------------------------------------------------------------

@@ -49,7 +49,6 @@ class WorkerProcess:
 
     @property
     def name(self) -> str:
-        """The worker's name."""
         return self.kind.name
 
     @property

@@ -54,7 +54,6 @@ class DemoProcess:
 
     @property
     def running(self) -> bool:
-        """Whether the process runs."""
         return self._popen.poll() is None
 
     def begin_stop(self) -> None:

@@ -87,7 +87,7 @@ class RoomsView:
         self._console.print(Text(verdict, style="bold green" if result.ok else "bold red"))
 
     def print_line(self, text: str) -> None:
-        """Print one line."""
+        """Print one line, above the live view if there is one."""
         self._console.print(Text(text))
 
     def _time(self, now: float) -> str:

@@ -101,7 +101,6 @@ class Shutdown:
 
     @property
     def interrupted(self) -> bool:
-        """Whether the demo was interrupted."""
         return self._interrupted_at is not None
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:

@@ -61,7 +61,7 @@ class PublishedChannel(ABC):
         """Publish a message; raises `NotPublishedError`."""
 
     def close(self) -> None:  # noqa: B027 - most have nothing to release
-        """Stop publishing."""
+        ...
 
 
 class RefusedChannel(PublishedChannel):

@@ -52,11 +52,11 @@ class FoxgloveServer:
         return SceneUpdateChannel(topic, context=self._context)
 
     def offer_services(self, services: list[foxglove.Service]) -> None:
-        """Announce services."""
+        """Announce services to all clients."""
         self._server.add_services(services)
 
     def withdraw_services(self, names: list[str]) -> None:
-        """Withdraw services."""
+        """Remove services, by name, from the list that clients see."""
         self._server.remove_services(names)
 
     def warn(self, text: str, name: str) -> None:
@@ -64,7 +64,7 @@ class FoxgloveServer:
         self._server.publish_status(text, StatusLevel.Warning, name)
 
     def clear_warning(self, name: str) -> None:
-        """Remove a warning."""
+        """Remove the warning of this name from all clients."""
         self._server.remove_status([name])
 
     def close(self) -> None:

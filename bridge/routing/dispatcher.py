@@ -156,7 +156,6 @@ class RouteQueue:
             self._bytes = sum(len(sample.payload) for sample in self._messages)
 
     def clear(self) -> None:
-        """Drop all queued messages."""
         with self._lock:
             self._messages.clear()
             self._bytes = 0

@@ -230,7 +230,7 @@ class Engine:
         return next(filter(None, reports), "")
 
     def routes(self) -> Sequence[Route]:
-        """Return all current routes."""
+        """Return the routes of topics and services in both directions."""
         return self._routes.all()
 
     def decisions(self) -> list[RouteDecision]:

@@ -126,7 +126,6 @@ class PeerWatch:
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome of the election."""
         return self._outcome
 
     def start(self) -> None:

@@ -33,7 +33,7 @@ class EngineRoutes:
         self._sets = (self._services_to_hub, self._services_to_side, self.topics_to_hub, self._topics_to_side)
 
     def all(self) -> list[Route]:
-        """Return all current routes."""
+        """Return the routes of topics and services in both directions."""
         return [route for routes in self._sets for route in routes.routes()]
 
     def follow(self, outcome: Outcome, *, joined: bool) -> list[RouteDecision]:

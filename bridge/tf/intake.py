@@ -59,7 +59,7 @@ class Intake:
         authority: str,
         static: bool,
     ) -> FrameRefusal | None:
-        """Implement `bridge.tf.buffer.TransformBuffer.set_transform`."""
+        """Store one transform; see `bridge.tf.buffer.TransformBuffer.set_transform`."""
         x, y, z = translation
         qx, qy, qz, qw = rotation
         if type(stamp) is not int:
@@ -80,11 +80,11 @@ class Intake:
         return None if refusal is None else self._refuse(refusal, parent_name, child_name, stamp, authority)
 
     def set_all(self, samples: Iterable[Sample], authority: str, static: bool) -> list[FrameRefusal | None]:
-        """Implement `bridge.tf.buffer.TransformBuffer.set_transforms`."""
+        """Store transforms; see `bridge.tf.buffer.TransformBuffer.set_transforms`."""
         return [self.set(*sample, authority, static) for sample in samples]
 
     def set_message(self, cdr: bytes, authority: str, static: bool) -> list[FrameRefusal | None]:
-        """Implement `bridge.tf.buffer.TransformBuffer.set_message`."""
+        """Store the transforms of a message; see `bridge.tf.buffer.TransformBuffer.set_message`."""
         answers: list[FrameRefusal | None] = []
         links = self._links
         for stamp, names, at in message.read(cdr):

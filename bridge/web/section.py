@@ -48,7 +48,7 @@ class OtherRobot(Section):
 
 
 class WebSection(ServerSection):
-    """The console."""
+    """The web console."""
 
     listen: str = setting(
         "127.0.0.1:8480",

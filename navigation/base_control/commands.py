@@ -163,7 +163,6 @@ class Arbiter:
         return NO_CHOICE
 
     def clear(self) -> None:
-        """Discard all commands."""
         for source in self.inputs:
             source.clear()
 

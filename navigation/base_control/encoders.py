@@ -101,7 +101,6 @@ class WheelRates:
         self.clear()
 
     def clear(self) -> None:
-        """Drop all readings."""
         self._window: deque[tuple[float, Sequence[float]]] = deque()
         self._changed: tuple[float, Sequence[float]] | None = None
 

@@ -52,7 +52,7 @@ def resolved(section: BaseControlSection) -> tuple[BaseControlSection, list[str]
 
 
 def limits(section: BaseControlSection) -> BaseLimits:
-    """Return a section's limits."""
+    """Return a section's limits, with angles in radians instead of degrees."""
     return BaseLimits(
         linear=section.max_linear_vel,
         angular=math.radians(section.max_angular_vel),

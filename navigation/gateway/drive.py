@@ -51,7 +51,6 @@ class ClientDrive:
 
     @property
     def state(self) -> DriveState:
-        """The drive's state."""
         return self.machine.state
 
     @property
@@ -61,7 +60,6 @@ class ClientDrive:
 
     @property
     def target(self) -> Target:
-        """The current target."""
         return self.targets[self.at]
 
     @property

@@ -100,6 +100,5 @@ class LifecycleNodes:
             self._host.node.release(node.client)
 
     def close(self) -> None:
-        """Close the clients."""
         for name in list(self._nodes):
             self._drop(name)

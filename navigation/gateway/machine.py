@@ -13,7 +13,7 @@ from bridge.state_machine import Table
 
 
 class PlannerState(Enum):
-    """The state of the planner."""
+    """Whether the planner is reachable, and whether it has goals."""
 
     UNKNOWN = "unknown"  #: not seen since the gateway started; the planner's side has not reported yet
     ABSENT = "absent"  #: the planner's side has reported, and the planner is not on it

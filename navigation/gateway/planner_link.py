@@ -53,7 +53,6 @@ class PlannerLink:
 
     @property
     def state(self) -> PlannerState:
-        """The planner's state."""
         return self.presence.machine.state
 
     @property
@@ -78,7 +77,7 @@ class PlannerLink:
 
     @property
     def motion_since(self) -> float:
-        """When the last of the actions in `motion` became active (monotonic); 0 if there is none."""
+        """When the last of the actions in `motion` became active (monotonic); 0 if no action is active."""
         return max((action.list.active_since for action in self._motion if action.list.known), default=0.0)
 
     @property

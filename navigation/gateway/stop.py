@@ -83,7 +83,6 @@ class StopOrder:
 
     @property
     def state(self) -> StopState:
-        """The state of the stop."""
         return self._machine.state
 
     @property

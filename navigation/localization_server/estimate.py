@@ -109,7 +109,6 @@ class Track:
 
     @property
     def newest(self) -> Pose | None:
-        """The newest pose."""
         return self._poses[-1] if self._poses else None
 
     def add(self, pose: Pose) -> None:
@@ -130,7 +129,6 @@ class Track:
         return later
 
     def clear(self) -> None:
-        """Drop all poses."""
         self._poses.clear()
 
 

@@ -167,7 +167,6 @@ class LocalizationServer(Module):
             raise RuntimeError(self._maps.trouble or f"the map {map_name!r} is not the current one")
 
     def pause(self, *, on: bool) -> None:
-        """Pause or resume the localization."""
         self._paused = on
         self.source.pause(on=on)
 

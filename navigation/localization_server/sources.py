@@ -81,7 +81,7 @@ class PoseSource(ABC):
         return {}
 
     def close(self) -> None:  # noqa: B027 - optional
-        """Release the source's own resources."""
+        ...
 
 
 _WIDEST = 1.0

@@ -37,7 +37,7 @@ class TakenMap(Section):
 
 
 class Map2DServerSection(ModuleSection):
-    """The map server."""
+    """The server of the store's maps and places."""
 
     ports: tuple[PortName, ...] = setting(
         ("/map2D_nws_yarp/rpc", "/mapServer/rpc"), "YARP ports that answer map clients (`map2D_nwc_yarp`)."

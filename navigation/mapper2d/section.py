@@ -18,7 +18,7 @@ _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_.-]+)+", "is not a prefix of 
 
 
 class Mapper2DSection(ModuleSection):
-    """The mapper."""
+    """The mapper, which builds a 2D map from laser scans."""
 
     ini: Path | None = setting(None, "A `mapper2D` file of an existing robot; keys set here override it.")
     mapping: bool = setting(True, "Whether mapping starts with the module, or only upon the command `start`.")

@@ -55,7 +55,7 @@ class LayerSection(Section):
 
 
 class Mapper3DSection(ModuleSection):
-    """The mapper of space."""
+    """The 3D mapper, which builds an octree from point clouds and depth images."""
 
     mapping: bool = setting(True, "Whether mapping starts with the module, or only upon the command `start`.")
     map_name: str = setting(

@@ -127,7 +127,6 @@ class Space:
             self.forgotten += self._forget_unseen(pose, view or view_of(points), now - settings.forget_after)
 
     def clear(self) -> None:
-        """Clear the map."""
         self.voxels.clear()
 
     def clear_box(self, low: Floats, high: Floats) -> None:

@@ -168,7 +168,6 @@ class Driver:
 
     @property
     def keep_out(self) -> KeepOut:
-        """The map's keep-out cells."""
         return self._surroundings.keep_out
 
     @property

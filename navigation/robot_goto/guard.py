@@ -116,7 +116,6 @@ class FollowCheck:
         self.clear()
 
     def clear(self) -> None:
-        """Drop all observations."""
         self.since: float | None = None  # since when the base does not follow, seconds; None while it does
         self._again = -math.inf
         self._wanted = np.zeros(3)  # with signs: motions to both sides lead back to the same pose

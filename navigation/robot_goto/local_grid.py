@@ -30,7 +30,6 @@ class LocalGrid:
         self.clear()
 
     def clear(self) -> None:
-        """Drop all observations."""
         self._grid = RollingGrid(SIDE, RESOLUTION, self._memory)
         # the newest scan's echoes: x, y, and 1 for a new object, else 0; then the other sensors' obstacles; then places
         # that the robot must not enter, although nothing is there

@@ -49,7 +49,7 @@ class Atlas:
         return None
 
     def links(self) -> Sequence[LinkedPlaces]:
-        """Return all links."""
+        """Return the links between all maps."""
         return ()
 
 

@@ -73,7 +73,6 @@ class Ground:
 
     @property
     def name(self) -> str:
-        """The map's name."""
         return self.grid.name
 
     def cell(self, x: float, y: float) -> Cell | None:
@@ -167,7 +166,7 @@ class Clutter:
         self.layers(layers)
 
     def layers(self, layers: Sequence[NDArray[np.float64]]) -> None:
-        """Replace all layers."""
+        """Replace the obstacles of all layers by (n, 2) points on the map, in meters."""
         rows, columns = self._ground.weights.shape
         at = self._ground.grid.cells_at(np.concatenate((np.empty((0, 2)), *layers)))[:, ::-1]
         at = np.unique(at[((at >= 0) & (at < (rows, columns))).all(axis=1)], axis=0)

@@ -73,7 +73,6 @@ class PathPlanner:
 
     @property
     def target(self) -> MapPlace | None:
-        """The goal."""
         return self.task.goal if self.task else None
 
     @property

@@ -64,7 +64,7 @@ class GoalSection(DrivenSection):
 
 
 class RobotPathPlannerSection(ModuleSection):
-    """The planner."""
+    """The path planner, which sends waypoints to the local navigator."""
 
     ini: Path | None = setting(None, "A `robotPathPlanner` file of an existing robot; keys set here override it.")
     map: MapSource | None = setting(

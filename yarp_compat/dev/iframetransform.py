@@ -66,7 +66,6 @@ class IFrameTransform(ABC):
         return deliver(*self._query(lambda tree: tree.connected(target_frame, source_frame)), canTransform)
 
     def clear(self) -> ReturnValue:
-        """Delete all transforms."""
         return invoke(self.remove_all)
 
     def frameExists(self, frame_id: str, exists: MutableSequence[bool] | None = None) -> Any:

@@ -28,11 +28,9 @@ class _Place(Structure):
         return self.toString()
 
     def isEqual(self, other: object) -> bool:
-        """Whether another place is equal."""
         return self == other
 
     def notEqual(self, other: object) -> bool:
-        """Whether another place differs."""
         return self != other
 
 

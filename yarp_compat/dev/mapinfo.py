@@ -114,7 +114,6 @@ class MapGrid2DInfo:
 
     @property
     def name(self) -> str:
-        """The map's name."""
         return self.m_map_name
 
     @property

@@ -54,11 +54,11 @@ class LaserMeasurementData:
         self._rho, self._theta, self._x, self._y = rho, theta, rho * math.cos(theta), rho * math.sin(theta)
 
     def get_cartesian(self) -> tuple[float, float]:
-        """Return x and y."""
+        """Return x and y, in meters."""
         return self._x, self._y
 
     def get_polar(self) -> tuple[float, float]:
-        """Return distance and angle."""
+        """Return distance (meters) and angle (radians)."""
         return self._rho, self._theta
 
 

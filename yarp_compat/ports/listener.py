@@ -115,7 +115,6 @@ class _Introduction:
         self._timer = listener.loop.call_later(PATIENCE, self.drop)
 
     def drop(self) -> None:
-        """Close the connection."""
         self._release()
         self._sock.close()
 

@@ -26,8 +26,7 @@ _KEEP_ALIVE = (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3))
 class Closable(Protocol):
     """An object that can be closed, such as a socket or a port."""
 
-    def close(self) -> object:
-        """Release the resources."""
+    def close(self) -> object: ...
 
 
 class Openable(ABC):
@@ -38,8 +37,7 @@ class Openable(ABC):
         """Open the object and return it."""
 
     @abstractmethod
-    def close(self) -> None:
-        """Release the resources."""
+    def close(self) -> None: ...
 
     def __enter__(self) -> Self:
         return self.open()

@@ -38,7 +38,6 @@ class LineSocket:
         self._socket: socket.socket | None = None
 
     def open(self) -> Self:
-        """Connect."""
         self._socket = open_connection(self._host, self._port, lambda: self._end)
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -126,7 +126,6 @@ class PointCloud(Portable):
         self._points, self._height = points, height
 
     def clear(self) -> None:
-        """Remove all points."""
         self._points, self._height = self._points[:0], 0
 
     def push_back(self, point: Any) -> None:

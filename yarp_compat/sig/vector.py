@@ -169,7 +169,6 @@ class VectorOf(Comparable, Portable):
             self._writable()[:] = fill
 
     def clear(self) -> None:
-        """Remove all elements."""
         self.resize(0)
 
     def zero(self) -> None:

@@ -345,7 +345,6 @@ class Ros1Edge(SideEdge):
 
     @override
     def connections(self) -> list[ConnectionStatus]:
-        """Return the connections of all topics, to publishers and subscribers."""
         state = self._state
         nodes = {p.uri: p.node for p in state.publishers} if state is not None else {}
         directions = {"i": "in", "o": "out"}

@@ -35,7 +35,7 @@ _LENGTH = struct.Struct("<I")
 
 
 def encode(fields: Header) -> bytes:
-    """Serialize a header."""
+    """Serialize a TCPROS header: its length, then ``name=value`` fields, each with its length."""
     lines = [f"{name}={value}".encode() for name, value in fields.items()]
     body = b"".join(_LENGTH.pack(len(line)) + line for line in lines)
     return _LENGTH.pack(len(body)) + body

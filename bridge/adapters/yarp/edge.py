@@ -255,7 +255,6 @@ class YarpEdge(SideEdge):
 
     @override
     def caller(self, name: str, side_type: SideType) -> PortCaller:
-        """Return a client for the RPC port that a rule names for this service."""
         return self._services.caller(name, side_type)
 
     @override

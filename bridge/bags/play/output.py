@@ -84,7 +84,7 @@ class HubOutput:
             end.put(data)
 
     def clock(self, time_ns: int) -> None:
-        """Publish the bag's time."""
+        """Publish the bag's time on /clock, if that is requested."""
         if self._clock is not None:
             seconds, nanoseconds = divmod(time_ns, _NS)
             self._clock.put(_CLOCK.pack(_LITTLE, seconds, nanoseconds))

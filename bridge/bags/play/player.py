@@ -47,11 +47,11 @@ class PlayOutput(Protocol):
     """The destination: `bridge.bags.play.output.HubOutput`."""
 
     def put(self, topic: PlayTopic, data: bytes) -> None:
-        """Publish CDR."""
+        """Publish a message, serialized as CDR."""
         ...
 
     def clock(self, time_ns: int) -> None:
-        """Publish the bag's time."""
+        """Publish the bag's time, in nanoseconds since 1970."""
         ...
 
     def end_velocities(self) -> bool:

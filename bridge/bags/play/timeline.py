@@ -80,7 +80,6 @@ class Timeline:
 
     @property
     def stopped(self) -> bool:
-        """Whether `stop` was called."""
         return self._stopped
 
     def begin(self, time_ns: int) -> None:
@@ -90,7 +89,7 @@ class Timeline:
             self._since = self._clock_due = self._now()
 
     def now_ns(self) -> int:
-        """Return the bag's time."""
+        """Return the bag's current time, in nanoseconds since 1970."""
         with self._changed:
             return self._position()
 

@@ -77,7 +77,7 @@ def fields_of(sections: Mapping[str, tuple[str, str]]) -> dict[str, Any]:
 
 
 class SideSection(Section):
-    """The section of a side."""
+    """Base class of the sides' sections."""
 
     enabled: Enabled = setting("auto", "`auto`: enabled if this machine has what the side needs.")
 

@@ -21,8 +21,7 @@ class GraphEndpoint(Protocol):
     """The properties of an endpoint that its resolution needs."""
 
     @property
-    def kind(self) -> EndpointKind:
-        """Publisher, subscription, server or client."""
+    def kind(self) -> EndpointKind: ...
 
     @property
     def type_name(self) -> str:

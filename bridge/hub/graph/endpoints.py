@@ -30,7 +30,7 @@ _MAX_UNKNOWN = 100
 
 @dataclass(frozen=True, slots=True)
 class HubNode:
-    """A node on the hub."""
+    """A node on the hub; ``origin`` is None if the node is native, or its origin is not known yet."""
 
     zid: str
     node: str

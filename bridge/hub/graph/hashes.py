@@ -20,8 +20,7 @@ class HashedEndpoint(Protocol):
     """The properties of an endpoint that determine its hash."""
 
     @property
-    def kind(self) -> EndpointKind:
-        """Publisher, subscription, server or client."""
+    def kind(self) -> EndpointKind: ...
 
     @property
     def topic(self) -> str:
@@ -36,8 +35,7 @@ class HashedEndpoint(Protocol):
         """The hash, or `NO_HASH`."""
 
     @property
-    def qos(self) -> Qos:
-        """The QoS."""
+    def qos(self) -> Qos: ...
 
     @property
     def own(self) -> bool:

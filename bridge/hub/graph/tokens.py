@@ -76,7 +76,7 @@ _MAX_TOKEN = 4096
 
 
 class EndpointKind(StrEnum):
-    """The kind of an endpoint."""
+    """The kinds of endpoints; the values are their names in status documents."""
 
     PUBLISHER = "publisher"
     SUBSCRIPTION = "subscription"
@@ -95,7 +95,7 @@ _KINDS = {letters: kind for kind, letters in _LETTERS.items()}
 
 @dataclass(frozen=True, slots=True)
 class NodeToken:
-    """The token of a node."""
+    """The liveliness token of a node, in rmw_zenoh's format."""
 
     domain: int
     zid: str

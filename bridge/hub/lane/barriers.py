@@ -63,7 +63,6 @@ class LaneBarriers:
             self._times.pop(zid, None)
 
     def close(self) -> None:
-        """Stop querying and answering."""
         self._closed = True
         undeclare(self._answering)
         self._asking.close()

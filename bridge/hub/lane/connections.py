@@ -35,7 +35,7 @@ class LaneConnections:
         self._refused: dict[str, tuple[float, str]] = {}
 
     def inlet(self, zid: str) -> Inlet | str:
-        """Return the connection to a session, which is opened if necessary, or why there is none."""
+        """Return the connection to a session, opened if necessary, or the reason why it cannot be opened."""
         with self._lock:
             inlet = self._inlets.get(zid)
             if inlet is not None and inlet.alive:
@@ -69,7 +69,6 @@ class LaneConnections:
             return sum(inlet.alive for inlet in self._inlets.values())
 
     def close(self) -> None:
-        """End all connections."""
         with self._lock:
             inlets = list(self._inlets.values())
         for inlet in inlets:

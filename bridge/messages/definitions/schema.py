@@ -49,7 +49,7 @@ STRING_TYPES = frozenset({"string", "wstring"})
 
 @dataclass(frozen=True, slots=True)
 class FieldType:
-    """A field's type."""
+    """The type of a field: its base type, and its bounds if it is an array, a sequence or a string."""
 
     base: str  #: a primitive, ``string``, ``wstring``, ROS 1's ``time`` or ``duration``, or the name of a message type
     shape: Shape = Shape.SINGLE  #: one value, a fixed array, or a sequence

@@ -62,7 +62,6 @@ class _Run:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing has been appended."""
         return not self._pairs and not self._constant
 
     @property

@@ -106,7 +106,6 @@ class TimedHttp(H11Protocol):
 
     @override
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Start the timer; see uvicorn."""
         super().connection_made(transport)
         shown = common_name(transport.get_extra_info("peercert"))
         self.app_state = {**self.app_state, "certificate": shown}
@@ -115,7 +114,6 @@ class TimedHttp(H11Protocol):
 
     @override
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop the timer; see uvicorn."""
         self._end_timer()
         super().connection_lost(exc)
 

@@ -51,7 +51,6 @@ class PageFiles:
 
     @property
     def routes(self) -> list[BaseRoute]:
-        """The routes of all files."""
         return [
             *(Route(path, self._index) for path in ("/", "/index.html")),
             Route("/views.js", self._views),

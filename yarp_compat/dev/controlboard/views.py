@@ -298,7 +298,6 @@ class ITorqueControl(BoardView):
 
 class _Motors(BoardView):
     def getNumberOfMotors(self) -> int:
-        """Return the number of motors."""
         return self._board.axes
 
 

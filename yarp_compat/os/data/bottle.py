@@ -35,7 +35,7 @@ class Searchable:
         raise NotImplementedError(f"{type(self).__name__} has no find for {key}")
 
     def findGroup(self, key: str) -> Bottle:
-        """Return the list that begins with a key; a null Bottle if there is no such list."""
+        """Return the list that begins with a key; a null Bottle if it is missing."""
         raise NotImplementedError(f"{type(self).__name__} has no findGroup for {key}")
 
     def toString(self) -> str:
@@ -261,7 +261,6 @@ class Bottle(Portable, _Comparable):
         self._values[:] = [deep_copy(value) for value in other._values[first : None if len is None else first + len]]
 
     def clear(self) -> None:
-        """Remove all values."""
         self._edit().clear()
 
     def pop(self) -> Value:
@@ -356,7 +355,7 @@ class Bottle(Portable, _Comparable):
         self._edit()[:], source.at = decode_prefix(source.data, source.profile, source.element())
 
     def getSpecialization(self) -> int:
-        """Return YARP 3's tag that all values share; 0 if their types differ, they are lists, or there are none."""
+        """Return YARP 3's tag that all values share; 0 if types differ, a value is a list, or the Bottle is empty."""
         return int.from_bytes(encode(self._values, Profile.YARP3)[:4], "little") & tags.UNIT
 
     @staticmethod

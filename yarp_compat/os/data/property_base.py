@@ -113,7 +113,6 @@ class PropertyBase(Portable):
         self._entries.pop(key, None)
 
     def clear(self) -> None:
-        """Remove all keys."""
         self._entries.clear()
 
     # sources of values

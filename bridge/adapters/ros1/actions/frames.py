@@ -259,5 +259,5 @@ class FrameGuard:
         self._reports.append((time.monotonic(), f"{action}: a goal was rejected: {trouble}"))
 
     def warnings(self) -> list[str]:
-        """Return recent reports."""
+        """Return the reports of the last minute."""
         return [text for at, text in list(self._reports) if at > time.monotonic() - _WARN_SECONDS]

@@ -88,7 +88,7 @@ class Master:
         self._evicted = True
 
     def presence(self) -> NodeEntry:
-        """Return this node's entry."""
+        """Return the presence entry of this node, which is a parameter on the master."""
         return self._membership.entry()
 
     def stop(self) -> None:

@@ -36,7 +36,7 @@ class Membership:
         self.simulated = self._simulated = simulated
 
     def entry(self) -> NodeEntry:
-        """Return this node's entry."""
+        """Return the presence entry of this node."""
         node = self._node
         return NodeEntry(self._ledger.owner, self._daemon, node.name, node.uri, os.getpid(), node.port)
 

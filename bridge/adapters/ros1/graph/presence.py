@@ -58,7 +58,7 @@ class NodeEntry:
 
     @property
     def parameter(self) -> str:
-        """The entry's parameter name."""
+        """Name of the ROS 1 parameter that holds the entry."""
         return f"{PRESENCE}/{self.key}"
 
     def as_dict(self) -> dict[str, Any]:

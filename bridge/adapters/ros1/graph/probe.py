@@ -72,7 +72,7 @@ class Facts:
 
     @classmethod
     def of(cls, header: Header) -> Facts:
-        """Parse a header."""
+        """Read the facts from a connection header, which must have ``type`` and ``md5sum``."""
         latching = header.get("latching", "0").strip() == "1"
         definition, native = header.get("message_definition", ""), ORIGIN_FIELD not in header
         return cls(header["type"], header["md5sum"], definition, latching, native)

@@ -60,12 +60,10 @@ class ParameterValue:
 
     @override
     def __eq__(self, other: object) -> bool:
-        """Return whether both have the same kind and text."""
         return isinstance(other, ParameterValue) and repr(self) == repr(other)
 
     @override
     def __hash__(self) -> int:
-        """Return a hash that is consistent with `__eq__`."""
         return hash(repr(self))
 
     @classmethod

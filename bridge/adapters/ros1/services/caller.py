@@ -187,7 +187,6 @@ class Ros1Caller:
 
     @property
     def load(self) -> CallerLoad:
-        """The caller's current load."""
         with self._lock:
             return CallerLoad(len(self._calls), len(self._connections), len(self._free))
 
