@@ -24,7 +24,7 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, need_peers, report
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from navigation.algorithms.astar import astar
 from navigation.algorithms.distance_transform import distance_transform
 from navigation.algorithms.shortcut import shortcut
@@ -64,7 +64,7 @@ class Seen(NamedTuple):
     """A scan, its true pose, and its pose by odometry."""
 
     pose: Pose
-    scan: Turn
+    scan: LaserScan
     odometry: Pose
 
 

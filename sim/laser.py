@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from sim.laser_kernel import blend, cast
 from sim.robot import Mount, Scanner
 from sim.section import LaserSection
@@ -35,7 +35,7 @@ class Laser:
         self._beams = np.ascontiguousarray(np.stack([np.cos(angles), np.sin(angles)], axis=1))
         self._blind = [_blind(scanner, np.degrees(angles)) for scanner in self.scanners]
 
-    def scan(self, time_ns: int, pose: tuple[float, float, float], segments: Floats, circles: Floats) -> Turn:
+    def scan(self, time_ns: int, pose: tuple[float, float, float], segments: Floats, circles: Floats) -> LaserScan:
         """Return one scan from the base's pose (x, y, yaw: meters, radians)."""
         turns = [
             self._turn(s, blind, pose, segments, circles) for s, blind in zip(self.scanners, self._blind, strict=True)
@@ -46,7 +46,7 @@ class Laser:
             for scanner, turn in zip(self.scanners, turns, strict=True):
                 x, y, yaw = scanner.at
                 blend(turn, self.first, self.step, x, y, math.radians(yaw), ranges, self.step)
-        return Turn(time_ns, self.first, self.step, self.section.nearest, self.section.farthest, ranges)
+        return LaserScan(time_ns, self.first, self.step, self.section.nearest, self.section.farthest, ranges)
 
     def _turn(
         self,

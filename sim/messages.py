@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from sim.base import BasePose, Encoders, Twist
 from sim.depth import Depths
 from sim.robot import RobotDescription
@@ -171,17 +171,17 @@ def turning(time_ns: int, encoders: Encoders) -> tuple[float, ...]:
     return (*divmod(time_ns, _SECOND), *encoders.positions.tolist(), *encoders.velocities.tolist())
 
 
-def scan(time_ns: int, turn: Turn, frame: str, rate: float) -> Message:
+def scan(time_ns: int, laser_scan: LaserScan, frame: str, rate: float) -> Message:
     """Return a sensor_msgs/LaserScan, whose beams all have the same time."""
     return {
         "header": header(time_ns, frame),
-        "angle_min": turn.first,
-        "angle_max": turn.first + (len(turn.ranges) - 1) * turn.step,
-        "angle_increment": turn.step,
+        "angle_min": laser_scan.first,
+        "angle_max": laser_scan.first + (len(laser_scan.ranges) - 1) * laser_scan.step,
+        "angle_increment": laser_scan.step,
         "scan_time": 1.0 / rate,
-        "range_min": turn.nearest,
-        "range_max": turn.farthest,
-        "ranges": turn.ranges.astype("<f4"),
+        "range_min": laser_scan.nearest,
+        "range_max": laser_scan.farthest,
+        "ranges": laser_scan.ranges.astype("<f4"),
     }
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from sim.base import TICK_NS, Base, Encoders
 from sim.depth import DepthCamera, Depths
 from sim.laser import Laser
@@ -73,7 +73,7 @@ class Sensing:
             self._depth = time_ns, seen
         return self._depth[1]
 
-    def _scan(self, world: FloorWorld, time_ns: int) -> Turn:
+    def _scan(self, world: FloorWorld, time_ns: int) -> LaserScan:
         seen = self._laser.scan(time_ns, self._base.pose(), *world.seen())
         return replace(seen, ranges=np.full_like(seen.ranges, math.nan)) if "laser_blind" in self.faults else seen
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from sim import robot
 from sim.base import STEP_NS, TICK_NS, Base, BasePose, Differential, Holonomic, Twist
 from sim.depth import DepthCamera, Depths
@@ -86,7 +86,7 @@ class Simulation:
         return self.sensing.odometry.now
 
     @property
-    def scan(self) -> Turn:
+    def scan(self) -> LaserScan:
         """The last scan."""
         return self.sensing.scan
 

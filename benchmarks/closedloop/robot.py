@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from navigation.base_control.base import DrivenBase
 from navigation.base_control.commands import Velocity
 from navigation.base_control.section import BaseControlSection
@@ -101,7 +101,7 @@ class Robot:
         return self.simulation.base.twist().yaw
 
     @property
-    def scan(self) -> Turn:
+    def scan(self) -> LaserScan:
         """The laser's last scan."""
         return self.simulation.scan
 

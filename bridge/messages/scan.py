@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
-    """One scan: a rotation of a laser."""
+class LaserScan:
+    """One scan of a laser, in the laser's frame."""
 
     time_ns: int  #: the time of the scan
     first: float  #: the first beam's direction on the laser, radians
@@ -20,6 +20,6 @@ class Turn:
     # meters; infinite for no echo, NaN for no valid measurement, minus infinity for an object below the minimum range
     ranges: NDArray[np.float64]
 
-    def turned_over(self) -> Turn:
+    def turned_over(self) -> LaserScan:
         """Return the scan of a laser mounted upside down: seen from above, its beams are in the opposite order."""
         return replace(self, first=-self.first, step=-self.step)

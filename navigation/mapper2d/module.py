@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import LATCHED, Qos
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.services import Answer
@@ -47,7 +47,7 @@ class _Scan(NamedTuple):
     """A scan, with the frame of its laser."""
 
     frame: str
-    turn: Turn
+    laser_scan: LaserScan
 
 
 class Mapper2D(Module):
@@ -124,10 +124,10 @@ class Mapper2D(Module):
     def _on_yarp_scan(self, received: Received) -> None:
         """Handle a scan; runs on the connection's thread."""
         try:
-            turn = of_yarp(received.to(LaserScan2D), sent_ns(received.envelope) or self._host.clock.now_ns())
+            laser_scan = of_yarp(received.to(LaserScan2D), sent_ns(received.envelope) or self._host.clock.now_ns())
         except ScanError as err:
             raise WireError(str(err)) from None
-        self._host.loop.call(lambda: self._add(_Scan("", turn)))
+        self._host.loop.call(lambda: self._add(_Scan("", laser_scan)))
 
     def _add(self, scan: _Scan) -> None:
         self._scans.received_ns = self._host.clock.now_ns()
@@ -136,10 +136,10 @@ class Mapper2D(Module):
 
     def _map_scan(self, scan: _Scan) -> None:
         """Add a scan to the map; raises `FramesError` while its pose is not known."""
-        turn = scan.turn
+        laser_scan = scan.laser_scan
         if self._poses.hangs(scan.frame):
-            turn = turn.turned_over()
-        self._changed |= self.source.add(scan.frame, turn)
+            laser_scan = laser_scan.turned_over()
+        self._changed |= self.source.add(scan.frame, laser_scan)
 
     def _work(self) -> None:
         self._scans.work()

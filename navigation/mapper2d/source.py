@@ -10,7 +10,7 @@ from typing import Any
 from typing_extensions import override
 
 from bridge.hub.wire.qos import LATCHED, Qos
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from bridge.modules.host import Host
 from bridge.tf.stamped import TF, TF_TYPE, Stamped, write
 from navigation.algorithms.submaps import Scan
@@ -34,7 +34,7 @@ class PoseSource(ABC):
         self._mapper, self._poses = mapper, poses
 
     @abstractmethod
-    def add(self, frame: str, turn: Turn) -> bool:
+    def add(self, frame: str, laser_scan: LaserScan) -> bool:
         """Add a scan of the laser in a frame; return whether the map changed.
 
         Raises `FramesError` while the pose is not known, `ValueError` for an invalid pose.
@@ -82,9 +82,9 @@ class GivenPoses(PoseSource):
     """Adds scans at poses from ``/tf``, a topic or a port."""
 
     @override
-    def add(self, frame: str, turn: Turn) -> bool:
-        pose = self._poses.laser(frame, turn.time_ns)
-        return self._mapper.scan(pose, believed(turn), turn.first, turn.step, turn.farthest)
+    def add(self, frame: str, laser_scan: LaserScan) -> bool:
+        pose = self._poses.laser(frame, laser_scan.time_ns)
+        return self._mapper.scan(pose, believed(laser_scan), laser_scan.first, laser_scan.step, laser_scan.farthest)
 
     @override
     def robot(self) -> Pose:
@@ -126,16 +126,16 @@ class MatchedPoses(PoseSource):
         self._localizer = message["data"]
 
     @override
-    def add(self, frame: str, turn: Turn) -> bool:
+    def add(self, frame: str, laser_scan: LaserScan) -> bool:
         self._mount = self._poses.mount(frame)
-        odometry = self._poses.odometry(turn.time_ns) @ self._mount
+        odometry = self._poses.odometry(laser_scan.time_ns) @ self._mount
         if not all(map(math.isfinite, odometry[:3])):
             raise ValueError(f"the odometry must be finite, not {odometry[:3]}")
         if self.drawn.slam.track is None:
             self._begin(odometry)
-        farthest = min(turn.farthest, self._section.farthest)
-        scan = Scan(believed(turn), turn.first, turn.step, farthest)
-        return self.drawn.scan(odometry._replace(stamp_ns=turn.time_ns), scan)
+        farthest = min(laser_scan.farthest, self._section.farthest)
+        scan = Scan(believed(laser_scan), laser_scan.first, laser_scan.step, farthest)
+        return self.drawn.scan(odometry._replace(stamp_ns=laser_scan.time_ns), scan)
 
     def _begin(self, odometry: Pose) -> None:
         """Start at the pose that was set, or else at the odometry's pose, except on a loaded map."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from bridge.state_machine import Machine
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
@@ -188,7 +188,7 @@ class Driver:
 
     # steps
 
-    def scan(self, scan: Turn, moved: Pose, laser: Pose = AT_BASE) -> None:
+    def scan(self, scan: LaserScan, moved: Pose, laser: Pose = AT_BASE) -> None:
         """Add a scan; ``laser`` is the laser's pose on the base.
 
         ``moved`` is the base's pose at the scan's time, in the odometry frame, or on the map without odometry.

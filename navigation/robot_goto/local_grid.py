@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from navigation.algorithms.rolling_grid import NEVER, OCCUPIED, UNKNOWN, RollingGrid
 from navigation.pose import Pose
 from navigation.scan import AT_BASE
@@ -40,7 +40,7 @@ class LocalGrid:
         self._echoes = 0
         self._others = self._kept = np.empty((0, 2))
 
-    def scan(self, scan: Turn, at: Pose, laser: Pose = AT_BASE) -> None:
+    def scan(self, scan: LaserScan, at: Pose, laser: Pose = AT_BASE) -> None:
         """Add a scan of a laser on the base; `at` is the base's pose in the grid's frame at the scan's time."""
         now = scan.time_ns / 1e9
         self._grid.move(math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2)

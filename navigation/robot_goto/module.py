@@ -16,7 +16,7 @@ from typing_extensions import override
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.messages.point_cloud import CloudError
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.modules.loop import Newest
@@ -110,11 +110,11 @@ class RobotGoto(PlannerModule):
         stamp = stamp_ns(header)
         age = max(self._host.clock.now_ns() - stamp, 0) if stamp else 0
 
-        def turn() -> tuple[Turn, Pose]:
+        def read_scan() -> tuple[LaserScan, Pose]:
             hangs = frames.hangs(header["frame_id"])
             return of_ros(message, round(self.now() * 1e9) - age, hangs=hangs), laser_pose(frames, header["frame_id"])
 
-        self._see(turn, stamp)
+        self._see(read_scan, stamp)
 
     def _queue_yarp_scan(self, received: Received) -> None:
         """Queue a scan, on the thread of the connection."""
@@ -127,11 +127,11 @@ class RobotGoto(PlannerModule):
         at = self._section.laser_pose
         self._see(lambda: (of_yarp(scan, round(time_s * 1e9)), Pose(at.x, at.y, math.radians(at.theta))), 0)
 
-    def _see(self, read: Callable[[], tuple[Turn, Pose]], stamp: int) -> None:
+    def _see(self, read: Callable[[], tuple[LaserScan, Pose]], stamp: int) -> None:
         """Pass a scan and its laser's pose to the driver."""
         try:
-            turn, laser = read()
-            self.driver.scan(turn, moved_at(self._frames, stamp), laser)
+            scan, laser = read()
+            self.driver.scan(scan, moved_at(self._frames, stamp), laser)
         except (FramesError, ScanError) as err:
             self._laser_trouble = str(err)
             self.driver.unplaced = str(err) if isinstance(err, FramesError) else ""

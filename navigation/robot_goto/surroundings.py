@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.guard import FollowCheck, Guard
 from navigation.robot_goto.keep_out import KeepOut
@@ -47,7 +47,7 @@ class Surroundings:
         self.follow.clear()
         self._moved = None
 
-    def scan(self, scan: Turn, moved: Pose, laser: Pose) -> None:
+    def scan(self, scan: LaserScan, moved: Pose, laser: Pose) -> None:
         """Add a scan of a laser on the base, taken at the base's pose ``moved``."""
         self._blind = is_blind(scan)
         if not self._blind:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from navigation.constraints import Constraints
 from navigation.goals import MapPlace
 from navigation.pose import Pose
@@ -171,7 +171,7 @@ class PathPlanner:
         if self.task is not None:
             self.task.replan_reason, self.task.not_before = "a new path was requested", -math.inf
 
-    def scan(self, now: float, laser: Pose, scan: Turn) -> None:
+    def scan(self, now: float, laser: Pose, scan: LaserScan) -> None:
         """Add a laser scan to the obstacles; `laser` is the laser's pose on the map, `now` in seconds."""
         if self.clutter is not None and self.task is not None:
             farthest = min(self.settings.obstacle_distance, scan.farthest)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bridge.clock import RunClock, SystemClock
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from bridge.tf.stamped import TF, TF_STATIC, Stamped, write
 from navigation.frames import FramesError, RobotFrames
 from navigation.goals import goal_of
@@ -137,7 +137,7 @@ def test_scans_of_a_laser_that_is_mounted_upside_down_are_mirrored() -> None:
     stamp = {"sec": publisher.now // S, "nanosec": publisher.now % S}
     scan = {"range_min": 0.1, "range_max": 9.0, "angle_min": 0.2, "angle_increment": 0.1, "ranges": [1.0, 2.0]}
     message = {"header": {"stamp": stamp, "frame_id": "laser"}, **scan}
-    seen: list[tuple[Pose, Turn]] = []
+    seen: list[tuple[Pose, LaserScan]] = []
     planner: Any = SimpleNamespace(active=True, scan=lambda _now, pose, turn: seen.append((pose, turn)))
     ObstacleScans(planner, publisher.frames).on_scan(0.0, message)
     driver = SimpleNamespace(scan=lambda turn, _moved, laser: seen.append((laser, turn)))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from navigation.constraints import Constraints
 from navigation.pose import Pose
 from navigation.robot_goto.driver import MAX_RETREAT, Driver
@@ -379,7 +379,7 @@ def test_obstacles_in_a_blind_sector_are_remembered():
 @pytest.mark.parametrize("begun", [Pose(0.4, 0.0, 0.0), Pose(0.0, 0.0, 1.0)])
 def test_an_odometry_reset_clears_the_grid(begun):
     driver, origin = Driver(), Pose(0.0, 0.0, 0.0)
-    driver.scan(Turn(1_000_000_000, -math.pi, math.tau / 90, 0.1, 20.0, np.full(90, 1.0)), origin)
+    driver.scan(LaserScan(1_000_000_000, -math.pi, math.tau / 90, 0.1, 20.0, np.full(90, 1.0)), origin)
     driver.step(1.0, origin, origin)
     driver.step(1.05, origin, Pose(0.1, 0.0, 0.1))
     assert driver.grid.scanned == 1.0

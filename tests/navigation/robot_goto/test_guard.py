@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from navigation.pose import Pose
 from navigation.robot_goto.guard import FollowCheck, Guard
 from navigation.robot_goto.local_grid import LocalGrid
@@ -20,7 +20,7 @@ FORWARD = DriveCommand(0.3)
 def guard():
     """A robot with walls 0.8 m from its center in all directions."""
     grid = LocalGrid(10.0, SETTINGS.robot_radius, 0.0)
-    grid.scan(Turn(1_000_000_000, -math.pi, math.tau / 720, 0.1, 20.0, np.full(720, 0.8)), ORIGIN)
+    grid.scan(LaserScan(1_000_000_000, -math.pi, math.tau / 720, 0.1, 20.0, np.full(720, 0.8)), ORIGIN)
     return Guard(grid)
 
 

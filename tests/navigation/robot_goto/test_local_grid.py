@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from navigation.algorithms.rolling_grid import OCCUPIED, UNKNOWN
 from navigation.pose import Pose
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE, LocalGrid
@@ -16,7 +16,7 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 
 def turn(seconds, ranges, farthest=20.0):
     full = np.full(BEAMS, ranges, float) if np.isscalar(ranges) else np.asarray(ranges, float)
-    return Turn(round(seconds * 1e9), -math.pi, math.tau / BEAMS, 0.1, farthest, full)
+    return LaserScan(round(seconds * 1e9), -math.pi, math.tau / BEAMS, 0.1, farthest, full)
 
 
 def state_at(grid, now, x, y):

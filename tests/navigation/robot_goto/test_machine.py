@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from bridge.state_machine import Machine
 from navigation.constraints import Constraints
 from navigation.pose import Pose
@@ -94,7 +94,7 @@ class Robot:
             ranges = np.full(360, 4.0)
             ranges[170:190] = min(4.0, self.wall)
             if self.lit:
-                scan = Turn(round(self.now * 1e9), -math.pi, math.tau / 360, 0.1, 20.0, ranges)
+                scan = LaserScan(round(self.now * 1e9), -math.pi, math.tau / 360, 0.1, 20.0, ranges)
                 self.driver.scan(scan, self.odometry)
             pose = self.offset @ self.odometry
             command = self.driver.step(self.now, pose if self.known else None, self.odometry)

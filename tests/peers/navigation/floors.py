@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bridge.messages.scan import Turn
+from bridge.messages.scan import LaserScan
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.atlas import Atlas
@@ -148,7 +148,7 @@ class Drive:
             across = dx * dx + dy * dy - along * along
             hit = (along > 0) & (across < radius * radius)
             ranges[hit] = np.minimum(ranges[hit], along[hit] - np.sqrt(radius * radius - across[hit]))
-        turn = Turn(round(self.now * 1e9), 0.0, math.tau / beams, 0.05, 8.0, ranges)
+        turn = LaserScan(round(self.now * 1e9), 0.0, math.tau / beams, 0.05, 8.0, ranges)
         self.planner.scan(self.now, Pose(pose.x, pose.y, 0.0), turn)
 
     def goto(self, goal: Pose, seconds: float = 120.0, map_name: str = "") -> PlannerStatus:
