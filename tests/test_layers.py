@@ -26,7 +26,7 @@ BELOW = {
     "routing": {*TOOLS, "config", "messages", "hub"},
     "modules": {
         *TOOLS,
-        "callers",
+        "reconnecting_clients",
         "client",
         "config",
         "messages",
@@ -46,7 +46,7 @@ BELOW = {
         "adapters.ros1.actions.wire",
         "adapters.ros1.names",
     },
-    "adapters": {*TOOLS, "callers", "config", "kernels", "messages", "interfaces", "hub", "routing"},
+    "adapters": {*TOOLS, "reconnecting_clients", "config", "kernels", "messages", "interfaces", "hub", "routing"},
     "metrics": {*TOOLS, "config", "daemon", "hub", "messages", "routing.counters"},
     "daemon": {*TOOLS, "config", "messages", "interfaces", "hub", "routing", "adapters"},
 }

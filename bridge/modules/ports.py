@@ -9,8 +9,8 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.callers import AGAIN, Callers, callers_file
 from bridge.config.model import Config
+from bridge.reconnecting_clients import AGAIN, ReconnectingClients, clients_file
 from bridge.routing.counters import Counters
 from bridge.state_file import worker_folder
 from yarp_compat.dev.release_trial import ReleaseTrials
@@ -158,7 +158,7 @@ class Ports:
         )
         self._trials = ReleaseTrials(self.generations, self.naming)
         self._ports: list[HostedPort] = []
-        self._callers = Callers(self.naming, callers_file(worker_folder(config), name))
+        self._clients = ReconnectingClients(self.naming, clients_file(worker_folder(config), name))
         self._wake = threading.Event()
         self._closed = False
         self._thread: threading.Thread | None = None
@@ -254,7 +254,7 @@ class Ports:
         self._closed = True
         self._trials.close()
         for port in self._ports:
-            self._callers.unwatch(port.core)
+            self._clients.unwatch(port.core)
         self._wake.set()
         if self._thread is not None:
             self._thread.join(_ASK_SECONDS + 0.5)
@@ -292,7 +292,7 @@ class Ports:
                 if self._closed:
                     return
                 self._open(port)
-            missing = self._callers.update()
+            missing = self._clients.update()
             self._wake.wait(AGAIN if missing or any(port.trouble for port in self._ports) else None)
 
     def _open(self, port: HostedPort) -> None:
@@ -308,7 +308,7 @@ class Ports:
         else:
             port.trouble = ""
             if port.core.rpc:
-                self._callers.watch(port.core)
+                self._clients.watch(port.core)
 
 
 def ports_stay(config: Config, old: Config) -> bool:

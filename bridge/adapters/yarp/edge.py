@@ -26,7 +26,6 @@ from bridge.adapters.yarp.presence import WorkerPresence
 from bridge.adapters.yarp.routed import RoutedTopics, YarpSubscription
 from bridge.adapters.yarp.services import OfferedService, PortCaller, YarpServices
 from bridge.adapters.yarp.topics import YarpPublisher
-from bridge.callers import Callers, callers_file
 from bridge.config.model import Config
 from bridge.hub.endpoints.calls import Call
 from bridge.hub.graph.tokens import Origin
@@ -35,6 +34,7 @@ from bridge.messages.actions import split
 from bridge.messages.definitions.text import full_text
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
+from bridge.reconnecting_clients import ReconnectingClients, clients_file
 from bridge.routing.edge import Deliver, EdgeListener, Endpoint
 from bridge.state_file import keep
 from yarp_compat.ports.naming import NamingError
@@ -73,7 +73,7 @@ class YarpEdge(SideEdge):
             registry, naming, _owner(state / "yarp_owner"), config.name, self._names, self._contents, self._graph,
             self._refuse, self._wake_up, config.limits.message_bytes, section.ip,
         )  # fmt: skip
-        self.ports = OwnPorts(context, self._is_alive, Callers(naming, callers_file(state, "worker yarp")))
+        self.ports = OwnPorts(context, self._is_alive, ReconnectingClients(naming, clients_file(state, "worker yarp")))
         self._presence: WorkerPresence = WorkerPresence(context, self._presence_changed)
         self._services = YarpServices(context)
         self._wake = threading.Event()

@@ -16,9 +16,9 @@ from bridge.adapters.yarp.network import DAEMON, OWNER
 from bridge.adapters.yarp.plan import PlannedLink, PortPlan, shown
 from bridge.adapters.yarp.services import OfferedService, ServedPort
 from bridge.adapters.yarp.topics import InputPort, OutputPort, TopicOutput
-from bridge.callers import Callers
 from bridge.concurrency import WorkerPool
 from bridge.messages.errors import MessageTypeError
+from bridge.reconnecting_clients import ReconnectingClients
 from bridge.routing.edge import MadeBy
 from yarp_compat.naming import connections
 from yarp_compat.ports.connections import ConnectionEvent
@@ -61,15 +61,15 @@ class OwnPorts:
 
     Args:
         awake: returns whether another Midspan worker is present and not stalled.
-        callers: the list of reconnecting clients of the RPC ports.
+        clients: the list of reconnecting clients of the RPC ports.
 
     Attributes:
         own: the open ports, by name.
         trouble: the time of the next attempt and the error, by a port's name or by the names of a connection's ends.
     """
 
-    def __init__(self, context: YarpContext, awake: Callable[[str], bool], callers: Callers) -> None:
-        self._context, self._awake, self._callers = context, awake, callers
+    def __init__(self, context: YarpContext, awake: Callable[[str], bool], clients: ReconnectingClients) -> None:
+        self._context, self._awake, self._clients = context, awake, clients
         self._naming, self._owner, self._graph = context.naming, context.owner, context.graph
         self._asking: Future[bool] | None = None
         self.own: dict[str, OwnPort] = {}
@@ -170,7 +170,7 @@ class OwnPorts:
             # Mark the port before it has any connection: an unmarked port looks like a YARP program's.
             self._naming.set_property(opened.core.name, OWNER, self._owner)
             if port.rpc:
-                self._callers.watch(opened.core)
+                self._clients.watch(opened.core)
         except (OSError, MessageTypeError) as err:
             self.trouble[port.name] = time.monotonic() + _RETRY, f"{port.name}: {err}"
             failed = self.own.pop(port.name, None)
@@ -280,7 +280,7 @@ class OwnPorts:
         """Make missing connections, in the background."""
         now = time.monotonic()
         if (self._asking is None or self._asking.done()) and any(port.served for port in self.own.values()):
-            self._asking = self._links.submit(self._callers.update)
+            self._asking = self._links.submit(self._clients.update)
         for name, port in self.own.items():
             if not port.links:
                 continue
@@ -334,7 +334,7 @@ class OwnPorts:
             if port.input_port is not None:
                 port.input_port.deliver_to(None)
             if port.served is not None:
-                self._callers.unwatch(port.core)
+                self._clients.unwatch(port.core)
                 port.served.close()
         ends = [self._ends.submit(partial(self._end, port.core)) for port in ports]
         deadline = time.monotonic() + _STOP_SECONDS

@@ -45,7 +45,7 @@ _UNREACHABLE = ("text", "local", "http", "name_ser")
 """Carriers that people or the port's own process use, and that are not reconnected."""
 
 
-class Caller(NamedTuple):
+class StoredClient(NamedTuple):
     """A client's port as registered when the client connected; at another address it belongs to another program."""
 
     host: str
@@ -53,7 +53,7 @@ class Caller(NamedTuple):
     carrier: str
 
 
-_Known = dict[str, dict[str, Caller]]
+_Known = dict[str, dict[str, StoredClient]]
 _FORM = TypeAdapter(_Known)
 
 
@@ -66,12 +66,12 @@ class _Watched:
     seen: dict[str, Input] = field(default_factory=dict)
 
 
-def callers_file(state: Path, owner: str) -> Path:
+def clients_file(state: Path, owner: str) -> Path:
     """Return the file for the clients of a module's or worker's ports, in the state folder of this daemon's workers."""
     return state / "yarp_callers" / f"{owner}.json"
 
 
-class Callers:
+class ReconnectingClients:
     """The clients of one owner's ports, which are stored in a file that only this process uses.
 
     `update` and `unwatch` wait for the name server; only one thread at a time may call `update`.
@@ -79,10 +79,10 @@ class Callers:
 
     def __init__(self, naming: NameClient, file: Path) -> None:
         self._naming, self._file = naming, file
-        self._lock, self._keeping = threading.Lock(), threading.Lock()
+        self._lock, self._storing = threading.Lock(), threading.Lock()
         self._watched: list[_Watched] = []
         self._due = 0.0
-        self._known = self._kept = _read(file)
+        self._known = self._stored = _read(file)
 
     def watch(self, core: PortCore) -> None:
         """Watch an open port, to store its clients and to reconnect stored clients."""
@@ -99,7 +99,7 @@ class Callers:
                 self._refresh(port)
             with self._lock:
                 self._watched = [other for other in self._watched if other is not port]
-        self._keep()
+        self._store()
 
     def update(self) -> bool:
         """Store new clients, drop those that left, and reconnect missing ones; return whether some are still missing.
@@ -109,7 +109,7 @@ class Callers:
         try:
             for port in self._watched:
                 self._refresh(port)
-            self._keep()
+            self._store()
             now = time.monotonic()
             if now >= self._due:
                 self._due = now + AGAIN
@@ -117,7 +117,7 @@ class Callers:
                     for name in list(port.awaited):
                         self._ask_back(port, name)
         except NamingError as err:
-            _log.debug("callers of ports: %s", err)
+            _log.debug("clients of ports: %s", err)
             return True
         return any(port.awaited for port in self._watched)
 
@@ -131,11 +131,11 @@ class Callers:
                 port.awaited.pop(name, None)
                 _log.info("%s: %s %s", port.core.name, name, "reconnected" if name in present else "did not reconnect")
             port.seen = {name: seen for name, seen in port.seen.items() if present.get(name) is seen}
-            callers = self._known.get(port.core.name, {})
-            callers = {n: caller for n, caller in callers.items() if n in present or n in port.awaited}
-            self._set(port, callers)
+            clients = self._known.get(port.core.name, {})
+            clients = {n: client for n, client in clients.items() if n in present or n in port.awaited}
+            self._set(port, clients)
         for name, connection in present.items():
-            if name not in port.seen and len(callers) < _MOST:
+            if name not in port.seen and len(clients) < _MOST:
                 self._look_up(port, name, connection)
 
     def _look_up(self, port: _Watched, name: str, connection: Input) -> None:
@@ -145,35 +145,35 @@ class Callers:
             return
         with self._lock:
             if port in self._watched:
-                caller = Caller(contact.host, contact.port, connection.carrier.name)
-                self._set(port, {**self._known.get(port.core.name, {}), name: caller})
+                client = StoredClient(contact.host, contact.port, connection.carrier.name)
+                self._set(port, {**self._known.get(port.core.name, {}), name: client})
 
-    def _set(self, port: _Watched, callers: dict[str, Caller]) -> None:
+    def _set(self, port: _Watched, clients: dict[str, StoredClient]) -> None:
         others = {name: known for name, known in self._known.items() if name != port.core.name}
-        self._known = {**others, port.core.name: callers} if callers else others
+        self._known = {**others, port.core.name: clients} if clients else others
 
     def _ask_back(self, port: _Watched, name: str) -> None:
-        caller = self._known.get(port.core.name, {}).get(name)
-        if caller is None or port not in self._watched:
+        client = self._known.get(port.core.name, {}).get(name)
+        if client is None or port not in self._watched:
             port.awaited.pop(name, None)
             return
         contact = self._naming.query(name)
         if contact is None:  # the client may yet register again with a restarted name server
             return
-        if (contact.host, contact.port) != caller[:2]:
+        if (contact.host, contact.port) != client[:2]:
             port.awaited.pop(name, None)
             return
         try:
             # The client may still list the broken connection, because a C++ port detects that only when it writes.
-            connections.connect(self._naming, name, port.core.name, caller.carrier, timeout=_CONNECT_SECONDS)
+            connections.connect(self._naming, name, port.core.name, client.carrier, timeout=_CONNECT_SECONDS)
         except PortError as err:
             _log.debug("%s: %s does not reconnect yet: %s", port.core.name, name, err)
 
-    def _keep(self) -> None:
-        with self._keeping:
+    def _store(self) -> None:
+        with self._storing:
             known = self._known
-            if known != self._kept:
-                self._kept = known
+            if known != self._stored:
+                self._stored = known
                 text = _FORM.dump_json(known).decode()
                 keep(self._file, text, "clients of its ports will not be reconnected if this process is killed")
 

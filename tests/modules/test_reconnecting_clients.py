@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from bridge.callers import Callers, callers_file
 from bridge.config.model import Config
 from bridge.modules.ports import Ports
+from bridge.reconnecting_clients import ReconnectingClients, clients_file
 from bridge.state_file import worker_folder
 from tests.peers.yarp.native_client import NativeClient
 from tests.support.ports import free_port
@@ -56,7 +56,7 @@ class Modules:
         self._args = [
             sys.executable,
             "-m",
-            "tests.modules.test_callers",
+            "tests.modules.test_reconnecting_clients",
             config.model_dump_json(include={"name", "state", "yarp"}),
         ]
         self._process: Process | None = None
@@ -78,8 +78,8 @@ def modules(config: Config) -> Iterator[Modules]:
     running.kill()
 
 
-def _kept(config: Config) -> list[str]:
-    file = callers_file(worker_folder(config), "echo")
+def _stored(config: Config) -> list[str]:
+    file = clients_file(worker_folder(config), "echo")
     return sorted(json.loads(file.read_text()).get("/echo/rpc", {})) if file.exists() else []
 
 
@@ -88,21 +88,21 @@ def test_a_native_client_is_served_again_when_the_module_is_back(
 ) -> None:
     with contextlib.closing(NativeClient("/native/rpc", names)) as client:
         until(lambda: client.connect("/echo/rpc"), "the port is registered")
-        until(lambda: _kept(config), "the port's client is stored")
+        until(lambda: _stored(config), "the port's client is stored")
         for _ in range(2):
             assert client.call(HELLO) == SAID
             modules.kill()
             assert client.call(HELLO) is None  # the call fails at once
             modules.start()
             until(lambda: client.call(HELLO) == SAID, "calls are served again")
-    until(lambda: not _kept(config), "a client that leaves is no longer stored")
+    until(lambda: not _stored(config), "a client that leaves is no longer stored")
 
 
 def test_client_without_a_call_meanwhile_is_served_again(config: Config, names: NameClient, modules: Modules) -> None:
     client = NativeClient("/native/rpc", names)  # this native client still lists the connection that ended
     try:
         until(lambda: client.connect("/echo/rpc"), "the port is registered")
-        until(lambda: _kept(config), "the port's client is stored")
+        until(lambda: _stored(config), "the port's client is stored")
         modules.kill()
         assert connections.is_connected(names, "/native/rpc", "/echo/rpc")
         modules.start()
@@ -116,7 +116,7 @@ def test_yarp_compats_own_client_is_served_again(config: Config, names: NameClie
     until(lambda: connections.exists(names, "/echo/rpc"), "the port is registered")
     with Client("/echo/rpc", naming=names) as client:
         assert client.ask(["hello"], timeout=40) == ["said", "hello"]
-        until(lambda: _kept(config), "the port's client is stored")
+        until(lambda: _stored(config), "the port's client is stored")
         modules.kill()
         with pytest.raises(OSError, match="closed"):
             client.ask(["hello"], timeout=40)
@@ -133,7 +133,7 @@ def test_yarp_compats_own_client_is_served_again(config: Config, names: NameClie
 def test_successor_of_a_dead_client_name_is_not_connected(config: Config, names: NameClient, modules: Modules) -> None:
     client = NativeClient("/native/rpc", names)
     until(lambda: client.connect("/echo/rpc"), "the port is registered")
-    until(lambda: _kept(config), "the port's client is stored")
+    until(lambda: _stored(config), "the port's client is stored")
     modules.kill()
     client.close()
     other = PortCore("/native/rpc", naming=names, rpc=True)
@@ -141,33 +141,33 @@ def test_successor_of_a_dead_client_name_is_not_connected(config: Config, names:
     try:
         modules.start()
         until(lambda: connections.exists(names, "/echo/rpc"), "the port is registered again")
-        until(lambda: not _kept(config), "the port's former client is no longer stored")
+        until(lambda: not _stored(config), "the port's former client is no longer stored")
         assert not other.connections.outputs
     finally:
         other.close()
 
 
-def test_reopened_ports_recognize_their_callers(config: Config, names: NameClient) -> None:
+def test_reopened_ports_recognize_their_clients(config: Config, names: NameClient) -> None:
     with contextlib.closing(NativeClient("/native/rpc", names)) as client:
         for _ in range(2):
             ports = _open(config)
-            until(lambda: client.call(HELLO) == SAID or not _kept(config), "the client is asked to reconnect")
-            if not _kept(config):
+            until(lambda: client.call(HELLO) == SAID or not _stored(config), "the client is asked to reconnect")
+            if not _stored(config):
                 until(lambda: client.connect("/echo/rpc"), "the port is registered")
-            until(lambda: _kept(config) == ["/native/rpc"], "the port's client is stored")
+            until(lambda: _stored(config) == ["/native/rpc"], "the port's client is stored")
             ports.close()
             assert client.call(HELLO) is None
-            assert _kept(config) == ["/native/rpc"]
+            assert _stored(config) == ["/native/rpc"]
 
 
 def test_invalid_file_is_ignored(config: Config, names: NameClient) -> None:
-    file = callers_file(worker_folder(config), "echo")
+    file = clients_file(worker_folder(config), "echo")
     file.parent.mkdir(parents=True)
     file.write_text('{"/echo/rpc": {"/native/rpc": ["127.0.0.1"')
-    callers = Callers(names, file)
+    clients = ReconnectingClients(names, file)
     core = PortCore("/echo/rpc", naming=names, rpc=True)
-    callers.watch(core)
-    assert not callers.update()
+    clients.watch(core)
+    assert not clients.update()
 
 
 def _inputs(names: NameClient) -> list[str]:
