@@ -253,16 +253,16 @@ class BoundedQueue(_OneThread, Generic[Message]):
 
     A route uses it for large messages, which a slow link of the hub may delay: on a congested link, zenoh waits up to
     2 s to send a message larger than a packet, and a thread that serves all topics of a side must not wait that long.
-    ``take`` is called with each message in order, and ``dropped`` for each dropped message; ``max_bytes`` does not
+    ``process`` is called with each message in order, and ``dropped`` for each dropped message; ``max_bytes`` does not
     include the newest message.
     """
 
     def __init__(
-        self, name: str, depth: int, max_bytes: int, take: Callable[[Message], None], dropped: Callable[[], None]
+        self, name: str, depth: int, max_bytes: int, process: Callable[[Message], None], dropped: Callable[[], None]
     ) -> None:
         super().__init__(name)
         self._depth, self._max_bytes = depth, max_bytes
-        self._take, self._dropped = take, dropped
+        self._process, self._dropped = process, dropped
         self._condition = threading.Condition()
         self._queue: deque[tuple[int, Message]] = deque()
         self._bytes = 0
@@ -324,7 +324,7 @@ class BoundedQueue(_OneThread, Generic[Message]):
                 size, message = self._queue.popleft()
                 self._bytes -= size
             try:
-                self._take(message)
+                self._process(message)
             except Exception:
                 _log.exception("%s: one message failed", self._name)
 

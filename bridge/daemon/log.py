@@ -18,7 +18,7 @@ from typing_extensions import override
 from bridge.config.model import Config
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
-KEPT_LINES = 200
+RECENT_LINES = 200
 
 # syslog's numbers (sd-daemon(3)): err, warning, info, debug
 _PRIORITIES = {logging.ERROR: 3, logging.WARNING: 4, logging.INFO: 6, logging.DEBUG: 7}
@@ -82,7 +82,7 @@ class RelayHandler(logging.Handler):
     def __init__(self) -> None:
         super().__init__()
         self.setFormatter(LineFormatter(Style.SUPERVISED, ""))
-        self._lines: deque[tuple[int, str]] = deque(maxlen=KEPT_LINES)
+        self._lines: deque[tuple[int, str]] = deque(maxlen=RECENT_LINES)
         self._sink: Callable[[int, str], bool] = lambda _level, _text: False
 
     def relay_to(self, sink: Callable[[int, str], bool]) -> None:

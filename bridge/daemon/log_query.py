@@ -20,7 +20,7 @@ _LEVELS = ((logging.ERROR, "error"), (logging.WARNING, "warning"), (logging.INFO
 _LONGEST = 8 << 10
 
 
-class KeptLines(logging.Handler):
+class RecentLines(logging.Handler):
     """Stores the newest lines with consecutive numbers, up to a number of lines and of bytes."""
 
     def __init__(self, most: int = 2000, most_bytes: int = 512 << 10) -> None:
@@ -53,11 +53,11 @@ class KeptLines(logging.Handler):
         """Return ``last``, the number of the newest line, and ``lines``: as many lines after line ``n`` as fit."""
         self.acquire()
         try:
-            last, kept = self._n, [line for line in self._lines if line["n"] > n]
+            last, recent = self._n, [line for line in self._lines if line["n"] > n]
         finally:
             self.release()
         room, lines = most_bytes, list[dict[str, Any]]()
-        for line in kept:
+        for line in recent:
             room -= len(json.dumps(line)) + 2
             if room < 0 and lines:
                 break

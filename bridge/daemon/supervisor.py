@@ -15,7 +15,7 @@ from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon import log
 from bridge.daemon.lock import Lock
-from bridge.daemon.log_query import LOG, KeptLines
+from bridge.daemon.log_query import LOG, RecentLines
 from bridge.daemon.notify import Notifier
 from bridge.daemon.query import RELOAD, STATUS, Phase, QueryServer
 from bridge.daemon.readiness import Readiness
@@ -149,7 +149,7 @@ class Supervisor:
 
     def run(self) -> None:
         """Run until a stop request; raises `RuntimeError` if the state folder is unusable, or the same daemon runs."""
-        socket, kept = state_file.daemon_socket(self._config), KeptLines()
+        socket, kept = state_file.daemon_socket(self._config), RecentLines()
         lock = self._lock_state_folder()
         verbs = {STATUS: lambda _: self.document(), LOG: kept.respond, RELOAD: lambda _: self._reload()}
         query = QueryServer(self.loop, socket, verbs)

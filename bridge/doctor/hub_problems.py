@@ -56,7 +56,7 @@ def conflicts(
                 hashes.setdefault(endpoint.type_hash, []).append(endpoint)
     notes: list[Note] = []
     for topic, types in sorted(topics.items()):
-        if len(types) > 1 and not _all_heard(ends[topic]):
+        if len(types) > 1 and not _all_received(ends[topic]):
             text = f"{topic} has {len(types)} types on the hub ({', '.join(sorted(types))}) that do not match"
             notes.append(Note(text, "give one of them another name, or rename one with a rule"))
         for type_name, hashes in sorted(types.items()):
@@ -130,7 +130,7 @@ def _misses(subscription: HubEndpoint, publisher: HubEndpoint) -> bool:
     return subscription.hashless is not publisher.hashless or (publisher.buffers and not subscription.buffers)
 
 
-def _all_heard(endpoints: Iterable[HubEndpoint]) -> bool:
+def _all_received(endpoints: Iterable[HubEndpoint]) -> bool:
     """Whether each subscribing node receives from every publisher of a topic with several types."""
     published: set[str] = set()
     publishers: dict[tuple[str, str, str], set[str]] = {}

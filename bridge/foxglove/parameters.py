@@ -172,8 +172,8 @@ class Parameters:
                 self._warn(f"{full}: {err}")
         by_node.pop("", None)
         left = set(by_node)
-        for node, wishes in by_node.items():
-            self._set_node(node, wishes, partial(self._set_done, left, node, done))
+        for node, new_values in by_node.items():
+            self._set_node(node, new_values, partial(self._set_done, left, node, done))
         if not left:
             done.set_result(None)
 
@@ -186,12 +186,12 @@ class Parameters:
         self._warn(f"{full[:200]}: no node on the hub has this parameter")
         return "", full, NOT_SET
 
-    def _set_node(self, node: str, wishes: dict[str, ParameterValue], over: Callable[[], None]) -> None:
+    def _set_node(self, node: str, new_values: dict[str, ParameterValue], over: Callable[[], None]) -> None:
         def answered(reply: dict[str, Any] | CallError) -> None:
             if isinstance(reply, CallError):
                 self._warn(f"{node} did not set its parameters: {reply}")
             else:
-                for name, result in zip(wishes, reply["results"], strict=False):
+                for name, result in zip(new_values, reply["results"], strict=False):
                     if not result["successful"]:
                         self._warn(f"{node} refuses {name}: {result['reason'] or 'no reason given'}")
             self._read_node(node, read)
@@ -201,7 +201,7 @@ class Parameters:
                 self._values = {**self._values, node: values}
             over()
 
-        parameters = [{"name": name, "value": new.message()} for name, new in wishes.items()]
+        parameters = [{"name": name, "value": new.message()} for name, new in new_values.items()]
         self._call(node, SET, {"parameters": parameters}, answered)
 
     def _set_done(self, left: set[str], node: str, done: Future[None]) -> None:

@@ -10,7 +10,7 @@ from bridge.messages.registry import Registry
 
 TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
-HEARD = "/_midspan/diagnostics"
+DIAGNOSTICS_WANTED = "/_midspan/diagnostics"
 """A side's worker subscribes to this topic while a program on its side subscribes to `TOPIC`.
 
 The route's own subscription on the hub does not show that, because it exists even without subscribers on the side.
@@ -25,4 +25,6 @@ def announce(hub: Hub, registry: Registry) -> HubPublisher:
 def has_subscribers(graph: HubGraph) -> bool:
     """Return whether `TOPIC` has a subscriber on the hub or on any side."""
     ends = graph.subscriptions(TOPIC)
-    return any(each.origin is None and not each.pending for each in ends) or bool(graph.subscriptions(HEARD))
+    return any(each.origin is None and not each.pending for each in ends) or bool(
+        graph.subscriptions(DIAGNOSTICS_WANTED)
+    )

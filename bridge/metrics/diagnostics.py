@@ -1,8 +1,8 @@
 """Publishes the state of each part of this daemon on the hub's ``/diagnostics`` while the topic has subscribers.
 
 The topic has subscribers if a native program of the hub subscribes, or if a side's worker reports a subscriber on its
-side (`bridge.hub.diagnostics.HEARD`). Otherwise nothing is queried or published. Only one process of the daemon
-publishes (`publishing_worker`); if it ends, the next one takes over.
+side (`bridge.hub.diagnostics.DIAGNOSTICS_WANTED`). Otherwise nothing is queried or published. Only one process of the
+daemon publishes (`publishing_worker`); if it ends, the next one takes over.
 """
 
 from __future__ import annotations

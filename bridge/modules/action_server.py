@@ -16,10 +16,10 @@ from bridge.messages.actions import CANCEL, STATUSES, CancelCode, GoalState
 from bridge.modules.endpoints import Endpoints
 from bridge.modules.services import Answer
 
-KEPT_SECONDS = 3600.0
+RESULT_SECONDS = 3600.0
 """Seconds for which a result is stored for clients that request it."""
 
-MAX_KEPT = 10_000
+MAX_RESULTS = 10_000
 MAX_STATUSES = 100
 """Maximum number of goals in a status message, which lists the newest ones."""
 
@@ -107,8 +107,8 @@ class Goal:
             self._server.publish_status()
 
 
-Take = Callable[[Goal], bool]
-"""``take(goal)`` returns whether the goal is accepted; the goal may start or end immediately or later."""
+AcceptGoal = Callable[[Goal], bool]
+"""``accept(goal)`` returns whether the goal is accepted; the goal may start or end immediately or later."""
 
 Cancel = Callable[[Goal], bool]
 """``cancel(goal)`` returns whether cancellation starts; the goal must then end, normally by `Goal.canceled`."""
@@ -126,14 +126,14 @@ class ActionServer:
         node: Endpoints,
         name: str,
         type_name: str,
-        take: Take,
+        accept: AcceptGoal,
         cancel: Cancel | None = None,
         *,
-        kept: float = KEPT_SECONDS,
+        result_seconds: float = RESULT_SECONDS,
         brake: Brake | None = None,
     ) -> None:
         self.name, self.type_name = name, type_name
-        self._node, self._take, self._cancel, self._kept = node, take, cancel, kept
+        self._node, self._accept, self._cancel, self._result_seconds = node, accept, cancel, result_seconds
         self._goals: dict[bytes, Goal] = {}
         self._active: dict[bytes, Goal] = {}
         self._ended: deque[Goal] = deque()
@@ -198,7 +198,7 @@ class ActionServer:
         self._starting = True
         self.met(goal)
         try:
-            accepted = self._take(goal)
+            accepted = self._accept(goal)
         except BaseException:
             self._drop(goal)
             raise
@@ -255,8 +255,8 @@ class ActionServer:
         self._active.pop(goal.id, None)
 
     def _expire(self) -> None:
-        long_ago = time.monotonic() - self._kept
-        while self._ended and (len(self._ended) > MAX_KEPT or self._ended[0].ended_at < long_ago):
+        long_ago = time.monotonic() - self._result_seconds
+        while self._ended and (len(self._ended) > MAX_RESULTS or self._ended[0].ended_at < long_ago):
             goal = self._ended.popleft()
             if self._goals.get(goal.id) is goal:
                 del self._goals[goal.id]

@@ -88,7 +88,7 @@ class Subscription:
     ) -> None:
         self.topic, self.type_name = topic, type_name
         self.counters = Counters()
-        self._loop, self._heard, self._at_once = node.loop, on_message, at_once
+        self._loop, self._on_message, self._at_once = node.loop, on_message, at_once
         self._check = node.registry.hub_check(type_name, type_hash)
         self._lock = threading.Lock()
         self._queue: deque[HubSample] = deque()
@@ -139,7 +139,7 @@ class Subscription:
             return
         self.counters.crossed(len(payload))
         self.sender, self.sent_ns = sample.gid, sample.source_time_ns
-        self._heard(payload)
+        self._on_message(payload)
 
     def close(self) -> None:
         if self.end is not None:

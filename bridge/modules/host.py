@@ -12,7 +12,7 @@ from bridge.clock import DONE_TOPIC, DONE_TYPE, RunClock
 from bridge.config.model import Config
 from bridge.hub.session import Hub, follow_clock
 from bridge.messages.registry import Registry
-from bridge.modules.action_server import KEPT_SECONDS, ActionServer, Brake, Cancel, Take
+from bridge.modules.action_server import RESULT_SECONDS, AcceptGoal, ActionServer, Brake, Cancel
 from bridge.modules.background import Background
 from bridge.modules.endpoints import Endpoints
 from bridge.modules.loop import ClockTimer, EventLoop, Timer
@@ -30,17 +30,17 @@ class ModuleNode(Endpoints):
         self,
         name: str,
         type_name: str,
-        take: Take,
+        accept: AcceptGoal,
         cancel: Cancel | None = None,
         *,
-        kept: float = KEPT_SECONDS,
+        result_seconds: float = RESULT_SECONDS,
         brake: Brake | None = None,
     ) -> ActionServer:
-        """Serve an action; results are stored for ``kept`` seconds.
+        """Serve an action; results are stored for ``result_seconds``.
 
         Raises `bridge.messages.errors.MessageTypeError`.
         """
-        return ActionServer(self, name, type_name, take, cancel, kept=kept, brake=brake)
+        return ActionServer(self, name, type_name, accept, cancel, result_seconds=result_seconds, brake=brake)
 
     def action_client(self, name: str, type_name: str) -> ActionClient:
         """Send goals to an action; raises `bridge.messages.errors.MessageTypeError`."""

@@ -291,11 +291,11 @@ class Newest(Generic[T]):
     """Passes the newest value to a module's thread; while the thread is busy, newer values replace the pending one.
 
     Args:
-        take: called with the value, on the module's thread.
+        on_value: called with the value, on the module's thread.
     """
 
-    def __init__(self, loop: EventLoop, take: Callable[[T], object]) -> None:
-        self._loop, self._take = loop, take
+    def __init__(self, loop: EventLoop, on_value: Callable[[T], object]) -> None:
+        self._loop, self._on_value = loop, on_value
         self._lock = Lock()
         self._waiting: list[T] = []
 
@@ -309,4 +309,4 @@ class Newest(Generic[T]):
     def _run(self) -> None:
         with self._lock:
             (value,), self._waiting = self._waiting, []
-        self._take(value)
+        self._on_value(value)

@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 _ASK_SECONDS = 2.0
 
 Respond = Callable[[list[Any]], Content]
-Take = Callable[[Received], None]
+OnMessage = Callable[[Received], None]
 
 
 class HostedPort:
@@ -196,19 +196,19 @@ class Ports:
 
         return self._open_port(name, on_request, rpc=True, on_event=lambda _event: self._wake.set())
 
-    def input(self, name: str, take: Take) -> HostedPort:
+    def input(self, name: str, on_message: OnMessage) -> HostedPort:
         """Receive the messages that YARP programs write to a port."""
 
-        def taken(message: PortMessage) -> None:
+        def on_port_message(message: PortMessage) -> None:
             port.counters.crossed(len(message.payload))
             try:
-                take(Received(message, self._profile))
+                on_message(Received(message, self._profile))
             except (WireError, TimeoutError) as err:
                 port.counters.dropped("bad" if isinstance(err, WireError) else "queue")
                 if port.counters.failed(str(err)):
                     _log.warning("%s: message refused: %s", name, err)
 
-        port = self._open_port(name, taken, is_output=False)
+        port = self._open_port(name, on_port_message, is_output=False)
         return port
 
     def output(self, name: str, type_name: str = "", *, by_release: bool = False) -> HostedPort:

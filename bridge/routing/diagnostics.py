@@ -11,7 +11,7 @@ import struct
 import time
 from typing import Any
 
-from bridge.hub.diagnostics import HEARD, TOPIC, TYPE
+from bridge.hub.diagnostics import DIAGNOSTICS_WANTED, TOPIC, TYPE
 from bridge.hub.endpoints.subscription import HubSubscription
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import MessageError
@@ -63,7 +63,7 @@ class Diagnostics:
             if self._publisher is None and self._counters:
                 self._publisher = self._edge.advertise(TOPIC, self._type, Qos(depth=10))
             wanted = self._edge.has_subscribers(TOPIC)
-            self._ask_for_all(heard=wanted)
+            self._ask_for_all(wanted=wanted)
             if not wanted or self._publisher is None:
                 return
             cdr = self._to_hub(self._array())
@@ -73,16 +73,18 @@ class Diagnostics:
             self._due = now + 60.0
 
     def close(self) -> None:
-        self._ask_for_all(heard=False)
+        self._ask_for_all(wanted=False)
         if self._publisher is not None:
             self._publisher.close()
             self._publisher = None
 
-    def _ask_for_all(self, *, heard: bool) -> None:
+    def _ask_for_all(self, *, wanted: bool) -> None:
         """Request the status of the daemon's other parts if the side has subscribers; see `bridge.hub.diagnostics`."""
-        if heard and self._asked is None:
-            self._asked = self._engine.hub.subscription(HEARD, TYPE, self._hash, Qos(), lambda _sample: None)
-        elif not heard and self._asked is not None:
+        if wanted and self._asked is None:
+            self._asked = self._engine.hub.subscription(
+                DIAGNOSTICS_WANTED, TYPE, self._hash, Qos(), lambda _sample: None
+            )
+        elif not wanted and self._asked is not None:
             self._asked.close()
             self._asked = None
 

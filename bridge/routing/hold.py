@@ -36,8 +36,8 @@ class Hold:
         self.topics = topics
         self.held = False
         self._graph = hub.graph
-        self._said: dict[bytes, bool] = {}
-        self._there: set[bytes] = set()
+        self._requests: dict[bytes, bool] = {}
+        self._present: set[bytes] = set()
         self._lock = threading.Lock()
         self._unwatch = hub.graph.watch(self._refresh)
         self._subscription = hub.subscription(HOLD, HOLD_TYPE, "*", LATCHED, self._received)
@@ -46,19 +46,19 @@ class Hold:
     def _received(self, sample: HubSample) -> None:
         data = sample.data()
         with self._lock:
-            self._said[sample.gid] = len(data) <= _DATA or bool(data[_DATA])
-            while len(self._said) > _MOST:
-                del self._said[next(iter(self._said))]
+            self._requests[sample.gid] = len(data) <= _DATA or bool(data[_DATA])
+            while len(self._requests) > _MOST:
+                del self._requests[next(iter(self._requests))]
         self._refresh()
 
     def _refresh(self) -> None:
         """Update ``held``: a gateway counts as holding until its first message, and no longer after it has left."""
         present = {publisher.gid for publisher in self._graph.publishers(HOLD)}
         with self._lock:
-            for departed in self._there - present:  # a gateway's message may arrive before the graph lists it
-                self._said.pop(departed, None)
-            self._there = present
-            self.held = any(self._said.get(gid, True) for gid in present)
+            for departed in self._present - present:  # a gateway's message may arrive before the graph lists it
+                self._requests.pop(departed, None)
+            self._present = present
+            self.held = any(self._requests.get(gid, True) for gid in present)
 
     def close(self) -> None:
         self._unwatch()

@@ -43,7 +43,7 @@ class BufferServer:
         self._timer: Timer | None = None
         self._seen = -1
         self._ended: Counter[str] = Counter()
-        node.action_server(ACTION, LOOKUP, self._on_goal, self._cancel, kept=RESULT_SECONDS)
+        node.action_server(ACTION, LOOKUP, self._on_goal, self._cancel, result_seconds=RESULT_SECONDS)
         node.server(FRAMES, FRAME_GRAPH, self._reply_frames)
 
     def status(self) -> dict[str, Any]:

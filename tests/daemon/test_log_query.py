@@ -12,21 +12,21 @@ from pathlib import Path
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon.log_query import LOG, OWN, KeptLines, ask_log
+from bridge.daemon.log_query import LOG, OWN, RecentLines, ask_log
 from bridge.daemon.query import QueryServer
 from tests.peers.daemon.daemon import Daemon
 from tests.support.wait import until
 from yarp_compat.selector_loop import SelectorLoop
 
 
-def log(kept: KeptLines, text: str, level: int = logging.INFO, **more: object) -> None:
+def log(kept: RecentLines, text: str, level: int = logging.INFO, **more: object) -> None:
     record = logging.LogRecord("midspan", level, "", 0, text, None, None)
     record.__dict__.update(more)
     kept.handle(record)
 
 
 def test_a_query_returns_the_lines_after_a_number() -> None:
-    kept = KeptLines()
+    kept = RecentLines()
     log(kept, "one")
     log(kept, "two\nthree", logging.ERROR, worker="ros1")
     document = kept.after(1)
@@ -40,7 +40,7 @@ def test_a_query_returns_the_lines_after_a_number() -> None:
 
 
 def test_lines_are_bounded() -> None:
-    kept = KeptLines(most=10, most_bytes=1000)
+    kept = RecentLines(most=10, most_bytes=1000)
     for number in range(50):
         log(kept, str(number))
     assert [line["text"] for line in kept.after(0)["lines"]] == [str(number) for number in range(40, 50)]
@@ -52,7 +52,7 @@ def test_lines_are_bounded() -> None:
 
 
 def test_bounded_responses_together_have_all_lines() -> None:
-    kept, received = KeptLines(), list[str]()
+    kept, received = RecentLines(), list[str]()
     for number in range(300):
         log(kept, f"{number} {'x' * 1000}")
     n = 0
@@ -64,8 +64,8 @@ def test_bounded_responses_together_have_all_lines() -> None:
 
 
 @pytest.fixture
-def served(tmp_path: Path) -> Iterator[tuple[Config, KeptLines]]:
-    loop, kept, closing = SelectorLoop(), KeptLines(), threading.Event()
+def served(tmp_path: Path) -> Iterator[tuple[Config, RecentLines]]:
+    loop, kept, closing = SelectorLoop(), RecentLines(), threading.Event()
     server = QueryServer(loop, tmp_path / "test.daemon.sock", {LOG: kept.respond})
 
     def run() -> None:
@@ -82,7 +82,7 @@ def served(tmp_path: Path) -> Iterator[tuple[Config, KeptLines]]:
     loop.close()
 
 
-def test_silent_and_invalid_clients_do_not_block_others(served: tuple[Config, KeptLines]) -> None:
+def test_silent_and_invalid_clients_do_not_block_others(served: tuple[Config, RecentLines]) -> None:
     config, kept = served
     log(kept, "x" * 8000)
     for _ in range(30):

@@ -140,7 +140,7 @@ def test_every_line_of_a_record_carries_priority_and_name() -> None:
 
 def test_relayed_lines_are_queued_until_they_are_delivered(capsys: pytest.CaptureFixture[str]) -> None:
     handler = log.RelayHandler()
-    for number in range(log.KEPT_LINES + 5):
+    for number in range(log.RECENT_LINES + 5):
         handler.handle(logging.LogRecord("x", logging.INFO, "", 0, f"line {number}", None, None))
     received: list[str] = []
 
@@ -156,7 +156,7 @@ def test_relayed_lines_are_queued_until_they_are_delivered(capsys: pytest.Captur
     handler.close()
     written = capsys.readouterr().err.splitlines()
     assert written[0] == "<6>line 7"  # the line was not delivered, so it is still pending
-    assert written[-1] == f"<6>line {log.KEPT_LINES + 4}"
+    assert written[-1] == f"<6>line {log.RECENT_LINES + 4}"
 
 
 def test_a_lock_lasts_while_any_process_has_its_descriptor(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import yaml
 from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon.query import Phase, ask_daemon
-from bridge.hub.diagnostics import HEARD, TOPIC, TYPE, has_subscribers
+from bridge.hub.diagnostics import DIAGNOSTICS_WANTED, TOPIC, TYPE, has_subscribers
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Qos
@@ -220,7 +220,7 @@ def test_publishes_only_with_subscribers_and_at_once_on_a_change(
 
 def test_publishes_for_a_sides_subscriber_and_yields_to_the_metrics_worker(publishing: PublishingSide) -> None:
     kind = Registry().ros2(TYPE).type_id
-    wanted = publishing.far.hub.subscription(HEARD, TYPE, kind, Qos(), lambda _sample: None)
+    wanted = publishing.far.hub.subscription(DIAGNOSTICS_WANTED, TYPE, kind, Qos(), lambda _sample: None)
     until(lambda: publishing.is_announced() and publishing.asked > 1, "the worker publishes periodically", 10)
     publishing.daemon_document = {"pid": 1, "workers": [worker_document("ros1"), worker_document("metrics")]}
     until(lambda: not publishing.is_announced(), "the metrics worker publishes", 10)

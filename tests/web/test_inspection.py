@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from bridge.daemon.log_query import LOG, KeptLines
+from bridge.daemon.log_query import LOG, RecentLines
 from bridge.daemon.query import STATUS, QueryServer
 from bridge.web.verbs import inspection
 from bridge.web.verbs.config_text import HIDDEN, secrets_of, without_secrets
@@ -26,7 +26,7 @@ class Daemon:
 
     def __init__(self, folder: Path, file: Path) -> None:
         self._loop = SelectorLoop()
-        self.kept = KeptLines()
+        self.kept = RecentLines()
         self._over = False
         verbs = {STATUS: lambda _: {"config": str(file)}, LOG: self.kept.respond}
         self._server = QueryServer(self._loop, folder / "here.daemon.sock", verbs)

@@ -252,7 +252,9 @@ class Ros2Edge(SideEdge):
         self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, self._announced(side_type))
         accepts = partial(self._versions.is_of, type_id=side_type.type_id)
-        subscription = self._kept(Ros2Subscription(topic, message_class, qos, deliver, context, self._closed, accepts))
+        subscription = self._register(
+            Ros2Subscription(topic, message_class, qos, deliver, context, self._closed, accepts)
+        )
         subscription.refit()  # the graph may have changed since the constructor read it
         return subscription
 
@@ -263,25 +265,27 @@ class Ros2Edge(SideEdge):
         self._check_one_type(topic, side_type.name)
         others = self._versions.others(side_type.name, side_type.type_id)
         if others and self._dds.separates_versions() and qos.reliability is Reliability.RELIABLE:
-            versioned = self._kept(self._versioned(topic, side_type, qos, others))
+            versioned = self._register(self._versioned(topic, side_type, qos, others))
             versioned.refit()
             return versioned
         message_class = self._types.message_class(side_type.name, side_type.type_id)
         for_readers = partial(self._converter_for_readers, topic, side_type) if others else None
-        heard = self.has_subscribers
-        publisher = self._kept(Ros2Publisher(topic, message_class, qos, context, self._closed, heard, for_readers))
+        has_subscribers = self.has_subscribers
+        publisher = self._register(
+            Ros2Publisher(topic, message_class, qos, context, self._closed, has_subscribers, for_readers)
+        )
         publisher.refit()
         return publisher
 
     def _versioned(
         self, topic: str, side_type: SideType, qos: Qos, others: Mapping[str, Convert | None]
     ) -> VersionedPublisher:
-        context, heard = self._started(), self.has_subscribers
+        context, has_subscribers = self._started(), self.has_subscribers
 
         def open_publisher(version: str, only: VersionFilter) -> Ros2Publisher:
             announced = self._announced(replace(side_type, type_id=version))
             message_class = self._types.message_class(side_type.name, announced)
-            return Ros2Publisher(topic, message_class, qos, context, lambda _: None, heard, only=only)
+            return Ros2Publisher(topic, message_class, qos, context, lambda _: None, has_subscribers, only=only)
 
         def restricted(*versions: str, only: bool) -> VersionFilter:
             return VersionFilter(context.participant.pointer, topic, versions, only=only)
@@ -347,7 +351,7 @@ class Ros2Edge(SideEdge):
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
         version = side_type.type_id if self._versions.varies(side_type.name) else None
         service_class = self._service_class(side_type)
-        caller = self._kept(Ros2Caller(name, service_class, self._started(), self._closed, version))
+        caller = self._register(Ros2Caller(name, service_class, self._started(), self._closed, version))
         caller.refit()
         return caller
 
@@ -361,7 +365,9 @@ class Ros2Edge(SideEdge):
         replaced, (request, _) = partial(self._is_served, name), self._part_hashes(side_type)
         converters = partial(self._versions.of_client, side_type.name, side_type.type_id, request)
         context = self._started()
-        return self._kept(Ros2Server(name, service_class, call, refuse, replaced, context, self._closed, converters))
+        return self._register(
+            Ros2Server(name, service_class, call, refuse, replaced, context, self._closed, converters)
+        )
 
     def _is_served(self, name: str) -> bool:
         """Return whether a service has an open server here, or one of another participant; reads the graph."""
@@ -376,7 +382,7 @@ class Ros2Edge(SideEdge):
             raise RuntimeError("the ROS 2 edge is not started")
         return self._context
 
-    def _kept(self, end: _End) -> _End:
+    def _register(self, end: _End) -> _End:
         with self._lock:
             self._ends.add(end)
         return end

@@ -83,7 +83,7 @@ def _on_ros2(context: CheckContext) -> list[Finding]:
         return [skip("ROS 2: not on this machine")]
     try:
         return of_dds(context, check_dds(context.config, context.environ))
-    except LookError as err:
+    except NetworkCheckError as err:
         return [warn(f"ROS 2: the network could not be checked: {err}")]
 
 
@@ -111,7 +111,7 @@ _SECONDS = 30.0
 """Time limit for the process that checks; it only detects a hang."""
 
 
-class LookError(Exception):
+class NetworkCheckError(Exception):
     """The ROS 2 network could not be checked."""
 
 
@@ -124,9 +124,9 @@ class DdsView:
 
 
 def check_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
-    """Join the network briefly; raises `LookError`."""
+    """Join the network briefly; raises `NetworkCheckError`."""
     if reason := available(config):
-        raise LookError(reason)
+        raise NetworkCheckError(reason)
     env = worker_kinds({})["ros2"].child_environment(config, environ)
     command = [sys.executable, "-m", "bridge.adapters.ros2.graph.reading"]
     try:
@@ -137,7 +137,7 @@ def check_dds(config: Config, environ: Mapping[str, str]) -> DdsView:
         document = json.loads(done.stdout.splitlines()[-1])
         return DdsView(frozenset(map(str, document["midspans"])), frozenset(map(str, document["nodes"])))
     except subprocess.TimeoutExpired:
-        raise LookError(f"no response within {_SECONDS:g} s") from None
+        raise NetworkCheckError(f"no response within {_SECONDS:g} s") from None
     except (IndexError, KeyError, TypeError, ValueError):
         last = done.stderr.strip().splitlines()[-1:] or ["it printed nothing"]
-        raise LookError(last[0]) from None
+        raise NetworkCheckError(last[0]) from None

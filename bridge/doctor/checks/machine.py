@@ -138,9 +138,9 @@ def compare(context: CheckContext, requirements: Sequence[str], environment: Map
         if not kind.missing(context.config):
             findings.append(ok(f"{seen}; side {side} uses what is installed"))
             continue
-        tell = fail if kind.enabled(context.config) is True else warn
+        report = fail if kind.enabled(context.config) is True else warn
         cure = f"run 'midspan worker {side}' on a machine that has them, on the same hub; here {side}.enabled: false"
-        findings.append(tell(f"{seen}; so side {side} is not available", cure))
+        findings.append(report(f"{seen}; so side {side} is not available", cure))
     return findings or ok(f"all dependencies have wheels for this system ({system})")
 
 

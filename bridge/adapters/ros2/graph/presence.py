@@ -52,7 +52,7 @@ class PresenceTopic(EndpointReader):
         self._made_by = participant.marks.made_by
         self._since = time.monotonic()
         self._lock = threading.Lock()
-        self._heard: dict[bytes, Sighting] = {}
+        self._received: dict[bytes, Sighting] = {}
         self._first: dict[bytes, float] = {}
         self._writer: Any = participant.make_writer(message_class, TOPIC, _qos(1))
         super().__init__(participant, participant.make_reader(message_class, TOPIC, _qos(_WRITERS)))
@@ -69,14 +69,16 @@ class PresenceTopic(EndpointReader):
         """Return the marked participants that are on the network, and those whose last record is recent."""
         now, seen = time.monotonic(), self._seen()
         with self._lock:
-            for prefix, sighting in list(self._heard.items()):
+            for prefix, sighting in list(self._received.items()):
                 if prefix not in seen and now - sighting.received > DISCOVERY_SECONDS:
-                    del self._heard[prefix]
+                    del self._received[prefix]
             marked = {p for p in seen if self._made_by(p) is MadeBy.MIDSPAN} - self._past
             self._first = {p: self._first.get(p, now) for p in marked}
-            silent = marked - self._heard.keys()
-            heard = [sighting for prefix, sighting in self._heard.items() if self._made_by(prefix) is MadeBy.MIDSPAN]
-            return [*heard, *(Sighting(p.hex(), None, self._first[p]) for p in silent)]
+            silent = marked - self._received.keys()
+            received = [
+                sighting for prefix, sighting in self._received.items() if self._made_by(prefix) is MadeBy.MIDSPAN
+            ]
+            return [*received, *(Sighting(p.hex(), None, self._first[p]) for p in silent)]
 
     def settled(self, since: float) -> bool:
         """Return whether all participants that existed at ``since`` are discovered by now."""
@@ -95,7 +97,7 @@ class PresenceTopic(EndpointReader):
             if known and prefix not in self._past and 0 < length <= min(_MAX_RECORD, len(payload) - _TEXT):
                 record = payload[_TEXT : _TEXT + length - 1]
                 with self._lock:
-                    self._heard[prefix] = Sighting(prefix.hex(), record, time.monotonic())
+                    self._received[prefix] = Sighting(prefix.hex(), record, time.monotonic())
                 self._changed()
 
     def close(self) -> None:

@@ -79,7 +79,7 @@ class _Writer:
             self._participant.destroy(handle)
 
 
-Heard = Callable[[str], bool]
+HasSubscribers = Callable[[str], bool]
 """Whether another participant subscribes to a topic."""
 
 ForReaders = Callable[[], Convert | None]
@@ -99,17 +99,17 @@ class Ros2Publisher:
         qos: the QoS of the writers.
         context: the edge's shared state.
         closed: called by `close`.
-        heard: whether another participant subscribes to a topic.
+        has_subscribers: whether another participant subscribes to a topic.
         for_readers: returns the converter of all messages, if the writers send to subscriptions of all versions.
         only: the subscriptions that the writers send to; None for all.
     """
 
     def __init__(
-        self, topic: str, message_class: Any, qos: Qos, context: Ros2Context, closed: Closed, heard: Heard,
-        for_readers: ForReaders | None = None, only: VersionFilter | None = None,
+        self, topic: str, message_class: Any, qos: Qos, context: Ros2Context, closed: Closed,
+        has_subscribers: HasSubscribers, for_readers: ForReaders | None = None, only: VersionFilter | None = None,
     ) -> None:  # fmt: skip
         self.topic, self.qos, self.type_name = topic, qos, str(message_class.type_name)
-        self._closed, self._heard, self._for_readers = closed, heard, for_readers
+        self._closed, self._has_subscribers, self._for_readers = closed, has_subscribers, for_readers
         self._convert = None if for_readers is None else for_readers()
         self._heartbeats, self._later = context.heartbeats, context.later
         self._prepared = self._heartbeats.readers(topic)
@@ -128,7 +128,7 @@ class Ros2Publisher:
     @property
     def has_subscribers(self) -> bool:
         """Whether another participant subscribes to the topic."""
-        return self._heard(self.topic)
+        return self._has_subscribers(self.topic)
 
     def send(self, payload: bytes, source: str) -> None:
         """Publish a source's message; raises `ConversionError` if the subscriptions' version cannot represent it."""
