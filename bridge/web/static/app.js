@@ -1,7 +1,7 @@
 // The page: its views by #hash, the connection to the console, STOP.
 
 import { types, write } from "./lib/dom.js";
-import { ask, say } from "./lib/say.js";
+import { ask, notify } from "./lib/messages.js";
 import { Socket } from "./lib/socket.js";
 import { mood, stateWords } from "./lib/words.js";
 import { VIEWS } from "./views.js";
@@ -63,7 +63,7 @@ function showLine() {
   byId("stop").disabled = watches;
   if (state === "lost") knock();
   for (const part of document.querySelectorAll(".drives")) part.inert = !socket.mayDrive;
-  if (state === "open" && lastState === "lost") say("Reconnected.");
+  if (state === "open" && lastState === "lost") notify("Reconnected.");
   if (state !== "begin") lastState = state;
 }
 
@@ -113,7 +113,7 @@ addEventListener(
 addEventListener("keyup", (event) => event.key === " " && !types(event.target) && event.preventDefault(), true);
 
 socket.addEventListener("state", showLine);
-socket.addEventListener("refused", (event) => say(event.detail, { bad: true }));
+socket.addEventListener("refused", (event) => notify(event.detail, { bad: true }));
 socket.watch("driving", showDriving);
 addEventListener("hashchange", route);
 setTimeout(() => lastState === "" && ((lastState = "lost"), showLine()), 3000);

@@ -101,7 +101,7 @@ class Operator:
         return texts
 
     def messages(self) -> str:
-        return " ".join(self.chrome.find_element(By.ID, name).text for name in ("said", "wrong"))
+        return " ".join(self.chrome.find_element(By.ID, name).text for name in ("notices", "wrong"))
 
     def errors(self) -> list[str]:
         """Return the browser's errors: failed scripts and violations of the policy."""

@@ -253,7 +253,7 @@ def test_forms_publish_a_message_and_call_a_service(operator: Operator, watch: T
         until(lambda error=error: any(error in text_ for text_ in operator.texts(".form-wrong")), "the error is shown")
     voltage.clear()
     voltage.send_keys("12.5", Keys.ENTER)
-    until(lambda: "published on /battery_state" in operator.texts(".told"), "the message is published")
+    until(lambda: "published on /battery_state" in operator.texts(".outcome"), "the message is published")
     operator.open("topics/service:%2Fsim%2Femergency_stop@std_srvs%2Fsrv%2FSetBool")
     form = until(
         lambda: chrome.find_elements(By.CSS_SELECTOR, "[aria-label=Service] .sending select"), "the form is shown"

@@ -1,7 +1,7 @@
 // Cures as text to copy, and the workers' decisions on a name.
 
 import { button, el } from "./dom.js";
-import { say } from "./say.js";
+import { notify } from "./messages.js";
 
 /** A cure with its button, or null without one; `what` names it for screen readers. */
 export function cureLine(cure, what) {
@@ -21,8 +21,8 @@ export function explained(name, found) {
 async function copy(text) {
   try {
     await navigator.clipboard.writeText(text);
-    say("Copied.");
+    notify("Copied.");
   } catch {
-    say("The browser does not allow this page to copy: select the text manually.", { bad: true });
+    notify("The browser does not allow this page to copy: select the text manually.", { bad: true });
   }
 }

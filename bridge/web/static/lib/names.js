@@ -1,6 +1,6 @@
 // Names in the store: save, rename, delete. `kind`: `location`, `area` or `path`.
 
-import { ask, question } from "./say.js";
+import { ask, question } from "./messages.js";
 
 export const LONGEST_NAME = 64;
 

@@ -2,7 +2,7 @@
 
 import { degrees, position } from "./format.js";
 import { keep, LONGEST_NAME } from "./names.js";
-import { ask, question, say } from "./say.js";
+import { ask, question, notify } from "./messages.js";
 
 const inDegrees = (theta) => String(Math.round((theta * 180) / Math.PI));
 
@@ -25,7 +25,7 @@ function poseOf(answer) {
   const pose = { x: typed(answer.x), y: typed(answer.y) };
   if (answer.theta !== "") pose.theta = (typed(answer.theta) * Math.PI) / 180;
   if (Object.values(pose).every(Number.isFinite)) return pose;
-  say("Invalid position: enter numbers.", { bad: true });
+  notify("Invalid position: enter numbers.", { bad: true });
   return null;
 }
 

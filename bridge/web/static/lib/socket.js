@@ -59,7 +59,7 @@ export class Socket extends EventTarget {
     this.wait = FIRST_WAIT;
     this.receivedAt = performance.now();
     this.probedAt = 0;
-    this.tell("state");
+    this.emit("state");
     this.watchAll(!document.hidden);
   }
 
@@ -76,7 +76,7 @@ export class Socket extends EventTarget {
     this.calls.clear();
     this.timer = setTimeout(() => this.join(), this.wait);
     this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
-    this.tell("state");
+    this.emit("state");
   }
 
   /** Send a ping after a long silence, since a vanished network does not close the socket. */
@@ -98,7 +98,7 @@ export class Socket extends EventTarget {
     return this.open;
   }
 
-  tell(type, detail) {
+  emit(type, detail) {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
@@ -109,15 +109,15 @@ export class Socket extends EventTarget {
     switch (message.op) {
       case "hello":
         this.hello = message;
-        return this.tell("state");
+        return this.emit("state");
       case "value":
         return this.keep(message);
       case "reply":
         return this.answer(message);
       case "held":
-        return this.tell("held", message);
+        return this.emit("held", message);
       case "error":
-        return this.tell("refused", message.error);
+        return this.emit("refused", message.error);
     }
   }
 
@@ -164,7 +164,7 @@ export class Socket extends EventTarget {
       if (!feed?.has) continue;
       for (const taker of feed.takers) guarded(() => taker(feed.value, feed.why));
     }
-    guarded(() => this.tell("frame"));
+    guarded(() => this.emit("frame"));
     for (const name of drawn) {
       const feed = this.feeds.get(name);
       if (feed?.has) this.send({ op: "took", feed: name, n: feed.n });

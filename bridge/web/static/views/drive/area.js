@@ -2,7 +2,7 @@
 
 import { button, write } from "../../lib/dom.js";
 import { keep, LONGEST_NAME } from "../../lib/names.js";
-import { question, say } from "../../lib/say.js";
+import { question, notify } from "../../lib/messages.js";
 
 const NEAR = 18; // px to the first corner: a tap there closes the area
 const MOST = 500; // maximum number of corners, the console's limit
@@ -80,7 +80,7 @@ export class AreaEditor {
         return;
       }
     }
-    if (corners.length >= MOST) say(`An area has at most ${MOST} corners.`, { bad: true });
+    if (corners.length >= MOST) notify(`An area has at most ${MOST} corners.`, { bad: true });
     else corners.push(map.view.toMap(px, py));
     this.changed();
   }

@@ -1,7 +1,7 @@
 // The images of the current map: its occupancy, with its flags on top.
 
 import { MapImage } from "./mapimage.js";
-import { say } from "../../lib/say.js";
+import { notify } from "../../lib/messages.js";
 import { toCells } from "./viewport.js";
 
 /** Loads changed tiles; a map's image stays visible until that of another map is loaded. `loaded()` draws. */
@@ -31,7 +31,7 @@ export class MapImages {
     if (this.shown[layer] === undefined) this.replace(layer, image);
     image.update(picture, () => image === this.shown[layer] && this.loaded()).then(
       () => image === this.wanted[layer] && this.replace(layer, image),
-      (error) => image === this.wanted[layer] && say(`Map: ${error.message}`, { bad: true }),
+      (error) => image === this.wanted[layer] && notify(`Map: ${error.message}`, { bad: true }),
     );
   }
 

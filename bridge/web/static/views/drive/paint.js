@@ -1,7 +1,7 @@
 // Painting flags on the map, with undo and redo.
 
 import { button, el, icon } from "../../lib/dom.js";
-import { say } from "../../lib/say.js";
+import { notify } from "../../lib/messages.js";
 import { parts, runsOf } from "./strokes.js";
 
 const FLAGS = [["Keep out", 1], ["Temporary obstacle", 2], ["Enlarged obstacle", 3], ["Wall", 4], ["Unknown", 5], ["Free", 0]];
@@ -119,7 +119,7 @@ export class PaintEditor {
     this.changed();
     this.change(newest.map, newest.runs, word).then((undo) => {
       if (undo?.length) this.keep(to, { map: newest.map, runs: undo });
-      else if (undo) say(`${word}: nothing to change: others have painted over it.`);
+      else if (undo) notify(`${word}: nothing to change: others have painted over it.`);
       this.changed();
     });
   }
@@ -132,7 +132,7 @@ export class PaintEditor {
   /** Paint runs after all pending changes; resolves to the runs that undo them, or null on failure. */
   change(map, runs, word) {
     if (this.waiting >= MOST_WAITING) {
-      say("The store is slow: wait until your strokes are saved.", { bad: true });
+      notify("The store is slow: wait until your strokes are saved.", { bad: true });
       return Promise.resolve(null);
     }
     this.waiting++;
@@ -148,7 +148,7 @@ export class PaintEditor {
         const done = await this.socket.call("paint_flags", { map: map.name, size: [map.width, map.height], runs: part });
         undo.unshift(...done.undo);
       } catch (error) {
-        say(`${word} failed: ${error.message}`, { bad: true });
+        notify(`${word} failed: ${error.message}`, { bad: true });
         return undo.length ? undo : null; // the completed part can be undone
       }
     }

@@ -1,7 +1,7 @@
 // Patrols: the operator picks places in order; the robot drives to them in turn until the patrol is ended.
 
 import { button, el, mark, rows, write } from "../../lib/dom.js";
-import { ask } from "../../lib/say.js";
+import { ask } from "../../lib/messages.js";
 
 const MOST = 50; // maximum number of places, the console's limit
 const WAITS = [["no stop", 0], ["1 s", 1], ["2 s", 2], ["10 s", 10], ["1 min", 60], ["10 min", 600]];

@@ -30,11 +30,11 @@ export class PointMenu {
     items.find((item) => !item.disabled)?.focus({ preventScroll: true });
   }
 
-  close(tell = true) {
+  close(notify = true) {
     if (this.element === null) return;
     this.element.remove();
     this.element = null;
-    if (tell) this.closed();
+    if (notify) this.closed();
   }
 
   key(event) {

@@ -8,7 +8,7 @@ import { remove, rename } from "../../lib/names.js";
 import { patrolBlock } from "./patrol.js";
 import { PointMenu } from "./pointmenu.js";
 import { goTo, goToPlace, goToTyped, keepPlace, robotIsAt } from "../../lib/poses.js";
-import { ask } from "../../lib/say.js";
+import { ask } from "../../lib/messages.js";
 import { teleop } from "./teleop.js";
 import { isBusy, mood, stateWords } from "../../lib/words.js";
 

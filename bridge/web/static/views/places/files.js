@@ -3,8 +3,8 @@
 const PART = 36000 - 36000 % 3; // bytes; as base64 this is the console's limit
 const MOST = 64 << 20; // bytes in total, the console's limit
 
-/** Upload files; resolves to the console's key for them. `told(share)` reports progress. */
-export async function upload(socket, files, told) {
+/** Upload files; resolves to the console's key for them. `onProgress(share)` reports progress. */
+export async function upload(socket, files, onProgress) {
   const all = files.reduce((sum, file) => sum + file.size, 0);
   if (all > MOST) throw new Error(`the files have ${Math.ceil(all / 1e6)} MB; the limit is ${MOST >> 20} MB`);
   const key = await socket.call("upload");
@@ -15,7 +15,7 @@ export async function upload(socket, files, told) {
       const part = bytes.subarray(at, at + PART);
       await socket.call("upload_part", { key, file: file.name, at, data: base64(part) });
       sent += part.length;
-      told(sent / all);
+      onProgress(sent / all);
     }
   }
   return key;

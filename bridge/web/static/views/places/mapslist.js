@@ -3,7 +3,7 @@
 import { button, el, mark, rows, write } from "../../lib/dom.js";
 import { download, upload } from "./files.js";
 import { LONGEST_NAME } from "../../lib/names.js";
-import { ask, question, say } from "../../lib/say.js";
+import { ask, question, notify } from "../../lib/messages.js";
 
 /** The block "Maps"; `take(value, why)` receives the feed. */
 export function mapsBlock(socket) {
@@ -62,32 +62,32 @@ async function rename(socket, name) {
 }
 
 async function go(socket, name) {
-  const line = say(`Exporting ${name} …`);
+  const line = notify(`Exporting ${name} …`);
   try {
     await download(socket, await socket.call("export_map", { name }));
-    say(`Exported ${name}.`);
+    notify(`Exported ${name}.`);
   } catch (error) {
-    say(`Export of ${name} failed: ${error.message}`, { bad: true });
+    notify(`Export of ${name} failed: ${error.message}`, { bad: true });
   }
   line.remove();
 }
 
 async function importMaps(socket, files) {
-  const line = say("Importing …");
+  const line = notify("Importing …");
   const text = line.firstChild;
   try {
     const key = await upload(socket, files, (share) => write(text, `Importing: ${Math.round(100 * share)} % …`));
     let done = await socket.call("import_map", { key });
     if (!done.done) {
       line.remove();
-      const wish = await replacing(done);
-      if (wish === null) return;
-      done = await socket.call("import_map", { key, ...wish });
+      const choice = await replacing(done);
+      if (choice === null) return;
+      done = await socket.call("import_map", { key, ...choice });
     }
-    if (done.done) say(`Imported ${done.maps.length ? done.maps.join(", ") : "the places"}.`);
-    else say(`Import failed: ${names(done.taken)} exists already.`, { bad: true });
+    if (done.done) notify(`Imported ${done.maps.length ? done.maps.join(", ") : "the places"}.`);
+    else notify(`Import failed: ${names(done.taken)} exists already.`, { bad: true });
   } catch (error) {
-    say(`Import failed: ${error.message}`, { bad: true });
+    notify(`Import failed: ${error.message}`, { bad: true });
   }
   line.remove();
 }

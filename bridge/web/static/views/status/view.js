@@ -21,10 +21,10 @@ export default function statusView(root, socket) {
   const found = el("span", { class: "count" });
   const search = searchField("Search routes", (text) => {
     routes.find(text);
-    told();
+    showCount();
   });
   let last = null;
-  const told = () => {
+  const showCount = () => {
     const shown = routes.body.childElementCount;
     const all = last?.routes.length ?? 0;
     write(found, shown === all ? String(all) : `${shown} of ${all}`);
@@ -53,7 +53,7 @@ export default function statusView(root, socket) {
         refused.fill(status.refused);
         network.fill(status);
         endpoints.fill(status.endpoints);
-        told();
+        showCount();
       });
     },
     hide() {

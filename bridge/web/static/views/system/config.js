@@ -18,13 +18,13 @@ export function configPart(socket) {
     try {
       fill(await socket.call("config"));
     } catch (error) {
-      say("bad", error.message);
+      report("bad", error.message);
     } finally {
       again.disabled = false;
     }
   }
 
-  function say(mood, words) {
+  function report(mood, words) {
     mark(verdict, "data-mood", mood);
     write(verdict, words);
   }
@@ -35,9 +35,9 @@ export function configPart(socket) {
     text.replaceChildren(...lines.map((line) => el("li", { class: /^\s*#/.test(line) ? "comment" : null }, el("code", { text: line || " " }))));
     problems.replaceChildren(...found.problems.map((each) => problem(each)));
     for (const { line } of found.problems) text.children[line - 1]?.classList.add("wrong");
-    if (found.problems.length) say("bad", `${found.problems.length === 1 ? "One problem" : `${found.problems.length} problems`}: the daemon would keep its current configuration. ${found.why}`);
-    else if (found.why) say("bad", found.why);
-    else say("good", found.file ? "No problems. Passwords, tokens and keys are not shown." : "No configuration file: the defaults apply.");
+    if (found.problems.length) report("bad", `${found.problems.length === 1 ? "One problem" : `${found.problems.length} problems`}: the daemon would keep its current configuration. ${found.why}`);
+    else if (found.why) report("bad", found.why);
+    else report("good", found.file ? "No problems. Passwords, tokens and keys are not shown." : "No configuration file: the defaults apply.");
   }
 
   function problem({ line, column, key, text: words }) {

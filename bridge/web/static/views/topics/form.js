@@ -176,8 +176,8 @@ export function sendBlock(label, send) {
   const fields = el("div");
   let form = null;
   const go = el("button", { type: "submit", class: "primary", text: label });
-  const told = el("p", { class: "told", role: "status" });
-  const element = el("form", { class: "sending drives", hidden: true, novalidate: true, on: { submit: press } }, fields, el("div", { class: "buttons" }, go, told));
+  const outcome = el("p", { class: "outcome", role: "status" });
+  const element = el("form", { class: "sending drives", hidden: true, novalidate: true, on: { submit: press } }, fields, el("div", { class: "buttons" }, go, outcome));
 
   async function press(event) {
     event.preventDefault();
@@ -186,8 +186,8 @@ export function sendBlock(label, send) {
     if (message === null) return;
     const mine = form;
     go.disabled = true;
-    write(told, "Sending …");
-    mark(told, "data-mood", null);
+    write(outcome, "Sending …");
+    mark(outcome, "data-mood", null);
     let [words, mood] = ["", null];
     try {
       words = await send(message);
@@ -196,8 +196,8 @@ export function sendBlock(label, send) {
     }
     go.disabled = false;
     if (mine !== form) return;
-    write(told, words);
-    mark(told, "data-mood", mood);
+    write(outcome, words);
+    mark(outcome, "data-mood", mood);
   }
 
   return {
@@ -205,7 +205,7 @@ export function sendBlock(label, send) {
     open(definition) {
       form = messageForm(definition);
       fields.replaceChildren(form.element);
-      write(told, "");
+      write(outcome, "");
       element.hidden = false;
     },
     close() {

@@ -2,7 +2,7 @@
 
 import { el, write } from "../../lib/dom.js";
 import { opener, sendBlock } from "./form.js";
-import { say } from "../../lib/say.js";
+import { notify } from "../../lib/messages.js";
 import { Tree } from "./tree.js";
 
 /** {element, choose(name@type)}; the empty name closes it. */
@@ -21,7 +21,7 @@ export function serviceBlock(socket) {
     reply.append(tree.element);
     return Object.keys(found).length ? "Reply:" : "Done; the reply has no fields.";
   });
-  const form = opener("Call …", socket, block, () => ({ type: kind, kind: "service" }), (why) => say(why, { bad: true }));
+  const form = opener("Call …", socket, block, () => ({ type: kind, kind: "service" }), (why) => notify(why, { bad: true }));
   const element = el("section", { class: "block topic", "aria-label": "Service", hidden: true },
     el("div", { class: "heading" }, el("a", { href: "#topics/services", class: "back", text: "All services" }), title, form.element),
     type, block.element, reply);

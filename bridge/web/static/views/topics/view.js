@@ -6,7 +6,7 @@ import { Chart, Series } from "../../lib/curve.js";
 import { number, rate } from "../../lib/format.js";
 import { opener, sendBlock } from "./form.js";
 import { pictureBlock, PICTURES } from "./picture.js";
-import { say } from "../../lib/say.js";
+import { notify } from "../../lib/messages.js";
 import { serviceBlock } from "./services.js";
 import { searchField } from "../../lib/table.js";
 import { at, pathWords, Tree } from "./tree.js";
@@ -125,7 +125,7 @@ function topicBlock(socket, typeOf) {
   const curves = new Map(); // path -> {series, chart, row}
   const picture = pictureBlock(socket);
   const block = sendBlock("Publish once", (message) => socket.call("publish", { topic: topic.split("@")[0], type: shownType(), message }));
-  const form = opener("Publish …", socket, block, () => ({ type: shownType() }), (reason) => say(reason, { bad: true }));
+  const form = opener("Publish …", socket, block, () => ({ type: shownType() }), (reason) => notify(reason, { bad: true }));
   const shownType = () => topic.split("@")[1] ?? (type.textContent || typeOf(topic) || "");
   let [topic, tree, newest, end] = ["", null, null, () => {}];
 

@@ -8,12 +8,12 @@ const MOST = 4;
 
 let leaveOpen = () => {}; // closes the open question, if any
 
-const said = document.getElementById("said");
+const notices = document.getElementById("notices");
 const wrong = document.getElementById("wrong");
 
 /** Show a message for a few seconds. */
-export function say(text, { bad = false } = {}) {
-  const list = bad ? wrong : said;
+export function notify(text, { bad = false } = {}) {
+  const list = bad ? wrong : notices;
   for (const old of list.children) if (old.firstChild.textContent === text) old.remove();
   const line = el("p", { class: "toast" }, el("span", { text }));
   line.append(button("×", () => line.remove(), { class: "close", "aria-label": "Close this message" }));
@@ -28,15 +28,15 @@ export function say(text, { bad = false } = {}) {
  * Resolves to whether it succeeded.
  */
 export async function ask(socket, what, verb, args, done) {
-  const line = say(`${what} …`);
+  const line = notify(`${what} …`);
   try {
     const value = await socket.call(verb, args);
     line.remove();
-    say(done ?? `${what}: ${typeof value === "string" && value ? value : "done"}.`);
+    notify(done ?? `${what}: ${typeof value === "string" && value ? value : "done"}.`);
     return true;
   } catch (error) {
     line.remove();
-    say(`${what} failed: ${error.message}`, { bad: true });
+    notify(`${what} failed: ${error.message}`, { bad: true });
     return false;
   }
 }
