@@ -160,29 +160,29 @@ def _by_name(ros1: Definition, ros2: Definition) -> Fields:
     return tuple(pairs)
 
 
-def _unlike(one: FieldType, two: FieldType, rules: Rules) -> str:
+def _unlike(ros1: FieldType, ros2: FieldType, rules: Rules) -> str:
     """Return the reason why a ROS 1 field cannot correspond to a ROS 2 field; "" if it can."""
-    if one.shape is not two.shape:
-        return f"one is {_a(one.shape)}, the other {_a(two.shape)}"
-    if one.shape is Shape.ARRAY and one.length != two.length:
+    if ros1.shape is not ros2.shape:
+        return f"one is {_a(ros1.shape)}, the other {_a(ros2.shape)}"
+    if ros1.shape is Shape.ARRAY and ros1.length != ros2.length:
         return "the arrays differ in length"
-    if one.base in TIME_TYPES:
-        return "" if TIME_TYPES[one.base] == two.base else f"{one.base} corresponds to {TIME_TYPES[one.base]} only"
-    if one.nested and two.nested:
-        if rules.stand_for_each_other(one.base, two.base):
+    if ros1.base in TIME_TYPES:
+        return "" if TIME_TYPES[ros1.base] == ros2.base else f"{ros1.base} corresponds to {TIME_TYPES[ros1.base]} only"
+    if ros1.nested and ros2.nested:
+        if rules.stand_for_each_other(ros1.base, ros2.base):
             return ""
         return "the two message types are not counterparts"
-    if two.base == "wstring":
+    if ros2.base == "wstring":
         return "ROS 1 has no wstring"
-    if one.base == two.base or _same_bits(one.base, two.base):
+    if ros1.base == ros2.base or _same_bits(ros1.base, ros2.base):
         return ""
     return "the two types differ"
 
 
-def _same_bits(one: str, two: str) -> bool:
+def _same_bits(ros1: str, ros2: str) -> bool:
     """Whether two primitives are integers of the same size; a byte is an int8 in ROS 1 and an octet in ROS 2."""
-    sizes = PRIMITIVE_SIZES.get(one), PRIMITIVE_SIZES.get(two)
-    floats = any(base.startswith("float") or base == "bool" for base in (one, two))
+    sizes = PRIMITIVE_SIZES.get(ros1), PRIMITIVE_SIZES.get(ros2)
+    floats = any(base.startswith("float") or base == "bool" for base in (ros1, ros2))
     return sizes[0] is not None and sizes[0] == sizes[1] and not floats
 
 

@@ -65,15 +65,15 @@ def match_versions(source: Schema, target: Schema, rules: VersionRules) -> Versi
         names = waiting.pop()
         if names in table:
             continue
-        one, two = source.sub(names[0]), target.sub(names[1])
-        fields = _fields(one, two, rules)
+        source_part, target_part = source.sub(names[0]), target.sub(names[1])
+        fields = _fields(source_part, target_part, rules)
         table[names] = fields
-        lost += _unmapped(one, one.root, {path for path, _ in fields}, ())
+        lost += _unmapped(source_part, source_part.root, {path for path, _ in fields}, ())
         defaults = rules.defaults(*names)
         if defaults:
-            types[two.name] = _with_defaults(types[two.name], defaults)
+            types[target_part.name] = _with_defaults(types[target_part.name], defaults)
         for path1, path2 in fields:
-            kind1, kind2 = field_at(one, path1), field_at(two, path2)
+            kind1, kind2 = field_at(source_part, path1), field_at(target_part, path2)
             if kind1 is None or kind2 is None:
                 continue
             if kind1.nested:
@@ -81,18 +81,18 @@ def match_versions(source: Schema, target: Schema, rules: VersionRules) -> Versi
             elif kind1.base != kind2.base:
                 retyped = True
                 text = effect(kind1.base, kind2.base)
-                changed += [f"{'.'.join((one.name, *path1))} {text}"] if text else []
+                changed += [f"{'.'.join((source_part.name, *path1))} {text}"] if text else []
     return VersionMatch(table, Schema(types[target.name], types), tuple(lost), tuple(changed), retyped)
 
 
-def _fields(one: Schema, two: Schema, rules: VersionRules) -> Fields:
+def _fields(source: Schema, target: Schema, rules: VersionRules) -> Fields:
     """Return the corresponding fields of two messages; rules come before names, because rules are more specific."""
     pairs: list[tuple[FieldPath, FieldPath]] = []
-    for name1, name2, _ in rules.fields(one.name, two.name):
-        _add(pairs, one, two, (tuple(name1.split(".")), tuple(name2.split("."))), fits_by_rule, rules)
-    for other in one.root.fields:
-        _add(pairs, one, two, ((other.name,), (other.name,)), _fits, rules)
-    order = [other.name for other in one.root.fields]
+    for name1, name2, _ in rules.fields(source.name, target.name):
+        _add(pairs, source, target, (tuple(name1.split(".")), tuple(name2.split("."))), fits_by_rule, rules)
+    for other in source.root.fields:
+        _add(pairs, source, target, ((other.name,), (other.name,)), _fits, rules)
+    order = [other.name for other in source.root.fields]
     return tuple(sorted(pairs, key=lambda pair: order.index(pair[0][0])))
 
 
@@ -110,36 +110,36 @@ def _unmapped(schema: Schema, definition: Definition, mapped: Collection[FieldPa
 
 def _add(
     pairs: list[tuple[FieldPath, FieldPath]],
-    one: Schema,
-    two: Schema,
+    source: Schema,
+    target: Schema,
     paths: tuple[FieldPath, FieldPath],
     fits: Callable[[FieldType, FieldType, VersionRules], bool],
     rules: VersionRules,
 ) -> None:
     """Add a pair of fields, if both exist with fitting types and neither has a counterpart yet."""
-    kind1, kind2 = field_at(one, paths[0]), field_at(two, paths[1])
+    kind1, kind2 = field_at(source, paths[0]), field_at(target, paths[1])
     if kind1 is None or kind2 is None or not fits(kind1, kind2, rules):
         return
     if not any(overlap(paths[0], other1) or overlap(paths[1], other2) for other1, other2 in pairs):
         pairs.append(paths)
 
 
-def overlap(one: FieldPath, two: FieldPath) -> bool:
+def overlap(first: FieldPath, second: FieldPath) -> bool:
     """Whether two paths are equal, or one leads to a field within the other."""
-    length = min(len(one), len(two))
-    return one[:length] == two[:length]
+    length = min(len(first), len(second))
+    return first[:length] == second[:length]
 
 
-def _fits(one: FieldType, two: FieldType, rules: VersionRules) -> bool:
-    """Whether the values of field ``one`` fit field ``two`` without a rule about the two fields."""
-    if one.shape is not two.shape or (one.shape is Shape.ARRAY and one.length != two.length):
+def _fits(source: FieldType, target: FieldType, rules: VersionRules) -> bool:
+    """Whether the values of field ``source`` fit field ``target`` without a rule about the two fields."""
+    if source.shape is not target.shape or (source.shape is Shape.ARRAY and source.length != target.length):
         return False
-    return rules.replace(one.base, two.base)
+    return rules.replace(source.base, target.base)
 
 
-def fits_by_rule(one: FieldType, two: FieldType, rules: VersionRules) -> bool:
-    """Whether the values of field ``one`` fit field ``two`` if a rule pairs the two fields."""
-    return _fits(one, two, rules) or not obstacle(one, two)
+def fits_by_rule(source: FieldType, target: FieldType, rules: VersionRules) -> bool:
+    """Whether the values of field ``source`` fit field ``target`` if a rule pairs the two fields."""
+    return _fits(source, target, rules) or not obstacle(source, target)
 
 
 def _with_defaults(definition: Definition, defaults: Mapping[str, DefaultValue]) -> Definition:
@@ -154,23 +154,23 @@ def version_converter(source: Schema, target: Schema, rules: VersionRules) -> Co
         return RetypingConverter(source, match.target, match.fields).convert
     if _same_layout(source, target, match):
         return same
-    return make_vm(compile_pair(source, match.target, lambda one, two: match.fields[one, two])).convert
+    return make_vm(compile_pair(source, match.target, lambda old, new: match.fields[old, new])).convert
 
 
 def _same_layout(source: Schema, target: Schema, match: VersionMatch) -> bool:
     """Whether all fields correspond in the same order, with the same bounds."""
     for (name1, name2), fields in match.fields.items():
-        one, two = source.types[name1].fields, target.types[name2].fields
-        if not len(fields) == len(one) == len(two):
+        source_fields, target_fields = source.types[name1].fields, target.types[name2].fields
+        if not len(fields) == len(source_fields) == len(target_fields):
             return False
-        for (path1, path2), field1, field2 in zip(fields, one, two, strict=True):
+        for (path1, path2), field1, field2 in zip(fields, source_fields, target_fields, strict=True):
             if path1 != (field1.name,) or path2 != (field2.name,) or _bounds(field1) != _bounds(field2):
                 return False
     return True
 
 
-def _bounds(one: Field) -> tuple[int, int]:
-    return one.type.length, one.type.string_bound
+def _bounds(field: Field) -> tuple[int, int]:
+    return field.type.length, field.type.string_bound
 
 
 class ReleaseConversions:
@@ -304,11 +304,11 @@ class ReleaseConversions:
     def _pair(self, key: _Key) -> tuple[Schema, Schema] | None:
         """Return the two versions of a type, or of a service's request or response; None if either is unknown."""
         type_name, source, target, part = key
-        one, two = self._schema(type_name, source), self._schema(type_name, target)
-        if one is None or two is None:
+        old, new = self._schema(type_name, source), self._schema(type_name, target)
+        if old is None or new is None:
             return None
         name = f"{type_name}_{part}" if part else type_name
-        return (one.sub(name), two.sub(name)) if name in one.types and name in two.types else None
+        return (old.sub(name), new.sub(name)) if name in old.types and name in new.types else None
 
     def _schema(self, type_name: str, type_hash: str) -> Schema | None:
         if type_hash == NO_HASH:

@@ -27,30 +27,30 @@ _MANTISSA = {"float32": 24, "float64": 53}
 """The number of bits up to which each type holds every integer exactly."""
 
 
-def obstacle(one: FieldType, two: FieldType) -> str:
+def obstacle(source: FieldType, target: FieldType) -> str:
     """Return why values of a field cannot become values of a field with another type; "" if they can."""
-    if one.nested or two.nested:
+    if source.nested or target.nested:
         return "a nested message cannot become another type; name its fields by their paths"
-    if one.shape is not two.shape or (one.shape is Shape.ARRAY and one.length != two.length):
+    if source.shape is not target.shape or (source.shape is Shape.ARRAY and source.length != target.length):
         return "only one is an array, or the arrays differ in length or kind"
-    if "bool" in (one.base, two.base) and STRING_TYPES & {one.base, two.base}:
+    if "bool" in (source.base, target.base) and STRING_TYPES & {source.base, target.base}:
         return "text cannot be converted to or from bool"
     return ""
 
 
-def effect(one: str, two: str) -> str:
-    """Return what happens to values of type ``one`` that are converted to ``two``; "" if all stay the same."""
-    if two in STRING_TYPES or one == two:
+def effect(source: str, target: str) -> str:
+    """Return what happens to values of type ``source`` that are converted to ``target``; "" if all stay the same."""
+    if target in STRING_TYPES or source == target:
         return ""
-    if one in STRING_TYPES:
+    if source in STRING_TYPES:
         return "must be a text with a number, or its message is refused"
-    if two in _MANTISSA:
-        exact = _MANTISSA[two] >= (_MANTISSA[one] if one in _MANTISSA else _range(one)[1].bit_length())
-        return "" if exact else f"is rounded to {two}"
-    if one in _MANTISSA:
-        return f"is rounded to {two}, and its message is refused beyond the range"
-    (low1, high1), (low2, high2) = _range(one), _range(two)
-    return "" if low2 <= low1 and high1 <= high2 else f"must be in the range of {two}, or its message is refused"
+    if target in _MANTISSA:
+        exact = _MANTISSA[target] >= (_MANTISSA[source] if source in _MANTISSA else _range(source)[1].bit_length())
+        return "" if exact else f"is rounded to {target}"
+    if source in _MANTISSA:
+        return f"is rounded to {target}, and its message is refused beyond the range"
+    (low1, high1), (low2, high2) = _range(source), _range(target)
+    return "" if low2 <= low1 and high1 <= high2 else f"must be in the range of {target}, or its message is refused"
 
 
 def _range(base: str) -> tuple[int, int]:
@@ -80,10 +80,10 @@ class RetypingConverter:
         return _Writer(self._target).message(self._structure(self._source.name, self._target.name, message, ""))
 
     def _structure(self, name1: str, name2: str, message: Mapping[str, Any], where: str) -> dict[str, Any]:
-        one, two = self._source.sub(name1), self._target.sub(name2)
+        source, target = self._source.sub(name1), self._target.sub(name2)
         converted: dict[str, Any] = {}
         for path1, path2 in self._fields[name1, name2]:
-            kind1, kind2 = field_at(one, path1), field_at(two, path2)
+            kind1, kind2 = field_at(source, path1), field_at(target, path2)
             assert kind1 is not None
             assert kind2 is not None
             inner = converted
@@ -92,18 +92,20 @@ class RetypingConverter:
             inner[path2[-1]] = self._value(kind1, kind2, _at(message, path1), join(where, ".".join(path1)))
         return converted
 
-    def _value(self, one: FieldType, two: FieldType, value: Any, where: str) -> Any:
-        if one.nested:
-            if one.shape is Shape.SINGLE:
-                return self._structure(one.base, two.base, value, where)
-            return [self._structure(one.base, two.base, item, where) for item in value]
-        if one.base == two.base:
+    def _value(self, source: FieldType, target: FieldType, value: Any, where: str) -> Any:
+        if source.nested:
+            if source.shape is Shape.SINGLE:
+                return self._structure(source.base, target.base, value, where)
+            return [self._structure(source.base, target.base, item, where) for item in value]
+        if source.base == target.base:
             return value
-        if one.shape is Shape.SINGLE:
-            return _element(one.base, two.base, value, where)
-        if is_array(value) and two.base not in STRING_TYPES:
-            return _numbers(two.base, value, where)
-        return [_element(one.base, two.base, item, where) for item in (value.tolist() if is_array(value) else value)]
+        if source.shape is Shape.SINGLE:
+            return _element(source.base, target.base, value, where)
+        if is_array(value) and target.base not in STRING_TYPES:
+            return _numbers(target.base, value, where)
+        return [
+            _element(source.base, target.base, item, where) for item in (value.tolist() if is_array(value) else value)
+        ]
 
 
 def _at(message: Mapping[str, Any], path: FieldPath) -> Any:
@@ -113,27 +115,27 @@ def _at(message: Mapping[str, Any], path: FieldPath) -> Any:
     return value
 
 
-def _element(one: str, two: str, value: Any, where: str) -> Any:
-    """Convert one value from type ``one`` to ``two``; the writer refuses numbers beyond the range of ``two``."""
-    if two in STRING_TYPES:
-        return value if one in STRING_TYPES else _text(one, value)
-    if one in STRING_TYPES:
-        pattern, number = (_NUMBER, float) if two in _MANTISSA else (_INTEGER, int)
+def _element(source: str, target: str, value: Any, where: str) -> Any:
+    """Convert one value; the writer refuses numbers beyond the range of ``target``."""
+    if target in STRING_TYPES:
+        return value if source in STRING_TYPES else _text(source, value)
+    if source in STRING_TYPES:
+        pattern, number = (_NUMBER, float) if target in _MANTISSA else (_INTEGER, int)
         if not pattern.fullmatch(value.strip()):
             raise wrong(where, "a text with a number", value)
         value = number(value)
-    elif one == "bool":
+    elif source == "bool":
         value = int(value)
-    if two in _MANTISSA:
+    if target in _MANTISSA:
         return value
     if isinstance(value, float):
         if not math.isfinite(value):
-            raise wrong(where, two, value)
+            raise wrong(where, target, value)
         value = round(value)
-    if two != "bool":
+    if target != "bool":
         return value
     if value not in (0, 1):
-        raise wrong(where, two, value)
+        raise wrong(where, target, value)
     return bool(value)
 
 

@@ -69,24 +69,24 @@ class _Compiler:
         self._steps = 0
         self._least: dict[str, int] = {}
 
-    def structure(self, one: Definition, two: Definition, at: FieldPath) -> None:
-        """Convert the structure ``one`` into ``two``."""
-        fields = self.match(one.name, two.name)
+    def structure(self, source: Definition, target: Definition, at: FieldPath) -> None:
+        """Convert the structure ``source`` into ``target``."""
+        fields = self.match(source.name, target.name)
         wanted = {path for path, _ in fields}
         origins = {path2: path1 for path1, path2 in fields}
-        if self._hidden_member(one, self.source) and self._hidden_member(two, self.target):
+        if self._hidden_member(source, self.source) and self._hidden_member(target, self.target):
             self.program.emit(Instruction(Op.COPY, size=1, field=_name(at)))
             return
-        source_parts = list(_parts(one, self.source, wanted, ()))
-        target_parts = list(_parts(two, self.target, set(origins), ()))
+        source_parts = list(_parts(source, self.source, wanted, ()))
+        target_parts = list(_parts(target, self.target, set(origins), ()))
         order = [part.path for part in source_parts if part.wanted]
         if order == [origins[part.path] for part in target_parts if part.wanted]:
             self._stream(source_parts, target_parts, at)
         else:
-            self._reorder(one, wanted, origins, target_parts, at)
-        if self._hidden_member(one, self.source):
+            self._reorder(source, wanted, origins, target_parts, at)
+        if self._hidden_member(source, self.source):
             self.program.emit(Instruction(Op.SKIP, size=1, field=_name(at)))
-        if self._hidden_member(two, self.target):
+        if self._hidden_member(target, self.target):
             self.program.emit(Instruction(Op.ZERO, size=1, field=_name(at)))
 
     def _hidden_member(self, definition: Definition, schema: Schema) -> bool:
@@ -110,7 +110,7 @@ class _Compiler:
 
     def _reorder(
         self,
-        one: Definition,
+        source: Definition,
         wanted: set[FieldPath],
         origins: dict[FieldPath, FieldPath],
         target_parts: list[_Part],
@@ -136,7 +136,7 @@ class _Compiler:
                 else:
                     self.skip(field.type, (*at, *path))
 
-        walk(one, ())
+        walk(source, ())
         end = mark()
         for part in target_parts:
             if part.wanted:
@@ -153,43 +153,43 @@ class _Compiler:
         self.program.emit(Instruction(Op.SEEK, link=slot, field=_name(at)))
         self.program.barrier()
 
-    def value(self, one: FieldType, two: FieldType, at: FieldPath) -> None:
+    def value(self, source: FieldType, target: FieldType, at: FieldPath) -> None:
         """Convert one field."""
         self._step()
         name = _name(at)
-        bound = min(filter(None, (_bound(one), _bound(two))), default=0)
-        strings = min(filter(None, (one.string_bound, two.string_bound)), default=0)
-        match one.shape:
+        bound = min(filter(None, (_bound(source), _bound(target))), default=0)
+        strings = min(filter(None, (source.string_bound, target.string_bound)), default=0)
+        match source.shape:
             case Shape.SINGLE:
-                self._element(one, two, strings, at)
+                self._element(source, target, strings, at)
             case Shape.ARRAY:
-                least = self.least(one.element)
-                with self.program.loop(Instruction(Op.REPEAT, size=least, bound=one.length, field=name)):
-                    self._element(one, two, strings, (*at, ""))
-            case Shape.SEQUENCE if one.base == "string":
+                least = self.least(source.element)
+                with self.program.loop(Instruction(Op.REPEAT, size=least, bound=source.length, field=name)):
+                    self._element(source, target, strings, (*at, ""))
+            case Shape.SEQUENCE if source.base == "string":
                 self.program.emit(Instruction(Op.STRINGS, size=strings, bound=bound, field=name))
-            case Shape.SEQUENCE if one.base == "bool":
+            case Shape.SEQUENCE if source.base == "bool":
                 self.program.emit(Instruction(Op.BOOLS, size=1, bound=bound, field=name))
             case Shape.SEQUENCE:
-                least = self.least(one.element)
+                least = self.least(source.element)
                 with self.program.loop(Instruction(Op.LOOP, size=least, bound=bound, field=name)):
-                    self._element(one, two, strings, (*at, ""))
+                    self._element(source, target, strings, (*at, ""))
 
-    def _element(self, one: FieldType, two: FieldType, strings: int, at: FieldPath) -> None:
+    def _element(self, source: FieldType, target: FieldType, strings: int, at: FieldPath) -> None:
         name = _name(at)
-        if one.base in TIME_TYPES or two.base in TIME_TYPES:
+        if source.base in TIME_TYPES or target.base in TIME_TYPES:
             self.program.emit(Instruction(Op.COPY, 3, 8, field=name))
-        elif one.nested and two.nested:
-            self.structure(self.source.types[one.base], self.target.types[two.base], at)
-        elif one.base == "string":
+        elif source.nested and target.nested:
+            self.structure(self.source.types[source.base], self.target.types[target.base], at)
+        elif source.base == "string":
             self.program.emit(Instruction(Op.STRING, bound=strings, field=name))
-        elif one.base == "wstring":
+        elif source.base == "wstring":
             # Fast CDR writes a count of UTF-16 units, each in four bytes, and no NUL
             self.program.emit(Instruction(Op.SEQUENCE, 3, 4, strings, field=name))
-        elif one.base == "bool":
+        elif source.base == "bool":
             self.program.emit(Instruction(Op.BOOL, size=1, field=name))
         else:
-            size = PRIMITIVE_SIZES[one.base]
+            size = PRIMITIVE_SIZES[source.base]
             self.program.emit(Instruction(Op.COPY, size - 1, size, field=name))
 
     def skip(self, kind: FieldType, at: FieldPath) -> None:

@@ -76,13 +76,13 @@ _REASONS = {
 
 def ros1_to_cdr(source: Schema, target: Schema, pairs: PairTable) -> Convert:
     """Return the converter of a ROS 1 type's bytes to CDR."""
-    return make_vm(compile_pair(source, target, lambda one, two: pairs[one, two].fields)).convert
+    return make_vm(compile_pair(source, target, lambda ros1, ros2: pairs[ros1, ros2].fields)).convert
 
 
 def cdr_to_ros1(source: Schema, target: Schema, pairs: PairTable) -> Convert:
     """Return the converter of CDR to a ROS 1 type's bytes."""
     return make_vm(
-        compile_pair(source, target, lambda one, two: [(path2, path1) for path1, path2 in pairs[two, one].fields])
+        compile_pair(source, target, lambda ros2, ros1: [(path2, path1) for path1, path2 in pairs[ros1, ros2].fields])
     ).convert
 
 
