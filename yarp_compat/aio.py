@@ -70,7 +70,7 @@ class _NotifyingReader(pythonic.Reader):
 
     @property
     def is_closed(self) -> bool:
-        """Whether no more messages can arrive."""
+        """Whether the port no longer receives messages."""
         return self._inbox.is_closed
 
 

@@ -40,7 +40,7 @@ _RETRY_SECONDS = 60.0
 
 
 def publishing_worker(daemon: DaemonStatus | None) -> str:
-    """Return the worker that publishes: the first worker in a fixed order that is up; "" if there is none.
+    """Return the worker that publishes: the first worker in a fixed order that is up, or "".
 
     Workers that bridge no messages come first, then the sides.
     """

@@ -132,6 +132,6 @@ class StopOrder:
             since = self.asked_at if released else self.asked_at + OVERRIDE_SECONDS
             return self._motion.is_standing(since) is True
         self._velocity.open()
-        # before the release, silence is no evidence: an unreachable planner's velocities do not reach the hub
+        # before the release, silence proves nothing: an unreachable planner's velocities do not reach the hub
         self._released_at = (self._released_at or time.monotonic()) if released else 0.0
         return released and self._velocity.zero(self._released_at)

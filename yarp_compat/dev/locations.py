@@ -17,7 +17,7 @@ from yarp_compat.sig.vec2d import Vec2D
 
 
 class _Place(Structure):
-    """The common methods of YARP's bindings."""
+    """The methods that all places have in YARP."""
 
     def toString(self) -> str:
         """Return all fields as text."""
