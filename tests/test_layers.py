@@ -22,7 +22,7 @@ BELOW = {
     "interfaces": {"config", "messages"},
     "hub": {*TOOLS, "config", "messages"},
     "stores": {*TOOLS, "config", "hub"},
-    "client": {*TOOLS, "config", "messages", "hub", "tf", "routing.counters", "routing.limits"},
+    "client": {*TOOLS, "config", "messages", "hub", "stores", "tf", "routing.counters", "routing.limits"},
     "routing": {*TOOLS, "config", "messages", "hub"},
     "modules": {
         *TOOLS,

@@ -6,7 +6,7 @@ Below ``midspan/store/<domain>/``::
     @sync/alive/<zid>/<daemon>  a liveliness token for each replica
     @sync/digest/<zid>          query: which versions differ from these digests
     @sync/fetch/<zid>/**        query for entries; each reply is under .../<kind>/<name>
-    @sync/write/<zid>           query that writes (`bridge.stores.client`), optionally only if the versions are as given
+    @sync/write/<zid>           query that writes (`bridge.client.store`), optionally only if the versions are as given
 
 Wildcard subscriptions do not match a key that starts with ``@``. A machine that is not trusted can query values and
 digests, but neither write nor reply (`bridge.hub.security.access`).

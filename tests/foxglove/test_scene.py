@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bridge.client.store import StoreClient
 from bridge.foxglove.scene import KEEP_OUT, SCENE
-from bridge.stores.client import StoreClient
 from bridge.stores.kinds import AREA, CURRENT, LOCATION, MAP
 from bridge.stores.store import THE_MAP, Store, Write
 from bridge.web.feeds import maps

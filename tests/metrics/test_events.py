@@ -13,7 +13,7 @@ import psutil
 import pytest
 from prometheus_client.parser import text_string_to_metric_families as parse
 
-from bridge.stores.client import StoreClient
+from bridge.client.store import StoreClient
 from bridge.stores.kinds import LOCATION
 from bridge.stores.store import Write
 from bridge.stores.wire import prefix

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 import zenoh
 
+from bridge.client.store import StoreClient
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.session import Hub
 from bridge.hub.wire.version import WIRE
-from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, BEHAVIOR, LOCATION, MAP, PATH
 from bridge.stores.replica import StoreLimits

@@ -11,7 +11,7 @@ import numpy as np
 from bridge.cli.arguments import add_verb
 from bridge.cli.maps.store import missing, named_map, open_stored
 from bridge.cli.output import CliError
-from bridge.stores.client import StoreClient
+from bridge.client.store import StoreClient
 from bridge.stores.kinds import AREA, MAP
 from bridge.stores.store import Write
 from bridge.text import clean

@@ -14,8 +14,8 @@ from bridge.cli.maps import files
 from bridge.cli.maps.store import missing, open_stored
 from bridge.cli.output import CliError, print_json
 from bridge.client.session import Client
+from bridge.client.store import StoreClient
 from bridge.stores import kinds
-from bridge.stores.client import StoreClient
 from bridge.stores.entry import check_name
 from bridge.stores.store import Write
 from bridge.text import clean, make_console, plural

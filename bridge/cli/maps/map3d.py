@@ -10,7 +10,7 @@ import numpy as np
 
 from bridge.cli.maps.store import missing, open_stored
 from bridge.cli.output import CliError
-from bridge.stores.client import StoreClient
+from bridge.client.store import StoreClient
 from bridge.stores.kinds import MAP3D, Map3D
 from bridge.text import clean
 from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D, too_large

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from bridge.cli.client import CliClient, open_client
 from bridge.cli.output import CliError
-from bridge.stores.client import StoreClient
+from bridge.client.store import StoreClient
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import MAP
 from bridge.stores.wire import prefix

@@ -12,13 +12,13 @@ from typing import Any
 
 from typing_extensions import override
 
+from bridge.client.store import StoreClient
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
-from bridge.stores.client import StoreClient
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, LOCATION, MAP, PATH
 from bridge.stores.wire import prefix

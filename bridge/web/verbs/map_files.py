@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from bridge.stores.client import StoreClient
+from bridge.client.store import StoreClient
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import CURRENT, MAP
 from bridge.stores.service import read_files

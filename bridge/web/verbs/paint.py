@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.stores.client import StoreClient
+from bridge.client.store import StoreClient
 from bridge.stores.kinds import MAP
 from bridge.stores.store import Write
 from bridge.web.verbs.verbs import PageVerb, VerbError, name_of

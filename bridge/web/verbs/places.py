@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from bridge.stores.client import StoreClient
+from bridge.client.store import StoreClient
 from bridge.stores.entry import check_name
 from bridge.stores.kinds import AREA, LOCATION, PATH, ValueKind
 from bridge.stores.store import Write

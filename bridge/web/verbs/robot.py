@@ -11,6 +11,7 @@ from bridge.client.actions import ActionClient, SentGoal
 from bridge.client.halt import halt
 from bridge.client.services import ServiceClient
 from bridge.client.session import Client
+from bridge.client.store import StoreClient
 from bridge.client.types import Types
 from bridge.config.model import Config
 from bridge.config.sections.navigation import ACTION
@@ -18,7 +19,6 @@ from bridge.hub.endpoints.calls import CallError
 from bridge.hub.wire.qos import Qos
 from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import Host
-from bridge.stores.client import StoreClient
 from bridge.web.verbs.explaining import explain
 from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, number_of
 from navigation.constraints import Constraints

@@ -1,4 +1,4 @@
-"""The store as the command line uses it: a client of one daemon's replica, over the hub."""
+"""A client of the store: reads and writes the replica of one daemon, over the hub."""
 
 from __future__ import annotations
 
