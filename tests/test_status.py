@@ -12,8 +12,8 @@ from typing import Any, cast
 import pytest
 from rich.console import Console
 
-from bridge.cli.inspection.refusals import refusals
 from bridge.cli.inspection.status import show
+from bridge.client.refusals import refusals
 from bridge.config.model import Config
 from bridge.doctor.checks import CHECKS
 from bridge.doctor.context import CheckContext, HubSnapshot

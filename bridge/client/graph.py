@@ -13,6 +13,7 @@ from bridge.client.session import Client
 from bridge.client.types import ros2_spelling
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint, origin_side
+from bridge.hub.graph.owners import owner
 from bridge.hub.graph.releases import endpoint_releases
 from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.messages.actions import split
@@ -235,6 +236,11 @@ def endpoint_json(endpoint: HubEndpoint) -> dict[str, Any]:
         "network": None if origin is None else origin.network,
         "daemon": None if origin is None else origin.daemon,
     }
+
+
+def owners(endpoints: Iterable[HubEndpoint]) -> str:
+    """Return the nodes or sides of some endpoints as text."""
+    return ", ".join(sorted({owner(endpoint) for endpoint in endpoints}))
 
 
 def node_name(endpoint: HubEndpoint) -> str:

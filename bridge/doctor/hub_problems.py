@@ -6,9 +6,9 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from bridge.client.graph import owners
 from bridge.config.sections.navigation import OURS, NavigationSection, Planner
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.graph.owners import owner
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.hub.wire.keys import NO_HASH
 from bridge.messages.actions import split
@@ -61,7 +61,7 @@ def conflicts(
             notes.append(Note(text, "give one of them another name, or rename one with a rule"))
         for type_name, hashes in sorted(types.items()):
             if len(hashes) > 1 and not _converted(type_name, hashes, workers, versions):
-                holders = "; ".join(f"{nodes(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
+                holders = "; ".join(f"{owners(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
                 text = f"{topic}: the definitions of {type_name} differ ({holders}); no messages are exchanged"
                 notes.append(Note(text, CURE))
     return notes
@@ -105,7 +105,7 @@ def separated(endpoints: Iterable[HubEndpoint], workers: Collection[str] = ()) -
         servers = native.get(EndpointKind.SERVER, [])
         clients = [e for e in native.get(EndpointKind.CLIENT, ()) if _key(e) not in map(_key, servers)]
         if clients and servers and len(servers) == len(kinds[EndpointKind.SERVER]):
-            text = f"{name}: {nodes(clients)} never get a reply from {nodes(servers)} on the hub"
+            text = f"{name}: {owners(clients)} never get a reply from {owners(servers)} on the hub"
             notes.append(Note(f"{text}: they have different versions of {type_name}", CURE_SEPARATED))
         publishers, subscriptions = (native.get(kind, []) for kind in _TOPIC_ENDS)
         for sender in publishers:
@@ -114,7 +114,9 @@ def separated(endpoints: Iterable[HubEndpoint], workers: Collection[str] = ()) -
                 why = (
                     "only nodes of Lyrical receive its buffers" if sender.buffers else "one of them has no type hashes"
                 )
-                text = f"{name}: {nodes(receivers)} do not receive the messages of {nodes([sender])} on the hub: {why}"
+                text = (
+                    f"{name}: {owners(receivers)} do not receive the messages of {owners([sender])} on the hub: {why}"
+                )
                 notes.append(Note(text, CURE_SEPARATED))
     return notes
 
@@ -141,11 +143,6 @@ def _all_received(endpoints: Iterable[HubEndpoint]) -> bool:
             publishers.setdefault((e.zid, e.namespace, e.node), set()).add(e.type_name)
     common = set.intersection(*publishers.values()) if publishers else set()
     return bool(common) and published <= common
-
-
-def nodes(endpoints: Iterable[HubEndpoint]) -> str:
-    """Return the nodes of some endpoints, for people."""
-    return ", ".join(sorted({owner(endpoint) for endpoint in endpoints}))
 
 
 def inactive_nodes(gateway: StatusDocument) -> Note | None:

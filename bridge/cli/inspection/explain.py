@@ -11,9 +11,18 @@ from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import open_client
-from bridge.cli.inspection.refusals import refusals
 from bridge.cli.output import CliError, print_json
-from bridge.client.graph import Decision, absolute, decisions_in, endpoint_json, endpoint_text, known_names, unknown
+from bridge.client.graph import (
+    Decision,
+    absolute,
+    decisions_in,
+    endpoint_json,
+    endpoint_text,
+    known_names,
+    owners,
+    unknown,
+)
+from bridge.client.refusals import refusals
 from bridge.client.session import ASK_SECONDS, Client
 from bridge.client.status import daemon_names
 from bridge.config.model import Config
@@ -187,13 +196,13 @@ def _hub_notes(
     publishers = [e for e in endpoints if e.kind == "publisher"]
     subscriptions = [e for e in endpoints if e.kind == "subscription"]
     if subscriptions and not publishers:
-        notes.append(Note(f"{topic} has no publisher on the hub; subscribed by {hub_problems.nodes(subscriptions)}"))
+        notes.append(Note(f"{topic} has no publisher on the hub; subscribed by {owners(subscriptions)}"))
     waiting = [e for e in publishers if e.pending]
     if waiting:
-        who = hub_problems.nodes(waiting)
+        who = owners(waiting)
         notes.append(Note(f"the network of {who} is not known yet, so no messages from there cross"))
     if publishers and not any(p.qos.latched for p in publishers) and any(s.qos.latched for s in subscriptions):
-        who = hub_problems.nodes(s for s in subscriptions if s.qos.latched)
+        who = owners(s for s in subscriptions if s.qos.latched)
         text = f"{who} requests earlier messages (transient local), but no publisher keeps them"
         cure = (
             "if the publisher cannot be changed, a rule with qos: {durability: transient_local} keeps its last message"

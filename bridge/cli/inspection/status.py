@@ -16,9 +16,9 @@ from rich.text import Text
 
 from bridge.cli.arguments import add_hub_arguments, number_in
 from bridge.cli.client import CliClient, client_config, config_file, of_this_machine, open_client
-from bridge.cli.inspection.refusals import Refusal, refusals
 from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
+from bridge.client.refusals import Refusal, refusals
 from bridge.client.status import ask_status
 from bridge.daemon.query import Phase
 from bridge.display.documents import connected_lines, routes_table

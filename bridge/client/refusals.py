@@ -1,0 +1,181 @@
+"""Commands and calls from other machines that a router refuses (`hub.open.trusted`).
+
+zenoh drops them at the external listener without a report. They are derived from the routers' status documents and the
+hub's graph: which machines a router does not trust, which sessions are theirs, and what these publish and call.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import zenoh
+
+from bridge.client.graph import owners
+from bridge.client.session import Client
+from bridge.config.rules import commands
+from bridge.config.sections.routing import RoutingSection
+from bridge.hub.errors import HubWireError
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.tokens import EndpointKind
+from bridge.hub.security.access import QUESTIONS, harmless_keys
+from bridge.hub.wire.keys import topic_key
+from bridge.status import MachineStatus, RouterStatus, StatusDocument, read_status, routers_of
+from bridge.text import plural
+
+_QUESTIONS = [zenoh.KeyExpr(key) for key in QUESTIONS]
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Commands on one topic, or calls to one service, from one machine that another machine refuses.
+
+    ``daemon`` is the one that refuses; ``machine`` is the name in the certificate, "" without one; ``messages`` is the
+    number of messages or calls that the machine's bridge has sent, None if no bridge counts them.
+    """
+
+    daemon: str
+    machine: str
+    topic: str
+    type: str
+    nodes: str
+    messages: int | None
+    is_service: bool
+
+    @property
+    def text(self) -> str:
+        """Return the refusal as a sentence."""
+        who = self.machine or "a machine without a certificate"
+        one, what = ("call", "calls of {} to") if self.is_service else ("message", "commands of {} on")
+        count = "" if self.messages is None else f"; {plural(self.messages, one)} so far"
+        return f"{self.daemon} refuses the {what.format(who)} {self.topic} ({self.nodes}){count}"
+
+    @property
+    def cure(self) -> str:
+        """Return what to change if the commands should be accepted."""
+        name = f"name {self.machine!r}" if self.machine else "give it a certificate (midspan keys), and name that"
+        return f"if that is not intended, {name} in hub.open.trusted of {self.daemon} and reload"
+
+
+def refusals(client: Client, documents: Sequence[StatusDocument]) -> list[Refusal]:
+    """Return what routers refuse now, from the workers' status documents and the hub's graph, once it has settled."""
+    graph = client.hub.graph
+    refused: list[Refusal] = []
+    for router in routers_of(documents):
+        distrusted = [machine for machine in router.machines if not machine.trusted]
+        if not distrusted:
+            continue
+        harmless = _harmless(router.commands)
+        zids = {endpoint.zid for endpoint in graph.endpoints()}
+        for machine in distrusted:
+            theirs = _sessions(router, machine, documents, zids)
+            served = {server.topic for server in graph.servers() if server.zid not in theirs}
+            for endpoints, allowed in ((graph.publishers(), harmless), (graph.clients(), _QUESTIONS)):
+                groups = _by_topic(e for e in endpoints if e.zid in theirs)
+                barred = [group for group in groups if not _is_among(allowed, _key(group[0], client.hub.domain))]
+                reports = (_refusal(router, machine, group, documents) for group in barred)
+                refused += [r for r in reports if not r.is_service or (r.topic in served and r.messages != 0)]
+    return refused
+
+
+def refusals_of_own(client: Client, published: Iterable[tuple[str, str, str]]) -> list[Refusal]:
+    """Return what routers refuse of this program's topics; ``published`` has the name, type and hash of each."""
+    answers = client.ask("status", worker="router")
+    routers = routers_of(read_status(a.value, a.daemon, a.worker, a.error) for a in answers)
+    topics, refused, own = list(published), list[Refusal](), client.hub.zid
+    for router in routers:
+        harmless = _harmless(router.commands)
+        for machine in router.machines:
+            if machine.trusted or own not in _sessions(router, machine, routers, {own}):
+                continue
+            for topic, type_name, type_hash in topics:
+                if not _is_among(harmless, topic_key(client.hub.domain, topic, type_name, type_hash)):
+                    names = router.daemon, machine.name, topic, type_name
+                    refused.append(Refusal(*names, "this command", None, is_service=False))
+    return refused
+
+
+def _refusal(
+    router: RouterStatus,
+    machine: MachineStatus,
+    endpoints: Sequence[HubEndpoint],
+    documents: Iterable[StatusDocument],
+) -> Refusal:
+    first = endpoints[0]
+    is_service = first.kind is EndpointKind.CLIENT
+    direction = "out" if is_service else "in"
+    zids = {endpoint.zid for endpoint in endpoints}
+    counted = [
+        (route.calls if is_service else route.messages) or 0
+        for document in documents
+        if document.zid in zids
+        for route in document.routes
+        if (route.direction, route.hub_topic) == (direction, first.topic)
+    ]
+    return Refusal(
+        router.daemon,
+        machine.name,
+        first.topic,
+        first.type_name,
+        owners(endpoints),
+        sum(counted) if counted else None,
+        is_service,
+    )
+
+
+def _sessions(
+    router: RouterStatus, machine: MachineStatus, documents: Sequence[StatusDocument], known: Collection[str]
+) -> set[str]:
+    """Return the sessions that reach a router through its link with a machine, from ``known`` and from the documents.
+
+    These are the machine's own sessions and those of the routers connected to the machine, even if the machine is a
+    router without a status document, such as zenohd. If the router has no other machine, these are all sessions except
+    the router's own.
+    """
+    links: dict[str, set[str]] = defaultdict(set)
+    members: dict[str, set[str]] = {}
+    for other_router in routers_of(documents):
+        if external := other_router.door:
+            members[external] = set(other_router.members)
+            for other in other_router.machines:
+                links[external].add(other.zid)
+                links[other.zid].add(external)
+    start, here = machine.zid, router.door
+    reached, waiting = links[here] | {here}, [start]  # another machine of the router has its own link
+    sessions = {start}
+    while waiting:
+        place = waiting.pop()
+        sessions |= {place} | members.get(place, set())
+        waiting += links[place] - reached
+        reached |= links[place]
+    own = members.get(here, set())
+    if len(links[here]) == 1 and len(own) >= (router.sessions or 1):  # the list is complete
+        own |= {document.zid for document in documents if document.daemon == router.daemon}
+        sessions |= set(known) - own
+    return sessions
+
+
+def _by_topic(endpoints: Iterable[HubEndpoint]) -> Iterable[list[HubEndpoint]]:
+    groups: dict[tuple[str, str], list[HubEndpoint]] = {}
+    for endpoint in endpoints:
+        groups.setdefault((endpoint.topic, endpoint.type_name), []).append(endpoint)
+    return [groups[key] for key in sorted(groups)]
+
+
+def _harmless(commanding: Mapping[str, Sequence[str]]) -> list[zenoh.KeyExpr]:
+    """Return the keys on which every machine may publish, given the commands in the router's status document."""
+    usual = commands(RoutingSection())
+    table = usual | {name: frozenset(parts) for name, parts in commanding.items()}
+    try:
+        return [zenoh.KeyExpr(key) for key in harmless_keys(table)]
+    except (HubWireError, zenoh.ZError):  # invalid types or names
+        return [zenoh.KeyExpr(key) for key in harmless_keys(usual)]
+
+
+def _key(endpoint: HubEndpoint, domain: int) -> str:
+    return topic_key(domain, endpoint.topic, endpoint.type_name, endpoint.type_hash)
+
+
+def _is_among(allowed: Iterable[zenoh.KeyExpr], key: str) -> bool:
+    return any(expression.includes(zenoh.KeyExpr(key)) for expression in allowed)
