@@ -50,7 +50,7 @@ class Navigation:
         other = self._client.config.navigation.others.get(planner)
         topic = other.path if other is not None and other.path else f"/planner/{planner}/path"
         self._client.settle()
-        if planner not in OURS and not self._client.hub.graph.publishers(topic):
+        if planner not in OURS and not self._client.publishers(topic):
             return []
         message = latest_message(self._client, self._types, topic, PATH, _PATH_SECONDS)
         return [] if message is None else list(message["poses"])

@@ -12,6 +12,7 @@ from bridge.client.types import Types
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import ConversionError
+from bridge.routing.limits import default_priority
 
 MATCH_SECONDS = 2.0
 _POLL_SECONDS = 0.02
@@ -20,17 +21,20 @@ _POLL_SECONDS = 0.02
 class Publisher:
     """Publishes on one topic; raises `ClientError` if the type, in ROS 1's or ROS 2's spelling, is unknown.
 
+    ``priority`` is by default that of a topic for which no rule sets one.
+
     Attributes:
         kind: name of the topic, its type and the type's hash.
         end: the publisher on the hub, which accepts CDR.
     """
 
     def __init__(
-        self, client: Client, types: Types, topic: str, type_name: str, qos: Qos | None = None, priority: str = "stream"
+        self, client: Client, types: Types, topic: str, type_name: str, qos: Qos | None = None, priority: str = ""
     ) -> None:
-        self._types, type_name = types, types.name(type_name)
+        self._types, type_name, qos = types, types.name(type_name), qos or Qos()
         self.kind = topic, type_name, types.hash_of(type_name)
-        self.end = client.hub.publisher(*self.kind, qos or Qos(), priority=priority)
+        priority = priority or default_priority(topic, type_name, latched=qos.latched).value
+        self.end = client.hub.publisher(*self.kind, qos, priority=priority)
 
     def publish(self, message: Mapping[str, Any]) -> None:
         """Publish a message; raises the errors of `encode`."""

@@ -18,6 +18,7 @@ from bridge.config.model import Config
 from bridge.config.sections.section import is_loopback
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
+from bridge.hub.graph import HubEndpoint
 from bridge.hub.identity import ask_identity
 from bridge.hub.session import Hub, HubSession, HubSettings
 from bridge.hub.zenoh_config import client_session_config, connect_endpoint
@@ -65,6 +66,18 @@ class Client:
         from bridge.messages.registry import Registry  # many programs need no types
 
         return Registry.of(self.config.types)
+
+    def endpoints(self) -> list[HubEndpoint]:
+        """Return the endpoints of other programs on the hub."""
+        return [endpoint for endpoint in self.hub.graph.endpoints() if not endpoint.own]
+
+    def publishers(self, topic: str) -> list[HubEndpoint]:
+        """Return the publishers of a topic on the hub."""
+        return self.hub.graph.publishers(topic)
+
+    def servers(self, name: str) -> list[HubEndpoint]:
+        """Return the servers of a service on the hub."""
+        return self.hub.graph.servers(name)
 
     def catch_up(self) -> None:
         """Wait until this session has received the hub's graph from the router."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from bridge.client.errors import ClientError
 from bridge.client.session import ASK_SECONDS, Client
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.daemons import identity_of
+from bridge.hub.graph.tokens import Origin
 from bridge.hub.namesakes import DaemonNames
 from bridge.state_file import SERVICE_STATE
 from bridge.status import StatusDocument, read_status
@@ -25,6 +26,19 @@ def ask_status(client: Client) -> list[StatusDocument]:
 def answered(client: Client, seconds: float = ASK_SECONDS) -> list[StatusDocument]:
     """Return the status documents of the workers that answer in time."""
     return [document_of(answer) for answer in distinct(client, client.ask("status", timeout=seconds))]
+
+
+def documents_in(answers: Iterable[WorkerAnswer]) -> list[StatusDocument]:
+    """Return the status documents in the workers' answers to ``status``, without those of workers that failed."""
+    return [read_status(a.value, a.daemon, a.worker) for a in answers if isinstance(a.value, dict)]
+
+
+def silent_workers(client: Client, documents: Iterable[StatusDocument]) -> list[Origin]:
+    """Return the sides whose workers are on the hub, but have not sent one of the status documents."""
+    answered = {document.zid for document in documents}
+    origins = client.hub.graph.origins().items()
+    # the zenoh worker has further sessions for its dialects
+    return [origin for zid, origin in origins if zid not in answered and not origin.side.startswith("zenoh")]
 
 
 def document_of(answer: WorkerAnswer) -> StatusDocument:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.errors import HubError
@@ -13,7 +13,10 @@ from bridge.hub.wire.version import WIRE
 from bridge.stores.entry import StoreError, check_name, json_object
 from bridge.stores.kinds import CURRENT, MAP, ValueKind
 from bridge.stores.store import THE_MAP, Write, rename_writes
-from bridge.stores.wire import check_wire, key_of
+from bridge.stores.wire import check_wire, key_of, prefix
+
+if TYPE_CHECKING:
+    from bridge.client.session import Client
 
 T = TypeVar("T")
 
@@ -132,3 +135,8 @@ class StoreClient:
             refused = "access between the machines may be denied (hub.open.trusted)"
             raise StoreError(f"the store of {self.daemon} did not answer; {refused}")
         return answers
+
+
+def open_store(client: Client) -> StoreClient:
+    """Return the store of the client's daemon, or of another one; raises `StoreError` if none is on the hub."""
+    return StoreClient(client.hub.keyspace(prefix(client.config.hub.domain)), client.config.name)

@@ -27,6 +27,7 @@ from bridge.text import duration
 
 ABSENT = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED, Phase.FAILED)}
 """Phases of a worker that is enabled but does not run."""
+ENABLED = {*ABSENT, Phase.UP.value, Phase.STOPPING.value}
 
 _LOOPS = 3
 """Restarts from which a worker counts as crash-looping until it has recovered (`_SETTLED_SECONDS`)."""

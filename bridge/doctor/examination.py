@@ -46,8 +46,7 @@ def snapshot(client: Client) -> HubSnapshot:
     """Return the hub as this client sees it."""
     documents = answered(client)
     client.settle()
-    endpoints = [e for e in client.hub.graph.endpoints() if not e.own]
-    return HubSnapshot("", documents, endpoints, _clocks(client))
+    return HubSnapshot("", documents, client.endpoints(), _clocks(client))
 
 
 def _clocks(client: Client) -> dict[str, context.Offset]:

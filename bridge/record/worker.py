@@ -70,6 +70,11 @@ class Recording:
         head = self._head.fields(state, summary(status), recording=status, **error)
         return WorkerStatus(**head, metrics=metrics(status)).document()
 
+    @property
+    def joined(self) -> bool:
+        """Whether a router of the hub answers."""
+        return self.host.node.hub.linked()
+
     def add_triggers(self, section: RecordSection) -> None:
         """Start the configured triggers."""
         self.triggers = Triggers(self.host, section.trigger, self.recorder.trigger)

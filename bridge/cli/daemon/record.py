@@ -230,7 +230,7 @@ def _record(args: argparse.Namespace, config: Config, section: RecordSection, ou
 
 def _await_hub(recording: Recording, config: Config, ended: threading.Event) -> None:
     end = time.monotonic() + _JOIN_SECONDS
-    while not recording.host.node.hub.linked():
+    while not recording.joined:
         if time.monotonic() > end or ended.is_set():
             raise CliError(
                 f"no zenoh router answers at {config.hub.listen}\n"

@@ -28,7 +28,6 @@ from bridge.client.session import Client
 from bridge.client.types import Types
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.errors import ConversionError
-from bridge.routing.limits import default_priority
 from bridge.text import clean, side_name, size
 from yarp_compat.interruptible import interruptible
 
@@ -162,9 +161,8 @@ def _pub(args: argparse.Namespace) -> int:
         client.settle()
         _warn_of_other_types(client, topic, name)
         durability = Durability.TRANSIENT_LOCAL if args.latch else Durability.VOLATILE
-        priority = default_priority(topic, name, latched=args.latch)
         qos = Qos(durability=durability, depth=1 if args.latch else 10)
-        publisher = Publisher(client, types, topic, name, qos, priority.value)
+        publisher = Publisher(client, types, topic, name, qos)
         refused = False
         try:
             if not await_subscribers(publisher.end, args.settle):
@@ -206,8 +204,7 @@ def _warn_of_sides(client: Client, topic: str) -> None:
 
 
 def _warn_of_other_types(client: Client, topic: str, name: str) -> None:
-    graph = client.hub.graph
-    used = {e.type_name for e in [*graph.publishers(topic), *graph.subscriptions(topic)]}
+    used = {e.type_name for e in client.endpoints() if e.topic == topic and e.kind in ("publisher", "subscription")}
     if used and name not in used:
         print(f"{topic} is {clean(', '.join(sorted(used)))} elsewhere, not {name}", file=sys.stderr)
 

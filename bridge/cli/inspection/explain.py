@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -24,7 +24,7 @@ from bridge.client.graph import (
 )
 from bridge.client.refusals import refusals
 from bridge.client.session import ASK_SECONDS, Client
-from bridge.client.status import daemon_names
+from bridge.client.status import daemon_names, documents_in, silent_workers
 from bridge.config.model import Config
 from bridge.config.sections.routing import Rule
 from bridge.display.documents import connection_line, drops_text, port_lines, transport_text
@@ -32,10 +32,9 @@ from bridge.doctor import hub_problems
 from bridge.doctor.hub_problems import Note, absence
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.namesakes import DaemonNames
 from bridge.messages.actions import split
 from bridge.routing.rules import ENTRY, RuleSet
-from bridge.status import ConnectionStatus, PortStatus, RouteStatus, StatusDocument, read_connections, read_status
+from bridge.status import ConnectionStatus, PortStatus, RouteStatus, StatusDocument, read_connections
 from bridge.text import arrow, clean, duration, plural, rate, side_name
 
 _VERDICTS = {
@@ -88,10 +87,10 @@ def explain(client: Client, topic: str) -> Explanation:
     everything = decisions_in(answers)
     decisions = _decisions(everything, topic)
     names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
-    endpoints = [e for e in client.hub.graph.endpoints() if not e.own and names & {e.topic, split(e.topic)[0]}]
+    endpoints = [e for e in client.endpoints() if names & {e.topic, split(e.topic)[0]}]
     endpoints.sort(key=lambda e: (e.topic, e.kind))
     ports = [port for document in documents for port in document.ports if names & {port.topic, port.port}]
-    missing_planner = planner_note(client.config, topic, client.hub.graph.endpoints(), documents)
+    missing_planner = planner_note(client.config, topic, client.endpoints(), documents)
     planner = [] if missing_planner is None else [missing_planner]
     silent = _silent(client, documents)
     if not decisions and not endpoints and not ports:
@@ -121,21 +120,17 @@ def _asked(client: Client) -> tuple[list[WorkerAnswer], list[StatusDocument], li
         connections = pool.submit(client.ask, "connections")
         client.settle()
         names = daemon_names(client, status.result())
-        documents = [
-            read_status(answer.value, answer.daemon, answer.worker)
-            for answer in names.apply(status.result())
-            if isinstance(answer.value, dict)
-        ]
-        return names.apply(decisions.result()), documents, _namesakes(names), names.apply(connections.result())
+        documents, namesakes = documents_in(names.apply(status.result())), _namesakes(names.several())
+        return names.apply(decisions.result()), documents, namesakes, names.apply(connections.result())
 
 
-def _namesakes(names: DaemonNames) -> list[Note]:
+def _namesakes(several: Mapping[str, Sequence[str]]) -> list[Note]:
     return [
         Note(
             f"{len(places)} daemons on this hub are named {name!r}: {'; '.join(places)}",
             "set another 'name' in the configuration of one of them",
         )
-        for name, places in names.several().items()
+        for name, places in several.items()
     ]
 
 
@@ -165,13 +160,10 @@ def _connections(answers: Sequence[WorkerAnswer], names: set[str]) -> list[tuple
 
 def _silent(client: Client, documents: Sequence[StatusDocument]) -> list[Note]:
     """Return notes on the workers that are on the hub but did not answer: their decisions are missing."""
-    answered = {document.zid for document in documents}
     late = f"did not answer within {ASK_SECONDS:g} s, so its decisions are missing"
     return [
         Note(f"{side_name(origin.side)} (daemon {clean(origin.daemon)}) {late}", "see `midspan status`")
-        for zid, origin in client.hub.graph.origins().items()
-        # the zenoh worker has further sessions for its dialects
-        if zid not in answered and not origin.side.startswith("zenoh")
+        for origin in silent_workers(client, documents)
     ]
 
 

@@ -18,13 +18,13 @@ from bridge.cli.arguments import add_hub_arguments, number_in
 from bridge.cli.client import CliClient, client_config, config_file, of_this_machine, open_client
 from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
+from bridge.client.graph import natives
 from bridge.client.refusals import Refusal, refusals
 from bridge.client.status import ask_status
-from bridge.daemon.query import Phase
 from bridge.display.documents import connected_lines, routes_table
 from bridge.doctor.causes import cause, grouped, one_line, shared
 from bridge.doctor.daemon_state import (
-    ABSENT,
+    ENABLED,
     DaemonState,
     Life,
     absent,
@@ -34,13 +34,12 @@ from bridge.doctor.daemon_state import (
     with_silent,
     without_node,
 )
-from bridge.hub.graph.releases import NativeNodes, native_nodes
+from bridge.hub.graph.releases import NativeNodes
 from bridge.status import EndpointStatus, MachineStatus, RouterStatus, StatusDocument, WorkerStatus, refused_routes
 from bridge.text import arrow, clean, duration, listed, make_console, plural, side_name, size
 
 _STYLES = {"running": "green", "waiting": "yellow", "standby": "cyan", "starting": "yellow", "queued": "yellow"}
 DAEMON = "daemon"
-_ENABLED = {*ABSENT, Phase.UP.value, Phase.STOPPING.value}
 
 
 def register_status(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +55,7 @@ def register_status(parser: argparse.ArgumentParser) -> None:
 
 def run_status(args: argparse.Namespace) -> int:
     """Show the status once; show a running daemon's workers even if the hub cannot be joined."""
-    documents, refused, natives = list[StatusDocument](), list[Refusal](), list[NativeNodes]()
+    documents, refused, native = list[StatusDocument](), list[Refusal](), list[NativeNodes]()
     state = daemon_state(client_config(args), file=config_file(args)) if of_this_machine(args) else DaemonState("")
     silent = absent(state.document, looping=True)
     unreachable: ClientError | None = None
@@ -67,11 +66,11 @@ def run_status(args: argparse.Namespace) -> int:
             documents = _ask_status(client)
             client.settle()
             refused = refusals(client, documents)
-            natives = native_nodes(client.hub.graph.endpoints(), {document.zid for document in documents})
+            native = natives(client, documents)
     except ClientError as err:
         if state.life is not Life.RUNNING:
             raise
-        silent = absent(state.document, _ENABLED, looping=True)
+        silent = absent(state.document, ENABLED, looping=True)
         unreachable = None if joined else err
     if state.life is Life.UNKNOWN and of_this_machine(args):
         state = daemon_state(client_config(args), documents, config_file(args))
@@ -81,7 +80,7 @@ def run_status(args: argparse.Namespace) -> int:
     if args.json:
         print_json([{**document.document(), **_refused_commands(document, refused)} for document in documents])
     else:
-        show(make_console(), documents, refused, natives)
+        show(make_console(), documents, refused, native)
     if state.trouble:
         raise CliError(f"{state.trouble}\n{state.cure}")
     if unreachable is not None:

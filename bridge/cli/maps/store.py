@@ -8,10 +8,9 @@ from contextlib import contextmanager
 
 from bridge.cli.client import CliClient, open_client
 from bridge.cli.output import CliError
-from bridge.client.store import StoreClient
+from bridge.client.store import StoreClient, open_store
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import MAP
-from bridge.stores.wire import prefix
 from bridge.text import near
 from yarp_compat.dev.mapgrid import MapGrid2D
 
@@ -26,7 +25,7 @@ def open_stored(args: argparse.Namespace) -> Iterator[tuple[CliClient, StoreClie
 def store_of(client: CliClient) -> StoreClient:
     """Find the store of the configured daemon, or of another one; raises `CliError` with the reason if none exists."""
     try:
-        return StoreClient(client.hub.keyspace(prefix(client.config.hub.domain)), client.config.name)
+        return open_store(client)
     except StoreError as err:
         missing = client.daemon().why_missing("modules", client.config)
         raise CliError(f"no store answers: {missing}" if missing else str(err)) from None

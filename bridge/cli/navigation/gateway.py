@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 from bridge.cli.client import CliClient
@@ -10,10 +9,10 @@ from bridge.cli.output import CliError
 from bridge.client.errors import ClientError
 from bridge.client.navigation import STATUS_TOPIC, Navigation, gateway_document
 from bridge.client.services import ServiceCaller
+from bridge.client.status import documents_in
 from bridge.client.types import Types
 from bridge.doctor.hub_problems import Note, absence, inactive_nodes
-from bridge.hub.control import WorkerAnswer
-from bridge.status import GatewayKeys, StatusDocument, read_status
+from bridge.status import GatewayKeys, StatusDocument
 
 NO_GATEWAY = "no gateway is configured: name a planner in the section 'navigation' of the configuration"
 _LATE = (
@@ -31,27 +30,23 @@ def gateway_status(client: CliClient) -> StatusDocument:
         raise CliError(no_answer(client)) from None
 
 
-def _documents(answers: Iterable[WorkerAnswer]) -> list[StatusDocument]:
-    return [read_status(a.value, a.daemon, a.worker) for a in answers if isinstance(a.value, dict)]
-
-
 def check_daemon(client: CliClient) -> None:
     """Raise `CliError` if the daemon is down and no other daemon has a gateway: waiting would be useless."""
     state = client.daemon()
     if state.trouble:
         client.settle()
-        if not client.hub.graph.publishers(STATUS_TOPIC):
+        if not client.publishers(STATUS_TOPIC):
             raise CliError(f"no gateway answers: {state.trouble}")
 
 
 def no_answer(client: CliClient) -> str:
     """Return why no gateway answers: the daemon is down, no gateway is configured or runs, or it is too slow."""
-    documents = _documents(client.ask("status"))
+    documents = documents_in(client.ask("status"))
     state = client.daemon(documents)
     if state.trouble:
         return state.trouble
     client.settle()
-    published = bool(client.hub.graph.publishers(STATUS_TOPIC))
+    published = bool(client.publishers(STATUS_TOPIC))
     if not client.config.navigation.planner:
         return _LATE if published else NO_GATEWAY
     if missing := state.why_missing(_WORKER, client.config):
@@ -72,9 +67,9 @@ def planner_away(client: CliClient, gateway: StatusDocument) -> Note | None:
         return None
     planner = gateway.other(GatewayKeys).planner
     if gateway.daemon == client.config.name:  # another daemon's planners are in another configuration
-        documents = _documents(client.ask("status"))
+        documents = documents_in(client.ask("status"))
         client.settle()
-        note = absence(client.config.navigation, planner, client.hub.graph.endpoints(), documents)
+        note = absence(client.config.navigation, planner, client.endpoints(), documents)
         if note is not None:
             return note
     return Note(gateway.text or f"the planner {planner} is unreachable", "")

@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     with open_client(args) as client:
         client.settle()
         planner = _planner(client)
-        managers = [name for name in planner.managers if client.hub.graph.servers(f"{name}/manage_nodes")]
+        managers = [name for name in planner.managers if client.servers(f"{name}/manage_nodes")]
         if not managers:
             raise CliError(_missing(planner))
         types = Types(client)
@@ -75,7 +75,7 @@ def _planner(client: CliClient) -> Planner:
     try:
         gateway = gateway_document(client).other(GatewayKeys)
     except ClientError:
-        if client.hub.graph.publishers(STATUS_TOPIC):
+        if client.publishers(STATUS_TOPIC):
             raise CliError(no_answer(client)) from None
         # without a gateway, no part of Midspan drives the robot
     name = (gateway.planner if gateway is not None else "") or section.planner or "nav2"
@@ -128,7 +128,7 @@ def _command(client: CliClient, types: Types, manager: str, verb: str, seconds: 
 
 def _is_active(client: CliClient, types: Types, manager: str) -> bool:
     name = f"{manager}/is_active"
-    if not client.hub.graph.servers(name):
+    if not client.servers(name):
         return False
     caller = ServiceCaller(client, types, name, TRIGGER)
     try:
