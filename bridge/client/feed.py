@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 from bridge.client.errors import ClientError
 from bridge.client.graph import absolute, all_topics, ask_decisions, unknown
 from bridge.client.session import Client
-from bridge.client.topics import SubscribedTopic, TopicKey
+from bridge.client.topics import TopicFollower, TopicKey
 from bridge.client.types import Types
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.hub.graph import HubEndpoint, origin_side
-from bridge.hub.wire.keys import NO_HASH
+from bridge.hub.graph import origin_side
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.messages.errors import ConversionError
 from bridge.text import side_name
@@ -52,7 +51,7 @@ class TopicFeed:
         self.topic = absolute(topic)
         self.overrun = 0
         self._client, self._side, self._payloads = client, side, payloads
-        self._subscriptions: dict[TopicKey, SubscribedTopic] = {}
+        self._follower = TopicFollower(client.hub, self._on_sample)
         self._taps: set[str] = set()
         self._tap_due = 0.0
         self._names = [self.topic]
@@ -63,7 +62,7 @@ class TopicFeed:
     @property
     def lost(self) -> int:
         """Number of lost messages, by the publishers' sequence numbers."""
-        return sum(subscription.lost for subscription in self._subscriptions.values())
+        return self._follower.lost
 
     def open(self, seconds: float) -> None:
         """Find the topic, waiting up to ``seconds`` for it; raises `ClientError` if it cannot be received."""
@@ -73,10 +72,9 @@ class TopicFeed:
         self._learn_names()
         while True:
             self.refresh()
-            trouble = [subscription.trouble for subscription in self._subscriptions.values() if subscription.trouble]
-            if trouble:
-                raise ClientError("; ".join(trouble))
-            if self._subscriptions:
+            if troubles := self._follower.troubles:
+                raise ClientError("; ".join(troubles))
+            if self._follower:
                 return
             if time.monotonic() >= end:
                 raise ClientError(self._why_not())
@@ -84,18 +82,9 @@ class TopicFeed:
 
     def refresh(self) -> None:
         """Subscribe to new publishers, and renew the taps."""
-        groups: dict[TopicKey, list[HubEndpoint]] = {}
-        for name in self._names:
-            for endpoint in self._client.hub.graph.publishers(name):
-                if not endpoint.own and self._side in (None, origin_side(endpoint)):
-                    groups.setdefault(TopicKey(name, endpoint.type_name, endpoint.type_hash), []).append(endpoint)
-        for key, endpoints in groups.items():
-            self._subscription(key).renew(endpoints)
-        hashed = {key._replace(type_hash=NO_HASH) for key in groups if key.type_hash != NO_HASH}
-        # a subscription with a hash also receives from publishers without one
-        for key in self._subscriptions.keys() & hashed:
-            self._subscriptions.pop(key).close()
-        if self._taps or not self._subscriptions:
+        publishers = (end for name in self._names for end in self._client.publishers(name))
+        self._follower.follow(e for e in publishers if not e.own and self._side in (None, origin_side(e)))
+        if self._taps or not self._follower:
             self._tap()
 
     def next(self, until: float) -> Arrival | None:
@@ -126,8 +115,7 @@ class TopicFeed:
 
     def close(self) -> None:
         """Unsubscribe; the taps expire by themselves."""
-        for subscription in self._subscriptions.values():
-            subscription.close()
+        self._follower.close()
 
     def _learn_names(self) -> None:
         """Find the topic's names on the hub from its name on the sides."""
@@ -135,18 +123,11 @@ class TopicFeed:
             if decision.decision == "bridged" and decision.hub_topic not in self._names:
                 self._names.append(decision.hub_topic)
 
-    def _subscription(self, key: TopicKey) -> SubscribedTopic:
-        subscription = self._subscriptions.get(key)
-        if subscription is None:
-
-            def on_sample(sample: HubSample) -> None:
-                origin = self._client.hub.graph.origin_of(sample.zid)
-                side = "zenoh" if origin is None else origin.side
-                if self._side in (None, side):
-                    self.on_sample(sample, key.type_name, key.type_hash, side)
-
-            subscription = self._subscriptions[key] = SubscribedTopic(self._client.hub, key, on_sample)
-        return subscription
+    def _on_sample(self, key: TopicKey, sample: HubSample) -> None:
+        origin = self._client.hub.graph.origin_of(sample.zid)
+        side = "zenoh" if origin is None else origin.side
+        if self._side in (None, side):
+            self.on_sample(sample, key.type_name, key.type_hash, side)
 
     def _tap(self) -> None:
         if time.monotonic() < self._tap_due:
@@ -158,7 +139,7 @@ class TopicFeed:
             if topic and self._side in (None, answer.worker):
                 self._taps.add(topic)
                 # the tap may have latched messages; a latched subscription receives the others too
-                self._subscription(TopicKey(topic, type_name, type_hash)).subscribe(_TAP_QOS)
+                self._follower.topic(TopicKey(topic, type_name, type_hash)).subscribe(_TAP_QOS)
 
     def _why_not(self) -> str:
         decisions = ask_decisions(self._client, self.topic)
@@ -169,30 +150,56 @@ class TopicFeed:
 
 
 class LatestMessage:
-    """The newest message of a latched topic; ``on_message`` is called with each message on a zenoh thread."""
+    """The newest message of a latched topic; ``on_message`` is called with each message on a zenoh thread.
+
+    Without ``on_message``, a message is decoded only when it is read, as large ones such as maps take long.
+
+    Attributes:
+        count: the number of messages that have arrived.
+    """
 
     def __init__(
         self, client: Client, types: Types, topic: str, type_name: str,
-        on_message: Callable[[dict[str, Any]], None] = lambda _message: None,
+        on_message: Callable[[dict[str, Any]], None] | None = None,
     ) -> None:  # fmt: skip
+        self.count = 0
         self._types, self._type, self._on_message = types, type_name, on_message
         self._hash = types.hash_of(type_name)
-        self._received = threading.Event()
-        self._message: dict[str, Any] | None = None
+        self._arrived = threading.Condition()
+        self._data = b""
         self._end = client.hub.subscription(topic, type_name, self._hash, LATCHED, self._on_sample)
 
     def _on_sample(self, sample: HubSample) -> None:
-        try:
-            self._message = self._types.decode(self._type, self._hash, sample.data())
-        except (ClientError, ConversionError):
-            return
-        self._on_message(self._message)
-        self._received.set()
+        data = sample.data()
+        if self._on_message is not None:
+            try:
+                message = self._decoded(data)
+            except (ClientError, ConversionError):
+                return
+            self._on_message(message)
+        with self._arrived:
+            self._data, self.count = data, self.count + 1
+            self._arrived.notify_all()
+
+    def _decoded(self, data: bytes) -> dict[str, Any]:
+        return self._types.decode(self._type, self._hash, data)
+
+    def newer(self, count: int, seconds: float) -> bool:
+        """Wait for a message after the ``count``-th one; return whether it has arrived in time."""
+        with self._arrived:
+            return self._arrived.wait_for(lambda: self.count > count, seconds)
+
+    def read(self) -> dict[str, Any] | None:
+        """Return the newest message, None before the first; raises `ClientError` or `ConversionError` if invalid."""
+        return self._decoded(self._data) if self._data else None
 
     def wait(self, seconds: float) -> dict[str, Any] | None:
-        """Return the newest message, None if no message arrives in time."""
-        self._received.wait(seconds)
-        return self._message
+        """Return the newest message, None if no message arrives in time, or if it is invalid."""
+        self.newer(0, seconds)
+        try:
+            return self.read()
+        except (ClientError, ConversionError):
+            return None
 
     def close(self) -> None:
         self._end.close()

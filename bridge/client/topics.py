@@ -24,6 +24,7 @@ from bridge.hub.errors import HubError
 from bridge.hub.graph import HubEndpoint, origin_side
 from bridge.hub.graph.tokens import TAPS, Origin
 from bridge.hub.session import Hub
+from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.definitions.text import full_text
 from bridge.messages.errors import MessageTypeError
@@ -82,12 +83,16 @@ def published(endpoints: Iterable[HubEndpoint], *, taps: bool = False) -> dict[T
         endpoints: publishers on the hub.
         taps: include topics of a side that its worker shows on request (`bridge.hub.graph.tokens.TAPS`).
     """
-    publishers: dict[TopicKey, list[HubEndpoint]] = {}
+    # a pending endpoint is announced again once its origin is known
+    known = (end for end in endpoints if not (end.own or end.pending) and (taps or not end.topic.startswith(TAPS)))
+    return {key: HubTopic(key, tuple(publishers)) for key, publishers in _by_key(known).items()}
+
+
+def _by_key(endpoints: Iterable[HubEndpoint]) -> dict[TopicKey, list[HubEndpoint]]:
+    groups: dict[TopicKey, list[HubEndpoint]] = {}
     for endpoint in endpoints:
-        # a pending endpoint is announced again once its origin is known
-        if not (endpoint.own or endpoint.pending) and (taps or not endpoint.topic.startswith(TAPS)):
-            publishers.setdefault(TopicKey(endpoint.topic, endpoint.type_name, endpoint.type_hash), []).append(endpoint)
-    return {key: HubTopic(key, tuple(endpoints)) for key, endpoints in publishers.items()}
+        groups.setdefault(TopicKey(endpoint.topic, endpoint.type_name, endpoint.type_hash), []).append(endpoint)
+    return groups
 
 
 class SubscribedTopic:
@@ -172,6 +177,52 @@ class SubscribedTopic:
             subscription.close()
             self._lost += subscription.lost
             self._refused += subscription.refused
+
+
+class TopicFollower:
+    """Subscriptions to the types of some topics, as their publishers appear.
+
+    Used by one thread; ``on_sample`` receives each message with its topic on zenoh's threads.
+    """
+
+    def __init__(self, hub: Hub, on_sample: Callable[[TopicKey, HubSample], None]) -> None:
+        self._hub, self._on_sample = hub, on_sample
+        self._subscribed: dict[TopicKey, SubscribedTopic] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._subscribed)
+
+    @property
+    def lost(self) -> int:
+        """Number of lost messages, by the publishers' sequence numbers."""
+        return sum(topic.lost for topic in self._subscribed.values())
+
+    @property
+    def troubles(self) -> list[str]:
+        """Why subscriptions failed."""
+        return [topic.trouble for topic in self._subscribed.values() if topic.trouble]
+
+    def topic(self, key: TopicKey) -> SubscribedTopic:
+        """Return the subscription to one type of a topic, which is created if necessary."""
+        if key not in self._subscribed:
+            self._subscribed[key] = SubscribedTopic(self._hub, key, partial(self._on_sample, key))
+        return self._subscribed[key]
+
+    def follow(self, publishers: Iterable[HubEndpoint], *, leave: bool = False) -> None:
+        """Subscribe to these publishers; with ``leave``, unsubscribe from types that none of them publishes."""
+        groups = _by_key(publishers)
+        # a subscription with a hash also receives from publishers without one
+        covered = {key._replace(type_hash=NO_HASH) for key in groups if key.type_hash != NO_HASH}
+        for key in groups.keys() - covered:
+            self.topic(key).renew(groups[key])
+        unused = covered | (self._subscribed.keys() - groups.keys() if leave else set())
+        for key in self._subscribed.keys() & unused:
+            self._subscribed.pop(key).close()
+
+    def close(self) -> None:
+        """Unsubscribe from all topics."""
+        while self._subscribed:
+            self._subscribed.popitem()[1].close()
 
 
 @dataclass(slots=True)

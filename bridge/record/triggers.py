@@ -6,14 +6,12 @@ import logging
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bridge.client.topics import TopicKey
+from bridge.client.topics import TopicFollower, TopicKey
 from bridge.hub.control import RECORDED
-from bridge.hub.endpoints.subscription import HubSample, HubSubscription
-from bridge.hub.errors import HubError
+from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.modules.services import Answer
@@ -36,8 +34,8 @@ class Triggers:
     """Watches all triggers; ``keep`` is called with the reason, and returns at once."""
 
     def __init__(self, host: Host, section: TriggerSection, keep: Keep) -> None:
-        self._host, self._section, self._keep = host, section, keep
-        self._ends: dict[TopicKey, HubSubscription] = {}
+        self._section, self._keep = section, keep
+        self._topics = TopicFollower(host.node.hub, self._on_message)
         self._state = ""
         self._quiet_until = 0.0
         host.node.server(SERVICE, _SERVICE_TYPE, self._serve)
@@ -49,13 +47,11 @@ class Triggers:
     def refresh(self, topics: Iterable[TopicKey]) -> None:
         """Subscribe to those of the hub's topics that are triggers."""
         for key in topics:
-            if key.topic in self._section.topics and key not in self._ends:
-                try:
-                    # volatile, because older latched messages are not triggers
-                    on_message = partial(self._on_message, key)
-                    self._ends[key] = self._host.node.hub.subscription(*key, Qos(), on_message, exact=True)
-                except HubError as err:
-                    _log.warning("trigger %s: %s", key.topic, err)
+            if key.topic in self._section.topics:
+                topic = self._topics.topic(key)
+                topic.subscribe(Qos())  # volatile, because older latched messages are not triggers
+                if topic.trouble:
+                    _log.warning("trigger %s: %s", key.topic, topic.trouble)
 
     def _on_message(self, key: TopicKey, _sample: HubSample) -> None:
         self._pull(f"a message on {key.topic}")
@@ -86,9 +82,7 @@ class Triggers:
 
     def close(self) -> None:
         """Close the topic subscriptions; the host closes the rest."""
-        for end in self._ends.values():
-            end.close()
-        self._ends.clear()
+        self._topics.close()
 
 
 def _reply(future: Future[Path | None]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +14,7 @@ from typing_extensions import override
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.errors import HubError
 from bridge.hub.graph import HubEndpoint
+from bridge.hub.wire.keys import NO_HASH
 from bridge.web.feeds import topics
 from bridge.web.feeds.feed import Watcher
 from bridge.web.feeds.images import ImageFeed
@@ -96,6 +98,14 @@ def test_the_rate_of_a_publisher_that_pauses_is_zero(place: Surroundings) -> Non
     place.second(10)
     assert '"bytes":4,"rate":10.0' in place.second(10)
     assert '"bytes":4,"rate":0.0' in place.second()
+
+
+def test_a_publisher_without_a_type_hash_does_not_double_the_rate(place: Surroundings) -> None:
+    """The subscription to the other publisher's hash receives its messages, too."""
+    place.endpoints.append(dataclasses.replace(endpoint("/odom", b"2" * 16), type_hash=NO_HASH))
+    watch(place)
+    place.second(10)
+    assert '"rate":10.0' in place.second(10)
 
 
 def test_a_message_is_withdrawn_with_its_last_publisher(place: Surroundings) -> None:

@@ -6,7 +6,6 @@ import argparse
 import base64
 import math
 import sys
-import threading
 import time
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
@@ -23,7 +22,6 @@ from bridge.client.navigation import PATIENCE, STATUS, STATUS_TOPIC, pose_goal
 from bridge.client.transforms import TransformListener
 from bridge.client.types import Types
 from bridge.config.sections.navigation import ACTION
-from bridge.hub.wire.qos import LATCHED
 from bridge.messages.actions import GoalState
 from bridge.text import clean
 from bridge.tf.errors import TransformError
@@ -101,44 +99,34 @@ class _Floor:
     """The growing map, and the robot's pose on it."""
 
     def __init__(self, client: CliClient, topic: str) -> None:
-        self._client, self._types, self._topic = client, Types(client), topic
-        self._data, self._count = b"", 0
-        self._arrived = threading.Condition()
+        self._client, self._topic = client, topic
         self._frames = TransformListener(client)
 
     def __enter__(self) -> Self:
-        self._hash = self._types.hash_of(GRID)
-        self._end = self._client.hub.subscription(
-            self._topic, GRID, self._hash, LATCHED, lambda sample: self._on_map(sample.data())
-        )
+        self._maps = LatestMessage(self._client, Types(self._client), self._topic, GRID)
         self._frames.open()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._end.close()
+        self._maps.close()
         self._frames.close()
 
     @property
     def count(self) -> int:
         """The number of maps that have arrived."""
-        return self._count
-
-    def _on_map(self, data: bytes) -> None:
-        with self._arrived:
-            self._data, self._count = data, self._count + 1
-            self._arrived.notify_all()
+        return self._maps.count
 
     def newer(self, count: int, seconds: float) -> bool:
         """Wait for a map after the ``count``-th one; return whether it has arrived in time."""
         self._frames.refresh()
-        with self._arrived:
-            return self._arrived.wait_for(lambda: self._count > count, seconds)
+        return self._maps.newer(count, seconds)
 
     def map(self) -> MapGrid2D | None:
         """Return the newest map; None before the first map, and if the newest has no free cells."""
-        if not self._data:
+        message = self._maps.read()
+        if message is None:
             return None
-        grid = from_grid(self._types.decode(GRID, self._hash, self._data), "map")
+        grid = from_grid(message, "map")
         return grid if (grid.flags == MapFlag.FREE).any() else None
 
     def robot(self) -> Pose | None:
@@ -152,7 +140,7 @@ class _Floor:
     def missing(self) -> str:
         """Return why the map or the robot's pose is missing, as the text of an error."""
         section = self._client.config.navigation
-        if not self._count:
+        if not self.count:
             return f"no map on {self._topic}: enable modules.mapper2d, or set the map's topic with --topic"
         if self.map() is None:
             return f"the map on {self._topic} has no free cells: does Mapper2D receive scans? see 'midspan status'"

@@ -10,12 +10,11 @@ from typing import Any
 from typing_extensions import override
 
 from bridge.client.errors import ClientError
-from bridge.client.topics import SubscribedTopic, TopicKey
+from bridge.client.topics import TopicFollower, TopicKey
 from bridge.client.types import Types
 from bridge.concurrency import SerialExecutor
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.errors import HubError
-from bridge.hub.graph import HubEndpoint
 from bridge.messages.errors import ConversionError
 from bridge.modules.host import Host
 from bridge.web.feeds.feed import Feed
@@ -41,7 +40,7 @@ class NewestFeed(Feed):
         super().__init__(name)
         self._host, self._executor = host, executor
         self._topic, _, self._type = topic.partition("@")
-        self._subscriptions: dict[TopicKey, SubscribedTopic] = {}
+        self._follower = TopicFollower(host.node.hub, self._on_sample)
         self._newest: tuple[HubSample, str, str] | None = None
         self._count, self._since = 0, 0.0
         self._rate: float | None = None
@@ -63,43 +62,29 @@ class NewestFeed(Feed):
     def close(self) -> None:
         for timer in self._timers:
             timer.close()
-        self._unsubscribe()
-
-    def _unsubscribe(self) -> None:
-        subscriptions, self._subscriptions = self._subscriptions, {}
-        for subscription in subscriptions.values():
-            subscription.close()
+        self._follower.close()
 
     def _subscribe(self) -> None:
-        groups: dict[TopicKey, list[HubEndpoint]] = {}
-        for endpoint in self._host.node.hub.graph.publishers(self._topic):
-            if self._type in ("", endpoint.type_name):
-                key = TopicKey(self._topic, endpoint.type_name, endpoint.type_hash)
-                groups.setdefault(key, []).append(endpoint)
-        types = sorted({key.type_name for key in groups})
+        all_publishers = self._host.node.hub.graph.publishers(self._topic)
+        publishers = [end for end in all_publishers if self._type in ("", end.type_name)]
+        types = sorted({end.type_name for end in publishers})
         if len(types) > 1:
-            self._unsubscribe()
+            self._follower.close()
             several = f"{self._topic} is published with several types: {', '.join(types)}"
             self._show(None, f"{several}; watch {self.name}@TYPE to choose one")
             return
-        for key in self._subscriptions.keys() - groups.keys():  # its publishers have left
-            self._subscriptions.pop(key).close()
-        for key, endpoints in groups.items():
-            if key not in self._subscriptions:
-                on_sample = partial(self._on_sample, key.type_name, key.type_hash)
-                self._subscriptions[key] = SubscribedTopic(self._host.node.hub, key, on_sample)
-            self._subscriptions[key].renew(endpoints)
-        if not self._subscriptions:
+        self._follower.follow(publishers, leave=True)
+        if not self._follower:
             wanted = f"{self._topic} as {self._type}" if self._type else self._topic
             self._show(None, f"no publisher of {wanted} on the hub")
             return
-        troubles = [subscription.trouble for subscription in self._subscriptions.values() if subscription.trouble]
+        troubles = self._follower.troubles
         if troubles and self._shown is None:
             self._show(None, f"cannot subscribe to {self._topic}: {troubles[0]}")
 
-    def _on_sample(self, type_name: str, type_hash: str, sample: HubSample) -> None:
+    def _on_sample(self, key: TopicKey, sample: HubSample) -> None:
         """Store the newest sample, on zenoh's thread."""
-        self._newest = (sample, type_name, type_hash)
+        self._newest = (sample, key.type_name, key.type_hash)
         self._count += 1
 
     def _update_rate(self) -> None:
@@ -133,7 +118,7 @@ class NewestFeed(Feed):
 
     def _decoded(self, type_name: str, value: dict[str, Any] | None, reason: str) -> None:
         self._busy = False
-        if self.watched and self._subscriptions:
+        if self.watched and self._follower:
             self._show(None if value is None else {"type": type_name, **value, "rate": self._rate}, reason)
 
     def _show(self, shown: dict[str, Any] | None, reason: str = "") -> None:
