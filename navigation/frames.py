@@ -8,19 +8,16 @@ from functools import partial
 from itertools import takewhile
 from typing import Any
 
-from bridge.hub.wire.qos import LATCHED, Durability, Qos
-from bridge.modules.endpoints import Subscription
+from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
+from bridge.modules.transforms import FrameSubscriptions
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import TransformError
-from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
 from bridge.tf.transform import LATEST, Transform
 from navigation.messages import STRING
 from navigation.pose import Pose
 
 LATE = 0.2  # seconds by which a stamp may be newer than the newest transform
-_DEPTH = 1000  # messages of `/tf` that may wait: the publishers of a robot may all send at once
-_STATIC = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 
 
 class FramesError(RuntimeError):
@@ -46,29 +43,18 @@ class RobotFrames:
         self._odometry_age, self._localization_age = odometry_age, localization_age
         self._now_ns = host.clock.now_ns
         self.buffer = TransformBuffer(now=self._now_ns)
-        self._node = host.node
-        self._ends: list[Subscription] = []
-        self.listen()
+        # at_once, because a base publishes odometry a hundred times a second, which would wake each module's thread
+        self._subscriptions = FrameSubscriptions(host.node, self.buffer.set_message, at_once=True)
         host.clock.on_jump(self.buffer.clear)
 
     def listen(self) -> None:
-        """Subscribe to the frames: at the start, and again after `unsubscribe`."""
-        # at_once, because a base publishes odometry a hundred times a second, which would wake each module's thread
-        subscribe = self._node.subscription_cdr
-        self._ends = [
-            subscribe(TF, TF_TYPE, partial(self._on_frames, static=False), Qos(depth=_DEPTH), at_once=True),
-            subscribe(TF_STATIC, TF_TYPE, partial(self._on_frames, static=True), _STATIC, at_once=True),
-        ]
+        """Subscribe to the frames again after `unsubscribe`."""
+        self._subscriptions.open()
 
     def unsubscribe(self) -> None:
         """Unsubscribe, and clear the buffer."""
-        ends, self._ends = self._ends, []
-        for end in ends:
-            self._node.release(end)
+        self._subscriptions.close()
         self.buffer.clear()
-
-    def _on_frames(self, cdr: bytes, *, static: bool) -> None:
-        self.buffer.set_message(cdr, static=static)
 
     def pose(self) -> Pose:
         """Return the pose of the robot on the map now; raises `FramesError`, which names the silent source."""

@@ -32,6 +32,7 @@ BELOW = {
         "messages",
         "hub",
         "stores",
+        "tf",
         "routing.counters",
         "routing.limits",
     },

@@ -6,11 +6,11 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.client.authorities import Authorities
 from bridge.config.sections.section import Section
-from bridge.hub.wire.qos import LATCHED, Durability, Qos
+from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
+from bridge.modules.transforms import FrameSubscriptions
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
 from bridge.transform_server.buffer_server import BufferServer
@@ -20,8 +20,6 @@ from bridge.transform_server.view import View, YarpClock
 from bridge.transform_server.yarp_ports import FrameStream, Getter, Setter
 from bridge.worker import Health
 from yarp_compat.dev.frametransform import GET, SERVER, SET, STREAM
-
-_DEPTH = 1000  # queued messages of `/tf`: all publishers of a robot may send at the same time
 
 
 class TransformServer(Module):
@@ -40,17 +38,7 @@ class TransformServer(Module):
         tf_static = host.node.publisher(TF_STATIC, TF_TYPE, LATCHED, priority="state")
         self._exchange = Exchange(self._buffer, self._view, clock, tf.publish_cdr, tf_static.publish_cdr)
 
-        authorities = Authorities(host.node.hub.graph)
-
-        def receive(cdr: bytes) -> None:
-            self._exchange.receive(cdr, authorities.name(timed.sender), static=False)
-
-        def receive_static(cdr: bytes) -> None:
-            self._exchange.receive(cdr, authorities.name(static.sender), static=True)
-
-        timed = host.node.subscription_cdr(TF, TF_TYPE, receive, Qos(depth=_DEPTH))
-        every = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
-        static = host.node.subscription_cdr(TF_STATIC, TF_TYPE, receive_static, every)
+        FrameSubscriptions(host.node, self._exchange.receive)
         host.on_jump(self._exchange.forget_timed)
 
         self._served = BufferServer(host.node, self._buffer) if section.buffer_server else None
