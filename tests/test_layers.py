@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -96,16 +96,88 @@ def test_only_the_command_line_imports_the_command_line() -> None:
     assert not wrong
 
 
-SESSIONS = {"session", "endpoints", "router", "identity", "opening"}
-"""The parts of ``bridge.hub`` that communicate with a running hub."""
+COMMANDS = ROOT / "bridge" / "cli"
+OPEN = {f"bridge.{part}" for part in ("cli", "client", "config", "display", "messages", "state_file", "status", "text")}
+OPEN |= {"bridge.tf", "bridge.stores.kinds", "navigation.nav2_errors", "navigation.status", "yarp_compat"}
+"""What every command may import: the client library, and the forms of configuration, documents and values."""
+
+PASSED = {"bridge.hub.control.WorkerAnswer", "bridge.hub.graph.HubEndpoint", "bridge.hub.graph.releases.NativeNodes"}
+PASSED |= {"bridge.hub.wire.qos", "bridge.stores.entry", "bridge.stores.store.Write", "bridge.stores.store.THE_MAP"}
+"""Values and errors that every command may import because the client library accepts, returns or raises them."""
+
+BESIDE = {
+    # its errors name what this machine's daemon lacks
+    "client.py": {"bridge.daemon.units", "bridge.doctor.daemon_state"},
+    # the first lines of a worker's process
+    "child.py": {"bridge.daemon.heartbeat"},
+    # processes of this machine, which these commands are, reload or query over the daemon's socket
+    "daemon/run.py": {"bridge.daemon", "bridge.metrics.on_demand"},
+    "daemon/record.py": {"bridge.record"},
+    "daemon/reload.py": {"bridge.daemon.query", "bridge.doctor.daemon_state"},
+    "daemon/sim.py": {"bridge.daemon.workers", "sim"},
+    "daemon/web.py": {
+        "bridge.daemon.query",
+        "bridge.hub.security.external_router.key_files",
+        "bridge.hub.security.tokens",
+        "bridge.web.section",
+    },
+    "ros1": {"bridge.daemon.workers", "bridge.adapters.ros1.master.worker.state_file"},
+    # diagnoses from this machine's files and processes, and from the rules of its configuration
+    "inspection": {"bridge.doctor"},
+    "inspection/explain.py": {"bridge.routing.rules"},
+    "navigation/gateway.py": {"bridge.doctor.hub_problems"},
+    # files of this machine: bags, maps, keys, packages, services
+    "bags": {"bridge.bags", "bridge.routing.rules.NameFilter"},
+    "maps/files.py": {"bridge.stores.service"},
+    "setup/keys.py": {"bridge.hub.security.certificates"},
+    "setup/interfaces.py": {"bridge.interfaces"},
+    "setup/install.py": {"bridge.daemon.install"},
+    # algorithms on a map that the client library has received
+    "maps": {"navigation"},
+}
+"""What the commands of a file or folder may also import, because it is not on the hub; comments give the reason."""
 
 
-def test_the_command_line_reaches_the_hub_only_through_the_client_library() -> None:
+def commands() -> Iterator[tuple[str, str]]:
+    """Yield each file of the command line with each name of the product, or of zenoh, that it imports."""
+    for file in COMMANDS.rglob("*.py"):
+        place = file.relative_to(COMMANDS).as_posix()
+        names = {name for name, _ in every_import(file)}
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names.discard(node.module)
+                names |= {f"{node.module}.{alias.name}" for alias in node.names}
+        yield from ((place, name) for name in names if name.split(".")[0] in _PRODUCT)
+
+
+_PRODUCT = ("bridge", "navigation", "sim", "yarp_compat", "tests", "zenoh", "rospy", "rclpy")
+
+
+def within(name: str, parts: Iterable[str]) -> bool:
+    return any(f"{name}.".startswith(f"{part}.") for part in parts)
+
+
+def is_listed(file: str, name: str, place: str, part: str) -> bool:
+    return f"{file}/".startswith(f"{place}/") and within(name, [part])
+
+
+def test_commands_import_only_the_client_library_and_what_is_listed_with_its_reason() -> None:
+    beside = {(place, part) for place, parts in BESIDE.items() for part in parts}
+    others = {(file, name) for file, name in commands() if not within(name, OPEN | PASSED)}
+    uses = {(entry, use) for entry in beside for use in others if is_listed(*use, *entry)}
+    wrong = others - {use for _, use in uses}
+    assert not {f"bridge/cli/{file} imports {name}" for file, name in wrong}
+    assert not beside - {entry for entry, _ in uses}, "nothing uses these permissions"
+
+
+def test_commands_do_not_reach_through_the_client_library_to_the_hub() -> None:
+    """They may pass ``client.hub`` to a part that joins the hub, but use nothing of it."""
     wrong = {
-        f"{file.relative_to(ROOT)} imports bridge.{name}"
-        for file in (ROOT / "bridge" / "cli").rglob("*.py")
-        for name in imported(file)
-        if name.startswith("hub.") and name.split(".")[1] in SESSIONS
+        f"bridge/cli/{file.relative_to(COMMANDS)}:{node.lineno} uses {ast.unparse(node)}"
+        for file in COMMANDS.rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Attribute) and node.value.attr == "hub"
+        if ast.unparse(node.value.value).rpartition(".")[2].strip("_") in ("client", "session", "node")
     }
     assert not wrong
 
