@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import Protocol
 
 from bridge.client.authorities import Authorities
 from bridge.hub.wire.qos import Durability, Qos
@@ -14,30 +14,23 @@ _TIMED = Qos(depth=1000)  # all publishers of a robot may send at the same time
 _STATIC = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 
 
-class ReceiveFrames(Protocol):
-    """Receives a TFMessage as CDR, with the name of its publisher, and whether it is from `/tf_static`."""
-
-    def __call__(self, cdr: bytes, authority: str, /, *, static: bool) -> object: ...
-
-
 class FrameSubscriptions:
     """A module's subscriptions to `/tf` and `/tf_static`, from their creation until `close`.
 
     Args:
         node: the module's node.
-        receive: called with each message, on the module's thread.
+        receive: called on the module's thread with each message as CDR, its publisher's name, and ``static``.
         at_once: call ``receive`` on the receiving threads, concurrently and without the publisher's name.
     """
 
-    def __init__(self, node: Endpoints, receive: ReceiveFrames, *, at_once: bool = False) -> None:
+    def __init__(self, node: Endpoints, receive: Callable[..., object], *, at_once: bool = False) -> None:
         self._node, self._receive, self._at_once = node, receive, at_once
         self._authorities = None if at_once else Authorities(node.hub.graph)
         self.open()
 
     def open(self) -> None:
         """Subscribe again after `close`."""
-        self._timed = self._subscribe(TF, _TIMED)
-        self._static = self._subscribe(TF_STATIC, _STATIC)
+        self._timed, self._static = self._subscribe(TF, _TIMED), self._subscribe(TF_STATIC, _STATIC)
 
     def _subscribe(self, topic: str, qos: Qos) -> Subscription:
         on_message = partial(self._on_message, static=topic == TF_STATIC)
@@ -45,10 +38,10 @@ class FrameSubscriptions:
 
     def _on_message(self, cdr: bytes, *, static: bool) -> None:
         authority = ""
-        if self._authorities is not None:
+        if self._authorities is not None:  # on the module's thread, so not during `open`
             authority = self._authorities.name((self._static if static else self._timed).sender)
         self._receive(cdr, authority, static=static)
 
     def close(self) -> None:
-        self._node.release(self._timed)
-        self._node.release(self._static)
+        for end in (self._timed, self._static):
+            self._node.release(end)
