@@ -101,9 +101,9 @@ OPEN = {f"bridge.{part}" for part in ("cli", "client", "config", "display", "mes
 OPEN |= {"bridge.tf", "bridge.stores.kinds", "navigation.nav2_errors", "navigation.status", "yarp_compat"}
 """What every command may import: the client library, and the forms of configuration, documents and values."""
 
-PASSED = {"bridge.hub.control.WorkerAnswer", "bridge.hub.graph.HubEndpoint", "bridge.hub.graph.releases.NativeNodes"}
+PASSED = {"bridge.hub.control.WorkerAnswer", "bridge.hub.graph.HubEndpoint", "bridge.hub.graph.releases"}
 PASSED |= {"bridge.hub.wire.qos", "bridge.stores.entry", "bridge.stores.store.Write", "bridge.stores.store.THE_MAP"}
-"""Values and errors that every command may import because the client library accepts, returns or raises them."""
+"""Values, with their functions, and errors that the client library accepts, returns or raises."""
 
 BESIDE = {
     # its errors name what this machine's daemon lacks

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from bridge.cli.output import CliError
 from bridge.client.errors import ClientError, UnreachableHubError
+from bridge.client.refusals import refusals_of_own
 from bridge.client.session import DOWN, HELD, Client, connect, unreachable_hint
 from bridge.config.document import ConfigError
 from bridge.config.load import find, load
@@ -21,6 +22,7 @@ from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe
 from bridge.state_file import named
 from bridge.status import StatusDocument, WorkerReport
 from bridge.stores.entry import StoreError
+from bridge.text import clean
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +138,14 @@ def warn_of_daemon(args: argparse.Namespace, config: Config, *, workers: bool = 
     for line in lines:
         print(f"midspan: warning: {line}", file=sys.stderr)
     return lines
+
+
+def warn_of_refusals(client: Client, published: Iterable[tuple[str, str, str]]) -> bool:
+    """Report on stderr which machines refuse this program's topics (name, type, type hash); return whether any does."""
+    refused = refusals_of_own(client, published)
+    for refusal in refused:
+        print(f"midspan: warning: {clean(refusal.text)}; {clean(refusal.cure)}", file=sys.stderr)
+    return bool(refused)
 
 
 def of_this_machine(args: argparse.Namespace) -> bool:

@@ -14,7 +14,7 @@ from bridge.client.types import ros2_spelling
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint, origin_side
 from bridge.hub.graph.owners import owner
-from bridge.hub.graph.releases import NativeNodes, endpoint_releases, native_nodes
+from bridge.hub.graph.releases import endpoint_releases
 from bridge.hub.graph.tokens import TAPS, EndpointKind
 from bridge.messages.actions import split
 from bridge.messages.releases import release_text
@@ -236,11 +236,6 @@ def endpoint_json(endpoint: HubEndpoint) -> dict[str, Any]:
         "network": None if origin is None else origin.network,
         "daemon": None if origin is None else origin.daemon,
     }
-
-
-def natives(client: Client, documents: Iterable[StatusDocument]) -> list[NativeNodes]:
-    """Return the nodes that are on the hub without a bridge, by release, given the workers' status documents."""
-    return native_nodes(client.endpoints(), {document.zid for document in documents})
 
 
 def owners(endpoints: Iterable[HubEndpoint]) -> str:

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.cli.arguments import add_exclude, add_hub_arguments, number_in, span
-from bridge.cli.client import open_client
-from bridge.cli.inspection.refusals import warn_of_refusals
+from bridge.cli.client import open_client, warn_of_refusals
 from bridge.cli.output import CliError, print_json
 from bridge.client.session import Client
 from bridge.text import clean, plural

@@ -16,9 +16,8 @@ from typing import Any
 from typing_extensions import override
 
 from bridge.cli.arguments import add_verb, add_verbs, number_in
-from bridge.cli.client import open_client
+from bridge.cli.client import open_client, warn_of_refusals
 from bridge.cli.graph import listing
-from bridge.cli.inspection.refusals import warn_of_refusals
 from bridge.cli.messages import message_text, yaml_fields
 from bridge.cli.output import CliError, json_line, print_json
 from bridge.client.feed import Arrival, TopicFeed

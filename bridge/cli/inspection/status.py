@@ -18,7 +18,6 @@ from bridge.cli.arguments import add_hub_arguments, number_in
 from bridge.cli.client import CliClient, client_config, config_file, of_this_machine, open_client
 from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
-from bridge.client.graph import natives
 from bridge.client.refusals import Refusal, refusals
 from bridge.client.status import ask_status
 from bridge.display.documents import connected_lines, routes_table
@@ -34,7 +33,7 @@ from bridge.doctor.daemon_state import (
     with_silent,
     without_node,
 )
-from bridge.hub.graph.releases import NativeNodes
+from bridge.hub.graph.releases import NativeNodes, native_nodes
 from bridge.status import EndpointStatus, MachineStatus, RouterStatus, StatusDocument, WorkerStatus, refused_routes
 from bridge.text import arrow, clean, duration, listed, make_console, plural, side_name, size
 
@@ -66,7 +65,7 @@ def run_status(args: argparse.Namespace) -> int:
             documents = _ask_status(client)
             client.settle()
             refused = refusals(client, documents)
-            native = natives(client, documents)
+            native = native_nodes(client.endpoints(), {document.zid for document in documents})
     except ClientError as err:
         if state.life is not Life.RUNNING:
             raise

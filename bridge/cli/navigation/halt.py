@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import open_client, warn_of_daemon
-from bridge.cli.inspection.refusals import warn_of_refusals
+from bridge.cli.client import open_client, warn_of_daemon, warn_of_refusals
 from bridge.cli.output import CliError, print_json
 from bridge.client.halt import DEFAULT_SECONDS, GoalCancellation, halt
 from bridge.client.types import Types

@@ -8,8 +8,7 @@ import time
 from typing import NamedTuple
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import open_client
-from bridge.cli.inspection.refusals import warn_of_refusals
+from bridge.cli.client import open_client, warn_of_refusals
 from bridge.cli.keyboard import AVAILABLE, pressed, raw
 from bridge.cli.output import CliError
 from bridge.client.graph import absolute
