@@ -188,6 +188,7 @@ class TopicFollower:
     def __init__(self, hub: Hub, on_sample: Callable[[TopicKey, HubSample], None]) -> None:
         self._hub, self._on_sample = hub, on_sample
         self._subscribed: dict[TopicKey, SubscribedTopic] = {}
+        self._lost = 0  # of closed subscriptions
 
     def __bool__(self) -> bool:
         return bool(self._subscribed)
@@ -195,7 +196,7 @@ class TopicFollower:
     @property
     def lost(self) -> int:
         """Number of lost messages, by the publishers' sequence numbers."""
-        return sum(topic.lost for topic in self._subscribed.values())
+        return self._lost + sum(topic.lost for topic in self._subscribed.values())
 
     @property
     def troubles(self) -> list[str]:
@@ -215,14 +216,17 @@ class TopicFollower:
         covered = {key._replace(type_hash=NO_HASH) for key in groups if key.type_hash != NO_HASH}
         for key in groups.keys() - covered:
             self.topic(key).renew(groups[key])
-        unused = covered | (self._subscribed.keys() - groups.keys() if leave else set())
-        for key in self._subscribed.keys() & unused:
-            self._subscribed.pop(key).close()
+        self._unsubscribe(covered | (self._subscribed.keys() - groups.keys() if leave else set()))
 
     def close(self) -> None:
         """Unsubscribe from all topics."""
-        while self._subscribed:
-            self._subscribed.popitem()[1].close()
+        self._unsubscribe(set(self._subscribed))
+
+    def _unsubscribe(self, keys: set[TopicKey]) -> None:
+        for key in self._subscribed.keys() & keys:
+            topic = self._subscribed.pop(key)
+            topic.close()
+            self._lost += topic.lost
 
 
 @dataclass(slots=True)

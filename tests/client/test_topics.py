@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from threading import Event
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from bridge.client.topics import HubTopic, HubTopics, TopicKey
+from bridge.client.topics import HubTopic, HubTopics, TopicFollower, TopicKey
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
@@ -139,3 +141,15 @@ def test_definitions_are_installed_or_from_a_worker(far: Hub, topics: HubTopics)
     assert "float32 joy" in told_here
     assert "MSG: std_msgs/Header" in told_here
     assert topics.definitions.find(OWN_TYPE, "RIHS01_" + "0" * 64, 2.0) is None
+
+
+def test_a_follower_counts_the_lost_messages_of_closed_subscriptions() -> None:
+    """`midspan topic hz` prints its last figures after it has unsubscribed."""
+    subscription = SimpleNamespace(lost=3, refused=0, close=lambda: None)
+    hub: Any = SimpleNamespace(subscription=lambda *_, exact: subscription)  # noqa: ARG005
+    follower = TopicFollower(hub, lambda _key, _sample: None)
+    follower.topic(string_key("/scan")).subscribe(Qos())
+    assert follower.lost == 3
+    follower.close()
+    assert not follower
+    assert follower.lost == 3
