@@ -117,7 +117,7 @@ class ReconnectingClients:
                     for name in list(port.awaited):
                         self._ask_back(port, name)
         except NamingError as err:
-            _log.debug("clients of ports: %s", err)
+            _log.debug("cannot update the clients of ports: %s", err)
             return True
         return any(port.awaited for port in self._watched)
 

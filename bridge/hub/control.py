@@ -116,7 +116,7 @@ class Control:
             return self._error(str(err))
         except Exception as err:
             # a failed handler must neither leave the query without an answer nor end the thread
-            _log.warning("question %s failed", query.key_expr, exc_info=True)
+            _log.warning("query %s failed", query.key_expr, exc_info=True)
             return self._error(str(err) or type(err).__name__)
 
     def _error(self, text: str) -> bytes:

@@ -50,7 +50,7 @@ class Taps:
                     request = {"topic": topic, "seconds": TAP_SECONDS}
                     self._hub.ask("tap", request, daemon, worker, timeout=_ASK_SECONDS)
         except HubError as err:
-            _log.debug("taps: %s", err)
+            _log.debug("cannot record what is not bridged: %s", err)
         finally:
             self._busy = False
 

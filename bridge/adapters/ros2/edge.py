@@ -164,7 +164,7 @@ class Ros2Edge(SideEdge):
             try:
                 end.refit()
             except Exception:
-                _log.exception("%s does not follow a change of the ROS 2 graph", end)
+                _log.exception("%s: handling a change of the ROS 2 graph failed", end)
         self._graph_changed()
 
     @override

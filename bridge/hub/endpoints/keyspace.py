@@ -83,7 +83,7 @@ class KeyQuery:
         try:
             yield
         except zenoh.ZError as err:
-            _log.debug("the client of %s is gone: %s", self.key, err)
+            _log.debug("the client of %s has left: %s", self.key, err)
 
 
 class KeySpace:

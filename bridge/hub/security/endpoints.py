@@ -293,7 +293,7 @@ class _Listen(_Endpoint):
             cures = "; ".join(dict.fromkeys(reason.cure for reason in reasons if reason.cure))
             self.set(Reason(reasons[0].state, "; ".join(reason.text for reason in reasons), cures))
         elif self.set(Reason(EndpointState.LISTENING)):
-            _log.info("%slisten %s: no machine is refused any longer", self._owner.prefix, self.status.endpoint)
+            _log.info("%slisten %s: machines are no longer refused", self._owner.prefix, self.status.endpoint)
         if not self._active:
             self._logged.clear()
             self._closed = None

@@ -340,7 +340,7 @@ class ActionlibClient:
 
     def _lose(self, goal: TrackedGoal, reason: str) -> None:
         """End a goal as UNKNOWN: its state is no longer reported, and it may still be executing."""
-        _log.warning("%s: lost sight of goal %s: %s", self.name, goal.id, reason)
+        _log.warning("%s: can no longer track goal %s: %s", self.name, goal.id, reason)
         goal.lost, goal.text = True, LOST + reason
         asker, goal.asker = goal.asker, None
         if asker is not None:

@@ -50,7 +50,7 @@ class Membership:
         for _ in range(_SPARE_NAMES):
             name = self._free_name(state, dead_uris)
             if name != self._node.name:
-                _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
+                _log.info("the name %s is in use on this ROS 1 network; this node is %s", self._node.name, name)
                 self._node.name = name
                 self._reader.caller = name
             # Another daemon may be choosing the same name at the same time; a daemon that then reads the other's entry

@@ -169,7 +169,7 @@ class PlainNode:
             try:
                 self._update(topic, set(self._events.publishers(topic)))
             except Ros1Error as err:
-                _log.debug("the publishers of %s are unknown: %s", topic, err)
+                _log.debug("cannot get the publishers of %s: %s", topic, err)
                 self._timer.after(_RETRY_SECONDS, self.follow)
 
     def _update(self, topic: str, listed: set[str]) -> None:

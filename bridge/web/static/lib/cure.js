@@ -10,7 +10,7 @@ export function cureLine(cure, what) {
 
 /** Each worker's decision on `name`, from the verb `explain`: list items. */
 export function explained(name, found) {
-  if (!found.length) return [el("li", {}, el("p", { text: `No worker knows ${name}.` }))];
+  if (!found.length) return [el("li", {}, el("p", { text: `No worker has a decision on ${name}.` }))];
   return found.map(({ daemon, side, decision, why, cure, users }) => el("li", {},
     el("p", {}, el("strong", { text: side }), ` ${decision}${daemon ? ` (${daemon})` : ""}`),
     why ? el("p", { class: "reason", text: why }) : null,
