@@ -116,7 +116,9 @@ class Config(Section):
     store: StoreSection = _later("bridge.config.sections.store:StoreSection", "The store of maps and locations.")
     clock: ClockSection = _later("bridge.config.sections.clock:ClockSection", "The time scale of this run.")
     types: TypesSection = subsection(TypesSection, "Message types beyond those installed.")
-    routing: RoutingSection = _later("bridge.config.sections.routing:RoutingSection", "Which topics cross, and how.")
+    routing: RoutingSection = _later(
+        "bridge.config.sections.routing:RoutingSection", "Which topics are bridged, and how."
+    )
     navigation: NavigationSection = _later(
         "bridge.config.sections.navigation:NavigationSection",
         "Planners and clients; see docs/navigation/navigation.md.",

@@ -60,7 +60,7 @@ def topic_text(route: RouteStatus) -> str:
 
 
 def transport_text(route: RouteStatus) -> str:
-    """Return how messages cross the hub: ``by the lane``, ``over zenoh, as ...``, or both; "" if none do."""
+    """Return how messages pass the hub: ``by the lane``, ``over zenoh, as ...``, or both; "" if none do."""
     if route.way == "lane":
         return "by the lane"
     because = f", as {clean(route.why)}" if route.why else ""

@@ -188,7 +188,7 @@ def _of_program(planner: Planner, documents: Sequence[StatusDocument]) -> tuple[
     for document in workers:
         for route in refused_routes(document):
             if route.direction == "in" and route.topic.startswith(f"{planner.action}/"):
-                return f"its action {planner.action} cannot cross: {route.reason}", route.cure
+                return f"its action {planner.action} cannot be bridged: {route.reason}", route.cure
     return (
         f"no node serves its action {planner.action} on {where}",
         f"start {planner.name} there, or name another planner in navigation.planner",

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from bridge.config.sections.routing import ParameterRule
     from bridge.hub.session import Hub
 
-_NO_SERVICES = "{name}: services do not cross to {side}"
+_NO_SERVICES = "{name}: services are not bridged to {side}"
 
 Deliver = Callable[[bytes, str, int | None], None]
 """``deliver(payload, source, time_ns)`` handles one message, serialized as on the side; ``source`` is the id of the

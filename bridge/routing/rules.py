@@ -271,7 +271,7 @@ class RuleSet:
         if self.section.default == "deny":
             cure = f"add a rule that {_allows(to)}, or set routing.default: allow"
             return RoutePolicy(False, "no rule allows it and routing.default is deny", topic, cure)
-        return RoutePolicy(allowed=True, why="everything crosses by default", name=topic)
+        return RoutePolicy(allowed=True, why="everything is bridged by default", name=topic)
 
 
 class _Match(NamedTuple):

@@ -57,7 +57,7 @@ def test_planner_whose_action_is_rejected() -> None:
     entry = {"direction": "in", "topic": "/move_base/goal", "reason": "no definition", "cure": "install it"}
     finding = absence(NavigationSection(planner="move_base"), "move_base", [], [document({**ROS1, "refused": [entry]})])
     assert finding is not None
-    assert ("cannot cross: no definition" in finding.text, finding.cure) == (True, "install it")
+    assert ("cannot be bridged: no definition" in finding.text, finding.cure) == (True, "install it")
 
 
 def test_a_running_or_unknown_planner_is_not_reported_as_absent() -> None:

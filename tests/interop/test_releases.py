@@ -159,4 +159,4 @@ def test_status_reports_that_shared_memory_is_not_used(rig: Rig) -> None:
 
     (text,) = until(reported, "the warning is reported", 20, every=0.1)
     assert f"({rig.side})" in text, "the worker runs on this release"
-    assert text.endswith("their messages cross by UDP, not by shared memory")
+    assert text.endswith("their messages use UDP, not shared memory")

@@ -227,5 +227,5 @@ def test_a_malformed_velocity_is_not_converted() -> None:
 
 @pytest.mark.parametrize("more", [{"deny": True}, {"kind": "service"}, {"kind": "action"}])
 def test_only_topics_that_cross_are_converted(more: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="stamped is for topics that cross"):
+    with pytest.raises(ValueError, match="stamped is for topics that are bridged"):
         RoutingSection.model_validate({"rules": [{"topic": CMD_VEL, "stamped": True, **more}]})

@@ -220,7 +220,7 @@ class Discovery:
         writer, handle = c_int32.from_address(data).value, c_uint64()
         if self._dds.dds_get_instance_handle(writer, byref(handle)) or handle.value.to_bytes(8, "little") != gid[:8]:
             raise MessageTypeError(
-                "ROS 2 services do not cross: this version of rmw_cyclonedds_cpp is unknown", "remove ros2.rmw"
+                "ROS 2 services are not bridged: this version of rmw_cyclonedds_cpp is unknown", "remove ros2.rmw"
             )
         return writer
 

@@ -461,7 +461,7 @@ class Ros2Edge(SideEdge):
         programs, release = "program uses" if count == 1 else "programs use", current()
         text = (
             f"{count} ROS 2 {programs} another major version of Fast DDS on this machine than Midspan,"
-            f" which uses {release.fast_dds} ({release.name}): their messages cross by UDP, not by shared memory"
+            f" which uses {release.fast_dds} ({release.name}): their messages use UDP, not shared memory"
         )
         return [text]
 

@@ -293,7 +293,7 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 """The header that rmw writes before a message: plain CDR, little-endian."""
 
 NOT_COMPILED = (
-    "ROS 2 services and actions do not cross: the extension for their bytes (service_callbacks) is not compiled"
+    "ROS 2 services and actions are not bridged: the extension for their bytes (service_callbacks) is not compiled"
 )
 
 _KEPT = 64 * 1024

@@ -38,10 +38,10 @@ from bridge.status import ConnectionStatus, PortStatus, RouteStatus, StatusDocum
 from bridge.text import arrow, clean, duration, plural, rate, side_name
 
 _VERDICTS = {
-    "bridged": "crosses",
-    "denied": "does not cross",
-    "private": "does not cross",
-    "refused": "cannot cross",
+    "bridged": "is bridged",
+    "denied": "is not bridged",
+    "private": "is not bridged",
+    "refused": "cannot be bridged",
     "unseen": "has no endpoint to bridge",
     "own": "is not routed",
     "standby": "is not bridged here",
@@ -192,7 +192,7 @@ def _hub_notes(
     waiting = [e for e in publishers if e.pending]
     if waiting:
         who = owners(waiting)
-        notes.append(Note(f"the network of {who} is not known yet, so no messages from there cross"))
+        notes.append(Note(f"the network of {who} is not known yet, so no messages from there are bridged"))
     if publishers and not any(p.qos.latched for p in publishers) and any(s.qos.latched for s in subscriptions):
         who = owners(s for s in subscriptions if s.qos.latched)
         text = f"{who} requests earlier messages (transient local), but no publisher keeps them"
@@ -230,7 +230,7 @@ def _worker_notes(
             continue  # a module, the router, the console: they decide on no topic
         name = f"{side_name(document.side or who[1])} (daemon {clean(who[0])})"
         if document.state == "waiting":
-            notes.append(Note(f"{name} is unavailable: nothing crosses to or from it now"))
+            notes.append(Note(f"{name} is unavailable: nothing is bridged to or from it now"))
         elif document.state == "standby":
             notes.append(Note(f"{name} is on standby: another daemon is active on that network"))
         elif who not in decided:
@@ -351,7 +351,7 @@ def by_rules(config: Config, name: str) -> Iterator[str]:
     denying = [of for of, rule, matches in rules if matches and _denies_all(rule)]
     for of, rule, matches in rules:
         if matches and (rule.regex or rule.topic not in _EVERYTHING):
-            fate = f"does not cross, because {denying[0]} denies it" if denying and not rule.deny else _fate(rule)
+            fate = f"is not bridged, because {denying[0]} denies it" if denying and not rule.deny else _fate(rule)
             yield f"{of}: {_what(rule)} with this name {fate}"
         elif rule.rename == name:
             yield f"{of}: {_what(rule)} {rule.topic or rule.regex} gets this name"
@@ -371,5 +371,5 @@ def _what(rule: Rule) -> str:
 def _fate(rule: Rule) -> str:
     destination = "" if rule.to is None else " into the hub" if rule.to == "zenoh" else f" to {side_name(rule.to)}"
     if rule.deny:
-        return f"does not cross{destination}"
-    return f"crosses{destination}" + ("" if rule.rename is None else f" as {rule.rename}")
+        return f"is not bridged{destination}"
+    return f"is bridged{destination}" + ("" if rule.rename is None else f" as {rule.rename}")

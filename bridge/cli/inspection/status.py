@@ -44,7 +44,7 @@ DAEMON = "daemon"
 def register_status(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Shows every daemon and worker on the hub, this machine's workers that are starting or cannot work, what blocks"
-        " topics, and for each route what crosses, how fast, and what was dropped. The exit code is 1 if the hub cannot"
+        " topics, and for each route the number, rate and drops of its messages. The exit code is 1 if the hub cannot"
         " be joined, if nothing answers, or if this machine's router runs without its daemon."
     )
     parser.add_argument("--json", action="store_true", help="print the workers' status documents as JSON")
@@ -128,7 +128,7 @@ def show(
     if any(document.routes for document in documents):
         console.print(routes_table(documents))
     else:
-        console.print("no routes: no published topic would cross; 'midspan topic list -v' lists all topics")
+        console.print("no routes: no published topic would be bridged; 'midspan topic list -v' lists all topics")
 
 
 def _refusals_of(document: StatusDocument, refused: Sequence[Refusal]) -> list[Refusal]:

@@ -2,10 +2,10 @@
 
 The file is one for ``rosparam load``: lists ``topics``, ``services_1_to_2`` and ``services_2_to_1``. The meaning of the
 keys is taken from ros1_bridge's README and ``src/parameter_bridge.cpp`` (https://github.com/ros2/ros1_bridge, master of
-2025-05-06): topics cross both ways, ``queue_size`` is ROS 1's (default 100), ``qos`` is for the publisher on ROS 2.
-A service crosses one way. In ``services_1_to_2``, clients on ROS 1 call a server on ROS 2, and the type is ROS 2's; in
-``services_2_to_1``, clients on ROS 2 call a server on ROS 1, and the type is ROS 1's. ``package`` is an older spelling
-of the type's first part.
+2025-05-06): topics are bridged in both directions, ``queue_size`` is ROS 1's (default 100), ``qos`` is for the
+publisher on ROS 2. A service is bridged in one direction. In ``services_1_to_2``, clients on ROS 1 call a server on
+ROS 2, and the type is ROS 2's; in ``services_2_to_1``, clients on ROS 2 call a server on ROS 1, and the type is ROS
+1's. ``package`` is an older spelling of the type's first part.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ _SERVICES = {"services_1_to_2": ("ros2", "ros1"), "services_2_to_1": ("ros1", "r
 
 _ROS1_TYPE = re.compile(r"[A-Za-z]\w*/(?:srv/)?[A-Za-z]\w*")
 _HEAD = (
-    "Only names that the rules list cross, as with the parameter_bridge. Each topic crosses both ways, latched if its"
-    " publisher is; each service crosses from the side of its server. 'qos' applies to Midspan's publishers on ROS 2."
+    "Only names that the rules list are bridged, as with the parameter_bridge. Each topic is bridged in both"
+    " directions, latched if its publisher is; each service from the side of its server. 'qos' applies to Midspan's"
+    " publishers on ROS 2."
 )
 _KNOWN = ("topics", *_SERVICES)
 
@@ -176,7 +177,7 @@ def _services(job: _Import) -> None:
 
 
 def _service_rule(job: _Import, path: KeyPath, server: str, client: str) -> RuleDraft:
-    """Return the rule of one service, which crosses from the side of its server only.
+    """Return the rule of one service, which is bridged from the side of its server only.
 
     A server on ROS 1 has a ROS 1 type, which other rules may map to any ROS 2 type; so the rule has no type.
     """

@@ -77,7 +77,7 @@ class Ros2Section(SideSection):
     rmw: Literal["rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"] = setting(
         "rmw_fastrtps_cpp",
         "Middleware of the worker itself. `rmw_cyclonedds_cpp`: Cyclone DDS, of a sourced ROS 2; services and"
-        " actions cross only to nodes on it, see [ROS 2](../sides/ros2.md#midspan-on-cyclone-dds).",
+        " actions are bridged only to nodes on it, see [ROS 2](../sides/ros2.md#midspan-on-cyclone-dds).",
     )
     profile: Path | None = setting(None, "Your own Fast DDS XML profile, used instead of the generated one.")
     localhost_only: bool = setting(True, "Discover ROS 2 nodes of this machine only.")

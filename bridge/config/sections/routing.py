@@ -36,7 +36,9 @@ class ParameterRule(Section):
     )
     prefix: _Prefix = setting("", "Prefix on the node: `FollowPath`; the whole name if `ros1` is one parameter.")
     names: tuple[str, ...] = setting(
-        ("**",), "Globs over the names below `ros1`; `*` stays in one part, `**` crosses: `FollowPath/*`.", min_length=1
+        ("**",),
+        "Globs over the names below `ros1`; `*` matches within one part, `**` across parts: `FollowPath/*`.",
+        min_length=1,
     )
     write: bool = setting(True, "Whether the other side may set them.")
 
@@ -100,7 +102,9 @@ class Rule(Section):
     kind: Literal["topic", "service", "action"] | None = setting(
         None, "Only topics, only services or only actions; by default all three."
     )
-    topic: str | None = setting(None, "Glob over the name: `*` stays in one part, `**` crosses: `/camera/**`.")
+    topic: str | None = setting(
+        None, "Glob over the name: `*` matches within one part, `**` across parts: `/camera/**`."
+    )
     regex: str | None = setting(None, "Regular expression over the whole name, instead of `topic`.")
     type: str | None = setting(
         None, "Glob over the type's ROS 2 name: `sensor_msgs/msg/*`, `nav_msgs/srv/GetMap`, `nav2_msgs/action/*`."
@@ -109,12 +113,15 @@ class Rule(Section):
     to: SideName | None = setting(
         None, "Apply only from the hub to this side; by default a rule applies from a side to the hub."
     )
-    deny: bool = setting(False, "What matches does not cross; this wins over every other rule.")
+    deny: bool = setting(False, "Do not bridge what matches; this overrides all other rules.")
     rename: str | None = setting(
         None, "New name; with `regex`, groups as `\\1`; with a glob, `*` and `**` keep what they matched there."
     )
     rate: float | None = setting(
-        None, "Maximum messages per second; the newest ones cross. Only for topics, like the next four.", gt=0, le=10000
+        None,
+        "Maximum messages per second; the newest are bridged. Only for topics, like the next four.",
+        gt=0,
+        le=10000,
     )
     priority: Literal["state", "command", "stream"] | None = setting(
         None,
@@ -165,7 +172,7 @@ class Rule(Section):
             raise ValueError("a rule that denies has no rename, rate, priority, depth or timeout")
         if self.stamped is not None and (self.deny or self.kind in ("service", "action")):
             raise ValueError(
-                "stamped is for topics that cross; leave it out of a rule that denies, and set kind: topic"
+                "stamped is for topics that are bridged; leave it out of a rule that denies, and set kind: topic"
             )
         if self.kind in ("service", "action") and (
             self.rate or self.priority or self.depth or self.timeout or self.qos != QosOverride()
@@ -176,7 +183,7 @@ class Rule(Section):
 
 
 class RoutingSection(Section):
-    """What crosses between the sides and the hub, and how."""
+    """What is bridged between the sides and the hub, and how."""
 
     default: Literal["allow", "deny"] = setting(
         "allow", "What happens to names that no rule matches. With `deny`, the rules are the allow list."

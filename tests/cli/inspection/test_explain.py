@@ -41,12 +41,12 @@ def test_each_decision_is_explained_with_its_cure(
 ) -> None:
     engine(network, registry, closing)
     decisions = {
-        "/fine": ("bridged", "ROS 1 -> hub: /fine (std_msgs/msg/String) crosses: everything crosses by default"),
-        "/old": ("bridged", "/old (std_msgs/msg/String) crosses as /new: rule 2 allows it"),
-        "/new": ("bridged", "/old (std_msgs/msg/String) crosses as /new: rule 2 allows it"),
-        "/secret": ("denied", "does not cross: rule 1 denies it"),
+        "/fine": ("bridged", "ROS 1 -> hub: /fine (std_msgs/msg/String) is bridged: everything is bridged by default"),
+        "/old": ("bridged", "/old (std_msgs/msg/String) is bridged as /new: rule 2 allows it"),
+        "/new": ("bridged", "/old (std_msgs/msg/String) is bridged as /new: rule 2 allows it"),
+        "/secret": ("denied", "is not bridged: rule 1 denies it"),
         "/rosout": ("private", "private to its side: ROS 1's own log"),
-        "/odd": ("refused", "/odd (odd_msgs/msg/Odd) cannot cross: "),
+        "/odd": ("refused", "/odd (odd_msgs/msg/Odd) cannot be bridged: "),
     }
     for topic, (decision, explanation) in decisions.items():
         done = midspan("explain", topic)
@@ -66,7 +66,7 @@ def test_the_cure_of_a_denied_topic_is_not_another_rule(
     worker.advertise("/secret", STRING)
     until(lambda: len(worker.engine.decisions()) == 1, "the engine has decided on the topic")
     done = midspan("explain", "/secret")
-    assert "does not cross: rule 2 denies it." in done.out
+    assert "is not bridged: rule 2 denies it." in done.out
     assert "    cure: remove or narrow rule 2; a rule that denies overrides all rules that allow" in done.out
     assert "add one that allows it" not in done.out
 
@@ -149,13 +149,13 @@ def test_an_unused_name_is_explained_by_the_rules(
     midspan = Midspan(config_file(tmp_path, network, **sections), capsys)
     closing.append(FakeWorker(network, "ros1", status=status("ros1"), explain=[]))
     for name, reason in {
-        "/move_base": "the section navigation (planner move_base): an action of ROS 1 with this name crosses as"
+        "/move_base": "the section navigation (planner move_base): an action of ROS 1 with this name is bridged as"
         " /planner/move_base/navigate_to_pose.",
         "/planner/move_base/navigate_to_pose": "an action of ROS 1 /move_base gets this name",
-        "/camera/left": "rule 2: a topic, service or action with this name does not cross to YARP.",
-        "/old": "rule 3: a topic of ROS 1 with this name crosses as /new.",
+        "/camera/left": "rule 2: a topic, service or action with this name is not bridged to YARP.",
+        "/old": "rule 3: a topic of ROS 1 with this name is bridged as /new.",
         "/new": "rule 3: a topic of ROS 1 /old gets this name.",
-        "/lidar/3": "rule 4: a topic, service or action (sensor_msgs/msg/*) with this name crosses.",
+        "/lidar/3": "rule 4: a topic, service or action (sensor_msgs/msg/*) with this name is bridged.",
     }.items():
         done = midspan("explain", name)
         assert (done.code, f"no endpoint has the name {name} now" in done.out, reason in done.out) == (0, True, True), (
@@ -173,8 +173,8 @@ def test_an_unused_name_that_one_rule_allows_and_another_denies(
     midspan = Midspan(config_file(tmp_path, network, routing={"rules": rules}), capsys)
     closing.append(FakeWorker(network, "ros1", status=status("ros1"), explain=[]))
     out = midspan("explain", "/old").out
-    assert "rule 1: a topic, service or action with this name does not cross, because rule 2 denies it." in out
-    assert "rule 2: a topic, service or action with this name does not cross." in out
+    assert "rule 1: a topic, service or action with this name is not bridged, because rule 2 denies it." in out
+    assert "rule 2: a topic, service or action with this name is not bridged." in out
 
 
 def test_the_traffic_of_a_route_is_shown(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
@@ -191,7 +191,7 @@ def test_the_traffic_of_a_route_is_shown(midspan: Midspan, network: HubNetwork, 
     closing.append(FakeWorker(network, "ros2", status=document, explain=[decision]))
     closing.append(FakeWorker(network, "ros1", status=status("ros1", state="waiting", network=None), explain=[]))
     explanation = midspan("explain", "/scan").out
-    assert "hub -> ROS 2: /scan (sensor_msgs/msg/LaserScan) crosses: w." in explanation
+    assert "hub -> ROS 2: /scan (sensor_msgs/msg/LaserScan) is bridged: w." in explanation
     for text in (
         "100 messages, 9.8 msg/s",
         "last error: too short",
@@ -234,7 +234,7 @@ def test_all_workers_are_queried_in_parallel(midspan: Midspan, network: HubNetwo
     queried.clear()
     done = midspan("explain", name)
     assert f"YARP port {name} answers calls: no connection." in done.out
-    assert f"{name} ({STRING}) does not cross: w." in done.out
+    assert f"{name} ({STRING}) is not bridged: w." in done.out
     assert done.code == 0
 
 
@@ -278,8 +278,8 @@ def test_daemons_with_the_same_name_are_distinguished(
         )
     done = midspan("explain", "/scan")
     lines = done.out.splitlines()
-    assert f"ROS 1 -> hub (daemon robot1 (state folder /a on pc)): /scan ({STRING}) crosses: w." in lines
-    assert f"ROS 1 -> hub (daemon robot1 (state folder /b on pc)): /scan ({STRING}) does not cross: w." in lines
+    assert f"ROS 1 -> hub (daemon robot1 (state folder /a on pc)): /scan ({STRING}) is bridged: w." in lines
+    assert f"ROS 1 -> hub (daemon robot1 (state folder /b on pc)): /scan ({STRING}) is not bridged: w." in lines
     assert "7 messages" in done.out
     assert "9 messages" not in done.out, "the route belongs to the other daemon"
     assert "Note: 2 daemons on this hub are named 'robot1': state folder /a on pc; state folder /b on pc." in lines

@@ -83,7 +83,7 @@ class CycloneParticipant(Participant):
 
 
 class CycloneDds(Dds):
-    """Cyclone DDS: services go through raw endpoints, and cross to nodes on Cyclone DDS only."""
+    """Cyclone DDS: services go through raw endpoints, and are bridged to nodes on Cyclone DDS only."""
 
     _participant: CycloneParticipant
 

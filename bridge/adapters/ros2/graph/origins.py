@@ -2,7 +2,7 @@
 
 DDS networks have no identity: two networks with "domain 0" are one only if their participants discover each other. So a
 Midspan participant that is discovered here is on this network. An undiscovered one may still appear: its origin counts
-as own for `DISCOVERY_SECONDS`, as nothing may cross while its origin is unknown.
+as own for `DISCOVERY_SECONDS`, as nothing may be bridged while its origin is unknown.
 """
 
 from __future__ import annotations

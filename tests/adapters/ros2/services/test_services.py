@@ -375,7 +375,7 @@ def test_without_the_compiled_extension_services_are_refused_and_topics_cross(
             lambda: running.edge.service_to_hub(seen),
             lambda: running.edge.service_from_hub(SET_BOOL, ""),
         ):
-            with pytest.raises(MessageTypeError, match="services and actions do not cross") as caught:
+            with pytest.raises(MessageTypeError, match="services and actions are not bridged") as caught:
                 make()
             assert caught.value.cure == CURE
         inbox = running.subscribe("/s/topic", "std_msgs/msg/String")
