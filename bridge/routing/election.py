@@ -123,7 +123,7 @@ class Record:
         return max((c.first for c in claims), default=0)
 
     def same(self, other: Record | None) -> bool:
-        """Return whether two records are equal except for their numbers and acknowledgements."""
+        """Return whether two records are equal except for their numbers and acknowledgments."""
         return other is not None and replace(self, seq=0, acks={}) == replace(other, seq=0, acks={})
 
 

@@ -63,7 +63,7 @@ def drive(
     else:
         first = math.atan2(dy, dx) if distance > _STANDS else 0.0
         second = math.remainder(turned - first, math.tau)
-        # driving backwards is not a rotation by half a turn
+        # driving backward is not a rotation by half a turn
         before, after = (min(abs(turn), abs(math.remainder(turn - math.pi, math.tau))) for turn in (first, second))
         heading = particles[:, 2] + first + noise[0] * math.hypot(a1 * before, a2 * distance)
         along = distance + noise[1] * math.hypot(a3 * distance, a4 * before, a4 * after)

@@ -252,7 +252,7 @@ def fill(into: Any, value: Any) -> None:
         into._become(value)
 
 
-SPARE = 4  # bytes that the acknowledgement after an outcome of `outcome_only` must announce
+SPARE = 4  # bytes that the acknowledgment after an outcome of `outcome_only` must announce
 
 _SUCCESS = struct.pack("<ii", LIST | INT32, 0)
 _FAILURE = struct.Struct("<i")
@@ -269,5 +269,5 @@ class Refused(ReturnValue):
 
 
 def outcome_only(outcome: ReturnValue) -> bytes:
-    """Return the reply that consists of an outcome only, for a carrier with acknowledgements."""
+    """Return the reply that consists of an outcome only, for a carrier with acknowledgments."""
     return _SUCCESS if outcome else _FAILURE.pack(outcome.code.number)

@@ -287,7 +287,7 @@ def _first_word(payload: Buffer, profile: Profile) -> str:
 
 
 class _Outcome(bytes):
-    """A reply of `returnvalue.outcome_only`, which needs `returnvalue.SPARE` bytes after its acknowledgement."""
+    """A reply of `returnvalue.outcome_only`, which needs `returnvalue.SPARE` bytes after its acknowledgment."""
 
 
 def _encode(call: Call, results: list[Any], decision: GenerationDecision, profile: Profile, *, acked: bool) -> bytes:

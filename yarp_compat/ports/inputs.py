@@ -18,7 +18,7 @@ from yarp_compat.wire import framing
 from yarp_compat.wire.carriers import Opening
 from yarp_compat.wire.contact import ConnectionRoute
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.framing import ACK, acknowledgement
+from yarp_compat.wire.framing import ACK, acknowledgment
 from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger("yarp.ports")
@@ -29,7 +29,7 @@ class Input:
     """One input connection, whose peer has introduced itself; subclasses handle its bytes.
 
     The messages of one connection are handled in sequence, each after the port's owner is done with the previous one;
-    so a sender that waits for acknowledgements is as slow as the owner. ``already`` has the bytes that followed the
+    so a sender that waits for acknowledgments is as slow as the owner. ``already`` has the bytes that followed the
     introduction; ``greeting`` is the answer to the introduction, if it is still to be sent.
     """
 
@@ -204,7 +204,7 @@ class BinaryInput(Input):
                 self.counters.received += 1
                 message = PortMessage(payload, text[2:], self, wants_reply=True)
                 answer = self.deliver(message)
-                self._answer(answer, acknowledgement(message.slack) if ack and message.slack else ack)
+                self._answer(answer, acknowledgment(message.slack) if ack and message.slack else ack)
                 self.reply_sent()
             elif key == "a":
                 self._answer(self.port.administer(payload, self), ack)

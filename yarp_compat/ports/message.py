@@ -36,7 +36,7 @@ class PortMessage:
     wants_reply: bool = False
     replied: Payload | None = field(default=None, init=False)
     is_plain: bool = field(default=False, init=False)  # the reply is sent unchanged on text carriers too
-    slack: int = field(default=0, init=False)  # bytes after the reply's acknowledgement, which asks to skip them
+    slack: int = field(default=0, init=False)  # bytes after the reply's acknowledgment, which asks to skip them
     is_last: bool = field(default=False, init=False)  # the connection ends after the reply
     is_retired: bool = field(default=False, init=False)  # the port no longer waits for a reply from another thread
     _later: threading.Event | None = field(default=None, init=False)
@@ -46,7 +46,7 @@ class PortMessage:
         """Reply to a request; further replies, and replies to other messages, are ignored.
 
         ``plain``: the reply is lines of text instead of a Bottle, sent unchanged on every carrier. ``slack``: number of
-        bytes that its acknowledgement announces after itself, if the carrier has acknowledgements.
+        bytes that its acknowledgment announces after itself, if the carrier has acknowledgments.
         """
         if not self._answered:
             self._answered = True

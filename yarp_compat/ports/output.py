@@ -141,7 +141,7 @@ class Output:
         return self._acknowledged() and self._send(item, patient=True)
 
     def _acknowledged(self) -> bool:
-        """Wait up to one step for the outstanding acknowledgement; return whether none is left."""
+        """Wait up to one step for the outstanding acknowledgment; return whether none is left."""
         return not self.socket_side.due or self.socket_side.read_ack(patient=True)
 
     def _send(self, item: Item, *, patient: bool = False) -> bool:
@@ -239,7 +239,7 @@ class Output:
     def busy(self) -> bool:
         """Whether a message is being sent or not yet acknowledged."""
         if self.socket_side.due and not self._driven:
-            self.check()  # the acknowledgement may have arrived: no thread reads between two messages
+            self.check()  # the acknowledgment may have arrived: no thread reads between two messages
         return self._driven or self.socket_side.due
 
     def wait_idle(self, deadline: float | None) -> bool:
@@ -259,7 +259,7 @@ class Output:
         ``parse`` finds the end of the reply; None: the end of a Bottle, or of a line for text carriers. Raises
         `TimeoutError` (and closes the connection, because the reply may still arrive), `ConnectionError` if the
         connection is lost, `WireError` if the reply is invalid or above the limit (and closes the connection), or if
-        only an acknowledgement arrives.
+        only an acknowledgment arrives.
         """
         with self._lock:
             if self._driven:
@@ -295,7 +295,7 @@ class Output:
             raise TimeoutError(f"no reply from {self.route.target} in time")
 
     def check(self) -> None:
-        """Check an idle connection and read its acknowledgement.
+        """Check an idle connection and read its acknowledgment.
 
         This method holds the lock instead of becoming the driver, so that writers still see the connection as free.
         """

@@ -1,4 +1,4 @@
-"""The socket of an output connection: messages, acknowledgements, replies, farewells."""
+"""The socket of an output connection: messages, acknowledgments, replies, farewells."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yarp_compat.wire.reply import ReplyWatch
 _STEP = 0.2  # seconds between checks of whether a waiting thread should stop
 _FAREWELL = 0.5  # seconds for a peer to acknowledge the end of a connection
 _CHUNK = 1 << 16
-_ACKNOWLEDGEMENTS: dict[Carrier, bytes | tuple[bytes, ...]] = {
+_ACKNOWLEDGMENTS: dict[Carrier, bytes | tuple[bytes, ...]] = {
     carriers.TCP: framing.ACK,
     carriers.TEXT_ACK: b"<ACK>\r\n",
 }
@@ -57,7 +57,7 @@ class OutputSocket:
         return True
 
     def read_ack(self, *, patient: bool = False) -> bool:
-        """Read the outstanding acknowledgement; return False if it has not arrived."""
+        """Read the outstanding acknowledgment; return False if it has not arrived."""
         sock = self._patient if patient else self.sock
         while True:
             if self._received and (end := _ack_end(self._received, self._carrier)):
@@ -76,14 +76,14 @@ class OutputSocket:
             self._received += received
 
     def reply(self, watch: ReplyWatch, check_time: Callable[[], None]) -> bytes | None:
-        """Wait for the reply, whose end ``watch`` finds; return None if the acknowledgement arrives without one.
+        """Wait for the reply, whose end ``watch`` finds; return None if the acknowledgment arrives without one.
 
         Raises `ConnectionError`, `WireError` for an invalid Bottle or one above the limit, and what ``check_time``
         raises.
         """
         received: bytes | bytearray = self._received
-        acknowledgement = _ACKNOWLEDGEMENTS.get(self._carrier, ())
-        while not received.startswith(acknowledgement):
+        acknowledgment = _ACKNOWLEDGMENTS.get(self._carrier, ())
+        while not received.startswith(acknowledgment):
             if end := watch.end(received):
                 break
             if len(received) > self._limit + _CHUNK:
@@ -142,13 +142,13 @@ class OutputSocket:
 
 
 def _ack_end(received: bytes, carrier: Carrier) -> int:
-    """Return the end of the acknowledgement at the start of ``received``; 0 if it is incomplete."""
+    """Return the end of the acknowledgment at the start of ``received``; 0 if it is incomplete."""
     if carrier.text:
         return received.find(b"\n") + 1
     if len(received) < len(framing.ACK):
         return 0
     length = framed(received)
     if length is None or not 0 <= length <= _CHUNK:
-        raise ConnectionResetError(f"invalid acknowledgement: {received[:16]!r}")
+        raise ConnectionResetError(f"invalid acknowledgment: {received[:16]!r}")
     end = len(framing.ACK) + length
     return end if len(received) >= end else 0

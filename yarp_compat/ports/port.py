@@ -175,7 +175,7 @@ class PortCore(ConnectingPort):
 
         The payload may be a function that encodes it in each output's dialect. ``strict``: queue the message behind
         those that wait (a full queue drops the oldest); otherwise it replaces them, but not the one that is being sent.
-        ``wait``: block until it is sent to all peers, and acknowledged if the carrier has acknowledgements, for at most
+        ``wait``: block until it is sent to all peers, and acknowledged if the carrier has acknowledgments, for at most
         ``timeout`` seconds; otherwise never block. ``text`` returns the line for text carriers, by default the
         payload's text.
         """

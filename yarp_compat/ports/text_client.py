@@ -135,7 +135,7 @@ def admin(contact: PortContact, command: Sequence[Any], timeout: float = TIMEOUT
 
 
 def raw(contact: PortContact, sender: str, text: str, timeout: float = TIMEOUT) -> list[str]:
-    """Introduce this client as ``sender``, send lines, and return the lines before the acknowledgement."""
+    """Introduce this client as ``sender``, send lines, and return the lines before the acknowledgment."""
     try:
         with LineSocket(contact.host, contact.port, timeout).open() as peer:
             peer.send(f"CONNACK {sender}\r\n{text}".encode("utf-8", "surrogateescape"))

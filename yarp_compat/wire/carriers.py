@@ -34,7 +34,7 @@ class Carrier:
 
 
 def frame(value: int) -> bytes:
-    """Return the 8 bytes ``YA <int32> RP``, used in openings, answers, message headers and acknowledgements."""
+    """Return the 8 bytes ``YA <int32> RP``, used in openings, answers, message headers and acknowledgments."""
     return _MAGIC.pack(b"YA", value, b"RP")
 
 

@@ -1,4 +1,4 @@
-"""The frame of messages on a connection: the index, the command to the port, the payload, the acknowledgement.
+"""The frame of messages on a connection: the index, the command to the port, the payload, the acknowledgment.
 
 A message on tcp is ``YA 10 RP``, its number of blocks and that of the reply (1 byte each), 8 bytes of 0xff, an int32
 length for each block (0 for the reply's), then the message's blocks, which are joined: the command, then the payload.
@@ -120,8 +120,8 @@ JOINED = 1 << 14  # buffers up to this size are joined, which is cheaper than se
 _DATA = {key: command_bytes(key) for key in "dDa"}
 
 
-def acknowledgement(slack: int) -> bytes:
-    """Return an acknowledgement followed by ``slack`` bytes, which it asks its reader to skip."""
+def acknowledgment(slack: int) -> bytes:
+    """Return an acknowledgment followed by ``slack`` bytes, which it asks its reader to skip."""
     return frame(slack) + bytes(slack)
 
 

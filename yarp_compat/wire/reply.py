@@ -15,7 +15,7 @@ from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.profile import Profile
 
 LIMIT = 64 << 20  # maximum bytes of a reply by default
-ACKNOWLEDGED = 8  # bytes of the acknowledgement after a reply on tcp: ``YA``, a number, ``RP``
+ACKNOWLEDGED = 8  # bytes of the acknowledgment after a reply on tcp: ``YA``, a number, ``RP``
 
 _WORD = Struct("<i").unpack_from
 _TWO = Struct("<ii").unpack_from
@@ -28,7 +28,7 @@ _SAME_SIZES = {tag: size for tag, size in _SIZES3.items() if _SIZES4.get(tag) ==
 class ReplyReader:
     """A parser that finds the end of one reply of up to ``limit`` bytes, and if possible its profile.
 
-    ``acked``: an acknowledgement follows, which helps to detect the profile.
+    ``acked``: an acknowledgment follows, which helps to detect the profile.
     """
 
     def __init__(self, profile: Profile | None = None, *, acked: bool = True, limit: int = LIMIT) -> None:
@@ -63,12 +63,12 @@ class ReplyReader:
             return self._decided((Profile.YARP3, ends[Profile.YARP3]))
         for profile, end in ends.items():
             if self._acked and len(data) >= end + ACKNOWLEDGED:
-                if _is_acknowledgement(data, end):
+                if _is_acknowledgment(data, end):
                     return self._decided((profile, end))
                 del self._walks[profile]
         if not self._walks:
-            raise WireError("no acknowledgement follows the reply in either profile")
-        raise missing or Incomplete("the acknowledgement after the reply is missing")
+            raise WireError("no acknowledgment follows the reply in either profile")
+        raise missing or Incomplete("the acknowledgment after the reply is missing")
 
     def _decided(self, found: tuple[Profile, int]) -> int:
         self.profile, end = found
@@ -188,7 +188,7 @@ class _Walk:
         return at
 
 
-def _is_acknowledgement(data: Buffer, at: int) -> bool:
+def _is_acknowledgment(data: Buffer, at: int) -> bool:
     return bytes(data[at : at + 2]) == b"YA" and bytes(data[at + 6 : at + 8]) == b"RP"
 
 

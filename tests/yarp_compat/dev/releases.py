@@ -84,7 +84,7 @@ class Release:
     profile: Profile = Profile.YARP3
 
     def read(self, call: Call, data: bytes, *, acked: bool = True) -> Outcome:
-        """Read a reply, and its acknowledgement if it has one; raises `Incomplete` if bytes are missing."""
+        """Read a reply, and its acknowledgment if it has one; raises `Incomplete` if bytes are missing."""
         ok, end = self.single(data) if call.single else self._several(call, data)
         if not acked:
             return ok, end

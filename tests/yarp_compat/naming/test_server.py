@@ -135,7 +135,7 @@ def test_text_ack_returns_lines_or_a_bottle(names: NameClient) -> None:
 
 @pytest.mark.parametrize("profile", list(Profile))
 def test_tcp_returns_lines_or_a_bottle(server: NameServer, profile: Profile) -> None:
-    """The acknowledgement follows the reply."""
+    """The acknowledgment follows the reply."""
     command = encode(["query", "/root"], profile)
     index = b"YA\n\0\0\0RP\x02\x01" + b"\xff" * 8 + b"\x08\0\0\0" + len(command).to_bytes(4, "little") + bytes(4)
     header = b"YA\xe4\x1e\0\0RP\x05\0\0\0anon\0"

@@ -113,13 +113,13 @@ def test_rest_of_a_message_is_sent_although_select_is_full(
     assert slow.read() == HELLO
     slow.acknowledge()
     output = writer.connections.outputs[0]
-    until(lambda: not output.busy, "the shared thread has read the last acknowledgement")
+    until(lambda: not output.busy, "the shared thread has read the last acknowledgment")
 
 
 def test_peer_that_has_acknowledged_is_not_busy(
     make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The acknowledgement is read on demand, not only by the periodic check, because commands skip busy peers."""
+    """The acknowledgment is read on demand, not only by the periodic check, because commands skip busy peers."""
     monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
     writer = make_port("/w")
     writer.add_output("tcp://slow")
@@ -130,7 +130,7 @@ def test_peer_that_has_acknowledged_is_not_busy(
         assert writer.write(b"not heard", chosen=lambda output: not output.busy) == 0
         assert slow.read() == b"%d" % i
         slow.acknowledge()
-        until(lambda: not output.busy, "the acknowledgement is read")
+        until(lambda: not output.busy, "the acknowledgment is read")
 
 
 def test_peer_is_not_busy_during_the_periodic_check(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,7 +167,7 @@ def test_writer_of_a_dropped_message_returns(make_port: MakePort, slow: Slow, st
     writer = make_port("/w", limit=3 * BIG)
     writer.add_output("tcp://slow")
     for _ in range(2):
-        assert writer.write(b"a", strict=True) == 1, "the shared thread waits for the acknowledgement"
+        assert writer.write(b"a", strict=True) == 1, "the shared thread waits for the acknowledgment"
     (output,) = writer.connections.outputs
     reached: list[int] = []
     waiting = threading.Thread(target=lambda: reached.append(writer.write(b"b", wait=True, timeout=20)))
@@ -288,7 +288,7 @@ def test_waiting_for_a_slow_peer_ends_in_time(make_port: MakePort, slow: Slow) -
     assert 0.3 <= time.monotonic() - start < 10
     assert slow.read() == b"a"
     slow.acknowledge()
-    until(lambda: not writer.is_writing, "the acknowledgement is still read")
+    until(lambda: not writer.is_writing, "the acknowledgment is still read")
     threading.Timer(0.2, lambda: (slow.read(), slow.acknowledge())).start()
     assert writer.write(b"b", wait=True, timeout=10) == 1
 
@@ -310,7 +310,7 @@ def test_writer_of_a_queued_message_returns_after_the_peer_is_unlisted(
     close = output.socket_side.close  # runs after the writer has returned
     monkeypatch.setattr(output.socket_side, "close", lambda: (listed.append(len(writer.outputs())), close()))
     assert writer.write(b"a") == 1
-    assert writer.write(b"waits") == 1, "the shared thread waits for the previous acknowledgement"
+    assert writer.write(b"waits") == 1, "the shared thread waits for the previous acknowledgment"
     threading.Timer(0.2, lambda: slow.sock and slow.sock.close()).start()
     assert writer.write(b"b", wait=True, timeout=20) == 0
     assert until(lambda: listed, "the peer's socket is closed")[0] == 0
@@ -351,7 +351,7 @@ def test_closing_releases_a_waiting_writer(make_port: MakePort, slow: Slow) -> N
     until(lambda: not writer.is_open, "the writer is closed")
 
 
-def test_invalid_acknowledgement_closes_the_connection(make_port: MakePort, slow: Slow) -> None:
+def test_invalid_acknowledgment_closes_the_connection(make_port: MakePort, slow: Slow) -> None:
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     writer.write(b"a")

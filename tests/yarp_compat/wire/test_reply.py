@@ -60,7 +60,7 @@ def test_profile_is_detected_from_its_own_tags(profile: Profile) -> None:
 
 
 @pytest.mark.parametrize("values", [[0.5] * 3, [0.5, "x", 3], [Float32(0.5)] * 3, [Float32(0.5), "x"], [1, 2]])
-def test_profile_is_detected_without_an_acknowledgement(values: list[Any]) -> None:
+def test_profile_is_detected_without_an_acknowledgment(values: list[Any]) -> None:
     wire = encode(values, Profile.YARP3)
     reader = ReplyReader(acked=False)
     assert reader.end(wire) == len(wire)
@@ -68,7 +68,7 @@ def test_profile_is_detected_without_an_acknowledgement(values: list[Any]) -> No
         assert reader.profile is Profile.YARP3
 
 
-def test_acknowledgement_decides_the_profile() -> None:
+def test_acknowledgment_decides_the_profile() -> None:
     """Two numbers of four bytes, or one of eight: the bytes after them decide."""
     wire = encode([Float32(0.5)] * 2, Profile.YARP4)
     reader = ReplyReader()
@@ -79,9 +79,9 @@ def test_acknowledgement_decides_the_profile() -> None:
     assert reader.profile is Profile.YARP4
 
 
-def test_missing_acknowledgement_is_an_error() -> None:
+def test_missing_acknowledgment_is_an_error() -> None:
     wire = encode([Float32(0.5)] * 2, Profile.YARP4)
-    with pytest.raises(WireError, match="no acknowledgement follows"):
+    with pytest.raises(WireError, match="no acknowledgment follows"):
         ReplyReader().end(wire + b"x" * 16)
 
 

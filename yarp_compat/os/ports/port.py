@@ -38,7 +38,7 @@ class Port(UnbufferedContactable):
         return self
 
     def setTimeout(self, timeout: float) -> bool:
-        """Set the timeout for replies and acknowledgements, in seconds; 0 or negative: no limit."""
+        """Set the timeout for replies and acknowledgments, in seconds; 0 or negative: no limit."""
         self._timeout = timeout if timeout > 0 else None
         return True
 
