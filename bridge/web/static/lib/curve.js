@@ -29,7 +29,7 @@ export class Series {
   }
 }
 
-/** A small curve beside a row. `from`: the lowest value of its axis, or undefined for that of the values. */
+/** A small curve next to a row. `from`: the lowest value of its axis, or undefined for that of the values. */
 export class Spark {
   constructor(label) {
     this.line = svg("path", { class: "curve-line", "vector-effect": "non-scaling-stroke" });

@@ -9,7 +9,7 @@ export function cellOf(map, x, y) {
 }
 
 /**
- * The cells that a round brush covers on its way along `points` ([[x, y], ...], meters), as runs [row, column, length]
+ * The cells that a round brush covers along `points` ([[x, y], ...], meters), as runs [row, column, length]
  * without gaps or overlaps. `radius` in meters; 0: only the cells that the brush's center passes.
  */
 export function runsOf(map, points, radius) {

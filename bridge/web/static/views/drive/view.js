@@ -18,7 +18,7 @@ export default function driveView(root, socket) {
   const tools = {
     go: { label: "Go here", drives: true, icon: "M12 21V9M6 12l6-8 6 8", hint: "Press where to go; drag to set the heading.",
       done: (pose) => goTo(socket, pose) },
-    robot: { label: "Robot is here", drives: true, icon: "M12 3l6 16-6-4-6 4z", hint: "Press where the robot is; drag to set its heading.",
+    robot: { label: "Robot is here", drives: true, icon: "M12 3l6 16-6-4-6 4z", hint: "Press at the robot's position; drag to set its heading.",
       done: (pose) => robotIsAt(socket, pose, heading()) },
     keep: { label: "Save place", drives: true, icon: "M12 21s-6-6-6-11a6 6 0 0 1 12 0c0 5-6 11-6 11zM12 8v5M9.5 10.5h5", hint: "Press the place; drag to set its heading.",
       done: (pose) => keepPlace(socket, map.values.places, pose, heading()) },
