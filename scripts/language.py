@@ -1,8 +1,9 @@
 """Measure the language of code and docs: phrases that read as translated, and vague names.
 
-A phrase counts in docstrings, comments, messages and Markdown. It hints at a sentence to read again; some are
-good English, so a limit leaves room for them. A function or an assignment counts if its name is on a list of words
-that do not say what they stand for. `scripts/house.py --check` holds each top-level folder to the limits.
+A phrase counts in docstrings, comments, messages and Markdown, and in the comments of configurations, packaging,
+JavaScript and C. It hints at a sentence to read again; some are good English, so a limit leaves room for them. A
+function or an assignment counts if its name is on a list of words that do not say what they stand for.
+`scripts/house.py --check` holds each top-level folder to the limits.
 """
 
 from __future__ import annotations
@@ -19,8 +20,11 @@ from typing import Self
 from typing_extensions import override
 
 FOLDERS = ("bridge", "yarp_compat", "navigation", "sim", "tests", "benchmarks", "examples", "scripts")
-PAGES = "docs"
-"""The label of all Markdown: the pages of this folder, and those next to it."""
+PAGES, SETTINGS, FOREIGN = "docs", "configs", "JavaScript and C"
+"""The labels of all Markdown; of the comments in `_SETTINGS`; of comments and messages in `_FOREIGN`."""
+
+_SETTINGS = ("configs/**/*.yaml", "configs/**/*.rviz", "packaging/**/*", "pyproject.toml")
+_FOREIGN = ("bridge/**/*.js", "bridge/**/*.c")
 
 PHRASES_PER_1000, VAGUE_PERCENT = 4.0, 1.0
 FEW_WORDS, FEW_NAMES = 1000, 300
@@ -44,6 +48,9 @@ _STRING_OR_COMMENT = re.compile(
     r"""#[^\n]*|\"{3}(?:\\.|[^\\])*?\"{3}|'{3}(?:\\.|[^\\])*?'{3}|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*'""", re.DOTALL
 )
 """Matches the comments of a valid file; it matches strings too, to skip a number sign in them."""
+
+_FOREIGN_TEXT = re.compile(r'"(?:\\.|[^"\\\n])*"|/\*.*?\*/|//[^\n]*', re.DOTALL)
+"""Matches strings and comments; not template literals, whose expressions contain names such as those of imports."""
 
 _WORD = re.compile(r"[A-Za-z']+")
 
@@ -143,8 +150,12 @@ def _strings(nodes: Iterable[ast.AST]) -> Iterator[str]:
     for node in nodes:
         if not isinstance(node, ast.Constant) or not isinstance(node.value, str):
             continue
-        if id(node) in alone or (" " in node.value and len(node.value) > 15):
+        if id(node) in alone or _is_text(node.value):
             yield node.value
+
+
+def _is_text(string: str) -> bool:
+    return " " in string and len(string) > 15
 
 
 def _comments(source: str) -> Iterator[str]:
@@ -156,15 +167,32 @@ def _comments(source: str) -> Iterator[str]:
 def _files(root: Path, folder: str) -> dict[Path, Count]:
     """Count each file of a folder, except this one, which lists the phrases."""
     if folder == PAGES:
-        pages = [*sorted((root / PAGES).rglob("*.md")), *sorted(root.glob("*.md"))]
-        return {page: of_texts([_CODE.sub(" ", page.read_text(encoding="utf-8"))]) for page in pages}
+        pages = _matching(root, ("*.md", *(f"{place}/**/*.md" for place in (PAGES, "packaging", *FOLDERS))))
+        return {page: of_texts([_CODE.sub(" ", text)]) for page, text in pages.items()}
+    if folder == SETTINGS:
+        return {path: of_texts(_comments(text)) for path, text in _matching(root, _SETTINGS).items()}
+    if folder == FOREIGN:
+        return {path: of_texts(_foreign(text)) for path, text in _matching(root, _FOREIGN).items()}
     sources = sorted(path for path in (root / folder).rglob("*.py") if path.name != Path(__file__).name)
     return {source: of_source(source.read_text(encoding="utf-8")) for source in sources}
 
 
+def _matching(root: Path, patterns: Iterable[str]) -> dict[Path, str]:
+    """Return the text of each file that matches a pattern."""
+    paths = sorted(path for pattern in patterns for path in root.glob(pattern) if path.is_file())
+    return {path: path.read_text(encoding="utf-8") for path in paths}
+
+
+def _foreign(source: str) -> Iterator[str]:
+    """Yield the comments of a JavaScript or C file, and its strings of several words."""
+    for text in _FOREIGN_TEXT.findall(source):
+        if text.startswith("/") or _is_text(text):
+            yield text
+
+
 def measure(root: Path) -> dict[str, dict[Path, Count]]:
-    """Count each file of each top-level folder, and the Markdown pages under `PAGES`."""
-    return {folder: _files(root, folder) for folder in (*FOLDERS, PAGES)}
+    """Count each file of each top-level folder, the Markdown pages, and the comments of other files."""
+    return {folder: _files(root, folder) for folder in (*FOLDERS, PAGES, SETTINGS, FOREIGN)}
 
 
 def total(counts: Iterable[Count]) -> Count:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -59,6 +60,35 @@ def test_code_in_a_page_does_not_count(tmp_path: Path) -> None:
     (tmp_path / "README.md").write_text("Told.\n")
     pages = language.measure(tmp_path)[language.PAGES]
     assert {path.name: count.phrases.total() for path, count in pages.items()} == {"page.md": 2, "README.md": 1}
+
+
+def test_the_pages_of_every_folder_count(tmp_path: Path) -> None:
+    pages = ["README.md", "benchmarks/README.md", "examples/README.md", "bridge/messages/definitions/README.md"]
+    for page in pages:
+        (tmp_path / page).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / page).write_text("Nobody waits.\n")
+    counts = language.measure(tmp_path)[language.PAGES]
+    assert {str(path.relative_to(tmp_path)): count.phrases.total() for path, count in counts.items()} == dict.fromkeys(
+        pages, 1
+    )
+
+
+@pytest.mark.parametrize(
+    ("file", "source"),
+    [
+        ("configs/nav2.yaml", "# nobody waits\nname: 'nobody # waits'\n"),
+        ("packaging/midspan.service", "# nobody waits\nExecStart=nobody\n"),
+        ("pyproject.toml", "[nobody]  # nobody waits\n"),
+        ("bridge/web/static/app.js", 'import { say } from "../../lib/say.js"; // nobody waits\nsay(nobody);\n'),
+        ("bridge/web/static/lib/a.js", 'say("Nobody waits for it.");\n'),
+        ("bridge/adapters/ros2/taking.c", '/* nobody\n waits */\nint nobody = 0; char *url = "//nobody";\n'),
+    ],
+)
+def test_comments_and_messages_of_other_files_count(tmp_path: Path, file: str, source: str) -> None:
+    (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / file).write_text(source)
+    measured = language.measure(tmp_path)
+    assert sum((language.total(counts.values()).phrases for counts in measured.values()), Counter()) == {"nobody": 1}
 
 
 def test_vague_names_count_with_a_leading_underscore_too() -> None:
