@@ -121,7 +121,7 @@ class _Launcher:
         return False
 
 
-class _Rig:
+class _IsolatedWorker:
     """A worker without a process, and the objects that it depends on."""
 
     def __init__(self, timing: Timing | None = None) -> None:
@@ -179,81 +179,81 @@ class _Rig:
 
 
 @pytest.fixture
-def rig() -> Iterator[_Rig]:
-    rig = _Rig()
-    yield rig
-    rig.loop.close()
+def isolated() -> Iterator[_IsolatedWorker]:
+    isolated = _IsolatedWorker()
+    yield isolated
+    isolated.loop.close()
 
 
 @pytest.mark.parametrize(("phase", "event"), POSSIBLE, ids=name_of)
-def test_a_worker_makes_each_transition(rig: _Rig, phase: Phase, event: WorkerEvent) -> None:
-    rig.bring_to(phase)
-    assert (rig.worker.phase in IDLE) == rig.worker.idle
+def test_a_worker_makes_each_transition(isolated: _IsolatedWorker, phase: Phase, event: WorkerEvent) -> None:
+    isolated.bring_to(phase)
+    assert (isolated.worker.phase in IDLE) == isolated.worker.idle
     if event is WorkerEvent.EXIT:
-        rig.kind.on = False
-    rig.cause(event)
-    assert rig.worker.phase is TRANSITIONS[event][1]
-    assert (rig.worker.phase in IDLE) == rig.worker.idle
+        isolated.kind.on = False
+    isolated.cause(event)
+    assert isolated.worker.phase is TRANSITIONS[event][1]
+    assert (isolated.worker.phase in IDLE) == isolated.worker.idle
 
 
-def test_reports_of_a_stopping_worker_do_not_change_its_state(rig: _Rig) -> None:
-    rig.bring_to(Phase.STOPPING)
+def test_reports_of_a_stopping_worker_do_not_change_its_state(isolated: _IsolatedWorker) -> None:
+    isolated.bring_to(Phase.STOPPING)
     for report in (protocol.Beat(2, Health("running", "2 routes")), Busy("unregistering", 0.1, 0)):
-        rig.worker.on_report(report)
-        assert (rig.worker.phase, rig.worker.text) == (Phase.STOPPING, "requested")
+        isolated.worker.on_report(report)
+        assert (isolated.worker.phase, isolated.worker.text) == (Phase.STOPPING, "requested")
 
 
-def test_a_second_stop_request_keeps_the_state_and_its_reason(rig: _Rig) -> None:
-    rig.bring_to(Phase.STOPPING)
-    rig.worker.stop("once more")
-    assert (rig.worker.phase, rig.worker.text) == (Phase.STOPPING, "requested")
-    assert len(rig.launcher.channel.sent) == 1
+def test_a_second_stop_request_keeps_the_state_and_its_reason(isolated: _IsolatedWorker) -> None:
+    isolated.bring_to(Phase.STOPPING)
+    isolated.worker.stop("once more")
+    assert (isolated.worker.phase, isolated.worker.text) == (Phase.STOPPING, "requested")
+    assert len(isolated.launcher.channel.sent) == 1
 
 
-def test_a_disabled_worker_stays_off_even_if_it_asks_for_a_restart_before_it_exits(rig: _Rig) -> None:
-    rig.bring_to(Phase.UP)
-    rig.cause(WorkerEvent.DISABLE)
-    assert rig.worker.phase is Phase.STOPPING
-    rig.worker.on_report(protocol.Restart("the new configuration needs a restart"))
-    rig.worker.on_exit(Exit(0))
-    assert rig.worker.phase is Phase.OFF
+def test_a_disabled_worker_stays_off_even_if_it_asks_for_a_restart_before_it_exits(isolated: _IsolatedWorker) -> None:
+    isolated.bring_to(Phase.UP)
+    isolated.cause(WorkerEvent.DISABLE)
+    assert isolated.worker.phase is Phase.STOPPING
+    isolated.worker.on_report(protocol.Restart("the new configuration needs a restart"))
+    isolated.worker.on_exit(Exit(0))
+    assert isolated.worker.phase is Phase.OFF
 
 
-def test_a_worker_that_is_enabled_again_while_it_stops_starts_after_its_exit(rig: _Rig) -> None:
-    rig.bring_to(Phase.UP)
-    rig.cause(WorkerEvent.DISABLE)
-    rig.cause(WorkerEvent.START)
-    assert rig.worker.phase is Phase.STOPPING
-    rig.worker.on_exit(Exit(0))
-    assert rig.worker.phase is Phase.STARTING
+def test_a_worker_that_is_enabled_again_while_it_stops_starts_after_its_exit(isolated: _IsolatedWorker) -> None:
+    isolated.bring_to(Phase.UP)
+    isolated.cause(WorkerEvent.DISABLE)
+    isolated.cause(WorkerEvent.START)
+    assert isolated.worker.phase is Phase.STOPPING
+    isolated.worker.on_exit(Exit(0))
+    assert isolated.worker.phase is Phase.STARTING
 
 
 @pytest.mark.parametrize("event", [WorkerEvent.BLOCK, WorkerEvent.CANNOT_WORK, WorkerEvent.CRASH], ids=name_of)
 def test_a_timer_starts_a_worker_again(event: WorkerEvent) -> None:
-    rig = _Rig(Timing(retry=0.0))
-    rig.pause = 0.0
-    rig.bring_to(Phase.UP if event is WorkerEvent.CRASH else Phase.OFF)
-    rig.cause(event)
-    rig.launcher.result = Launch(WorkerEvent.START, channel=rig.launcher.channel)  # type: ignore[arg-type]
-    until(lambda: rig.loop.step(1.0) or rig.worker.phase is Phase.STARTING, "the worker starts again")
-    rig.loop.close()
+    isolated = _IsolatedWorker(Timing(retry=0.0))
+    isolated.pause = 0.0
+    isolated.bring_to(Phase.UP if event is WorkerEvent.CRASH else Phase.OFF)
+    isolated.cause(event)
+    isolated.launcher.result = Launch(WorkerEvent.START, channel=isolated.launcher.channel)  # type: ignore[arg-type]
+    until(lambda: isolated.loop.step(1.0) or isolated.worker.phase is Phase.STARTING, "the worker starts again")
+    isolated.loop.close()
 
 
 def test_a_timer_kills_a_worker_that_does_not_stop(caplog: pytest.LogCaptureFixture) -> None:
-    rig = _Rig(Timing(stop=0.0))
-    rig.bring_to(Phase.STOPPING)
-    until(lambda: rig.loop.step(1.0) or rig.launcher.channel.killed, "the process is killed")
+    isolated = _IsolatedWorker(Timing(stop=0.0))
+    isolated.bring_to(Phase.STOPPING)
+    until(lambda: isolated.loop.step(1.0) or isolated.launcher.channel.killed, "the process is killed")
     assert "ros1 did not stop in time; killing process 7" in caplog.text
-    rig.loop.close()
+    isolated.loop.close()
 
 
 def test_the_timer_of_an_earlier_state_has_no_effect() -> None:
-    rig = _Rig(Timing(stop=0.0))
-    rig.bring_to(Phase.STOPPING)
-    rig.worker.on_exit(Exit(0))
-    rig.configure("other")
-    rig.loop.step(0.0)
-    rig.loop.step(0.0)
-    assert rig.worker.phase is Phase.STARTING
-    assert rig.launcher.channel.killed == 0
-    rig.loop.close()
+    isolated = _IsolatedWorker(Timing(stop=0.0))
+    isolated.bring_to(Phase.STOPPING)
+    isolated.worker.on_exit(Exit(0))
+    isolated.configure("other")
+    isolated.loop.step(0.0)
+    isolated.loop.step(0.0)
+    assert isolated.worker.phase is Phase.STARTING
+    assert isolated.launcher.channel.killed == 0
+    isolated.loop.close()

@@ -26,7 +26,7 @@ RULES = [
 ]
 
 
-class Rig:
+class ReleasePrograms:
     """A daemon with its ROS 2 side on a release, a program on Kilted, and programs on ROS 1 and the hub."""
 
     def __init__(self, deployment: Deployment, side: str) -> None:
@@ -45,10 +45,10 @@ class Rig:
 
 
 @pytest.fixture(scope="module", params=["jazzy", pytest.param("kilted", marks=pytest.mark.thorough)])
-def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """The rig that all tests share; the parameter is the ROS 2 release of Midspan's side."""
+def programs(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReleasePrograms]:
+    """The programs that all tests share; the parameter is the ROS 2 release of Midspan's side."""
     with Deployment(tmp_path_factory.mktemp("releases")) as deployment:
-        yield Rig(deployment, request.param)
+        yield ReleasePrograms(deployment, request.param)
 
 
 def crossing(source: Peer, sink: Peer, topic: str) -> list[Any]:
@@ -66,26 +66,26 @@ def crossing(source: Peer, sink: Peer, topic: str) -> list[Any]:
     return [volatile, *sink.wait(late, 1)]
 
 
-def test_topics_and_latched_data_are_bridged_between_releases(rig: Rig) -> None:
+def test_topics_and_latched_data_are_bridged_between_releases(programs: ReleasePrograms) -> None:
     both = [{"data": "again"}, {"data": "kept"}]
-    assert crossing(rig.ros2, rig.ros1, "/to_ros1") == both
-    assert crossing(rig.ros1, rig.ros2, "/to_ros2") == both
-    if rig.side == "kilted":
-        jazzy = rig.deployment.ros2()
-        assert crossing(jazzy, rig.ros1, "/from_jazzy") == both
-        assert crossing(rig.ros1, jazzy, "/to_jazzy") == both
+    assert crossing(programs.ros2, programs.ros1, "/to_ros1") == both
+    assert crossing(programs.ros1, programs.ros2, "/to_ros2") == both
+    if programs.side == "kilted":
+        jazzy = programs.deployment.ros2()
+        assert crossing(jazzy, programs.ros1, "/from_jazzy") == both
+        assert crossing(programs.ros1, jazzy, "/to_jazzy") == both
 
 
 @pytest.mark.parametrize("native", ["server", "client"])
-def test_services_cross_to_nodes_of_other_releases(rig: Rig, native: str) -> None:
-    server, client = (rig.ros2, rig.ros1) if native == "server" else (rig.ros1, rig.ros2)
+def test_services_cross_to_nodes_of_other_releases(programs: ReleasePrograms, native: str) -> None:
+    server, client = (programs.ros2, programs.ros1) if native == "server" else (programs.ros1, programs.ros2)
     name, reply = f"/lamp_{native}", {"success": True, "message": "lit"}
     served = server.ask("serve", service=name, type=SERVICE, reply=reply)["id"]
     if native == "server":
-        rig.deployment.until_route("ros1", name, "out", state="active")
+        programs.deployment.until_route("ros1", name, "out", state="active")
         client.ask("await_service", service=name, seconds=20)
     if native == "server":
-        users = [user for decision in rig.deployment.explain(name) for user in decision["users"]]
+        users = [user for decision in programs.deployment.explain(name) for user in decision["users"]]
         assert users == ["served by /controller_server on Fast DDS 3.2.2 (Kilted)"]
     call = client.ask("call", service=name, type=SERVICE, request={"data": True})["id"]
     assert client.ask("result", id=call, seconds=40)["reply"] == reply
@@ -93,8 +93,8 @@ def test_services_cross_to_nodes_of_other_releases(rig: Rig, native: str) -> Non
 
 
 @pytest.mark.parametrize("native", ["server", "client"])
-def test_actions_cross_to_nodes_of_other_releases(rig: Rig, native: str) -> None:
-    server, client = (rig.ros2, rig.hub) if native == "server" else (rig.hub, rig.ros2)
+def test_actions_cross_to_nodes_of_other_releases(programs: ReleasePrograms, native: str) -> None:
+    server, client = (programs.ros2, programs.hub) if native == "server" else (programs.hub, programs.ros2)
     name, feedback = f"/go_{native}", [{"distance_remaining": 2.5}]
     served = server.ask("act", action=name, type=ACTION, feedback=feedback, outcome="succeed")["id"]
     goal = client.ask("send_goal", action=name, type=ACTION, goal=GOAL, seconds=40)["id"]
@@ -105,9 +105,9 @@ def test_actions_cross_to_nodes_of_other_releases(rig: Rig, native: str) -> None
 
 
 @pytest.mark.parametrize("native", ["server", "client"])
-def test_goals_are_converted_for_actions_whose_fields_differ(rig: Rig, native: str) -> None:
+def test_goals_are_converted_for_actions_whose_fields_differ(programs: ReleasePrograms, native: str) -> None:
     """Kilted's ``NavigateThroughPoses`` has its poses in a ``Goals``, and more fields in result and feedback."""
-    server, client = (rig.ros2, rig.hub) if native == "server" else (rig.hub, rig.ros2)
+    server, client = (programs.ros2, programs.hub) if native == "server" else (programs.hub, programs.ros2)
     name, poses = f"/through_{native}", [GOAL["pose"], GOAL["pose"]]
     values = {"distance_remaining": 2.5, "number_of_poses_remaining": 2}
     served = server.ask("act", action=name, type=THROUGH, feedback=[values], outcome="succeed")["id"]
@@ -126,15 +126,15 @@ def test_goals_are_converted_for_actions_whose_fields_differ(rig: Rig, native: s
     assert [pose["pose"]["position"]["x"] for pose in goals] == [5.0, 5.0]
 
     def explained() -> bool:
-        reasons = [decision["why"] for decision in rig.deployment.explain(name)]
+        reasons = [decision["why"] for decision in programs.deployment.explain(name)]
         return any(f"has kilted's version of {FULL}_" in reason for reason in reasons)
 
     until(explained, "explain names what is left out", 20, every=0.1)
 
 
-def test_parameters_are_shared_with_nodes_of_other_releases(rig: Rig) -> None:
+def test_parameters_are_shared_with_nodes_of_other_releases(programs: ReleasePrograms) -> None:
     """ROS 1 has a copy of one node's parameters, and another node has ROS 1's; each copy can be set."""
-    ros1, ros2 = rig.ros1, rig.ros2
+    ros1, ros2 = programs.ros1, programs.ros2
 
     def in_ros1(name: str) -> Any:
         return ros1.ask("get_param", name=name)["value"]
@@ -148,15 +148,15 @@ def test_parameters_are_shared_with_nodes_of_other_releases(rig: Rig) -> None:
     assert in_ros1("/robot/speed") == 2.5
 
 
-def test_status_reports_that_shared_memory_is_not_used(rig: Rig) -> None:
+def test_status_reports_that_shared_memory_is_not_used(programs: ReleasePrograms) -> None:
     """Fast DDS 2 and 3 share no memory segments. The side keeps shared memory for programs on its own version."""
-    if rig.side == "kilted":
-        rig.deployment.ros2()
+    if programs.side == "kilted":
+        programs.deployment.ros2()
 
     def reported() -> list[str]:
-        warnings = rig.deployment.worker("ros2").get("warnings", [])
+        warnings = programs.deployment.worker("ros2").get("warnings", [])
         return [text for text in warnings if "another major version of Fast DDS" in text]
 
     (text,) = until(reported, "the warning is reported", 20, every=0.1)
-    assert f"({rig.side})" in text, "the worker runs on this release"
+    assert f"({programs.side})" in text, "the worker runs on this release"
     assert text.endswith("their messages use UDP, not shared memory")

@@ -38,7 +38,7 @@ TOPIC_TYPE, SERVICE, ACTION = "fleet_msgs/Wheel", "fleet_msgs/Calibrate", "fleet
 MESSAGES = 5
 
 
-class Rig:
+class FleetPrograms:
     """A daemon, programs on ROS 1, Jazzy and Kilted, and hub nodes with each version."""
 
     def __init__(self, deployment: Deployment, folder: Path) -> None:
@@ -90,10 +90,10 @@ class _Closing:
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FleetPrograms]:
     folder = tmp_path_factory.mktemp("versions")
     with Deployment(folder) as deployment:
-        yield Rig(deployment, folder)
+        yield FleetPrograms(deployment, folder)
 
 
 def numbered(messages: list[dict[str, Any]]) -> list[tuple[int, float]]:
@@ -101,22 +101,22 @@ def numbered(messages: list[dict[str, Any]]) -> list[tuple[int, float]]:
     return [(m["load"], m["rpm"] if "rpm" in m else m["speed"]) for m in messages if m["name"]]
 
 
-def test_messages_of_publishers_of_two_versions_are_converted(rig: Rig) -> None:
-    name, old, new = "/wheels", rig.hub_node("old"), rig.hub_node("new")
-    ros1 = rig.ros1.subscribe(name, TOPIC_TYPE)
+def test_messages_of_publishers_of_two_versions_are_converted(programs: FleetPrograms) -> None:
+    name, old, new = "/wheels", programs.hub_node("old"), programs.hub_node("new")
+    ros1 = programs.ros1.subscribe(name, TOPIC_TYPE)
     hub = {
-        "old": ReleaseSubscription(old, rig.topic(name, "old")),
-        "new": ReleaseSubscription(new, rig.topic(name, "new")),
+        "old": ReleaseSubscription(old, programs.topic(name, "old")),
+        "new": ReleaseSubscription(new, programs.topic(name, "new")),
     }
-    peers = {"rpm": rig.jazzy, "speed": rig.kilted}
+    peers = {"rpm": programs.jazzy, "speed": programs.kilted}
     code: dict[str, Any] = {"rpm": "7", "speed": 7}
     ends = {field: peer.advertise(name, TOPIC_TYPE) for field, peer in peers.items()}
 
     def matched(field: str, load: int) -> bool:
         peers[field].publish(ends[field], {"load": load, "code": code[field]})
-        everybody = rig.ros1.wait(ros1, 1, 0.1)
+        everybody = programs.ros1.wait(ros1, 1, 0.1)
         return any(m["load"] == load for m in everybody) and all(
-            any(load == m.get("load") for m in decoded(rig, version, end)) for version, end in hub.items()
+            any(load == m.get("load") for m in decoded(programs, version, end)) for version, end in hub.items()
         )
 
     until(lambda: matched("rpm", 101), "all subscriptions receive from Jazzy's publisher", 60)
@@ -127,37 +127,39 @@ def test_messages_of_publishers_of_two_versions_are_converted(rig: Rig) -> None:
                 ends[field], {"name": "n", "load": 2 * number + at, "code": code[field], field: number + 0.5}
             )
     expected = [(n, n // 2 + 0.5) for n in range(2 * MESSAGES)]
-    until(lambda: len(numbered(rig.ros1.wait(ros1, 1, 0.1))) >= len(expected), "ROS 1 has received all messages", 40)
+    until(
+        lambda: len(numbered(programs.ros1.wait(ros1, 1, 0.1))) >= len(expected), "ROS 1 has received all messages", 40
+    )
     for version, end in hub.items():
         until(
-            lambda v=version, e=end: len(rig.loads(v, e)) >= len(expected),
+            lambda v=version, e=end: len(programs.loads(v, e)) >= len(expected),
             f"the hub's {version} subscription has received all messages",
             40,
         )
-        assert sorted(rig.loads(version, end)) == expected
-    assert sorted(numbered(rig.ros1.wait(ros1, 1, 0.1))) == expected
-    text = until(lambda: "has" in (t := rig.explained(name)) and t, "explain names the version", 20, every=0.1)
+        assert sorted(programs.loads(version, end)) == expected
+    assert sorted(numbered(programs.ros1.wait(ros1, 1, 0.1))) == expected
+    text = until(lambda: "has" in (t := programs.explained(name)) and t, "explain names the version", 20, every=0.1)
     folder = next(line for line in str(text).splitlines() if "/kilted" in line)
     assert f"{WHEEL}.kind is left out; {WHEEL}.speed is rounded to float32" in folder, text
 
 
-def decoded(rig: Rig, version: str, end: ReleaseSubscription) -> list[dict[str, Any]]:
-    schema = rig.registry.schema(WHEEL, rig.hashes[version])
+def decoded(programs: FleetPrograms, version: str, end: ReleaseSubscription) -> list[dict[str, Any]]:
+    schema = programs.registry.schema(WHEEL, programs.hashes[version])
     return [MessageReader(schema, sample.payload).message() for sample in end.samples]
 
 
-def test_subscriptions_of_two_versions_receive_their_own_version(rig: Rig) -> None:
+def test_subscriptions_of_two_versions_receive_their_own_version(programs: FleetPrograms) -> None:
     """Each subscription receives the messages in its version, on DDS and on the hub, and no others."""
-    name, old, new = "/commands", rig.hub_node("old"), rig.hub_node("new")
+    name, old, new = "/commands", programs.hub_node("old"), programs.hub_node("new")
     hub = {
-        "old": ReleaseSubscription(old, rig.topic(name, "old")),
-        "new": ReleaseSubscription(new, rig.topic(name, "new")),
+        "old": ReleaseSubscription(old, programs.topic(name, "old")),
+        "new": ReleaseSubscription(new, programs.topic(name, "new")),
     }
-    ros1 = rig.ros1.advertise(name, TOPIC_TYPE)
-    dds = {peer: peer.subscribe(name, TOPIC_TYPE) for peer in (rig.jazzy, rig.kilted)}
+    ros1 = programs.ros1.advertise(name, TOPIC_TYPE)
+    dds = {peer: peer.subscribe(name, TOPIC_TYPE) for peer in (programs.jazzy, programs.kilted)}
 
     def publish(**message: Any) -> None:
-        rig.ros1.publish(ros1, {"code": "7", **message})
+        programs.ros1.publish(ros1, {"code": "7", **message})
 
     def matched() -> bool:
         publish(load=101)
@@ -175,71 +177,78 @@ def test_subscriptions_of_two_versions_receive_their_own_version(rig: Rig) -> No
         assert numbered(messages) == expected
         assert {m["load"] for m in messages if not m["name"]} == {101}
     for version, end in hub.items():
-        until(lambda v=version, e=end: len(rig.loads(v, e)) >= MESSAGES, f"the hub's {version} has received all", 40)
-        assert rig.loads(version, end) == expected
-    assert "decodes it wrongly" not in rig.explained(name)
-    before = len(rig.kilted.wait(dds[rig.kilted], 0, 0.0))
-    rig.jazzy.drop(dds[rig.jazzy])
+        until(
+            lambda v=version, e=end: len(programs.loads(v, e)) >= MESSAGES, f"the hub's {version} has received all", 40
+        )
+        assert programs.loads(version, end) == expected
+    assert "decodes it wrongly" not in programs.explained(name)
+    before = len(programs.kilted.wait(dds[programs.kilted], 0, 0.0))
+    programs.jazzy.drop(dds[programs.jazzy])
     publish(name="n", load=9, rpm=2.5)
-    until(lambda: len(rig.kilted.wait(dds[rig.kilted], 1, 0.1)) > before, "Kilted still receives", 60)
-    assert numbered(rig.kilted.wait(dds[rig.kilted], 1, 0.1))[-1] == (9, 2.5)
+    until(lambda: len(programs.kilted.wait(dds[programs.kilted], 1, 0.1)) > before, "Kilted still receives", 60)
+    assert numbered(programs.kilted.wait(dds[programs.kilted], 1, 0.1))[-1] == (9, 2.5)
 
 
-def test_late_subscriptions_of_two_versions_receive_latched_messages(rig: Rig) -> None:
+def test_late_subscriptions_of_two_versions_receive_latched_messages(programs: FleetPrograms) -> None:
     """They also receive a message in a version that no subscription had when it was sent."""
-    name, end = "/latched_wheels", rig.ros1.advertise("/latched_wheels", TOPIC_TYPE, latched=True)
-    rig.ros1.publish(end, {"name": "n", "load": 1, "code": "7", "rpm": 1.5})
-    rig.deployment.until_route("ros2", name, "out", state="active")
+    name, end = "/latched_wheels", programs.ros1.advertise("/latched_wheels", TOPIC_TYPE, latched=True)
+    programs.ros1.publish(end, {"name": "n", "load": 1, "code": "7", "rpm": 1.5})
+    programs.deployment.until_route("ros2", name, "out", state="active")
     for _ in range(2):
-        ends = {peer: peer.subscribe(name, TOPIC_TYPE, latched=True) for peer in (rig.kilted, rig.jazzy)}
+        ends = {peer: peer.subscribe(name, TOPIC_TYPE, latched=True) for peer in (programs.kilted, programs.jazzy)}
         for peer, subscription in ends.items():
             assert numbered(peer.wait(subscription, 1, 40)) == [(1, 1.5)], peer
         for peer, subscription in ends.items():
             peer.drop(subscription)
 
 
-def test_late_joiners_receive_latched_messages_of_two_versions_in_their_own(rig: Rig) -> None:
+def test_late_joiners_receive_latched_messages_of_two_versions_in_their_own(programs: FleetPrograms) -> None:
     """Late subscriptions on ROS 1 and the hub receive the last message of each publisher, in their own version."""
-    name, values = "/latched_sources", {rig.jazzy: {"rpm": 1.5, "code": "7"}, rig.kilted: {"speed": 2.5, "code": 7}}
+    name, values = (
+        "/latched_sources",
+        {programs.jazzy: {"rpm": 1.5, "code": "7"}, programs.kilted: {"speed": 2.5, "code": 7}},
+    )
     for load, (peer, fields) in enumerate(values.items(), 1):
         end = peer.advertise(name, TOPIC_TYPE, latched=True, depth=1)
         peer.publish(end, {"name": "n", "load": load, **fields})
-    rig.deployment.until_route("ros1", name, "out", state="active")
-    late, expected = rig.ros1.subscribe(name, TOPIC_TYPE), [(1, 1.5), (2, 2.5)]
-    until(lambda: sorted(numbered(rig.ros1.wait(late, 2, 0.1))) == expected, "ROS 1 has received both messages", 40)
+    programs.deployment.until_route("ros1", name, "out", state="active")
+    late, expected = programs.ros1.subscribe(name, TOPIC_TYPE), [(1, 1.5), (2, 2.5)]
+    until(
+        lambda: sorted(numbered(programs.ros1.wait(late, 2, 0.1))) == expected, "ROS 1 has received both messages", 40
+    )
     for version in ("old", "new"):
-        topic = replace(rig.topic(name, version), qos=Qos(durability=Durability.TRANSIENT_LOCAL, depth=10))
-        hub = ReleaseSubscription(rig.hub_node(version), topic)
+        topic = replace(programs.topic(name, version), qos=Qos(durability=Durability.TRANSIENT_LOCAL, depth=10))
+        hub = ReleaseSubscription(programs.hub_node(version), topic)
         until(
-            lambda v=version, e=hub: sorted(rig.loads(v, e)) == expected,
+            lambda v=version, e=hub: sorted(programs.loads(v, e)) == expected,
             f"the hub's {version} subscription has both messages",
             40,
         )
 
 
-def test_a_service_of_the_newer_version_is_called_with_converted_fields(rig: Rig) -> None:
+def test_a_service_of_the_newer_version_is_called_with_converted_fields(programs: FleetPrograms) -> None:
     """A client on ROS 1 calls Kilted's server; explain names the field that is rounded."""
-    served = rig.kilted.ask("serve", service="/of_kilted", type=SERVICE, reply={"offset": 0.5})["id"]
-    rig.deployment.until_route("ros1", "/of_kilted", "out", state="active")
-    rig.ros1.ask("await_service", service="/of_kilted", seconds=30)
-    call = rig.ros1.ask("call", service="/of_kilted", type=SERVICE, request={"target": 1.5})["id"]
-    assert rig.ros1.ask("result", id=call, seconds=40)["reply"] == {"offset": 0.5}
-    assert rig.kilted.ask("requests", id=served, count=1, seconds=20)["requests"] == [{"goal": 1.5}]
+    served = programs.kilted.ask("serve", service="/of_kilted", type=SERVICE, reply={"offset": 0.5})["id"]
+    programs.deployment.until_route("ros1", "/of_kilted", "out", state="active")
+    programs.ros1.ask("await_service", service="/of_kilted", seconds=30)
+    call = programs.ros1.ask("call", service="/of_kilted", type=SERVICE, request={"target": 1.5})["id"]
+    assert programs.ros1.ask("result", id=call, seconds=40)["reply"] == {"offset": 0.5}
+    assert programs.kilted.ask("requests", id=served, count=1, seconds=20)["requests"] == [{"goal": 1.5}]
     rounded = "fleet_msgs/srv/Calibrate_Response.offset is rounded to float32"
-    until(lambda: rounded in rig.explained("/of_kilted"), "explain names the rounded field", 20, every=0.1)
+    until(lambda: rounded in programs.explained("/of_kilted"), "explain names the rounded field", 20, every=0.1)
 
 
-def test_clients_of_two_versions_call_one_server(rig: Rig) -> None:
-    served = rig.ros1.ask("serve", service="/of_ros1", type=SERVICE, reply={"offset": 0.25})["id"]
-    for peer, request in ((rig.kilted, {"goal": 1.5}), (rig.jazzy, {"target": 2.5})):
+def test_clients_of_two_versions_call_one_server(programs: FleetPrograms) -> None:
+    served = programs.ros1.ask("serve", service="/of_ros1", type=SERVICE, reply={"offset": 0.25})["id"]
+    for peer, request in ((programs.kilted, {"goal": 1.5}), (programs.jazzy, {"target": 2.5})):
         call = peer.ask("call", service="/of_ros1", type=SERVICE, request=request)["id"]
         assert peer.ask("result", id=call, seconds=60)["reply"] == {"offset": 0.25}
-    assert rig.ros1.ask("requests", id=served, count=2)["requests"] == [{"target": 1.5}, {"target": 2.5}]
+    assert programs.ros1.ask("requests", id=served, count=2)["requests"] == [{"target": 1.5}, {"target": 2.5}]
 
 
 @pytest.mark.parametrize("native", ["server", "client"])
-def test_goals_and_feedback_of_an_action_are_converted_between_versions(rig: Rig, native: str) -> None:
-    server, client = (rig.kilted, rig.hub) if native == "server" else (rig.hub, rig.kilted)
+def test_goals_and_feedback_of_an_action_are_converted_between_versions(programs: FleetPrograms, native: str) -> None:
+    server, client = (programs.kilted, programs.hub) if native == "server" else (programs.hub, programs.kilted)
     sent, received = ("angle", "radians") if native == "server" else ("radians", "angle")
     name = f"/turn_{native}"
     served = server.ask("act", action=name, type=ACTION, feedback=[{"at": 0.25}], held=True)["id"]
@@ -251,14 +260,14 @@ def test_goals_and_feedback_of_an_action_are_converted_between_versions(rig: Rig
     assert server.ask("goals", id=served, count=1, seconds=20)["goals"] == [{received: 1.5}]
 
 
-def test_of_servers_of_two_versions_the_one_of_this_machine_is_called_first(rig: Rig) -> None:
+def test_of_servers_of_two_versions_the_one_of_this_machine_is_called_first(programs: FleetPrograms) -> None:
     """The server with this machine's version is called until it leaves, and then the other one, in its own version."""
-    newer = rig.kilted.ask("serve", service="/twice", type=SERVICE, reply={"offset": 0.5})["id"]
-    rig.deployment.until_route("ros1", "/twice", "out", state="active")
-    older = rig.jazzy.ask("serve", service="/twice", type=SERVICE, reply={"offset": 0.25})["id"]
+    newer = programs.kilted.ask("serve", service="/twice", type=SERVICE, reply={"offset": 0.5})["id"]
+    programs.deployment.until_route("ros1", "/twice", "out", state="active")
+    older = programs.jazzy.ask("serve", service="/twice", type=SERVICE, reply={"offset": 0.25})["id"]
 
     def decided() -> dict[str, str] | None:
-        decisions = [d for d in rig.deployment.explain("/twice") if d["direction"] == "in"]
+        decisions = [d for d in programs.deployment.explain("/twice") if d["direction"] == "in"]
         reasons = {d["decision"]: d["why"] for d in decisions}
         return reasons if set(reasons) == {"bridged", "refused"} else None
 
@@ -268,27 +277,27 @@ def test_of_servers_of_two_versions_the_one_of_this_machine_is_called_first(rig:
         assert "calls go to /jazzy" in why
 
     def reply(target: float) -> float | None:
-        call = rig.ros1.ask("call", service="/twice", type=SERVICE, request={"target": target})["id"]
-        received = rig.ros1.ask("result", id=call, seconds=20).get("reply")
+        call = programs.ros1.ask("call", service="/twice", type=SERVICE, request={"target": target})["id"]
+        received = programs.ros1.ask("result", id=call, seconds=20).get("reply")
         return received["offset"] if received else None
 
     until(lambda: reply(1.0) == 0.25, "the older server is called", 20, every=0.1)
-    assert rig.kilted.ask("requests", id=newer)["requests"] == []
-    rig.jazzy.drop(older)
+    assert programs.kilted.ask("requests", id=newer)["requests"] == []
+    programs.jazzy.drop(older)
     until(lambda: reply(2.0) == 0.5, "the newer server is called", 20, every=0.1)
-    assert rig.kilted.ask("requests", id=newer)["requests"][-1] == {"goal": 2.0}
+    assert programs.kilted.ask("requests", id=newer)["requests"][-1] == {"goal": 2.0}
 
 
-def test_messages_of_hub_publishers_of_two_versions_are_received_once(rig: Rig) -> None:
+def test_messages_of_hub_publishers_of_two_versions_are_received_once(programs: FleetPrograms) -> None:
     """ROS 1 and Jazzy receive the messages of both publishers once, in the older version."""
-    name, nodes = "/hub_wheels", {version: rig.hub_node(version) for version in ("old", "new")}
-    publishers = {version: ReleasePublisher(node, rig.topic(name, version)) for version, node in nodes.items()}
-    peers = {"ROS 1": rig.ros1, "Jazzy": rig.jazzy}
+    name, nodes = "/hub_wheels", {version: programs.hub_node(version) for version in ("old", "new")}
+    publishers = {version: ReleasePublisher(node, programs.topic(name, version)) for version, node in nodes.items()}
+    peers = {"ROS 1": programs.ros1, "Jazzy": programs.jazzy}
     ends = {peer: peers[peer].subscribe(name, TOPIC_TYPE) for peer in peers}
     field = {"old": "rpm", "new": "speed"}
 
     def put(version: str, **message: Any) -> None:
-        publishers[version].put(rig.encode(version, {"code": "7" if version == "old" else 7, **message}))
+        publishers[version].put(programs.encode(version, {"code": "7" if version == "old" else 7, **message}))
 
     def matched(version: str, load: int) -> bool:
         put(version, load=load)

@@ -47,7 +47,7 @@ def upper(payload: bytes) -> bytes:
     return payload.upper()
 
 
-class Rig:
+class TwoVersionPublisher:
     """A publisher with the versions "new", which is converted, and "same", whose bytes are those of this machine."""
 
     def __init__(self, qos: Qos = LATCHED) -> None:
@@ -68,39 +68,46 @@ class Rig:
 
 
 def test_each_version_gets_its_messages_while_it_has_subscriptions() -> None:
-    rig = Rig(Qos())
-    rig.follow("here", "unknown")
-    rig.publisher.send(b"a", "s")
-    assert not rig.others
-    rig.follow("new", "same")
-    rig.publisher.send(b"b", "s")
-    assert [sent for sent, _ in rig.here.sent] == [b"a", b"b"]
-    assert {version: end.sent for version, end in rig.others.items()} == {"new": [(b"B", "s")], "same": [(b"b", "s")]}
-    rig.follow("same")
-    assert rig.others["new"].closed
-    assert not rig.others["same"].closed
-    rig.publisher.close()
-    assert rig.others["same"].closed
-    rig.follow("new")
-    assert rig.others["new"].closed, "a closed publisher opens none"
+    versions = TwoVersionPublisher(Qos())
+    versions.follow("here", "unknown")
+    versions.publisher.send(b"a", "s")
+    assert not versions.others
+    versions.follow("new", "same")
+    versions.publisher.send(b"b", "s")
+    assert [sent for sent, _ in versions.here.sent] == [b"a", b"b"]
+    assert {version: end.sent for version, end in versions.others.items()} == {
+        "new": [(b"B", "s")],
+        "same": [(b"b", "s")],
+    }
+    versions.follow("same")
+    assert versions.others["new"].closed
+    assert not versions.others["same"].closed
+    versions.publisher.close()
+    assert versions.others["same"].closed
+    versions.follow("new")
+    assert versions.others["new"].closed, "a closed publisher opens none"
 
 
 def test_a_new_version_gets_the_last_latched_messages_of_each_source(caplog: pytest.LogCaptureFixture) -> None:
-    rig = Rig()
+    versions = TwoVersionPublisher()
     for payload, source in ((b"a", "s"), (b"b", "s"), (b"bad", "s"), (b"c", "t"), (b"d", "gone")):
-        rig.publisher.send(payload, source)
-    rig.publisher.drop_source("gone")
-    rig.follow("new")
-    assert rig.others["new"].sent == [(b"B", "s"), (b"C", "t")]
+        versions.publisher.send(payload, source)
+    versions.publisher.drop_source("gone")
+    versions.follow("new")
+    assert versions.others["new"].sent == [(b"B", "s"), (b"C", "t")]
     assert "/wheels: a retained message was not published in another version: it does not fit" in caplog.text
 
 
 def test_a_message_that_one_version_cannot_hold_reaches_the_others() -> None:
-    rig = Rig()
-    rig.follow("new", "same")
+    versions = TwoVersionPublisher()
+    versions.follow("new", "same")
     with pytest.raises(ConversionError, match="does not fit"):
-        rig.publisher.send(b"bad", "s")
-    assert (rig.here.sent, rig.others["same"].sent, rig.others["new"].sent) == ([(b"bad", "s")], [(b"bad", "s")], [])
+        versions.publisher.send(b"bad", "s")
+    assert (versions.here.sent, versions.others["same"].sent, versions.others["new"].sent) == (
+        [(b"bad", "s")],
+        [(b"bad", "s")],
+        [],
+    )
 
 
 @pytest.mark.parametrize("reliability", Reliability)
