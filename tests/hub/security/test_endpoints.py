@@ -261,7 +261,7 @@ def test_a_listener_logs_each_cause_once_and_recovers(slow: float, caplog: pytes
     listener.poll(log, None, slow + 60)
     assert listener.status.state == EndpointState.LISTENING
     messages = [record.getMessage() for record in caplog.records]
-    assert [("another authority" in m, "expired" in m, "any longer" in m) for m in messages] == [
+    assert [("another authority" in m, "expired" in m, "no longer refused" in m) for m in messages] == [
         (True, False, False), (False, True, False), (False, False, True),
     ], messages  # fmt: skip
 
