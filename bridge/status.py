@@ -323,32 +323,6 @@ class ModuleStatus(StatusDocument):
     module: bool = True
 
 
-class GatewayKeys(Part):
-    """The gateway's own keys that other programs read, with `Part.other`.
-
-    Attributes:
-        navigation: the state that it publishes.
-        inactive_nodes: the states of the planner's lifecycle nodes that are not active, by node.
-    """
-
-    planner: Text = ""
-    navigation: Text = ""
-    pending: Text = ""
-    goals: Int = 0
-    goal: Any = None
-    client: Text = ""
-    goals_of_others: Int = 0
-    goals_ended: dict[Text, Int] | None = None
-    served_by: Text = ""
-    inactive_nodes: dict[Text, Text] = {}
-
-
-class MapServerKeys(Part):
-    """Map2DServer's own keys that other programs read; ``taken``: number of maps accepted from each topic."""
-
-    taken: dict[Text, Int] = {}
-
-
 class WorkerReport(Part):
     """A worker according to its daemon.
 

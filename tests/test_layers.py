@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 TOOLS = {"clock", "concurrency", "descriptors", "progress", "registration", "resources", "shipped", "sides"}
-TOOLS |= {"state_file", "state_machine", "status", "text", "worker"}
+TOOLS |= {"module_keys", "state_file", "state_machine", "status", "text", "worker"}
 """Single modules next to the parts, which import only ``config`` and each other from ``bridge``."""
 
 BELOW = {

@@ -12,8 +12,9 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.hub.wire.keys import NO_HASH
 from bridge.messages.actions import split
+from bridge.module_keys import GatewayKeys
 from bridge.sides import label
-from bridge.status import GatewayKeys, StatusDocument, refused_routes
+from bridge.status import StatusDocument, refused_routes
 from navigation import lifecycle
 
 if TYPE_CHECKING:

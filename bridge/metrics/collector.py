@@ -9,7 +9,6 @@ from contextlib import suppress
 import psutil
 from prometheus_client.core import Metric
 from prometheus_client.registry import Collector
-from pydantic import Field
 from typing_extensions import override
 
 from bridge import __version__
@@ -18,19 +17,9 @@ from bridge.hub.security.reasons import EndpointState
 from bridge.metrics.families import Families, Family, Kind
 from bridge.metrics.routes import RouteMetrics
 from bridge.metrics.source import AT_REST, Snapshot, Source
+from bridge.module_keys import GatewayKeys, StoreContent, StoreKeys
 from bridge.sides import all_networks
-from bridge.status import (
-    EndpointStatus,
-    GatewayKeys,
-    Int,
-    ModuleStatus,
-    Number,
-    Part,
-    RouterStatus,
-    StatusDocument,
-    Text,
-    WorkerStatus,
-)
+from bridge.status import EndpointStatus, ModuleStatus, RouterStatus, StatusDocument, WorkerStatus
 
 MOST_CUSTOM = 50
 """Maximum number of custom metrics that a worker may add."""
@@ -40,31 +29,6 @@ _PHASES = tuple(phase.value for phase in Phase if phase.value not in AT_REST)
 _STATES = ("running", "waiting", "standby")
 _ENDPOINT_STATES = frozenset(EndpointState)
 _MODULE_STATES = ("running", "waiting", "standby", "stopped")
-
-
-class StoreContent(Part):
-    """What the store reports about its replica.
-
-    Attributes:
-        keys: number of values by kind.
-        limits: the most values of all kinds together (``keys``), and the most bytes (``bytes``).
-        others: the stores that share the values.
-    """
-
-    keys: dict[Text, Int] = Field(default={})
-    bytes: Int | None = None
-    limits: dict[Text, Int] = Field(default={})
-    deleted: Int | None = None
-    conflicts: Int | None = None
-    refused: Int | None = None
-    changed: Number | None = None
-    others: list[Text] | None = None
-
-
-class StoreKeys(Part):
-    """The part of the store's status document that other documents do not have, read with `Part.other`."""
-
-    store: StoreContent = StoreContent()
 
 
 class MidspanCollector(Collector):

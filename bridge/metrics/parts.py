@@ -6,13 +6,12 @@ from collections.abc import Iterator, Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from pydantic import Field
-
 from bridge.config.model import Config
 from bridge.daemon.query import Phase
 from bridge.metrics.source import Snapshot
+from bridge.module_keys import BoardKeys
 from bridge.sides import all_networks, all_sides
-from bridge.status import Int, ModuleStatus, Part, StatusDocument, Text, WorkerReport, WorkerStatus
+from bridge.status import ModuleStatus, StatusDocument, WorkerReport, WorkerStatus
 
 _LATE_BEAT = 3.0
 """Seconds without a heartbeat after which a worker's reported state is stale; the daemon kills it a little later."""
@@ -44,22 +43,6 @@ class PartStatus(NamedTuple):
             "hardware_id": daemon,
             "values": [{"key": key, "value": str(value)} for key, value in self.values.items() if value is not None],
         }
-
-
-class BoardStatus(Part):
-    """A control board of a YARP robot; ``trouble`` is why it is not connected."""
-
-    board: Text = ""
-    joints: list[Text] = Field(default=[])
-    trouble: Text = ""
-    states: Int | None = None
-    dropped_commands: Int | None = None
-
-
-class BoardKeys(Part):
-    """The keys of the control boards' module in its status document, read with `Part.other`."""
-
-    boards: list[BoardStatus] = Field(default=[])
 
 
 _STATES = {"running": Level.OK, "standby": Level.OK, "waiting": Level.WARN}

@@ -12,7 +12,8 @@ from bridge.client.services import ServiceCaller
 from bridge.client.status import documents_in
 from bridge.client.types import Types
 from bridge.doctor.hub_problems import Note, absence, inactive_nodes
-from bridge.status import GatewayKeys, StatusDocument
+from bridge.module_keys import GatewayKeys
+from bridge.status import StatusDocument
 
 NO_GATEWAY = "no gateway is configured: name a planner in the section 'navigation' of the configuration"
 _LATE = (

@@ -14,7 +14,7 @@ from bridge.client.navigation import STATUS_TOPIC, gateway_document
 from bridge.client.services import ServiceCaller
 from bridge.client.types import Types
 from bridge.config.sections.navigation import NavigationSection, Planner
-from bridge.status import GatewayKeys
+from bridge.module_keys import GatewayKeys
 from bridge.text import clean
 from navigation.status import State, has_ended
 

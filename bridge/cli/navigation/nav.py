@@ -17,7 +17,7 @@ from bridge.client.halt import actions, stop
 from bridge.client.navigation import ANSWER_SECONDS, Navigation, place_of, place_text, state_text
 from bridge.client.types import Types
 from bridge.config.sections.navigation import ACTION
-from bridge.status import GatewayKeys
+from bridge.module_keys import GatewayKeys
 from bridge.text import clean, plural
 
 _ZERO_SECONDS = 1.0  # for which zero velocity is published

@@ -19,7 +19,7 @@ from bridge.client.feed import LatestMessage
 from bridge.client.goals import SUCCEEDED
 from bridge.client.navigation import PATIENCE, STATUS, STATUS_TOPIC, place_goal, state_text
 from bridge.client.types import Types
-from bridge.status import GatewayKeys
+from bridge.module_keys import GatewayKeys
 from bridge.stores.kinds import LOCATION
 from bridge.text import clean
 from navigation.status import has_ended

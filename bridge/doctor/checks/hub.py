@@ -24,8 +24,9 @@ from bridge.hub.router import port_held, port_holder, probe_router
 from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
 from bridge.hub.security.external_router import has_tls, key_files
 from bridge.hub.security.key_files import KeyFiles
+from bridge.module_keys import GatewayKeys
 from bridge.state_file import named
-from bridge.status import GatewayKeys, ModuleStatus, RouterStatus, StatusDocument
+from bridge.status import ModuleStatus, RouterStatus, StatusDocument
 
 _HUB = "hub.listen"
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}

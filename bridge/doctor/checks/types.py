@@ -10,7 +10,8 @@ from bridge.hub.graph.tokens import EndpointKind
 from bridge.interfaces.compiler import Compiler
 from bridge.interfaces.definition import BuildError
 from bridge.messages.registry import Registry
-from bridge.status import MapServerKeys, RefusedRoute, StatusDocument, refused_routes
+from bridge.module_keys import MapServerKeys
+from bridge.status import RefusedRoute, StatusDocument, refused_routes
 
 _SHOWN = 20
 _TWICE = "already"
