@@ -5,8 +5,6 @@ A program reads them with `bridge.status.Part.other`.
 
 from __future__ import annotations
 
-from typing import Any
-
 from pydantic import Field
 
 from bridge.status import Int, Number, Part, Text
@@ -16,15 +14,21 @@ class GatewayKeys(Part):
     """The gateway's own keys.
 
     Attributes:
-        navigation: the state that it publishes.
+        pending: the planner that takes over when the robot stands still.
+        navigation: the state that it publishes, with its ``reason``.
+        goals: number of poses left. ``goal``: the next one: x and y in m, and the angle.
+        goals_ended: number of goals by outcome.
+        served_by: the node that serves the gateway's action instead.
         inactive_nodes: the states of the planner's lifecycle nodes that are not active, by node.
     """
 
     planner: Text = ""
-    navigation: Text = ""
+    planners: list[Text] = Field(default=[])
     pending: Text = ""
+    navigation: Text = ""
+    reason: Text = ""
     goals: Int = 0
-    goal: Any = None
+    goal: list[Number] | None = None
     client: Text = ""
     goals_of_others: Int = 0
     goals_ended: dict[Text, Int] | None = None
@@ -33,9 +37,19 @@ class GatewayKeys(Part):
 
 
 class MapServerKeys(Part):
-    """Map2DServer's own keys; ``taken``: number of maps accepted from each topic."""
+    """Map2DServer's own keys.
 
+    Attributes:
+        current: the current map. ``maps``, ``maps3d``: the topic of each map.
+        taken: number of maps accepted from each topic. ``refusals``: number of refused maps.
+    """
+
+    current: Text = ""
+    maps: dict[Text, Text] = Field(default={})
+    maps3d: dict[Text, Text] = Field(default={})
     taken: dict[Text, Int] = Field(default={})
+    refusals: Int = 0
+    last_refusal: Text = ""
 
 
 class StoreContent(Part):
@@ -44,17 +58,20 @@ class StoreContent(Part):
     Attributes:
         keys: number of values by kind.
         limits: the most values of all kinds together (``keys``), and the most bytes (``bytes``).
+        changed: time of the newest change in any replica, in seconds since 1970.
+        lost: the last values that lost a conflict.
         others: the stores that share the values.
     """
 
     keys: dict[Text, Int] = Field(default={})
+    deleted: Int | None = None
     bytes: Int | None = None
     limits: dict[Text, Int] = Field(default={})
-    deleted: Int | None = None
-    conflicts: Int | None = None
-    refused: Int | None = None
     changed: Number | None = None
+    conflicts: Int | None = None
+    lost: list[Text] = Field(default=[])
     others: list[Text] | None = None
+    refused: Int | None = None
 
 
 class StoreKeys(Part):
@@ -74,6 +91,7 @@ class BoardStatus(Part):
 
 
 class BoardKeys(Part):
-    """The own keys of the control boards' module."""
+    """The own keys of the control boards' module; ``refused``: number of refused commands by reason."""
 
     boards: list[BoardStatus] = Field(default=[])
+    refused: dict[Text, Text] = Field(default={})

@@ -11,7 +11,7 @@ defaults for missing keys, and omit values of the wrong type, which they list in
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, InstanceOf, ValidationError
 from pydantic_core import core_schema
@@ -50,6 +50,10 @@ class Part(BaseModel):
     """A JSON object with typed fields; other keys are preserved unchanged."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="allow")
+
+    if TYPE_CHECKING:  # a Part accepts any keys, its subclasses only their fields
+
+        def __init__(self, **keys: Any) -> None: ...
 
     def document(self) -> dict[str, Any]:
         """Return the keys and values that were set, for JSON."""
@@ -180,9 +184,18 @@ class Lease(Part):
 
 
 class LaneStatus(Part):
-    """The local transport to the daemon's other workers; ``why`` is the reason if it is not in use."""
+    """The local transport to the daemon's other workers.
+
+    Attributes:
+        why: the reason if it is not in use.
+        writers: number of workers from which it receives. ``readers``: number of workers that receive from it.
+        dropped: number of messages that readers missed.
+    """
 
     why: Text = ""
+    writers: Int = 0
+    readers: Int = 0
+    dropped: Int = 0
 
 
 class CycloneNodes(Part):

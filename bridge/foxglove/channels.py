@@ -7,8 +7,10 @@ from typing import Any
 
 from bridge.client.topics import HubTopic, HubTopics, TopicKey
 from bridge.foxglove.server import FoxgloveServer
+from bridge.foxglove.status import ChannelStatus
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.routing.counters import Counters
+from bridge.status import RefusedRoute
 
 MOST_CACHED = 64 << 20
 """Maximum bytes of latched messages that are cached for one topic while it is watched."""
@@ -179,20 +181,20 @@ class Channels:
         """Number of topics that are subscribed for clients."""
         return sum(channel.subscribed for channel in self._channels.values())
 
-    def status(self) -> dict[str, Any]:
-        """Return the watched topics, and those that cannot be offered, for the status document."""
+    def status(self) -> list[ChannelStatus]:
+        """Return the watched topics, for the status document."""
         watched = sorted((name, channel) for name, channel in self._channels.items() if channel.subscribed)
-        return {
-            "channels": self.count,
-            "topics": [
-                {"topic": name, "type": shown.topic.key.type_name, "end": "subscription", **shown.counters.as_dict()}
-                for name, shown in watched
-            ],
-            "refused": [
-                {"topic": key.topic, "type": key.type_name, "reason": reason, "cure": ""}
-                for key, reason in sorted(self._refused.items())
-            ],
-        }
+        return [
+            ChannelStatus(topic=name, type=shown.topic.key.type_name, end="subscription", **shown.counters.as_dict())
+            for name, shown in watched
+        ]
+
+    def refused(self) -> list[RefusedRoute]:
+        """Return the topics that cannot be offered, for the status document."""
+        return [
+            RefusedRoute(topic=key.topic, type=key.type_name, reason=reason, cure="")
+            for key, reason in sorted(self._refused.items())
+        ]
 
     def close(self) -> None:
         for name in list(self._channels):

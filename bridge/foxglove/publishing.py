@@ -21,6 +21,7 @@ from bridge.client.types import ros2_name
 from bridge.config.sections.section import ROS2_NAME
 from bridge.foxglove.events import Advertised, ClientMessage, Events
 from bridge.foxglove.server import FoxgloveServer
+from bridge.foxglove.status import ChannelStatus
 from bridge.foxglove.visitors import Visitor, Visitors
 from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import TAPS, UNKNOWN_HASH
@@ -285,14 +286,14 @@ class Publishing:
                 self._close(key)
                 self._open(key, route.channel)
 
-    def status(self) -> list[dict[str, Any]]:
+    def status(self) -> list[ChannelStatus]:
         """Return the clients' channels, for the status document."""
         return [
-            {
-                "topic": route.channel.topic[:255], "type": route.channel.type_name[:255], "end": "publisher",
-                "by": route.visitor.who if route.visitor else "unknown client", "why": route.reason,
+            ChannelStatus(
+                topic=route.channel.topic[:255], type=route.channel.type_name[:255], end="publisher",
+                by=route.visitor.who if route.visitor else "unknown client", why=route.reason,
                 **route.counters.as_dict(),
-            }
+            )
             for route in self._routes.values()
         ]  # fmt: skip
 

@@ -24,12 +24,12 @@ from bridge.foxglove.scene import SCENE, Scene
 from bridge.foxglove.section import FoxgloveSection
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.services import Services
+from bridge.foxglove.status import ClientStatus, FoxgloveStatus
 from bridge.foxglove.visitors import Visitors
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.messages.registry import Registry
 from bridge.metrics.section import MetricsSection
 from bridge.modules.host import Host
-from bridge.status import WorkerStatus
 from bridge.web.section import WebSection
 from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.verbs.hold import HandDriving
@@ -168,20 +168,20 @@ class Live:
         self._parameters.tick()
 
     def _status(self, _params: Any) -> dict[str, Any]:
-        channels = self._channels.status()
+        now = time.monotonic()
         clients = [
-            {
-                "who": visitor.who, "role": visitor.grant.role, "bytes": visitor.sent,
-                "since": round(time.monotonic() - visitor.since, 1),
-            }
-            for visitor in self.visitors.all()
-        ]  # fmt: skip
-        topics = [*channels.pop("topics"), *self._publishing.status()]
-        counts = {"services": self._services.count, "dropped": self._events.dropped}
-        return WorkerStatus(
-            **self._head.fields("running", self.text(), clients=clients, topics=topics, **counts),
-            **channels,
+            ClientStatus(who=v.who, role=v.grant.role, bytes=v.sent, since=round(now - v.since, 1))
+            for v in self.visitors.all()
+        ]
+        return FoxgloveStatus(
+            **self._head.fields("running", self.text()),
+            refused=self._channels.refused(),
             warnings=[f"{SCENE} without places: {self._scene.error}"] if self._scene.error else [],
+            clients=clients,
+            topics=[*self._channels.status(), *self._publishing.status()],
+            services=self._services.count,
+            dropped=self._events.dropped,
+            channels=self._channels.count,
         ).document()
 
     def stop_publishing(self) -> None:

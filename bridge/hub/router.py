@@ -286,7 +286,7 @@ class RouterWorker(Worker):
             listen=config.hub.listen,
             sessions=len(members),
             members=members[:_MAX_MEMBERS],
-            **self._external.status(self._config or config),
+            **self._external.status(self._config or config).document(),
             routes=[],
             refused=[],
             warnings=self._warnings(),

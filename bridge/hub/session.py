@@ -49,6 +49,7 @@ from bridge.hub.opening import open_session
 from bridge.hub.wire.keys import ANY_HASH, subscription_key, topic_key
 from bridge.hub.wire.qos import Qos, Reliability
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree, without_shared_memory
+from bridge.status import LaneStatus
 
 _log = logging.getLogger(__name__)
 
@@ -289,9 +290,9 @@ class Hub:
     def versions(self, versions: TypeVersions) -> None:
         self._context.variants.versions = versions
 
-    def lane(self) -> dict[str, Any]:
-        """Return the state of the local transport to this daemon's other workers; {} without one."""
-        return {} if self._joined.lane is None else self._joined.lane.state()
+    def lane(self) -> LaneStatus:
+        """Return the state of the local transport to this daemon's other workers; without one, no value is set."""
+        return LaneStatus() if self._joined.lane is None else self._joined.lane.status()
 
     def linked(self) -> bool:
         """Whether the session has a link to any other session on the hub."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from threading import Condition, Lock
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bridge.client.topics import TopicKey
 from bridge.hub.graph.tokens import Origin
+from bridge.record.status import RecordedTopic
 
 LARGE = 64 << 10
 """Minimum size in bytes of a large message; large messages leave an eighth of the queue to the others."""
@@ -47,10 +48,10 @@ class TopicCounts:
         self.dropped[reason] += self.pending[0]
         self.pending = (0, 0)
 
-    def as_dict(self) -> dict[str, Any]:
+    def status(self) -> RecordedTopic:
         """Return the entry of the status document."""
-        about = {"topic": self.name, "type": self.key.type_name, "messages": self.messages, "bytes": self.bytes}
-        return {**about, "dropped": dict(self.dropped)}
+        kind, dropped = self.key.type_name, dict(self.dropped)
+        return RecordedTopic(topic=self.name, type=kind, messages=self.messages, bytes=self.bytes, dropped=dropped)
 
 
 class RecordedMessage(NamedTuple):

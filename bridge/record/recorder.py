@@ -27,6 +27,7 @@ from bridge.record.places import RecordPlace
 from bridge.record.section import RecordSection
 from bridge.record.selection import Selection
 from bridge.record.series import FileSeries
+from bridge.record.status import RecordingStatus
 from bridge.record.subscriptions import RecordedTopics
 
 _log = logging.getLogger("midspan.record")
@@ -156,21 +157,21 @@ class Recorder:
 
     # -- status --------------------------------------------------------------------------------------------------------
 
-    def status(self) -> dict[str, Any]:
-        """Return the status document: written messages, and dropped messages by reason."""
+    def status(self) -> RecordingStatus:
+        """Return the recording's status."""
         files, file = self._files, self._files.file
         counts = list(self._recorded.counts.values())
         messages, size, dropped = total(counts)
-        return {
-            "state": "blocked" if files.trouble else "recording" if self._recorded.on else "stopped",
-            "file": str(file.path if file is not None else files.last_path or ""),
-            "file_bytes": file.safe if file is not None else 0,
-            "file_messages": file.messages if file is not None else 0,
-            "files": files.count,
-            "ring": files.ring is not None,
-            "messages": messages,
-            "bytes": size,
-            "dropped": dropped | self._recorded.lost(),
-            "error": files.trouble,
-            "topics": [item.as_dict() for item in counts],
-        }
+        return RecordingStatus(
+            state="blocked" if files.trouble else "recording" if self._recorded.on else "stopped",
+            file=str(file.path if file is not None else files.last_path or ""),
+            file_bytes=file.safe if file is not None else 0,
+            file_messages=file.messages if file is not None else 0,
+            files=files.count,
+            ring=files.ring is not None,
+            messages=messages,
+            bytes=size,
+            dropped=dropped | self._recorded.lost(),
+            error=files.trouble,
+            topics=[item.status() for item in counts],
+        )

@@ -21,6 +21,7 @@ from bridge.record.places import KeptFolder, RecordPlace
 from bridge.record.recorder import Recorder
 from bridge.record.ring import Ring
 from bridge.record.section import RecordSection
+from bridge.record.status import RecordingStatus
 from bridge.record.taps import Taps
 from bridge.record.triggers import Triggers
 from bridge.state_file import worker_folder
@@ -65,8 +66,8 @@ class Recording:
 
     def _status(self, _params: Any) -> dict[str, Any]:
         status = self.recorder.status()
-        state = "waiting" if status["error"] else "running"
-        error = {"error": f"recording stopped: {status['error']}"} if status["error"] else {}
+        state = "waiting" if status.error else "running"
+        error = {"error": f"recording stopped: {status.error}"} if status.error else {}
         head = self._head.fields(state, summary(status), recording=status, **error)
         return WorkerStatus(**head, metrics=metrics(status)).document()
 
@@ -162,7 +163,7 @@ class RecordWorker(Worker):
         self._recording.host.loop.computes()
         self._recording.recorder.computes()
         status = self._recording.recorder.status()
-        return Health("waiting" if status["error"] else "running", summary(status))
+        return Health("waiting" if status.error else "running", summary(status))
 
     def _do(self, params: dict[str, Any]) -> dict[str, Any]:
         """Run a command; raises `HubError` if it fails."""
@@ -181,7 +182,7 @@ class RecordWorker(Worker):
                 raise HubError(f"{verb!r} is not one of start, stop, split and trigger")
         except (OSError, TimeoutError) as err:
             raise HubError(f"{verb}: {err}") from None
-        return {"file": str(path or ""), "recording": recorder.status()}
+        return {"file": str(path or ""), "recording": recorder.status().document()}
 
     @override
     def stop(self) -> None:
@@ -190,28 +191,28 @@ class RecordWorker(Worker):
             recording.close()
 
 
-def metrics(status: dict[str, Any]) -> dict[str, float]:
+def metrics(status: RecordingStatus) -> dict[str, float]:
     """Return a recording's metrics for Prometheus, without labels; each known drop reason exists from the start."""
-    dropped = {reason: status["dropped"].get(reason, 0) for reason in ("queue", "disk", "lost", "refused")}
+    dropped = {reason: status.dropped.get(reason, 0) for reason in ("queue", "disk", "lost", "refused")}
     return {
-        "written_messages_total": status["messages"],
-        "written_bytes_total": status["bytes"],
-        "files_total": status["files"],
-        "topics": len(status["topics"]),
-        "recording": float(status["state"] == "recording"),
-        "blocked": float(status["state"] == "blocked"),
+        "written_messages_total": status.messages,
+        "written_bytes_total": status.bytes,
+        "files_total": status.files,
+        "topics": len(status.topics),
+        "recording": float(status.state == "recording"),
+        "blocked": float(status.state == "blocked"),
         **{f"dropped_{reason}_total": count for reason, count in dropped.items()},
     }
 
 
-def summary(status: dict[str, Any]) -> str:
+def summary(status: RecordingStatus) -> str:
     """Return a recording's status in one line."""
-    if status["state"] == "stopped":
+    if status.state == "stopped":
         return "stopped; 'midspan record --daemon start' continues"
-    dropped = sum(status["dropped"].values())
-    reasons = ", ".join(f"{count} {reason}" for reason, count in status["dropped"].items())
+    dropped = sum(status.dropped.values())
+    reasons = ", ".join(f"{count} {reason}" for reason, count in status.dropped.items())
     drops = f", {dropped} dropped ({reasons})" if dropped else ""
-    figures = f"{status['messages']} messages, {status['bytes'] / 1e6:.1f} MB, {len(status['topics'])} topics{drops}"
-    if status["state"] == "blocked":
-        return f"not recording: {status['error']}; {figures}"
-    return f"{'ring' if status['ring'] else 'recording'} {status['file']}, {figures}"
+    figures = f"{status.messages} messages, {status.bytes / 1e6:.1f} MB, {len(status.topics)} topics{drops}"
+    if status.state == "blocked":
+        return f"not recording: {status.error}; {figures}"
+    return f"{'ring' if status.ring else 'recording'} {status.file}, {figures}"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from bridge.concurrency import SerialExecutor
+from bridge.module_keys import StoreContent
 from bridge.stores.entry import LATEST, OLDEST, ChangeStamp, StoreEntry, StoreError, Version, conflict, follow
 from bridge.stores.table import EntryTable
 
@@ -194,22 +195,19 @@ class Replica:
 
         return close
 
-    def status(self) -> dict[str, Any]:
-        """Return the number of keys of each kind, and the conflicts, for the status document.
-
-        ``changed`` is the stamp of the newest change in any replica: seconds since 1970.
-        """
+    def status(self) -> StoreContent:
+        """Return the number of keys of each kind, and the conflicts, for the status document."""
         with self._lock:
             live = [kind for (kind, _), known in self._known.items() if known.size is not None]
-            return {
-                "keys": {kind: live.count(kind) for kind in sorted(set(live))},
-                "deleted": len(self._known) - len(live),
-                "bytes": self._size,
-                "limits": {"keys": self.limits.keys, "bytes": self.limits.size},
-                "changed": max((known.version.stamp.ns for known in self._known.values()), default=0) / 1e9,
-                "conflicts": self.conflict_count,
-                "lost": list(self._lost),
-            }
+            return StoreContent(
+                keys={kind: live.count(kind) for kind in sorted(set(live))},
+                deleted=len(self._known) - len(live),
+                bytes=self._size,
+                limits={"keys": self.limits.keys, "bytes": self.limits.size},
+                changed=max((known.version.stamp.ns for known in self._known.values()), default=0) / 1e9,
+                conflicts=self.conflict_count,
+                lost=list(self._lost),
+            )
 
     def close(self) -> None:
         """Close the file, then call back for pending changes. Safe to call twice.

@@ -181,13 +181,12 @@ class StoreService:
         return store, share, hub
 
     def _status(self, store: Store, share: StoreSync, hub: Hub) -> dict[str, Any]:
-        content = store.status()
-        counts = ", ".join(f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in content["keys"].items())
         others = share.others()
+        content = store.status().model_copy(update={"others": others, "refused": share.refused})
+        counts = ", ".join(f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in content.keys.items())
         shared = f"shared with {', '.join(others)}" if others else "not shared"
         names = {"daemon": self._config.name, "worker": self._name, "module": True}
         head = StatusHead(names, uptime=False, costs=False)
-        content = {**content, "others": others, "refused": share.refused}
         return ModuleStatus(
             **head.fields("running", f"{counts or 'empty'}; {shared}", refused=[], store=content),
             zid=hub.zid,

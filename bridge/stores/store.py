@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, TypeVar
 
+from bridge.module_keys import StoreContent
 from bridge.stores.entry import StoreError, check_name, json_object
 from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LOCATION, MAP, OBJECT, PATH, ValueKind
 from bridge.stores.replica import Body, Change, Key, OnChange, Replica
@@ -222,7 +223,7 @@ class Store:
         """Call back for every change of these kinds, of all if none are given; see `Replica.watch`."""
         return self.replica.watch(on_change, [kind.name for kind in kinds])
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> StoreContent:
         """Return the content's summary for the status document."""
         return self.replica.status()
 

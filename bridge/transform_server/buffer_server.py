@@ -46,7 +46,7 @@ class BufferServer:
         node.action_server(ACTION, LOOKUP, self._on_goal, self._cancel, result_seconds=RESULT_SECONDS)
         node.server(FRAMES, FRAME_GRAPH, self._reply_frames)
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> dict[str, int]:
         """Return the counts for the module's status document."""
         return {"waiting": len(self._waiting), **self._ended}
 

@@ -232,9 +232,9 @@ def test_a_second_version_of_a_type_is_refused_with_its_reason() -> None:
     channels = channels_of(topics)
     channels.refresh()
     channels.tick()
-    (refused,) = channels.status()["refused"]
+    (refused,) = channels.refused()
     reason = f"its name is offered with the type {name} in another version (1); the app allows one per name"
-    assert (refused["reason"], topics.refreshed) == (reason, 1)
+    assert (refused.reason, topics.refreshed) == (reason, 1)
 
 
 def test_topics_without_definition_are_tried_again() -> None:
@@ -242,6 +242,6 @@ def test_topics_without_definition_are_tried_again() -> None:
     channels = channels_of(topics)
     channels.refresh()
     channels.tick()
-    (refused,) = channels.status()["refused"]
-    assert refused["reason"] == "its definition is unknown, and is requested from the workers"
+    (refused,) = channels.refused()
+    assert refused.reason == "its definition is unknown, and is requested from the workers"
     assert topics.refreshed == 2

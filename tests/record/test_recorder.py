@@ -73,7 +73,7 @@ def test_messages_are_recorded_unchanged(hubs: QuickHub, robot: Robot, tmp_path:
     metadata = contents.channels["/said"][0].metadata
     assert (metadata["side"], metadata["origin"], metadata["daemon"]) == ("yarp", "here", "robot2")
     assert contents.metadata["midspan"]["daemon"] == "robot1"
-    assert (status["file"], status["dropped"]) == (str(path), {})
+    assert (status.file, status.dropped) == (str(path), {})
 
 
 def test_each_file_of_a_split_starts_with_latched_messages(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
@@ -259,14 +259,14 @@ def test_a_folder_that_cannot_be_created_is_reported_and_retried(
     with recording(hubs, tmp_path, KeptFolder(place, keep)) as recorded:
         with pytest.raises(OSError, match=r"exists|directory"):
             recorded.recorder.begin()
-        assert recorded.recorder.status()["state"] == "blocked"
+        assert recorded.recorder.status().state == "blocked"
         assert "it continues in a new file as soon as one can be written" in caplog.text
         place.unlink()
-        until(lambda: not recorded.recorder.status()["error"], "the recorder continues")
+        until(lambda: not recorded.recorder.status().error, "the recorder continues")
         until(chat.matched, "the topic is subscribed")
         chat.put(robot.text("after"))
         status = await_written(recorded, 1)
-    assert read(Path(status["file"])).texts("/said") == ["after"]
+    assert read(Path(status.file)).texts("/said") == ["after"]
 
 
 def test_a_file_that_cannot_be_written_is_named_and_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -298,21 +298,22 @@ def test_a_full_disk_stops_recording_until_space_is_free(
         await_written(recorded, 1)
         free[0] = 1 << 20
         chat.put(robot.text("last"))
-        status = until(lambda: (now := recorded.recorder.status())["error"] and now, "the recorder stops")
-        assert status["state"] == "blocked"
-        assert "only 1 MB are free" in status["error"]
+        until(lambda: recorded.recorder.status().error, "the recorder stops")
+        status = recorded.recorder.status()
+        assert status.state == "blocked"
+        assert "only 1 MB are free" in status.error
         assert "it continues in a new file when there is space" in caplog.text
         until(lambda: read(tmp_path / "one.mcap").whole, "the file is closed")
         assert read(tmp_path / "one.mcap").texts("/said") == ["before", "last"]
         chat.put(robot.text("lost"))
-        until(lambda: recorded.recorder.status()["dropped"].get("disk") == 1, "the dropped message is counted")
+        until(lambda: recorded.recorder.status().dropped.get("disk") == 1, "the dropped message is counted")
         free[0] = 100 << 20
-        until(lambda: not recorded.recorder.status()["error"], "the recorder continues")
+        until(lambda: not recorded.recorder.status().error, "the recorder continues")
         chat.put(robot.text("after"))
         status = await_written(recorded, 3)
-    assert status["dropped"] == {"disk": 1}
-    assert Path(status["file"]).name == "one_1.mcap"
-    assert read(Path(status["file"])).texts("/said") == ["after"]
+    assert status.dropped == {"disk": 1}
+    assert Path(status.file).name == "one_1.mcap"
+    assert read(Path(status.file)).texts("/said") == ["after"]
 
 
 @pytest.mark.parametrize("seconds", [-40.0, -3600.0, 600.0])

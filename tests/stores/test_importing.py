@@ -76,7 +76,7 @@ def test_imports_of_a_joining_machine_change_no_written_value(make: Make, sectio
         assert name_.get(LOCATION, "kitchen") == Map2DLocation("m1", 9.0)
         assert name_.get(MAP, "m1") == grid("m1", seed=2)
         assert name_.names(MAP) == ["m1", "m2"]
-        assert name_.replica.status()["conflicts"] == 0
+        assert name_.replica.status().conflicts == 0
 
 
 @pytest.mark.parametrize("text", ["mapfile: nowhere.map\n", "Version:\n9\n", "nonsense\n", None])

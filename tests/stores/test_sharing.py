@@ -71,7 +71,7 @@ def test_a_write_reaches_all_replicas(hub: QuickHub, tmp_path: Path) -> None:
             ("location", "the kitchen", False, "one", False),
             ("location", "the kitchen", True, "two", True),
         ]
-        assert first_store.replica.status()["conflicts"] == second_store.replica.status()["conflicts"] == 0
+        assert first_store.replica.status().conflicts == second_store.replica.status().conflicts == 0
 
 
 def test_three_separated_replicas_converge_after_joining_again(
@@ -144,7 +144,7 @@ def test_a_deletion_reaches_a_replica_that_was_disconnected(hub: QuickHub, tmp_p
         second_store.join(hub.endpoint)
         until(lambda: not names(second_store), "all values are deleted", SECONDS)
         assert same(first_store, second_store)
-        assert second_store.replica.status()["conflicts"] == 0
+        assert second_store.replica.status().conflicts == 0
 
 
 def test_a_subscriber_of_all_puts_and_deletes_has_the_same_content(hub: QuickHub, tmp_path: Path) -> None:

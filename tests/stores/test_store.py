@@ -92,7 +92,7 @@ def test_names_are_listed_by_kind(store: Store) -> None:
     assert store.clear(LOCATION) == 2
     assert store.names(LOCATION) == []
     assert store.names(AREA) == ["z"]
-    assert store.replica.status()["deleted"] == 3
+    assert store.replica.status().deleted == 3
 
 
 def test_a_failed_rename_changes_nothing(store: Store) -> None:

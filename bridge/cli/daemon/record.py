@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bridge.cli.arguments import add_exclude, add_hub_arguments, span
 from bridge.cli.client import CliClient, client_config, open_client, warn_of_daemon
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from bridge.config.model import Config
     from bridge.record.places import RecordPlace
     from bridge.record.section import RecordSection
+    from bridge.record.status import RecordingStatus
     from bridge.record.worker import Recording
 
 _EPILOG = """\
@@ -144,19 +145,19 @@ def _command_daemon(client: CliClient, args: argparse.Namespace) -> int:
     if not answers:
         missing = client.daemon().why_missing("record", client.config)
         raise CliError(f"no recorder answers: {missing or _NO_RECORDER}")
-    statuses: list[dict[str, Any]] = []
+    replies: list[dict[str, str]] = []
     for answer in answers:
         if answer.error:
             raise CliError(f"the recorder of {answer.daemon}: {answer.error}")
         file = str(answer.value.get("file", "")) if isinstance(answer.value, dict) else ""
-        statuses.append({"daemon": answer.daemon, "done": args.daemon, "file": file})
+        replies.append({"daemon": answer.daemon, "done": args.daemon, "file": file})
         if not args.json:
             prefix = {"start": "records into", "trigger": "the ring is in"}.get(args.daemon, "closed")
             print(
                 f"{clean(answer.daemon)}: {prefix} {clean(file)}" if file else f"{clean(answer.daemon)}: nothing to do"
             )
     if args.json:
-        print_json(statuses)
+        print_json(replies)
     return 0
 
 
@@ -222,10 +223,10 @@ def _record(args: argparse.Namespace, config: Config, section: RecordSection, ou
             signal.signal(number, handler)
     status = recording.recorder.status()
     if args.json:
-        print_json(status)
+        print_json(status.document())
     else:
         _print(status)
-    return 1 if status["error"] else 0
+    return 1 if status.error else 0
 
 
 def _await_hub(recording: Recording, config: Config, ended: threading.Event) -> None:
@@ -249,24 +250,19 @@ def _follow(recording: Recording, duration: float | None, ended: threading.Event
         except (RuntimeError, TimeoutError) as err:
             raise CliError(f"recording ends: {err}") from None
         status = recording.recorder.status()
-        if status["error"] != trouble:
-            trouble = status["error"]
-            print(
-                f"not recording: {trouble}" if trouble else f"recording again, into {status['file']}", file=sys.stderr
-            )
+        if status.error != trouble:
+            trouble = status.error
+            print(f"not recording: {trouble}" if trouble else f"recording again, into {status.file}", file=sys.stderr)
         if end is not None and time.monotonic() >= end:
             return
 
 
-def _print(summary: dict[str, Any]) -> None:
-    for topic in summary["topics"]:
-        dropped = sum(topic["dropped"].values())
+def _print(status: RecordingStatus) -> None:
+    for topic in status.topics:
+        dropped = sum(topic.dropped.values())
         drops = f", {dropped} dropped" if dropped else ""
-        print(f"{clean(topic['topic'])} ({clean(topic['type'])}): {topic['messages']} messages{drops}")
-    drops = ", ".join(f"{count} {clean(reason)}" for reason, count in summary["dropped"].items())
-    print(
-        f"{summary['file']}: {summary['messages']} messages, {size(summary['bytes'])}"
-        + (f"; dropped: {drops}" if drops else "")
-    )
-    if summary["error"]:
-        print(f"the recording ended early: {clean(summary['error'])}", file=sys.stderr)
+        print(f"{clean(topic.topic)} ({clean(topic.type)}): {topic.messages} messages{drops}")
+    drops = ", ".join(f"{count} {clean(reason)}" for reason, count in status.dropped.items())
+    print(f"{status.file}: {status.messages} messages, {size(status.bytes)}" + (f"; dropped: {drops}" if drops else ""))
+    if status.error:
+        print(f"the recording ended early: {clean(status.error)}", file=sys.stderr)

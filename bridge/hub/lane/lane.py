@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from threading import Event, Lock, Thread
-from typing import Any, Protocol
+from typing import Protocol
 
 import zenoh
 
@@ -17,6 +17,7 @@ from bridge.hub.lane.barriers import LaneBarriers
 from bridge.hub.lane.connections import AGAIN_SECONDS, LaneConnections
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.writer import LaneWriter
+from bridge.status import LaneStatus
 
 _log = logging.getLogger(__name__)
 
@@ -128,10 +129,10 @@ class Lane:
         if not self._closing.is_set():
             self.calls.after(AGAIN_SECONDS, self.graph_changed, once=True)
 
-    def state(self) -> dict[str, Any]:
+    def status(self) -> LaneStatus:
         """Return the lane's state for the status document."""
         readers, dropped = (0, 0) if self.writer is None else (self.writer.readers, self.writer.dropped)
-        return {"why": self.why, "writers": self.connections.alive(), "readers": readers, "dropped": dropped}
+        return LaneStatus(why=self.why, writers=self.connections.alive(), readers=readers, dropped=dropped)
 
     def close(self) -> None:
         """End all connections. Safe to call twice."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import asdict
-from typing import Any
 
 from bridge.config.model import Config
 from bridge.config.rules import commands
@@ -14,6 +13,7 @@ from bridge.hub.security.endpoints import closed_endpoints
 from bridge.hub.security.external_router import ExternalRouter, has_tls, key_files
 from bridge.hub.security.key_files import KeyWatch
 from bridge.hub.security.zenoh_log import ZenohLog
+from bridge.status import EndpointStatus, MachineStatus, RouterStatus
 
 _log = logging.getLogger(__name__)
 _RETRY_SECONDS = 5.0
@@ -88,16 +88,16 @@ class ExternalAccess:
         bad = [f"; {status}" for status in self.router.endpoints() if not status.good]
         return f"; {len(self.router.machines())} other machines{''.join(bad)}"
 
-    def status(self, config: Config) -> dict[str, Any]:
+    def status(self, config: Config) -> RouterStatus:
         """Return the other machines, the endpoints through which they join, and the commands that need ``trusted``."""
         if self.router is None:
             section = config.hub.open
             closed = closed_endpoints(section.listen, section.connect, self.trouble, self._since)
-            return {"machines": [], "endpoints": [asdict(status) for status in closed]}
-        return {
-            "door": self.router.zid,
-            "machines": [asdict(machine) for machine in self.router.machines()],
-            "endpoints": [asdict(status) for status in self.router.endpoints()],
-            "refused_connections": self.router.refused(),
-            "commands": {name: sorted(parts) for name, parts in commands(config.rules).items()},
-        }
+            return RouterStatus(machines=[], endpoints=[EndpointStatus(**asdict(endpoint)) for endpoint in closed])
+        return RouterStatus(
+            door=self.router.zid,
+            machines=[MachineStatus(**asdict(machine)) for machine in self.router.machines()],
+            endpoints=[EndpointStatus(**asdict(endpoint)) for endpoint in self.router.endpoints()],
+            refused_connections=self.router.refused(),
+            commands={name: sorted(parts) for name, parts in commands(config.rules).items()},
+        )

@@ -48,7 +48,7 @@ def test_stalled_reader_does_not_block_others(network: HubNetwork, tmp_path: Pat
         )
         numbers = [int(text) for text in reader.ask("wait", id=number, count=0, seconds=0.0)["texts"]]
         assert numbers == sorted(set(numbers))
-        dropped = writer.lane()["dropped"]
+        dropped = writer.lane().dropped
         assert dropped == count - len(numbers) > 0
         assert reader.ask("way", id=number)["lost"] == dropped
 

@@ -261,6 +261,6 @@ def test_a_session_with_zenoh_access_control_has_no_lane(network: HubNetwork, la
     empty: dict[str, Any] = {key: [] for key in ("rules", "policies", "subjects")}
     rules = {"access_control": {"enabled": True, "default_permission": "allow", **empty}}
     with Hub.open(network.settings("ruled", lane=lane, zenoh=rules)) as hub:
-        assert hub.lane() == {}
+        assert hub.lane().document() == {}
     with Hub.open(network.settings("free", lane=lane)) as hub:
-        assert hub.lane() == {"why": "", "writers": 0, "readers": 0, "dropped": 0}
+        assert hub.lane().document() == {"why": "", "writers": 0, "readers": 0, "dropped": 0}

@@ -115,7 +115,7 @@ def test_a_refused_endpoint_reports_the_foreign_authority_and_recovers(
 
 
 def operator_status(machine: Machine) -> list[dict[str, Any]]:
-    endpoints: list[dict[str, Any]] = machine.router._external.status(machine.config)["endpoints"]
+    endpoints: list[dict[str, Any]] = machine.router._external.status(machine.config).document()["endpoints"]
     return endpoints
 
 
@@ -166,7 +166,7 @@ def test_an_endpoint_without_zenoh_is_reported(keys: Path, port: int) -> None:
 
 def test_endpoints_without_keys_stay_closed(keys: Path, tmp_path: Path) -> None:
     with Machine("robot1", tmp_path, listen=["tls/127.0.0.1:0"], connect=["tls/127.0.0.1:1"]) as robot:
-        endpoints = robot.router._external.status(robot.config)["endpoints"]
+        endpoints = robot.router._external.status(robot.config).document()["endpoints"]
     assert [(endpoint["way"], endpoint["state"]) for endpoint in endpoints] == [
         ("listen", "closed"),
         ("connect", "closed"),

@@ -40,7 +40,7 @@ with Shared(Path(folder), name, router, domain=int(domain)) as shared:
         elif verb == "delete":
             shared.store.delete(LOCATION, words[0])
         found = {each: shared.store.get(LOCATION, each).x for each in shared.store.names(LOCATION)}
-        print(json.dumps([found, shared.others(), shared.replica.status()["conflicts"]]), flush=True)
+        print(json.dumps([found, shared.others(), shared.replica.conflict_count]), flush=True)
 """
 
 

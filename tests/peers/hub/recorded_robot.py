@@ -20,6 +20,7 @@ from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 from bridge.record.places import RecordPlace
 from bridge.record.section import RecordSection
+from bridge.record.status import RecordingStatus
 from bridge.record.worker import Recording
 from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
@@ -106,9 +107,9 @@ def await_topics(recorded: Recording, count: int) -> None:
     until(lambda: len(recorded.recorder.topics.subscribed()) >= count, f"{count} topics are subscribed")
 
 
-def await_written(recorded: Recording, count: int) -> dict[str, Any]:
-    def status() -> dict[str, Any] | None:
+def await_written(recorded: Recording, count: int) -> RecordingStatus:
+    def status() -> RecordingStatus | None:
         status = recorded.recorder.status()
-        return status if status["messages"] >= count else None
+        return status if status.messages >= count else None
 
     return until(status, f"{count} messages are written")
