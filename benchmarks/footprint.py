@@ -39,6 +39,7 @@ from benchmarks.processes import Processes
 from benchmarks.rows import Row, add_json_option, report
 from bridge.client.errors import ClientError
 from bridge.client.session import connect
+from bridge.client.status import answered
 from bridge.demo.rooms import CONFIG, overrides
 from bridge.state_file import with_state
 from tests.support.ports import free_port
@@ -190,10 +191,9 @@ def _daemon(place: Processes, sides: Sequence[str]) -> Iterator[tuple[Processes,
         def all_run() -> bool:
             with contextlib.suppress(ClientError), connect(place.place.config, 0.2) as client:
                 while len(times) < len(sides):
-                    for answer in client.ask("status", timeout=0.5):
-                        running = isinstance(answer.value, dict) and answer.value.get("state") == "running"
-                        if running and answer.worker in sides:
-                            times.setdefault(answer.worker, time.monotonic() - began)
+                    for status in answered(client, 0.5):
+                        if status.state == "running" and status.worker in sides:
+                            times.setdefault(status.worker, time.monotonic() - began)
                     time.sleep(0.05)
                     if time.monotonic() - began > _UP_SECONDS:
                         break

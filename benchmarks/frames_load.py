@@ -64,7 +64,7 @@ class Load:
 
     def _server(self) -> Any:
         return next(
-            (status.get("ports") for status in self.deployment.status() if status["worker"] == "transform_server"), None
+            (status["ports"] for status in self.deployment.status() if status["worker"] == "transform_server"), None
         )
 
     def _program(self, side: str) -> Peer:
@@ -80,7 +80,7 @@ class Load:
 
     def workers(self) -> dict[str, psutil.Process]:
         """Return the daemon's processes by worker."""
-        pids = {status["worker"]: status["pid"] for status in self.deployment.status() if "pid" in status}
+        pids = {status["worker"]: status["pid"] for status in self.deployment.status()}
         return {name: psutil.Process(pid) for name, pid in sorted(pids.items())}
 
     def run(self, rate: float, seconds: float) -> list[Row]:

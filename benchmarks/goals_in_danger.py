@@ -17,14 +17,16 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
+from bridge.status import WorkerStatus
 from tests.peers.daemon.calls_table import ROS1, ROS2, SUCCEEDED, Pair
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.peer import Peer
@@ -88,19 +90,19 @@ class Scene:
     def describe(self, action: str) -> str:
         """Describe an action's routes, and the programs on each side, for a failure."""
         lines = [f"{line['direction']} {line['topic']}: {line['why']}" for line in self.deployment.explain(action)]
-        for status in self.deployment.status():
-            lines.append(f"{status['side']}: {status['state']}, {status.get('network')}, {status.get('warnings')}")
-            lines += [str(route) for route in status["routes"] if route["action"] == action]
+        for status in map(_typed, self.deployment.status()):
+            lines.append(f"{status.side}: {status.state}, {status.network}, {status.warnings}")
+            lines += [str(route) for route in status.routes if route.action == action]
         return "\n".join(lines)
 
     def kill_worker(self, worker: str) -> None:
         """Send SIGKILL to a worker, and wait until its successor runs."""
-        old = self.deployment.worker(worker)["pid"]
+        old = _typed(self.deployment.worker(worker)).pid
         os.kill(old, signal.SIGKILL)
 
         def runs() -> bool:
-            status = self.deployment.worker(worker)
-            return status.get("state") == "running" and status["pid"] != old
+            status = _typed(self.deployment.worker(worker))
+            return status.state == "running" and status.pid != old
 
         until(runs, f"the next worker of {worker} runs", SECONDS, every=0.1)
 
@@ -112,13 +114,17 @@ class Scene:
         """Restart roscore, and wait until the bridge has joined it."""
         self.deployment.master.start()
         network = self.deployment.master.call("getParam", "/run_id")
-        joined = lambda: self.deployment.worker("ros1").get("network") == network  # noqa: E731
+        joined = lambda: _typed(self.deployment.worker("ros1")).network == network  # noqa: E731
         until(joined, "the new ROS 1 network is joined", SECONDS, every=0.1)
 
     def forget_ros1(self) -> None:
         """Stop the ROS 1 programs, which are not registered at a new master."""
         for name in [n for n in self._peers if n.startswith("ros1")]:
             self._peers.pop(name).stop(0)
+
+
+def _typed(document: Mapping[str, Any]) -> WorkerStatus:
+    return WorkerStatus.model_validate(document)
 
 
 class Goal:

@@ -178,9 +178,9 @@ def _drops(deployment: Deployment) -> dict[tuple[str, str], int]:
     """Return the drops so far of the routes of each side's large topic, by side and reason."""
     drops: dict[tuple[str, str], int] = {}
     for worker in deployment.status().values():
-        for route in worker["routes"]:
-            topic, _, side = route["topic"].rpartition("_")
-            for reason, count in route["drops"].items() if topic == BIG else ():
+        for route in worker.routes:
+            topic, _, side = route.topic.rpartition("_")
+            for reason, count in route.drops.items() if topic == BIG else ():
                 drops[side, reason] = drops.get((side, reason), 0) + count
     return drops
 

@@ -14,7 +14,9 @@ from typing_extensions import override
 from benchmarks.latency.cases import CASES, Case, Prepared, prepare
 from benchmarks.latency.stage import Stage
 from benchmarks.latency.usage import DAEMON, WORKERS, Meter, Usage, processes
+from bridge.client.status import document_of
 from bridge.hub.session import Hub, HubSettings
+from bridge.status import StatusDocument
 
 SIDES = ("ros1", "ros2", "zenoh")
 QUIET_SECONDS = 1.0
@@ -59,7 +61,8 @@ class Deployment(Stage):
                 )
             )
             self.until(
-                lambda: all(self.status().get(s, {}).get("state") == "running" for s in WORKERS), "both workers run"
+                lambda: sum(worker.state == "running" for worker in self.status().values()) == len(WORKERS),
+                "both workers run",
             )
             self.pids = processes(self.place.folder)
         except BaseException:
@@ -86,15 +89,15 @@ class Deployment(Stage):
         """Return a topic in the format of the programs' commands."""
         return self._messages[case].topic(name, ros1=side == "ros1") | {"latched": latched}
 
-    def status(self) -> dict[str, dict[str, Any]]:
+    def status(self) -> dict[str, StatusDocument]:
         """Return each worker's status by side, without the router."""
         assert self._hub is not None
-        answers = [a.value for a in self._hub.ask("status", {}, timeout=5.0) if isinstance(a.value, dict)]
-        return {str(a["side"]): a for a in answers if a.get("side") in WORKERS}
+        documents = [document_of(answer) for answer in self._hub.ask("status", {}, timeout=5.0)]
+        return {document.side: document for document in documents if document.side in WORKERS}
 
     def routes(self, prefix: str) -> dict[str, int]:
         """Return the number of each worker's routes for topics with a prefix."""
-        return {side: sum(r["topic"].startswith(prefix) for r in a["routes"]) for side, a in self.status().items()}
+        return {side: sum(r.topic.startswith(prefix) for r in d.routes) for side, d in self.status().items()}
 
     def drained(self, *programs: str, seconds: float = QUIET_SECONDS) -> None:
         """Wait until these programs have received nothing for a time, after the senders have stopped."""

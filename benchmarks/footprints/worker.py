@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import threading
 import time
@@ -11,7 +10,7 @@ from typing import Self
 
 from benchmarks.footprints.measured import cpu_seconds
 from bridge.config.model import Config
-from bridge.daemon.protocol import NewConfig, Stop, encode_command
+from bridge.daemon.protocol import Beat, NewConfig, Stop, decode_report, encode_command
 from bridge.daemon.workers import supervised_command, worker_kinds
 
 UP_SECONDS = 60.0
@@ -57,13 +56,13 @@ class StartedWorker:
     def _read(self) -> None:
         assert self._popen.stdout is not None
         for line in self._popen.stdout:
-            report = json.loads(line)
-            if "beat" not in report:
+            report = decode_report(line)
+            if not isinstance(report, Beat):
                 continue
             passed = time.monotonic() - self._began
             self._last = line.decode().strip()
             self.first = self.first or passed
-            if report.get("state") == "running" and not self._runs.is_set():
+            if report.health.state == "running" and not self._runs.is_set():
                 self.running, self.cpu = passed, cpu_seconds(self._popen.pid)
                 self._runs.set()
 

@@ -61,6 +61,7 @@ def _clocks(client: Client) -> dict[str, context.Offset]:
 
 def _time(client: Client, daemon: str, worker: str) -> int | None:
     for answer in client.hub.ask("time", {}, daemon, worker, _CLOCK_SECONDS):
-        if isinstance(answer.value, dict) and isinstance(answer.value.get("time_ns"), int):
-            return int(answer.value["time_ns"])
+        match answer.value:
+            case {"time_ns": int(time_ns)}:
+                return time_ns
     return None
