@@ -16,6 +16,7 @@ from bridge.hub.wire.qos import LATCHED
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.modules.module import Module
+from bridge.status import Part
 from navigation.constraints import Constraints
 from navigation.frames import FramesError, Localized, RobotFrames
 from navigation.goals import CUT_OFF, GONE, Clients, CurrentGoal, FarClients, MapPlace, places_of, result
@@ -147,9 +148,10 @@ class PlannerModule(Module):
         })  # fmt: skip
 
     @override
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         state, reason, fault = self.progress
-        return {"planner": {"state": state.value, "reason": reason, "fault": int(fault)}, "notes": list(self._notes)}
+        planner = {"state": state.value, "reason": reason, "fault": int(fault)}
+        return Part(planner=planner, notes=list(self._notes))
 
     _notes: Iterable[str] = ()
 

@@ -18,6 +18,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.ports import ports_stay
 from bridge.modules.worker import Running
+from bridge.status import Part
 from bridge.worker import Health, Worker
 from sim import messages
 from sim.base import TICK_NS
@@ -87,22 +88,22 @@ class Simulator(Module):
         return Health("running", text)
 
     @override
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         simulation, pace = self.simulation, self._pace
         pose = simulation.base.pose()
-        return {
-            "time": simulation.time_ns / 1e9,
-            "paused": self._paused,
-            "late_steps": pace.late if pace else 0,
-            "left_out_steps": pace.left_out if pace else 0,
-            "refused_commands": self._refused,
-            "emergency_stop": simulation.wheels.stopped,
-            "faults": list(simulation.faults),
-            "floor": simulation.floor,
-            "robot": simulation.robot.name,
-            "truth": [round(v, 4) for v in pose],
-            "doors": dict(simulation.world.doors),
-        }
+        return Part(
+            time=simulation.time_ns / 1e9,
+            paused=self._paused,
+            late_steps=pace.late if pace else 0,
+            left_out_steps=pace.left_out if pace else 0,
+            refused_commands=self._refused,
+            emergency_stop=simulation.wheels.stopped,
+            faults=list(simulation.faults),
+            floor=simulation.floor,
+            robot=simulation.robot.name,
+            truth=[round(v, 4) for v in pose],
+            doors=dict(simulation.world.doors),
+        )
 
     def _now(self) -> int:
         return time.time_ns() if self._real else self.simulation.time_ns

@@ -18,7 +18,18 @@ BELOW = {
     "config": {"descriptors", "messages", "registration", "sides"},
     "messages": set[str](),
     "tf": set(),
-    "transform_server": {"tf", "client", "clock", "config", "descriptors", "hub", "messages", "modules", "worker"},
+    "transform_server": {
+        "tf",
+        "client",
+        "clock",
+        "config",
+        "descriptors",
+        "hub",
+        "messages",
+        "modules",
+        "status",
+        "worker",
+    },
     "interfaces": {"config", "messages"},
     "hub": {*TOOLS, "config", "messages"},
     "stores": {*TOOLS, "config", "hub"},
@@ -247,7 +258,7 @@ def named(file: Path) -> set[tuple[str, str]]:
 
 def test_the_simulator_imports_only_the_hub_the_module_host_and_yarp_compat() -> None:
     below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
-    allowed = {*below, "bridge.descriptors", "bridge.tf", "bridge.worker", "sim", "yarp_compat"}
+    allowed = {*below, "bridge.descriptors", "bridge.status", "bridge.tf", "bridge.worker", "sim", "yarp_compat"}
     wrong = {
         f"{file.relative_to(ROOT)} imports {name}"
         for file in (ROOT / "sim").rglob("*.py")
@@ -264,7 +275,9 @@ def test_navigation_imports_only_the_hub_its_clients_the_store_and_the_module_ho
         "bridge.client",
         "bridge.concurrency",
         "bridge.kernels",
+        "bridge.module_keys",
         "bridge.state_machine",
+        "bridge.status",
         "bridge.routing.stall",
         "bridge.routing.processes",
     }

@@ -12,6 +12,7 @@ from bridge.boards.link import BoardLink, Joints
 from bridge.boards.section import ControlBoardSection, ControlBoardsSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos, Reliability
+from bridge.module_keys import BoardKeys, BoardStatus
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.routing.stall import AgeGate, StallDetector
@@ -52,20 +53,20 @@ class ControlBoards(Module):
         return Health("waiting", trouble) if trouble else Health("running", f"{len(self._links)} boards")
 
     @override
-    def status(self) -> dict[str, Any]:
-        return {
-            "boards": [
-                {
-                    "board": link.remote,
-                    "joints": list(link.joints.names) if link.joints is not None else [],
-                    "trouble": link.trouble,
-                    "states": link.states,
-                    "dropped_commands": link.dropped,
-                }
+    def status(self) -> BoardKeys:
+        return BoardKeys(
+            boards=[
+                BoardStatus(
+                    board=link.remote,
+                    joints=list(link.joints.names) if link.joints is not None else [],
+                    trouble=link.trouble,
+                    states=link.states,
+                    dropped_commands=link.dropped,
+                )
                 for link in self._links
             ],
-            "refused": dict(self.refused),
-        }
+            refused=dict(self.refused),
+        )
 
     @override
     def stop(self) -> None:

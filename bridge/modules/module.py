@@ -10,6 +10,7 @@ from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.section import Section
 from bridge.descriptors import all_modules
 from bridge.registration import imported
+from bridge.status import Part
 from bridge.worker import Health
 
 if TYPE_CHECKING:
@@ -37,9 +38,9 @@ class Module(ABC):
         """Return the module's state, with a few words of detail."""
         return Health("running", "")
 
-    def status(self) -> dict[str, Any]:
-        """Return additional fields for the status document, beyond the endpoints' counters."""
-        return {}
+    def status(self) -> Part:
+        """Return the module's own keys for the status document; keys that other programs read have fields."""
+        return Part()
 
     def warnings(self) -> Iterable[str]:
         """Return problems that users should fix although the module runs, for status and doctor; "" is ignored."""

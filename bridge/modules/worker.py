@@ -23,7 +23,7 @@ from bridge.modules.module import Module, kind_of
 from bridge.modules.ports import ports_stay
 from bridge.modules.shared import Shared
 from bridge.progress import working
-from bridge.status import ModuleStatus
+from bridge.status import ModuleStatus, Part
 from bridge.stores.entry import StoreError
 from bridge.stores.store import Store
 from bridge.worker import Health, StatusHead, Worker
@@ -179,7 +179,9 @@ class Running:
             warnings=[text for text in (*module.warnings(), *troubles) if text],
             **host.status(),
         )
-        return {**status.document(), **module.status()}
+        own = module.status()
+        # modules of other packages may return a dictionary
+        return {**status.document(), **(own.document() if isinstance(own, Part) else own)}
 
 
 def _end(module: Module, host: Host) -> None:

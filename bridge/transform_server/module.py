@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from typing_extensions import override
 
 from bridge.config.sections.section import Section
@@ -11,6 +9,7 @@ from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.transforms import FrameSubscriptions
+from bridge.status import Part
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
 from bridge.transform_server.buffer_server import BufferServer
@@ -74,14 +73,14 @@ class TransformServer(Module):
         return Health("running", f"{len(self._view)} frames, {self._view.ours} of YARP programs")
 
     @override
-    def status(self) -> dict[str, Any]:
-        return {
-            "frames": len(self._view),
-            "frames_of_yarp": self._view.ours,
-            "lookups": self._served.status() if self._served is not None else {},
-            "refused": dict(self._buffer.refused),
-            "ignored": dict(self._exchange.ignored + self._view.left_out),
-            "conflicts": [
+    def status(self) -> Part:
+        return Part(
+            frames=len(self._view),
+            frames_of_yarp=self._view.ours,
+            lookups=self._served.status() if self._served is not None else {},
+            refused=dict(self._buffer.refused),
+            ignored=dict(self._exchange.ignored + self._view.left_out),
+            conflicts=[
                 {
                     "frame": info.name,
                     "parents": sorted(info.parents),
@@ -89,4 +88,4 @@ class TransformServer(Module):
                 }
                 for info in self._buffer.conflicts()
             ],
-        }
+        )

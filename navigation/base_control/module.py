@@ -20,6 +20,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.services import Answer
 from bridge.routing.stall import StallDetector
+from bridge.status import Part
 from bridge.worker import Health
 from navigation.base_control.base import BaseCommands, DrivenBase
 from navigation.base_control.encoders import ReadingTimes
@@ -156,14 +157,14 @@ class BaseControl(Module):
         return Health("running", f"following {source}" if choice.fresh else f"{source} is silent")
 
     @override
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         base, moved = self.base, self.base.odometry.now
-        return {
-            "input": base.choice.input,
-            "idle": base.idle,
-            "velocity": [base.limiter.now.x, base.limiter.now.y, math.degrees(base.limiter.now.turn)],
-            "odometry": [moved.x, moved.y, math.degrees(moved.theta)],
-            "inputs": {
+        return Part(
+            input=base.choice.input,
+            idle=base.idle,
+            velocity=[base.limiter.now.x, base.limiter.now.y, math.degrees(base.limiter.now.turn)],
+            odometry=[moved.x, moved.y, math.degrees(moved.theta)],
+            inputs={
                 name: {
                     "commands": source.commands,
                     "refused": source.refused,
@@ -171,9 +172,9 @@ class BaseControl(Module):
                 }
                 for name, source in base.inputs.items()
             },
-            "stale": self.inputs.stale,
-            "notes": list(self._notes),
-        }
+            stale=self.inputs.stale,
+            notes=list(self._notes),
+        )
 
     @override
     def stop(self) -> None:

@@ -18,6 +18,7 @@ from bridge.config.sections.navigation import (
 from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
 from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.module_keys import GatewayKeys
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.worker import Health
@@ -149,24 +150,24 @@ class GatewayModule(Module):
         return Health("running", text)
 
     @override
-    def status(self) -> dict[str, Any]:
+    def status(self) -> GatewayKeys:
         gateway = self.gateway
         state, reason, _ = gateway.state()
         drive, other = gateway.drive, self._action.served_by
-        return {
-            "planner": gateway.planner,
-            "planners": list(gateway.choices),
-            "pending": gateway.pending,
-            "navigation": state.value,
-            "reason": reason,
-            "goals": 0 if drive is None else len(drive.targets) - drive.at,
-            "goal": None if drive is None else [*drive.target.pose[:3]],
-            "client": "" if drive is None else drive.client,
-            "goals_of_others": len(gateway.link.foreign),
-            "goals_ended": dict(gateway.ended),
-            "served_by": other,
-            "inactive_nodes": gateway.link.lifecycle.inactive,
-        }
+        return GatewayKeys(
+            planner=gateway.planner,
+            planners=list(gateway.choices),
+            pending=gateway.pending,
+            navigation=state.value,
+            reason=reason,
+            goals=0 if drive is None else len(drive.targets) - drive.at,
+            goal=None if drive is None else [*drive.target.pose[:3]],
+            client="" if drive is None else drive.client,
+            goals_of_others=len(gateway.link.foreign),
+            goals_ended=dict(gateway.ended),
+            served_by=other,
+            inactive_nodes=gateway.link.lifecycle.inactive,
+        )
 
     @override
     def warnings(self) -> Iterable[str]:

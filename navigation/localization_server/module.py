@@ -18,6 +18,7 @@ from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module, imported_class
+from bridge.status import Part
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
 from navigation.frames import FramesError, RobotFrames
@@ -224,19 +225,19 @@ class LocalizationServer(Module):
         return Health("running", f"{status}: {reason}" if reason else status)
 
     @override
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         estimate = self._estimate
-        return {
-            "source": self._section.source or "own",
-            "map": self.map_name,
-            "localization": estimate.status.value,
-            "reason": estimate.reason,
-            "quality": round(estimate.quality, 3),
-            "pose": None if estimate.pose is None else list(estimate.pose[:3]),
-            "particles": self._particles,
-            "trouble": self._maps.trouble,
-            **self.source.status(),
-        }
+        return Part(
+            source=self._section.source or "own",
+            map=self.map_name,
+            localization=estimate.status.value,
+            reason=estimate.reason,
+            quality=round(estimate.quality, 3),
+            pose=None if estimate.pose is None else list(estimate.pose[:3]),
+            particles=self._particles,
+            trouble=self._maps.trouble,
+            **self.source.status().document(),
+        )
 
     @override
     def stop(self) -> None:

@@ -17,6 +17,7 @@ from typing_extensions import override
 from bridge.hub.wire.qos import Qos
 from bridge.modules.host import Host
 from bridge.routing.processes import process_name
+from bridge.status import Part
 from navigation.frames import LATE, FramesError, RobotFrames
 from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate, unknown
 from navigation.localization_server.localizer import SCAN_AGE, Localizer
@@ -142,11 +143,11 @@ class OwnLocalizer(PoseSource):
             self._localizer.forget_stamps()
 
     @override
-    def status(self) -> dict[str, Any]:
-        status: dict[str, Any] = {"scans": self._scans, "left_out": self._left_out, "laser": self._laser}
-        if self._localizer is not None:
-            status |= {"updates": self._localizer.updates, "searches": self._localizer.searches}
-        return status
+    def status(self) -> Part:
+        localizer, counts = self._localizer, {}
+        if localizer is not None:
+            counts = {"updates": localizer.updates, "searches": localizer.searches}
+        return Part(scans=self._scans, left_out=self._left_out, laser=self._laser, **counts)
 
     def _on_scan(self, message: dict[str, Any]) -> None:
         localizer = self._localizer

@@ -15,6 +15,7 @@ from bridge.hub.endpoints.calls import CallError
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.modules.host import Host
 from bridge.modules.loop import Newest
+from bridge.status import Part
 from navigation.frames import LATE, FramesError, RobotFrames
 from navigation.localization_server import estimate as estimates
 from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate, plane_of, pose_of, unknown
@@ -76,9 +77,9 @@ class PoseSource(ABC):
     def on_clock_jump(self) -> None:  # noqa: B027 - optional
         """Discard data that depends on time, after the clock jumped."""
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         """Return additional entries of the status document."""
-        return {}
+        return Part()
 
     def close(self) -> None:  # noqa: B027 - optional
         ...
@@ -172,8 +173,8 @@ class AmclSource(FrameSource):
             self._send_map()
 
     @override
-    def status(self) -> dict[str, Any]:
-        return {"set_map": self._map_trouble or ("waits" if self._due else "done")}
+    def status(self) -> Part:
+        return Part(set_map=self._map_trouble or ("waits" if self._due else "done"))
 
     def _send_map(self) -> None:
         assert self._set_map is not None

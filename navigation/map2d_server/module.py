@@ -9,12 +9,12 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Iterable
-from typing import Any
 
 from typing_extensions import override
 
 from bridge.config.sections.section import Section
 from bridge.hub.graph.owners import owner
+from bridge.module_keys import MapServerKeys
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.entry import StoreError
@@ -81,15 +81,15 @@ class Map2DServer(Module):
         return Health("running", state)
 
     @override
-    def status(self) -> dict[str, Any]:
-        return {
-            "current": self._current.name,
-            "maps": self._maps.topics,
-            "maps3d": self._maps3d.topics,
-            "taken": {intake.topic: intake.taken for intake in self._intakes},
-            "refusals": self._refused,
-            "last_refusal": self._last_refused,
-        }
+    def status(self) -> MapServerKeys:
+        return MapServerKeys(
+            current=self._current.name,
+            maps=self._maps.topics,
+            maps3d=self._maps3d.topics,
+            taken={intake.topic: intake.taken for intake in self._intakes},
+            refusals=self._refused,
+            last_refusal=self._last_refused,
+        )
 
     @override
     def warnings(self) -> Iterable[str]:

@@ -13,6 +13,7 @@ from bridge.messages.scan import LaserScan
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.services import Answer
+from bridge.status import Part
 from bridge.worker import Health
 from navigation.frames import FramesError
 from navigation.ini import laid_under
@@ -207,18 +208,18 @@ class Mapper2D(Module):
         return Health("running", f"map {self.mapper.name}: {width:g} x {height:g} m{full}")
 
     @override
-    def status(self) -> dict[str, Any]:
-        return {
-            "map": self.mapper.name,
-            "mapping": self.mapper.mapping,
-            "size": list(self.mapper.size),
-            "scans": self.mapper.scans,
-            "dropped": self._scans.dropped,
-            "trouble": self._scans.trouble,
-            "connections": [connection.trouble for connection in self._connected if connection.trouble],
-            "notes": list(self._notes),
-            **self.source.status(),
-        }
+    def status(self) -> Part:
+        return Part(
+            map=self.mapper.name,
+            mapping=self.mapper.mapping,
+            size=list(self.mapper.size),
+            scans=self.mapper.scans,
+            dropped=self._scans.dropped,
+            trouble=self._scans.trouble,
+            connections=[connection.trouble for connection in self._connected if connection.trouble],
+            notes=list(self._notes),
+            **self.source.status().document(),
+        )
 
     @override
     def stop(self) -> None:

@@ -12,6 +12,7 @@ from typing_extensions import override
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.scan import LaserScan
 from bridge.modules.host import Host
+from bridge.status import Part
 from bridge.tf.stamped import TF, TF_TYPE, Stamped, write
 from navigation.algorithms.submaps import Scan
 from navigation.frames import STATUS, FramesError
@@ -73,9 +74,9 @@ class PoseSource(ABC):
         """Why poses are missing or wrong; "" if they are not."""
         return ""
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         """Return entries for the module's status."""
-        return {}
+        return Part()
 
 
 class GivenPoses(PoseSource):
@@ -228,14 +229,14 @@ class MatchedPoses(PoseSource):
         return ""
 
     @override
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         submaps, loops = self.drawn.slam.submaps, self.drawn.slam.loops
-        return {
-            "submaps": len(submaps.graph.poses),
-            "views": len(submaps.views),
-            "closures": loops.closed,
-            "refused_closures": loops.refused,
-        }
+        return Part(
+            submaps=len(submaps.graph.poses),
+            views=len(submaps.views),
+            closures=loops.closed,
+            refused_closures=loops.refused,
+        )
 
 
 def make_source(host: Host, section: Mapper2DSection, mapper: Mapper, poses: Poses) -> PoseSource:

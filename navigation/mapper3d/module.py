@@ -11,6 +11,7 @@ from bridge.config.sections.section import Section
 from bridge.hub.errors import HubError
 from bridge.modules.host import Host
 from bridge.modules.module import Module
+from bridge.status import Part
 from bridge.stores.entry import StoreError
 from bridge.worker import Health
 from navigation.algorithms.voxel_layer import EDGE, FLOOR, LayerColumns
@@ -143,14 +144,14 @@ class Mapper3D(Module):
         return Health("running", f"map {section.map_name}: {voxels.megabytes:.0f} MB{full}")
 
     @override
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         space, queue = self.space, self._queue
-        return {
-            "map": self._section.map_name, "mapping": self._commands.mapping, "clouds": space.clouds,
-            "blocks": space.voxels.count, "megabytes": space.voxels.megabytes, "full": space.voxels.full,
-            "forgotten": space.forgotten, "given_up": space.given_up, "dropped": queue.dropped,
-            "trouble": queue.trouble or self._trouble,
-        }  # fmt: skip
+        return Part(
+            map=self._section.map_name, mapping=self._commands.mapping, clouds=space.clouds,
+            blocks=space.voxels.count, megabytes=space.voxels.megabytes, full=space.voxels.full,
+            forgotten=space.forgotten, given_up=space.given_up, dropped=queue.dropped,
+            trouble=queue.trouble or self._trouble,
+        )  # fmt: skip
 
     @override
     def stop(self) -> None:

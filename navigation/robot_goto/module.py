@@ -20,6 +20,7 @@ from bridge.messages.scan import LaserScan
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.modules.loop import Newest
+from bridge.status import Part
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, BEHAVIOR
 from bridge.stores.store import MapAreas
@@ -308,15 +309,16 @@ class RobotGoto(PlannerModule):
         return Health("running", self.driver.status.words)
 
     @override
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         target = self.driver.target
-        return super().status() | {
-            "goal": None if target is None else list(target.pose[:3]),
-            "command": list(self.driver.command),
-            "laser": self._laser_trouble or (self._connection.trouble if self._connection else ""),
-            "obstacles": dict(self.driver.obstacles.trouble),
-            "keep_out": self._keep_out_status(),
-        }
+        return Part(
+            **super().status().document(),
+            goal=None if target is None else list(target.pose[:3]),
+            command=list(self.driver.command),
+            laser=self._laser_trouble or (self._connection.trouble if self._connection else ""),
+            obstacles=dict(self.driver.obstacles.trouble),
+            keep_out=self._keep_out_status(),
+        )
 
     @override
     def warnings(self) -> Iterable[str]:

@@ -16,6 +16,7 @@ from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
+from bridge.status import Part
 from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, MAP
 from bridge.stores.store import MapAreas
 from bridge.worker import Health
@@ -308,16 +309,17 @@ class RobotPathPlanner(PlannerModule):
         )
 
     @override
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Part:
         target = self.planner.target
-        return super().status() | {
-            "map": self.map_name(),
-            "goal": None if target is None else [target.map_name, *target.pose[:3]],
-            "waypoints": [[waypoint.pose.x, waypoint.pose.y] for waypoint in self.planner.waypoints],
-            "navigator": {"name": self._section.navigator, "state": self._local.state.value},
-            "laser": self._laser.trouble,
-            "layers": dict(self._layers.trouble),
-        }
+        return Part(
+            **super().status().document(),
+            map=self.map_name(),
+            goal=None if target is None else [target.map_name, *target.pose[:3]],
+            waypoints=[[waypoint.pose.x, waypoint.pose.y] for waypoint in self.planner.waypoints],
+            navigator={"name": self._section.navigator, "state": self._local.state.value},
+            laser=self._laser.trouble,
+            layers=dict(self._layers.trouble),
+        )
 
     @override
     def warnings(self) -> Iterable[str]:

@@ -58,7 +58,7 @@ def nav2(rig: Rig) -> RmwActionServer:
 def other(rig: Rig) -> Iterator[RmwActionServer]:
     """An rmw_zenoh node that serves the gateway's name, started while the gateway runs."""
     with contextlib.closing(nav2(rig)) as started:
-        until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds the node")
+        until(lambda: rig.module.status().served_by == NODE, "the gateway finds the node")
         yield started
 
 
@@ -88,7 +88,7 @@ def test_the_gateway_withdraws_all_parts_while_another_node_serves_the_name(rig:
     assert client_goal.end() == ("SUCCEEDED", "")
     other.close()
     until(lambda: parts(rig) == set(PARTS), "the gateway has its name again")
-    assert rig.module.status()["served_by"] == ""
+    assert rig.module.status().served_by == ""
     client_goal = ClientGoal(rig.client, pose(2.0))
     rig.planner.reach(rig.planner.until(1))
     assert client_goal.end() == ("SUCCEEDED", "")
@@ -104,7 +104,7 @@ def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> No
         until(lambda: graph.servers(PARTS.send_goal), "the node's action is on the hub")
         unwatch = graph.watch(lambda: seen.update(parts_of(rig, zid)))
         rig.worker.running("gateway").start()
-        until(lambda: rig.module.status()["served_by"] == NODE, "the gateway finds the node")
+        until(lambda: rig.module.status().served_by == NODE, "the gateway finds the node")
         until(lambda: not parts(rig), "the gateway has no part of the action")
         client_goal = ClientGoal(rig.client, pose(1.0))
         until(lambda: other.goals == [client_goal.sent.id], "the goal has reached that node")
@@ -169,7 +169,7 @@ def test_an_active_goal_of_the_gateway_outlives_a_node_that_leaves_soon(rig: Rig
     other = nav2(rig)
     until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
     other.close()
-    until(lambda: rig.module.status()["served_by"] == "", "the gateway notices that the node has left")
+    until(lambda: rig.module.status().served_by == "", "the gateway notices that the node has left")
     rig.planner.reach(goal)
     assert client_goal.end() == ("SUCCEEDED", "")
     until(lambda: parts(rig) == set(PARTS), "the gateway serves the name again")
@@ -228,7 +228,7 @@ def test_another_gateway_may_become_known_in_two_steps(rig: Rig, monkeypatch: py
 
     with monkeypatch.context() as monkeypatch:
         assert rig.worker.running("gateway").host.loop.call(poll_twice) == [True, True]
-    assert rig.module.status()["served_by"] == ""
+    assert rig.module.status().served_by == ""
 
 
 def test_a_gateway_that_starts_beside_a_server_names_it_only_once_it_is_known_to_be_no_gateway(
@@ -257,7 +257,7 @@ def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -
             entry: Any = running.module
             running.host.loop.call(entry._action.poll)
         assert parts(rig) == parts(rig, worker) == set(PARTS)
-        assert [running.module.status()["served_by"] for running in gateways] == ["", ""]
+        assert [running.module.status().served_by for running in gateways] == ["", ""]
         with contextlib.closing(nav2(rig)):
             until(lambda: not parts(rig) and not parts(rig, worker), "both gateways withdraw the action")
         until(lambda: parts(rig) == parts(rig, worker) == set(PARTS), "both gateways serve the name again")

@@ -206,7 +206,7 @@ def test_a_goal_from_before_a_restart_is_canceled_and_not_reported_as_foreign(ro
         lambda: robot.planner.canceled.count(goal) > 1,
         "cancellation is requested again until the goal list shows the goal's end",
     )
-    assert rig.module.status()["goals_of_others"] == 0
+    assert rig.module.status().goals_of_others == 0
     assert not any("its own client" in status["reason"] for status in rig.statuses if "before" in status["reason"])
     robot.planner.cancel(goal)
     robot.base.speed = 0.0

@@ -161,7 +161,7 @@ def test_status_requests_do_not_query_the_source(place: Place, robot: Robot, mon
     )
     monkeypatch.setattr(server.source, "cloud", lambda: (threads.append(threading.current_thread().name), cloud())[1])
     until(lambda: server.health().state == "running", "the module has a map")
-    assert server.status()["localization"] == "not_yet_localized"
+    assert server.status().document()["localization"] == "not_yet_localized"
     until(lambda: threads, "the module polls its source")
     assert set(threads) == {"midspan-localization_server"}
 

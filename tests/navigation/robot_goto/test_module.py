@@ -280,7 +280,7 @@ def test_the_robot_waits_for_clouds_and_layers_on_the_hub(tmp_path: Path) -> Non
         until(lambda: "fields: no z" in place.module.health().text, "the health text names the missing field", 30)
         robot.cloud = {**seen(-0.2), "width": 100_000_000}
         until(
-            lambda: "width, height: 100000000" in place.module.status()["obstacles"]["/points"],
+            lambda: "width, height: 100000000" in place.module.status().document()["obstacles"]["/points"],
             "the status gives the size",
             30,
         )
@@ -292,7 +292,11 @@ def test_the_robot_waits_for_clouds_and_layers_on_the_hub(tmp_path: Path) -> Non
         # in the odometry's frame, which is at x = 5: a cell 1.5 m behind the robot, and nothing else
         info = {"resolution": 0.1, "width": 2, "height": 1, "origin": {"position": {"x": -6.6, "y": -0.05}}}
         place.far.publish(layer, {"header": {"frame_id": "attic"}, "info": info, "data": [100, 0]})
-        until(lambda: "attic" in place.module.status()["obstacles"].get("/layer", ""), "the status names the frame", 30)
+        until(
+            lambda: "attic" in place.module.status().document()["obstacles"].get("/layer", ""),
+            "the status names the frame",
+            30,
+        )
         place.far.publish(layer, {"header": {"frame_id": "odom"}, "info": info, "data": [100, 0]})
         until(lambda: driver.status.fault is Fault.BLOCKED, "the robot stops at the layer's cell", 30)
         assert -1.5 + 0.27 < robot.x < -0.1

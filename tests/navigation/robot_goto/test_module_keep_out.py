@@ -29,7 +29,7 @@ def clear_store(place: Goto) -> None:
     """Delete the maps and areas, and the choice of the current map, which outlasts its map."""
     for kind in (BEHAVIOR, AREA, MAP, CURRENT):
         place.host.store.clear(kind)
-    until(lambda: "no current map" in place.module.status()["keep_out"], "no map is used", 20)
+    until(lambda: "no current map" in place.module.status().document()["keep_out"], "no map is used", 20)
     until(lambda: place.module.health().state == "running", "the robot may drive", 20)
 
 
@@ -43,7 +43,7 @@ def aborted_by(place: Goto, kind: ValueKind[Any], name: str, damaged: bytes) -> 
     store, robot = place.host.store, place.robot
     store.put(MAP, "room", free("room"))
     store.use_map("room")
-    until(lambda: place.module.status()["keep_out"] == "known", "the map is used", 20)
+    until(lambda: place.module.status().document()["keep_out"] == "known", "the map is used", 20)
     sent = robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
     until(lambda: robot.x > 0.05, "the robot drives", 30)
     store.replica.write({(kind.name, name): (damaged, kind.encoding)})
@@ -66,11 +66,11 @@ def test_keep_out_areas_of_the_stores_map_are_obstacles(place: Goto) -> None:
         store.put(AREA, "ahead", ahead)
         store.put(BEHAVIOR, "ahead", AreaBehavior(keep_out=True))
         store.put(MAP, "room", free("room"))
-        assert "no current map" in module.status()["keep_out"]
+        assert "no current map" in module.status().document()["keep_out"]
         assert not blocked()
         store.use_map("room")
         until(blocked, "the area is an obstacle", 20)
-        assert module.status()["keep_out"] == "known"
+        assert module.status().document()["keep_out"] == "known"
         store.delete(BEHAVIOR, "ahead")
         until(lambda: not blocked(), "the area is free", 20)
     finally:
@@ -128,7 +128,7 @@ def test_a_robot_stands_if_the_map_cannot_be_read(place: Goto) -> None:
         error = aborted_by(place, MAP, "room", b"damaged")
         for text in (error, robot.send(2.0, 0.0).end()[1]["error_msg"], module.health().text):
             assert "robots keep out of an unknown map: map 'room'" in text
-        assert "map 'room'" in module.status()["keep_out"]
+        assert "map 'room'" in module.status().document()["keep_out"]
     finally:
         clear_store(place)
 
