@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from bridge.descriptors import ModuleDescriptor, WorkerDescriptor, all_modules, all_workers
 from bridge.doctor.check import Check
-from bridge.doctor.checks import bridges, cyclone, hub, machine, releases, sharedmemory, types
+from bridge.doctor.checks import bridges, hub, machine, sharedmemory, types
 from bridge.registration import imported
 from bridge.sides import Side, all_sides
 
@@ -25,8 +25,6 @@ CHECKS: tuple[Check, ...] = (
     Check("kernels", "the compiled kernels", machine.check_kernels),
     Check("wheels", "libraries that have no wheel on this system", machine.check_wheels),
     *_registered(all_sides()),
-    *releases.CHECKS,
-    *cyclone.CHECKS,
     Check("two-bridges", "other bridges on the same networks", bridges.check, seconds=40.0),
     Check("types", "message types that could not be used", types.check_refused),
     Check("type-hash", "definitions that differ between machines", types.check_hashes),

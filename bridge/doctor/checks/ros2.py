@@ -12,6 +12,7 @@ from bridge.adapters.ros2 import discovery
 from bridge.adapters.ros2.environment import CYCLONE, STATIC_PEERS, available, domain
 from bridge.adapters.ros2.security import ENABLE, is_enabled
 from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, skip, warn
+from bridge.doctor.checks import cyclone, releases
 from bridge.doctor.context import CheckContext, environment_of
 from bridge.text import listed
 
@@ -191,5 +192,7 @@ CHECKS = (
     Check("ros2-environment", "this shell's ROS 2 against the daemon's", check_environment),
     Check("ros2-rmw", "the ROS 2 middleware of this shell", check_rmw),
     Check("ros2-cyclone", "a ROS 2 side on Cyclone DDS", check_cyclone),
+    *releases.CHECKS,
+    *cyclone.CHECKS,
 )
 """The doctor's checks of this side."""
