@@ -38,6 +38,7 @@ class WorkerDescriptor:
         needs: the packages that must be importable if ``environment`` is empty; the pip extra ``extra`` installs them.
         outlives: whether the worker continues if the daemon dies, so that the next daemon adopts it.
         node: whether it is a node on the hub, and reports its status there.
+        hosts: whether it hosts the modules.
         checks: ``package.module:name`` of the doctor's checks.
     """
 
@@ -54,6 +55,7 @@ class WorkerDescriptor:
     extra: str = ""
     outlives: bool = False
     node: bool = True
+    hosts: bool = False
     checks: str = ""
 
 
@@ -67,6 +69,10 @@ class ModuleDescriptor:
         section: ``package.module:Model`` of its section; "" for the gateway, whose section is ``navigation``.
         about: description of the section.
         checks: ``package.module:name`` of the doctor's checks.
+        cause: ``package.module:function`` for the doctor: with the input of the checks and the module's status document
+            it returns why the module waits or warns, with the cure, or None.
+        accepts: ``package.module:function`` for the doctor: with the input of the checks, a status document of a side
+            and a route that it refused, it returns why this is no problem, or "".
     """
 
     name: str
@@ -74,6 +80,8 @@ class ModuleDescriptor:
     section: str = ""
     about: str = ""
     checks: str = ""
+    cause: str = ""
+    accepts: str = ""
 
 
 WORKERS = (

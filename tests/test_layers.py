@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from bridge.descriptors import ModuleDescriptor, WorkerDescriptor, all_modules, all_workers
+from bridge.sides import Side, all_sides
+
 ROOT = Path(__file__).parents[1]
 TOOLS = {"clock", "concurrency", "descriptors", "progress", "registration", "resources", "shipped", "sides"}
 TOOLS |= {"module_keys", "state_file", "state_machine", "status", "text", "worker"}
@@ -81,13 +84,53 @@ def test_tools_import_only_the_configuration(tool: str) -> None:
     assert not {name for name in names if name.partition(".")[0] not in {*TOOLS, "config"}}
 
 
+DESCRIPTORS: tuple[WorkerDescriptor | Side | ModuleDescriptor, ...] = (
+    *all_workers(),
+    *all_sides(),
+    *all_modules().values(),
+)
+CHECKS = {
+    name.partition(":")[0]
+    for each in DESCRIPTORS
+    for name in (each.checks, *((each.cause, each.accepts) if isinstance(each, ModuleDescriptor) else ()))
+    if name
+}
+"""The modules with a feature's code for the doctor, which its descriptor names; they belong to the doctor's layer."""
+
+
+def files_of(folder: Path) -> list[Path]:
+    """Return the Python files in a folder, without those that belong to the doctor's layer."""
+    checks = {ROOT / f"{name.replace('.', '/')}.py" for name in CHECKS}
+    return [file for file in folder.rglob("*.py") if file not in checks]
+
+
+def test_only_the_doctor_imports_the_checks_of_features() -> None:
+    assert {"bridge.web.checks", "navigation.gateway.checks", "navigation.map2d_server.checks"} <= CHECKS
+    wrong = {
+        f"{file.relative_to(ROOT)} imports {name}"
+        for part in ("bridge", "navigation", "sim", "yarp_compat")
+        for file in (ROOT / part).rglob("*.py")
+        if not file.is_relative_to(ROOT / "bridge" / "doctor")
+        for name in every_name(file)
+        if name in CHECKS
+    }
+    assert not wrong
+
+
+def every_name(file: Path) -> set[str]:
+    """Return the modules that a file imports, and the names that it imports from modules."""
+    names = {name for name, _ in every_import(file)}
+    froms = (node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.ImportFrom))
+    return names | {f"{node.module}.{alias.name}" for node in froms for alias in node.names}
+
+
 @pytest.mark.parametrize("part", BELOW)
 def test_parts_import_only_lower_parts(part: str) -> None:
     allowed = {part, *BELOW[part]}
     folder = ROOT / "bridge" / part
     wrong = {
         f"{file.relative_to(ROOT)} imports bridge.{name}"
-        for file in folder.rglob("*.py")
+        for file in files_of(folder)
         for name in imported(file)
         if not any(name == good or name.startswith(good + ".") for good in allowed)
     }
@@ -284,7 +327,7 @@ def test_navigation_imports_only_the_hub_its_clients_the_store_and_the_module_ho
     allowed = {*below, "bridge.descriptors", "bridge.tf", "bridge.worker", "navigation", "yarp_compat"}
     wrong = {
         f"{file.relative_to(ROOT)} imports {name}"
-        for file in (ROOT / "navigation").rglob("*.py")
+        for file in files_of(ROOT / "navigation")
         for name, _ in every_import(file)
         if name.split(".")[0] in ("bridge", "sim", "yarp_compat", "tests", "rospy", "rclpy", "zenoh", "socket")
         if not any(name == good or name.startswith(good + ".") for good in allowed)

@@ -91,6 +91,8 @@ def test_every_name_of_a_descriptor_can_be_imported(descriptor: WorkerDescriptor
     places = [descriptor.section, descriptor.checks]
     if isinstance(descriptor, WorkerDescriptor):
         places += [descriptor.uses, descriptor.switch]
+    else:
+        places += [descriptor.cause, descriptor.accepts]
     for place in filter(None, places):
         assert imported(place) is not None
 

@@ -22,9 +22,11 @@ from bridge.hub.control import WorkerAnswer
 from bridge.metrics.collector import MidspanCollector
 from bridge.metrics.parts import parts
 from bridge.metrics.source import Snapshot
+from bridge.module_keys import GatewayKeys, MapServerKeys, StoreKeys
 from bridge.status import (
     INVALID,
     ModuleStatus,
+    Part,
     RouterStatus,
     RouteStatus,
     StatusDocument,
@@ -37,6 +39,9 @@ from tests.doctor.parts import every
 from tests.support.status_documents import DAEMON, DOCUMENTS, check_document
 from tests.support.wait import until
 from tests.web.conftest import Desk
+
+COMMON = {"topics", "refused"}
+"""Keys of each module that no program reads by name."""
 
 DOCUMENT_CHECKS = ("daemon", "types", "type-hash", "ros2-releases", "cyclone", "yarp-releases")
 
@@ -61,6 +66,17 @@ def test_a_real_daemon_document_is_unchanged_after_reading() -> None:
     status = read_daemon_status(DAEMON)
     assert json.dumps(status.document(), sort_keys=True) == json.dumps(DAEMON, sort_keys=True)
     assert status.error == ""
+
+
+@pytest.mark.parametrize(
+    ("worker", "kind"), [("gateway", GatewayKeys), ("map2d_server", MapServerKeys), ("store", StoreKeys)]
+)
+def test_the_own_keys_of_a_module_are_typed_in_the_recorded_order(worker: str, kind: type[Part]) -> None:
+    typed = read_status(DOCUMENTS[worker], "interop", worker).other(kind).document()
+    assert json.dumps({key: typed[key] for key in kind.model_fields if key in typed}) == json.dumps(
+        {key: value for key, value in DOCUMENTS[worker].items() if key in kind.model_fields}
+    )
+    assert DOCUMENTS[worker].keys() - kind.model_fields.keys() <= ModuleStatus.model_fields.keys() | COMMON
 
 
 def test_a_running_console_reports_the_recorded_keys(tmp_path: Path) -> None:

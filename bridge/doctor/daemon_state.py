@@ -20,6 +20,7 @@ from bridge.config.model import Config
 from bridge.daemon import units
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.daemon.workers import worker_kinds
+from bridge.hub import WORKER as ROUTER
 from bridge.hub.zenoh_config import connect_endpoint
 from bridge.state_file import state_folder
 from bridge.status import DaemonStatus, StatusDocument, WorkerReport
@@ -231,7 +232,7 @@ def _lives(pid: int) -> bool:
 
 def _outliving(config: Config) -> int:
     """Return the process of this daemon's router, which may outlive the daemon; 0 if it does not run."""
-    pid = _holder(state_file.worker_lock(config, "router"))
+    pid = _holder(state_file.worker_lock(config, ROUTER.name))
     return pid if pid and _lives(pid) else 0
 
 
@@ -240,9 +241,11 @@ def _orphan(documents: list[StatusDocument], config: Config) -> int:
 
     A router that was started without a daemon ('midspan worker router') does not count.
     """
-    if [document.worker for document in documents] != ["router"]:
+    if [document.worker for document in documents] != [ROUTER.name]:
         return 0
-    others = [kind for name, kind in worker_kinds().items() if name != "router" and kind.enabled(config) is not False]
+    others = [
+        kind for name, kind in worker_kinds().items() if name != ROUTER.name and kind.enabled(config) is not False
+    ]
     pid = documents[0].pid
     if not others or pid in (0, os.getpid()):
         return 0

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from bridge.config.model import Config
 from bridge.daemon.query import Phase
+from bridge.descriptors import all_workers
 from bridge.metrics.source import Snapshot
 from bridge.module_keys import BoardKeys
 from bridge.sides import all_networks, all_sides
@@ -123,8 +124,8 @@ def _modules(
                 f"module {name}", _level(module), message, {"pid": module.pid, "uptime (s)": module.uptime}
             )
             yield from _boards(module)
-    report = workers.get("modules")
-    if report is not None:
+    hosts = (workers[worker.name] for worker in all_workers() if worker.hosts and worker.name in workers)
+    for report in hosts:
         up = report.phase == Phase.UP.value
         level, reason = (Level.ERROR, "not running") if up else (Level.STALE, "its worker is not running")
         for name in config.hosted.keys() - documents.keys():

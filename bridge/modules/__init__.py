@@ -23,4 +23,5 @@ WORKER = WorkerDescriptor(
     factory="bridge.modules.worker:ModulesWorker",
     switch="bridge.modules.settings:enabled",
     sections=frozenset({"modules", "store", "yarp"}) | NODE | DIAGNOSTICS,
+    hosts=True,
 )

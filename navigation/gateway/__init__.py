@@ -5,4 +5,5 @@ from bridge.descriptors import ModuleDescriptor
 MODULE = ModuleDescriptor(
     name="gateway",
     factory="navigation.gateway.module:GatewayModule",
+    cause="navigation.gateway.checks:cause",
 )

@@ -22,6 +22,7 @@ from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, Origin
 from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
+from navigation.lifecycle import trouble
 from tests.doctor.parts import around, every, hub, only, results
 from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
@@ -56,7 +57,8 @@ def test_each_problem_of_a_configuration_is_a_finding() -> None:
 
 def test_nodes_of_the_planner_that_are_not_active_are_named_with_the_cure() -> None:
     states = {"/bt_navigator": "unconfigured"}
-    gateway = {"worker": "gateway", "module": True, "state": "waiting", "inactive_nodes": states, "warnings": ["x"]}
+    warning = f"{trouble(states)}; start them"
+    gateway = {"worker": "gateway", "module": True, "state": "waiting", "inactive_nodes": states, "warnings": [warning]}
     finding = only(hub_checks.check_workers(around(hub=hub(gateway))))
     assert (finding.result, finding.cure) == (Result.WARN, "midspan nav startup")
 

@@ -14,17 +14,19 @@ from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon.query import Phase
 from bridge.daemon.units import STATE, log_hint, start_hint, units_in_use
+from bridge.descriptors import all_modules
 from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, early_cure, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.doctor.daemon_state import restarted, unresponsive_router
-from bridge.doctor.hub_problems import absence, inactive_nodes
+from bridge.doctor.hub_problems import Note
+from bridge.hub import WORKER as ROUTER
 from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import port_held, port_holder, probe_router
 from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
 from bridge.hub.security.external_router import has_tls, key_files
 from bridge.hub.security.key_files import KeyFiles
-from bridge.module_keys import GatewayKeys
+from bridge.registration import imported
 from bridge.state_file import named
 from bridge.status import ModuleStatus, RouterStatus, StatusDocument
 
@@ -119,7 +121,7 @@ def check_workers(context: CheckContext) -> Findings:
 
 def _alone(context: CheckContext, daemon: str, workers: Sequence[StatusDocument]) -> list[Finding]:
     """Return a warning if only the router of a daemon of another name answers: a router outlives its daemon."""
-    if daemon == context.config.name or [document.worker for document in workers] != ["router"]:
+    if daemon == context.config.name or [document.worker for document in workers] != [ROUTER.name]:
         return []
     seen = f"only the router of {daemon} answers: the daemon is down, or runs nothing else"
     return [warn(seen, f"on its machine: 'midspan status'; {start_hint('midspan')}")]
@@ -137,9 +139,9 @@ def _worker(context: CheckContext, document: StatusDocument, elsewhere: Containe
     again = f" ({crashes})" if crashes else ""
     warnings = [text for text in document.warnings if cause(text) not in elsewhere]
     if warnings:
-        inactive = inactive_nodes(document) if document.worker == "gateway" else None
-        text = f"{name} is {state}{again}, and warns: {'; '.join(grouped(warnings))}"
-        return warn(text, "" if inactive is None else inactive.cure)
+        note = _cause(context, document)
+        cure = note.cure if note is not None and any(note.text in warning for warning in warnings) else ""
+        return warn(f"{name} is {state}{again}, and warns: {'; '.join(grouped(warnings))}", cure)
     if state == "waiting":
         return _waiting(context, document, name)
     if state in ("running", "standby"):
@@ -156,13 +158,15 @@ def _waiting(context: CheckContext, document: StatusDocument, name: str) -> Find
     """Return a finding on a waiting worker: a side waits for its network, and a module reports what it waits for."""
     if not isinstance(document, ModuleStatus):
         return warn(f"{name} waits: its network is unavailable", "see the checks of that side")
-    hub = context.hub
-    if document.worker == "gateway" and document.daemon == context.config.name:
-        planner = document.other(GatewayKeys).planner
-        away = absence(context.config.navigation, planner, hub.endpoints, hub.documents)
-        if away is not None:
-            return warn(f"{name} waits: {away.text}", away.cure)
-    return warn(f"{name} waits: {document.text}")
+    note = _cause(context, document)
+    return warn(f"{name} waits: {document.text if note is None else note.text}", "" if note is None else note.cure)
+
+
+def _cause(context: CheckContext, document: StatusDocument) -> Note | None:
+    """Return why a module waits or warns, if its descriptor names a function that finds that out."""
+    module = all_modules().get(document.worker)
+    note: Note | None = imported(module.cause)(context, document) if module is not None and module.cause else None
+    return note
 
 
 def check_port(context: CheckContext) -> Findings:

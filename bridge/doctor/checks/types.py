@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from bridge.adapters.ros2.environment import available
+from bridge.descriptors import all_modules
 from bridge.doctor.check import Finding, Findings, fail, merged, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.doctor.hub_problems import CURE, conflicts, separated
-from bridge.hub.graph.tokens import EndpointKind
 from bridge.interfaces.compiler import Compiler
 from bridge.interfaces.definition import BuildError
 from bridge.messages.registry import Registry
-from bridge.module_keys import MapServerKeys
+from bridge.registration import imported
 from bridge.status import RefusedRoute, StatusDocument, refused_routes
 
 _SHOWN = 20
-_TWICE = "already"
-"""The last word of the reason if a service has a server on both sides."""
 _DIFFERS = ("differ", "RIHS01", "md5", "fingerprint")
 
 
@@ -23,7 +21,7 @@ def check_refused(context: CheckContext) -> Findings:
     """Report what the workers refused, except for definitions that differ."""
     if context.hub.error or not context.hub.documents:
         return skip("no worker answers")
-    return [*(_refusals(context, differing=False) or [ok("no type was refused")]), *_map_services(context)]
+    return [*(_refusals(context, differing=False) or [ok("no type was refused")]), *_accepted(context)]
 
 
 def check_hashes(context: CheckContext) -> Findings:
@@ -56,39 +54,27 @@ def _refusals(context: CheckContext, *, differing: bool) -> list[Finding]:
     for document in context.hub.documents:
         for route in refused_routes(document):
             differs = any(phrase in route.reason for phrase in _DIFFERS)
-            if differs is differing and not _of_map_server(context, route):
+            if differs is differing and not _accepts(context, document, route):
                 findings.append(_refusal(document, route))
     findings = merged(findings)
     more = len(findings) - _SHOWN
     return findings[:_SHOWN] + ([fail(f"and {more} more", "'midspan status' shows all")] if more > 0 else [])
 
 
-def _map_services(context: CheckContext) -> list[Finding]:
-    """Return findings on the services that a side's own map server and Map2DServer both serve."""
-    services = {
-        (str(document.side), route.topic)
-        for document in context.hub.documents
-        for route in refused_routes(document)
-        if _of_map_server(context, route)
-    }
-    return [
-        ok(f"{', '.join(name for at, name in sorted(services) if at == side)}: the map server there answers on {side},"
-           " Map2DServer, which takes its map, everywhere else")
-        for side in sorted({side for side, _ in services})
-    ]  # fmt: skip
+def _accepted(context: CheckContext) -> list[Finding]:
+    """Return findings on refused routes that are no problem."""
+    topics: dict[str, set[str]] = {}
+    for document in context.hub.documents:
+        for route in refused_routes(document):
+            if why := _accepts(context, document, route):
+                topics.setdefault(why, set()).add(route.topic)
+    return [ok(f"{', '.join(sorted(names))}: {why}") for why, names in sorted(topics.items())]
 
 
-def _of_map_server(context: CheckContext, route: RefusedRoute) -> bool:
-    """Whether a service is refused because a side's own map server and a Map2DServer that takes maps both serve it.
-
-    In that case each answers on its own side, with the same map, and neither needs another name.
-    """
-    servers = [document for document in context.hub.documents if document.worker == "map2d_server"]
-    takers = {server.zid for server in servers if server.other(MapServerKeys).taken}
-    twice = route.kind == "service" and route.reason.endswith(_TWICE)
-    return twice and any(
-        e.kind is EndpointKind.SERVER and e.topic == route.hub_topic and e.zid in takers for e in context.hub.endpoints
-    )
+def _accepts(context: CheckContext, document: StatusDocument, route: RefusedRoute) -> str:
+    """Return why a module accepts that a side refused a route, "" if none does."""
+    functions = (imported(module.accepts) for module in all_modules().values() if module.accepts)
+    return next(filter(None, (accepts(context, document, route) for accepts in functions)), "")
 
 
 def _warnings(context: CheckContext) -> list[str]:

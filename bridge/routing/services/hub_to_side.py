@@ -104,7 +104,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
         """Refuse a service if its name already has another server on the side: a call goes to only one server."""
         name, holder = decision.topic, taken.get(decision.topic, key)
         cure = "give one of them another name by a rule with 'rename'"
-        if name in natives:  # doctor recognizes the last word (`bridge.doctor.checks.types`)
+        if name in natives:  # doctor recognizes the last word (`navigation.map2d_server.checks`)
             decision.refuse(f"{natives[name].node} serves {name} there already", cure)
         elif holder.topic != key.topic:
             decision.refuse(f"{holder.topic} is already offered under the name {name}", cure)

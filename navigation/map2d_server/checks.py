@@ -1,0 +1,27 @@
+"""For the doctor: services that a side's own map server and Map2DServer both serve."""
+
+from __future__ import annotations
+
+from bridge.doctor.context import CheckContext
+from bridge.hub.graph.tokens import EndpointKind
+from bridge.module_keys import MapServerKeys
+from bridge.status import RefusedRoute, StatusDocument
+from navigation.map2d_server import MODULE
+
+_TWICE = "already"
+"""The last word of the reason if a service has a server on both sides."""
+
+
+def accepts(context: CheckContext, side: StatusDocument, route: RefusedRoute) -> str:
+    """Return why it is no problem that a side and a Map2DServer that takes the side's map serve the same service.
+
+    Each answers on its own side, with the same map, and neither needs another name.
+    """
+    servers = [document for document in context.hub.documents if document.worker == MODULE.name]
+    takers = {server.zid for server in servers if server.other(MapServerKeys).taken}
+    twice = route.kind == "service" and route.reason.endswith(_TWICE)
+    both = twice and any(
+        e.kind is EndpointKind.SERVER and e.topic == route.hub_topic and e.zid in takers for e in context.hub.endpoints
+    )
+    answers = f"the map server there answers on {side.side}, Map2DServer, which takes its map, everywhere else"
+    return answers if both else ""
