@@ -16,7 +16,7 @@ from bridge.config.load import load
 from bridge.daemon import units
 from bridge.daemon.units import log_hint, start_hint, unit_of, units_in_use
 from bridge.doctor.check import Result
-from bridge.doctor.checks.hub import check_services
+from bridge.doctor.checks.daemon import check_services
 from bridge.doctor.daemon_state import Life, daemon_state
 from tests.doctor.parts import around, every, only
 from tests.peers.daemon.robot_daemon import RobotDaemon

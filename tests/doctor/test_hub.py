@@ -13,8 +13,8 @@ import pytest
 import zenoh
 
 from bridge.doctor.check import Result
-from bridge.doctor.checks import bridges, types
-from bridge.doctor.checks import hub as hub_checks
+from bridge.doctor.checks import bridges, router, types
+from bridge.doctor.checks import daemon as daemon_checks
 from bridge.doctor.context import HubSnapshot
 from bridge.doctor.hub_problems import conflicts, separated
 from bridge.hub.graph import HubEndpoint
@@ -47,19 +47,19 @@ def endpoint(
     ],
 )
 def test_open_hub_causes_a_warning(section: dict[str, Any], count: int) -> None:
-    assert results(hub_checks.check_config(around({"hub": section}))) == [Result.OK, Result.WARN][:count]
+    assert results(daemon_checks.check_config(around({"hub": section}))) == [Result.OK, Result.WARN][:count]
 
 
 def test_each_problem_of_a_configuration_is_a_finding() -> None:
     place = around(config_text="a.yaml:1:1: x: bad\na.yaml:2:1: y: bad", config_good=False)
-    assert results(hub_checks.check_config(place)) == [Result.FAIL, Result.FAIL]
+    assert results(daemon_checks.check_config(place)) == [Result.FAIL, Result.FAIL]
 
 
 def test_nodes_of_the_planner_that_are_not_active_are_named_with_the_cure() -> None:
     states = {"/bt_navigator": "unconfigured"}
     warning = f"{trouble(states)}; start them"
     gateway = {"worker": "gateway", "module": True, "state": "waiting", "inactive_nodes": states, "warnings": [warning]}
-    finding = only(hub_checks.check_workers(around(hub=hub(gateway))))
+    finding = only(daemon_checks.check_workers(around(hub=hub(gateway))))
     assert (finding.result, finding.cure) == (Result.WARN, "midspan nav startup")
 
 
@@ -73,32 +73,32 @@ def test_workers_are_judged_by_their_state() -> None:
         {"worker": "sim", "state": "starting", "text": "importing dartpy (4 s)"},
         {"worker": "modules", "state": "cannot work", "text": "no module is there"},
     )
-    finding = every(hub_checks.check_workers(around(hub=view)))
+    finding = every(daemon_checks.check_workers(around(hub=view)))
     assert results(finding) == [Result.OK, Result.WARN, Result.WARN, Result.FAIL, Result.WARN, Result.FAIL]
     assert finding[-2].seen == "robot1/sim is starting: importing dartpy (4 s)"
     assert finding[-1].seen == "robot1/modules cannot work: no module is there"
     for nobody in (HubSnapshot("nothing answers"), HubSnapshot()):
-        assert only(hub_checks.check_workers(around(hub=nobody))).result is Result.WARN
+        assert only(daemon_checks.check_workers(around(hub=nobody))).result is Result.WARN
 
 
 def test_reason_of_the_last_restart_is_named() -> None:
     """For example a new address, which the ROS 2 side's process before the restart did not use."""
     restarts = {"restarts": 1, "ended": "this machine has a new address: restarting"}
     worker = {"worker": "ros2", "state": "running", **restarts}
-    finding = only(hub_checks.check_workers(around(hub=hub(worker))))
+    finding = only(daemon_checks.check_workers(around(hub=hub(worker))))
     again = "robot1/ros2 is running (restarted once; last end: this machine has a new address: restarting)"
     assert (finding.result, finding.seen) == (Result.OK, again)
-    finding = only(hub_checks.check_workers(around(hub=hub({**worker, "warnings": ["a QoS mismatch"]}))))
+    finding = only(daemon_checks.check_workers(around(hub=hub({**worker, "warnings": ["a QoS mismatch"]}))))
     assert (finding.result, finding.seen) == (Result.WARN, f"{again}, and warns: a QoS mismatch")
 
 
 def test_a_free_port_passes_the_check() -> None:
-    assert only(hub_checks.check_port(around({"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}))).result is Result.OK
+    assert only(router.check_port(around({"hub": {"listen": f"tcp/127.0.0.1:{free_port()}"}}))).result is Result.OK
 
 
 def test_a_port_with_midspans_own_router_passes_the_check() -> None:
     with HubNetwork() as network:
-        finding = only(hub_checks.check_port(around({"hub": {"listen": network.endpoint}})))
+        finding = only(router.check_port(around({"hub": {"listen": network.endpoint}})))
     assert (finding.result, "Midspan daemon test" in finding.seen) == (Result.OK, True), finding
 
 
@@ -127,7 +127,7 @@ def strangers_port() -> Iterator[int]:
 
 
 def test_a_port_that_another_program_uses_fails_the_check(strangers_port: int) -> None:
-    finding = only(hub_checks.check_port(around({"hub": {"listen": f"tcp/127.0.0.1:{strangers_port}"}})))
+    finding = only(router.check_port(around({"hub": {"listen": f"tcp/127.0.0.1:{strangers_port}"}})))
     assert finding.result is Result.FAIL
     assert "that is not zenoh" in finding.seen
     assert "hub.listen" in finding.cure
@@ -143,7 +143,7 @@ def test_another_router_at_the_address_is_reported(mode: str, wanted: Any, resul
     for key, value in (("mode", mode), ("listen/endpoints", [listen]), ("scouting/multicast/enabled", False)):
         config.insert_json5(key, json.dumps(value))
     with zenoh.open(config):
-        finding = only(hub_checks.check_port(around({"hub": {"listen": listen, "router": wanted}})))
+        finding = only(router.check_port(around({"hub": {"listen": listen, "router": wanted}})))
     assert (finding.result, listen in finding.seen) == (result, True), finding
 
 

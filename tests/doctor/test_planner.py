@@ -8,7 +8,7 @@ import pytest
 
 from bridge.config.sections.navigation import NavigationSection
 from bridge.doctor.check import Result
-from bridge.doctor.checks import hub as hub_checks
+from bridge.doctor.checks import daemon as daemon_checks
 from bridge.doctor.hub_problems import absence
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind
@@ -69,16 +69,16 @@ def test_a_running_or_unknown_planner_is_not_reported_as_absent() -> None:
 def test_doctor_reports_the_state_of_its_own_gateway() -> None:
     config = {"navigation": {"planner": "move_base"}}
     view = hub({**GATEWAY, "planner": "move_base"})
-    mine = only(hub_checks.check_workers(around(config, hub=view)))
+    mine = only(daemon_checks.check_workers(around(config, hub=view)))
     assert (mine.result, "start" in mine.cure or "ros1-master" in mine.cure) == (Result.WARN, True)
     assert "robot1/gateway waits: the planner move_base is not available: no worker of the ROS 1 side" in mine.seen
     with_gateway = hub({**GATEWAY, "planner": "move_base"}, endpoints=[server(MOVE_BASE)])
     for other in (hub({**GATEWAY, "daemon": "robot2", "planner": "move_base"}), with_gateway):
-        finding = only(hub_checks.check_workers(around(config, hub=other)))
+        finding = only(daemon_checks.check_workers(around(config, hub=other)))
         assert (finding.seen.partition(" ")[2], finding.cure) == ("waits: the planner p is not available", "")
 
 
 def test_module_reports_what_it_waits_for() -> None:
     view = hub({"worker": "robot_goto", "module": True, "state": "waiting", "text": "no scan comes"})
-    finding = only(hub_checks.check_workers(around(hub=view)))
+    finding = only(daemon_checks.check_workers(around(hub=view)))
     assert (finding.result, finding.seen) == (Result.WARN, "robot1/robot_goto waits: no scan comes")

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from bridge.descriptors import ModuleDescriptor, WorkerDescriptor, all_modules, all_workers
 from bridge.doctor.check import Check
-from bridge.doctor.checks import bridges, hub, machine, sharedmemory, types
+from bridge.doctor.checks import bridges, daemon, machine, sharedmemory, types
 from bridge.registration import imported
 from bridge.sides import Side, all_sides
 
@@ -18,9 +18,9 @@ def _registered(descriptors: Iterable[Side | WorkerDescriptor | ModuleDescriptor
 
 
 CHECKS: tuple[Check, ...] = (
-    Check("config", "the configuration", hub.check_config),
-    Check("daemon", "the daemon and its workers", hub.check_workers),
-    Check("services", "several daemons on this machine (`midspan@.service`)", hub.check_services),
+    Check("config", "the configuration", daemon.check_config),
+    Check("daemon", "the daemon and its workers", daemon.check_workers),
+    Check("services", "several daemons on this machine (`midspan@.service`)", daemon.check_services),
     *_registered((*all_workers(), *all_modules().values())),
     Check("kernels", "the compiled kernels", machine.check_kernels),
     Check("wheels", "libraries that have no wheel on this system", machine.check_wheels),

@@ -7,7 +7,7 @@ from functools import partial
 
 from bridge.concurrency import WorkerPool
 from bridge.doctor.check import Finding, Findings, Result, fail, ok, warn
-from bridge.doctor.checks.hub import check_keys
+from bridge.doctor.checks.keys import check_keys
 from bridge.doctor.context import CheckContext
 from bridge.hub.errors import HubError
 from bridge.hub.security.external_router import external_tree, has_tls

@@ -2,11 +2,52 @@
 
 from __future__ import annotations
 
-from bridge.doctor.check import Check
-from bridge.doctor.checks import connections, hub
+import psutil
+
+from bridge.doctor.check import Check, Findings, fail, ok, warn
+from bridge.doctor.checks import connections
+from bridge.doctor.context import CheckContext
+from bridge.doctor.daemon_state import unresponsive_router
+from bridge.hub.errors import HubError
+from bridge.hub.router import port_held, port_holder, probe_router
+
+
+def check_port(context: CheckContext) -> Findings:
+    """Check which program listens at the router's address: Midspan's router, another router, or something else."""
+    hub = context.config.hub
+    try:
+        info = probe_router(hub.listen, hub.zenoh)
+    except HubError as err:
+        return fail(str(err), "correct hub.zenoh")
+    if info is None:
+        deaf = unresponsive_router(context.config)
+        if deaf:
+            return fail(deaf, "see the checks 'daemon' and 'descriptors'; if both are good, end that process")
+        if not port_held(hub.listen):
+            return ok(f"nothing listens at {hub.listen}: the daemon's router will")
+        seen = f"{hub.listen} is held by a program that is not zenoh{_holder(hub.listen)}"
+        return fail(seen, "stop that program, or set hub.listen to a free port")
+    if info.mode != "router":
+        return fail(f"{hub.listen} is held by {info}, which routes nothing", "set hub.listen to a free port")
+    if info.daemon:
+        return ok(f"{hub.listen} is {info}")
+    text = f"{hub.listen} is held by {info}{_holder(hub.listen)}"
+    if hub.router is True:
+        return fail(text, "hub.router is true: stop that router, set hub.listen to a free port, or hub.router to auto")
+    return warn(f"{text}; it is used as the hub's router", "if that is not intended, set hub.listen to a free port")
+
+
+def _holder(endpoint: str) -> str:
+    """Return the process that listens at an endpoint, "" if this user may not see it."""
+    try:
+        holder = port_holder(endpoint)
+        return f" (process {holder.pid}, {holder.name()})" if holder is not None else ""
+    except psutil.Error:
+        return ""
+
 
 CHECKS = (
-    Check("router-port", "the router's port", hub.check_port),
+    Check("router-port", "the router's port", check_port),
     Check(
         "keys",
         "the certificates and connections of other machines (`hub.open`)",

@@ -14,7 +14,7 @@ import yaml
 from bridge.cli.main import main
 from bridge.config.model import Config
 from bridge.doctor.check import Result
-from bridge.doctor.checks import hub as hub_checks
+from bridge.doctor.checks import keys as key_checks
 from bridge.hub.security import certificates
 from bridge.hub.security.certificates import Authority, CertificateError, read_certificate, signed_by
 from tests.doctor.parts import around, every, hub, only, results
@@ -164,7 +164,7 @@ def folder(tmp_path: Path) -> Path:
 
 def looked_at(folder: Path, **more: str) -> list[tuple[Result, str]]:
     opened = {"listen": ["tls/0.0.0.0:7448"], "keys": str(folder), **more}
-    findings = every(hub_checks.check_keys(around({"hub": {"open": opened}})))
+    findings = every(key_checks.check_keys(around({"hub": {"open": opened}})))
     return [(finding.result, finding.seen) for finding in findings]
 
 
@@ -172,7 +172,7 @@ def test_doctor_is_content(folder: Path) -> None:
     ((result, seen),) = looked_at(folder)
     assert result is Result.OK
     assert "robot1" in seen
-    assert results(hub_checks.check_keys(around({}))) == [Result.SKIP]
+    assert results(key_checks.check_keys(around({}))) == [Result.SKIP]
 
 
 def test_doctor_finds_what_is_wrong_with_the_files(folder: Path) -> None:
@@ -207,7 +207,7 @@ def test_doctor_names_machines_that_refuse_commands(folder: Path) -> None:
         router("a", "robot1", trusted=True), router("b", "robot1", trusted=False), router("c", "other", trusted=False)
     )
     place = around({"hub": {"open": {"connect": ["tls/b:7448"], "keys": str(folder)}}}, hub=view)
-    finding = only(hub_checks.check_keys(place))
+    finding = only(key_checks.check_keys(place))
     assert finding.result is Result.WARN
     assert finding.seen.startswith("b accepts no commands")
 

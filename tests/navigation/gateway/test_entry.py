@@ -16,7 +16,7 @@ from rich.console import Console
 from bridge.cli.inspection.status import show
 from bridge.config.sections.navigation import ACTION
 from bridge.doctor.check import Result
-from bridge.doctor.checks.hub import check_workers
+from bridge.doctor.checks.daemon import check_workers
 from bridge.messages.actions import GoalState, names
 from bridge.modules.worker import ModulesWorker
 from bridge.status import read_status

@@ -1,12 +1,9 @@
-"""The configuration, the daemon and its workers, the router's port, and the keys by which machines join."""
+"""The configuration, and the daemons with their workers."""
 
 from __future__ import annotations
 
-import ssl
 from collections.abc import Container, Iterator, Mapping, Sequence
 from itertools import combinations, product
-
-import psutil
 
 from bridge.config.document import ConfigError
 from bridge.config.listeners import listeners
@@ -16,19 +13,14 @@ from bridge.daemon.query import Phase
 from bridge.daemon.units import STATE, log_hint, start_hint, units_in_use
 from bridge.descriptors import all_modules
 from bridge.doctor.causes import cause, grouped, shared
-from bridge.doctor.check import Finding, Findings, early_cure, fail, ok, skip, warn
+from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
-from bridge.doctor.daemon_state import restarted, unresponsive_router
+from bridge.doctor.daemon_state import restarted
 from bridge.doctor.hub_problems import Note
 from bridge.hub import WORKER as ROUTER
-from bridge.hub.errors import HubConfigError, HubError
-from bridge.hub.router import port_held, port_holder, probe_router
-from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
-from bridge.hub.security.external_router import has_tls, key_files
-from bridge.hub.security.key_files import KeyFiles
 from bridge.registration import imported
 from bridge.state_file import named
-from bridge.status import ModuleStatus, RouterStatus, StatusDocument
+from bridge.status import ModuleStatus, StatusDocument
 
 _HUB = "hub.listen"
 _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
@@ -167,113 +159,3 @@ def _cause(context: CheckContext, document: StatusDocument) -> Note | None:
     module = all_modules().get(document.worker)
     note: Note | None = imported(module.cause)(context, document) if module is not None and module.cause else None
     return note
-
-
-def check_port(context: CheckContext) -> Findings:
-    """Check which program listens at the router's address: Midspan's router, another router, or something else."""
-    hub = context.config.hub
-    try:
-        info = probe_router(hub.listen, hub.zenoh)
-    except HubError as err:
-        return fail(str(err), "correct hub.zenoh")
-    if info is None:
-        deaf = unresponsive_router(context.config)
-        if deaf:
-            return fail(deaf, "see the checks 'daemon' and 'descriptors'; if both are good, end that process")
-        if not port_held(hub.listen):
-            return ok(f"nothing listens at {hub.listen}: the daemon's router will")
-        seen = f"{hub.listen} is held by a program that is not zenoh{_holder(hub.listen)}"
-        return fail(seen, "stop that program, or set hub.listen to a free port")
-    if info.mode != "router":
-        return fail(f"{hub.listen} is held by {info}, which routes nothing", "set hub.listen to a free port")
-    if info.daemon:
-        return ok(f"{hub.listen} is {info}")
-    text = f"{hub.listen} is held by {info}{_holder(hub.listen)}"
-    if hub.router is True:
-        return fail(text, "hub.router is true: stop that router, set hub.listen to a free port, or hub.router to auto")
-    return warn(f"{text}; it is used as the hub's router", "if that is not intended, set hub.listen to a free port")
-
-
-def _holder(endpoint: str) -> str:
-    """Return the process that listens at an endpoint, "" if this user may not see it."""
-    try:
-        holder = port_holder(endpoint)
-        return f" (process {holder.pid}, {holder.name()})" if holder is not None else ""
-    except psutil.Error:
-        return ""
-
-
-SOON_DAYS = 30
-_RENEW = "'midspan keys make NAME --replace', and copy the files; the router loads them without a restart"
-
-
-def check_keys(context: CheckContext) -> Findings:
-    """Check that the files of ``hub.open`` exist, are readable, fit each other and this machine, and stay valid."""
-    if not has_tls(context.config.hub.open):
-        return skip("hub.open names no endpoint with TLS: no certificate is needed")
-    files = key_files(context.config)
-    try:
-        files.check()
-        certificate, authority = read_certificate(files.certificate), read_certificate(files.ca)
-        signed = signed_by(files.certificate, files.ca)
-    except (HubConfigError, CertificateError) as err:
-        return fail(str(err), "'midspan keys make' makes the files; see docs/operate/security.md")
-    findings = [
-        *_validity(certificate),
-        *_validity(authority),
-        *_fit(files),
-        *_mode(files),
-        *_distrust(certificate.name, context),
-    ]
-    if not signed:
-        cure = "copy both from the same folder of 'midspan keys'"
-        findings.append(fail(f"{files.certificate} was not signed by {files.ca}", cure))
-    if certificate.name != context.config.name:
-        findings.append(
-            warn(f"this machine's certificate names it {certificate.name!r}: others trust that name", "see 'name'")
-        )
-    return findings or ok(f"this machine is {certificate.name} to others, until {certificate.until:%Y-%m-%d}")
-
-
-def _distrust(name: str, context: CheckContext) -> list[Finding]:
-    """Return a warning for each daemon that accepts no commands from this machine."""
-    return [
-        warn(
-            f"{document.daemon} accepts no commands, goals or service calls from this machine",
-            f"if that is not intended, name {name!r} in hub.open.trusted there",
-        )
-        for document in context.hub.documents
-        if isinstance(document, RouterStatus)
-        for machine in document.machines
-        if machine.name == name and not machine.trusted
-    ]
-
-
-def _validity(certificate: Certificate) -> list[Finding]:
-    """Return a finding if a certificate is not valid yet, has expired, or expires soon."""
-    if certificate.begins_later():
-        seen = f"{certificate.file} is not valid before {certificate.since:%Y-%m-%d %H:%M} UTC: no machine accepts it"
-        return [fail(seen, early_cure())]
-    left = certificate.days_left()
-    if left < 0:
-        return [fail(f"{certificate.file} expired on {certificate.until:%Y-%m-%d}: no machine accepts it", _RENEW)]
-    if left < SOON_DAYS:
-        return [warn(f"{certificate.file} expires in {left} days", _RENEW)]
-    return []
-
-
-def _fit(files: KeyFiles) -> list[Finding]:
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    try:
-        context.load_cert_chain(files.certificate, files.key, password="")
-    except ssl.SSLError as err:
-        mismatch = err.reason in ("KEY_VALUES_MISMATCH", "KEY_TYPE_MISMATCH")
-        seen = f"is not the key of {files.certificate}" if mismatch else f"cannot be used: {err}"
-        return [fail(f"{files.key} {seen}", "copy both from the same folder of 'midspan keys'")]
-    return []
-
-
-def _mode(files: KeyFiles) -> list[Finding]:
-    if not files.others_may_use_key():
-        return []
-    return [warn(f"other users may use {files.key}, and so impersonate this machine", f"chmod 600 {files.key}")]
