@@ -72,7 +72,7 @@ class ModuleDescriptor:
         cause: ``package.module:function`` for the doctor: with the input of the checks and the module's status document
             it returns why the module waits or warns, with the cure, or None.
         accepts: ``package.module:function`` for the doctor: with the input of the checks, a status document of a side
-            and a route that it refused, it returns why this is no problem, or "".
+            and a route that it refused, it returns why the refusal is harmless, or "".
     """
 
     name: str

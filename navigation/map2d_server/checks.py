@@ -13,7 +13,7 @@ _TWICE = "already"
 
 
 def accepts(context: CheckContext, side: StatusDocument, route: RefusedRoute) -> str:
-    """Return why it is no problem that a side and a Map2DServer that takes the side's map serve the same service.
+    """Return why a side may refuse a service that a Map2DServer serves too, if that one takes the side's map; else "".
 
     Each answers on its own side, with the same map, and neither needs another name.
     """

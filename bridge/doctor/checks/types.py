@@ -62,7 +62,7 @@ def _refusals(context: CheckContext, *, differing: bool) -> list[Finding]:
 
 
 def _accepted(context: CheckContext) -> list[Finding]:
-    """Return findings on refused routes that are no problem."""
+    """Return findings on refused routes that modules accept."""
     topics: dict[str, set[str]] = {}
     for document in context.hub.documents:
         for route in refused_routes(document):
