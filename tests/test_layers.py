@@ -152,7 +152,14 @@ def test_only_the_command_line_imports_the_command_line() -> None:
 
 COMMANDS = ROOT / "bridge" / "cli"
 OPEN = {f"bridge.{part}" for part in ("cli", "client", "config", "display", "messages", "state_file", "status", "text")}
-OPEN |= {"bridge.tf", "bridge.stores.kinds", "navigation.nav2_errors", "navigation.status", "yarp_compat"}
+OPEN |= {
+    "bridge.module_keys",
+    "bridge.tf",
+    "bridge.stores.kinds",
+    "navigation.nav2_errors",
+    "navigation.status",
+    "yarp_compat",
+}
 """What every command may import: the client library, and the forms of configuration, documents and values."""
 
 PASSED = {"bridge.hub.control.WorkerAnswer", "bridge.hub.graph.HubEndpoint", "bridge.hub.graph.releases"}
