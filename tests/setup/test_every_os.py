@@ -24,6 +24,18 @@ HIDING = "tests.support.any_os"
 STEP_KEYS = {"name", "uses", "with", "run", "env"}
 
 
+RUNNERS = {"macos-26", "ubuntu-24.04", "ubuntu-24.04-arm", "windows-2025"}
+"""Labels of GitHub's own machines; a job with another label waits for a day, and then fails."""
+
+INPUTS = {
+    "actions/checkout": {"persist-credentials"},
+    "actions/download-artifact": {"merge-multiple", "path", "pattern"},
+    "actions/setup-python": {"python-version"},
+    "actions/upload-artifact": {"if-no-files-found", "name", "path"},
+}
+"""Inputs of the actions; GitHub ignores an input that an action does not have, and only warns."""
+
+
 @pytest.fixture(scope="module")
 def workflow() -> dict[Any, Any]:
     document: dict[Any, Any] = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))
@@ -53,6 +65,46 @@ def test_each_step_uses_an_action_or_runs_a_valid_script(workflow: dict[Any, Any
         else:
             checked = subprocess.run(["bash", "-n"], input=step["run"], capture_output=True, text=True, check=False)
             assert (checked.returncode, checked.stderr) == (0, "")
+
+
+class UniqueKeys(yaml.SafeLoader):
+    """Rejects a mapping with two equal keys, as GitHub does."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        mapping = super().construct_mapping(node, deep)
+        assert len(mapping) == len(node.value), f"two equal keys in {WORKFLOW.name}{node.start_mark}"
+        return mapping
+
+
+def test_no_key_is_there_twice() -> None:
+    yaml.load(WORKFLOW.read_text(encoding="utf-8"), UniqueKeys)  # noqa: S506 - a safe loader
+    with pytest.raises(AssertionError, match="two equal keys"):
+        yaml.load("run: a\nrun: b\n", UniqueKeys)  # noqa: S506 - a safe loader
+
+
+def test_events_machines_and_inputs_are_those_of_github(workflow: dict[Any, Any]) -> None:
+    events = {"push": {"branches": ["main"]}, "pull_request": None, "workflow_dispatch": None}
+    assert workflow[True] == events
+    assert set(workflow["concurrency"]) == {"group", "cancel-in-progress"}
+    for job in workflow["jobs"].values():
+        assert job["runs-on"] == "${{ matrix.os }}"
+        assert set(job["strategy"]) <= {"fail-fast", "matrix"}
+        assert set(job["strategy"]["matrix"]["os"]) <= RUNNERS
+        assert job.get("defaults", {}) in ({}, {"run": {"shell": "bash"}}), "Windows has another shell by default"
+    assert [v for v in workflow["jobs"]["run"]["strategy"]["matrix"]["python"] if not isinstance(v, str)] == []
+    for step in steps(workflow):
+        assert set(step.get("with", {})) <= INPUTS.get(step.get("uses", "").partition("@")[0], set()), step
+        assert "name" in step or "uses" in step
+        assert all(isinstance(value, str) for value in step.get("env", {}).values())
+
+
+def test_the_wheels_that_one_job_uploads_are_installed_in_the_other(workflow: dict[Any, Any]) -> None:
+    *_, upload = workflow["jobs"]["wheels"]["steps"]
+    download, install = workflow["jobs"]["run"]["steps"][2:4]
+    assert upload["with"]["name"] == download["with"]["pattern"].replace("*", "${{ matrix.os }}")
+    assert download["with"]["merge-multiple"] is True, "otherwise each artifact gets a folder of its own"
+    assert upload["with"]["path"] == f"{download['with']['path']}/"
+    assert ["--find-links", download["with"]["path"]] == shlex.split(install["run"].splitlines()[1])[4:6]
 
 
 def test_expressions_name_what_exists(workflow: dict[Any, Any]) -> None:

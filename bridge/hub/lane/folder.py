@@ -12,7 +12,7 @@ from pathlib import Path
 
 from bridge.hub.lane.wire import VERSION
 
-_CREDENTIALS = struct.Struct("3i")
+_CREDENTIALS = struct.Struct("@3i")
 _SEND_BUFFER = 1 << 20
 """Maximum number of bytes in the kernel's buffer for a reader; commands cannot overtake the messages in it."""
 
