@@ -77,9 +77,9 @@ class UniqueKeys(yaml.SafeLoader):
 
 
 def test_no_key_is_there_twice() -> None:
-    yaml.load(WORKFLOW.read_text(encoding="utf-8"), UniqueKeys)  # noqa: S506 - a safe loader
+    yaml.load(WORKFLOW.read_text(encoding="utf-8"), UniqueKeys)
     with pytest.raises(AssertionError, match="two equal keys"):
-        yaml.load("run: a\nrun: b\n", UniqueKeys)  # noqa: S506 - a safe loader
+        yaml.load("run: a\nrun: b\n", UniqueKeys)
 
 
 def test_events_machines_and_inputs_are_those_of_github(workflow: dict[Any, Any]) -> None:
@@ -102,7 +102,7 @@ def test_the_wheels_that_one_job_uploads_are_installed_in_the_other(workflow: di
     *_, upload = workflow["jobs"]["wheels"]["steps"]
     download, install = workflow["jobs"]["run"]["steps"][2:4]
     assert upload["with"]["name"] == download["with"]["pattern"].replace("*", "${{ matrix.os }}")
-    assert download["with"]["merge-multiple"] is True, "otherwise each artifact gets a folder of its own"
+    assert download["with"]["merge-multiple"] is True, "otherwise each artifact gets its own folder"
     assert upload["with"]["path"] == f"{download['with']['path']}/"
     assert ["--find-links", download["with"]["path"]] == shlex.split(install["run"].splitlines()[1])[4:6]
 
