@@ -65,7 +65,10 @@ class MapIntake:
     def _give_up(self, sender: bytes, message: Message) -> None:
         if self._unknown.get(sender) is message:
             del self._unknown[sender]
-            self._on_refusal(f"{self.topic}: the publisher of a map has left, or is not in the hub's graph")
+            self._on_refusal(
+                f"{self.topic}: a map was not imported, as its publisher has left, or is not in the hub's graph;"
+                " keep its publisher running"
+            )
 
     def _schedule(self, message: Message) -> None:
         self._waiting = message

@@ -32,8 +32,8 @@ pytestmark = [pytest.mark.long, pytest.mark.alone, pytest.mark.timeout(300)]
 YARP_PEER = ROOT / "tests" / "peers" / "yarp" / "peer.py"
 STRING, TF = "std_msgs/String", "tf2_msgs/TFMessage"
 NODES, PUBLISHED, SUBSCRIBED = 13, 8, 7
-JOIN, SLOWER = 2.0, 2.0
-"""Seconds within which all endpoints are created; on a slower machine, twice as long as YARP programs need there.
+JOIN, SLOWER, LONGEST = 2.0, 2.0, 8.0
+"""Seconds within which all endpoints are created; on a slower machine, twice as long as YARP programs need, up to 8 s.
 
 YARP programs on a network without Midspan create the same number of endpoints just before, see
 `seconds_without_midspan`.
@@ -200,7 +200,7 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
         burst.check()
         transforms.until_arriving(time.monotonic())
         across, beside = transforms.pauses(burst.begun)
-        assert burst.seconds < max(burst.limit, SLOWER * alone)
+        assert burst.seconds < max(burst.limit, min(SLOWER * alone, LONGEST))
         assert across < PAUSE / burst.share.least() + beside
     finally:
         deployment.stop_programs()

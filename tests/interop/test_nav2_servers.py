@@ -154,7 +154,7 @@ def test_a_patrol_passes_its_places_without_stops_until_it_is_stopped(rig: Nav2R
         assert page.call("patrol", places=["a", "b"], wait=0)["ok"]
         page.value("patrol", lambda value: (value["state"], value["round"], value["at"]) == ("drives", 2, 1))
         assert rig.goals("navigate_through_poses")[before:] == [{"x": [1.0, 2.0] * 10}]
-        until(lambda: rig.base.moves, "the base moves")
+        until(lambda: rig.base.moves, "the base moves", 5.0)
         assert page.call("stop")["ok"]
         assert not rig.base.moves, "the stop was confirmed"
         assert "stopped" in page.value("patrol", lambda value: value["state"] == "ended")["why"]

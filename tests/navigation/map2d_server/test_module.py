@@ -5,11 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,85 +14,23 @@ from bridge.cli.main import main
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED
-from bridge.stores.kinds import AREA, BEHAVIOR, KINDS, LOCATION, MAP, MAP3D
-from bridge.stores.store import Store
+from bridge.stores.kinds import AREA, BEHAVIOR, LOCATION, MAP, MAP3D
 from navigation.map2d_server.publishers import topic_of
 from navigation.maps.grid import from_grid
-from tests.contract.hubside import HubSide
+from tests.navigation.map2d_server.served import GRID, Served, six_flags
 from tests.navigation.maps.test_maps import flags_from
-from tests.peers.hub.modules import Place
 from tests.support.wait import until
 from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
-from yarp_compat.dev.map2d_client import Map2DClient
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.returnvalue import CallFailed
-from yarp_compat.naming import connections
-from yarp_compat.naming.server import NameServer
 from yarp_compat.octomap import Octomap
 from yarp_compat.octree import OcTree
 from yarp_compat.pythonic import Client
 from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 from yarp_compat.sig.vec2d import Vec2D
 
-GRID, INFO, MARKERS = "nav_msgs/OccupancyGrid", "nav2_msgs/CostmapFilterInfo", "visualization_msgs/MarkerArray"
-MINE = {"enabled": True, "take": [{"topic": "/map", "name": "taken", "period": 0.0}], "clicked_point": "point"}
-
-
-class Served(Place):
-    """A running map server, and a YARP client of the server."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
-        self.yarp = NameServer(port=self.port, gc_seconds=0)
-        self.yarp.open()
-        self.worker.start(self.config(modules={"map2d_server": MINE}))
-        until(lambda: connections.exists(self.names, "/mapServer/rpc"), "the ports are registered", 30)
-        until(lambda: connections.exists(self.names, "/map2D_server/command"), "all ports are registered", 30)
-
-    @property
-    def store(self) -> Store:
-        """The module's store; the module runs in this process."""
-        return self.worker.store
-
-    def fresh(self) -> None:
-        """Empty the store, and wait until the module has no current map."""
-        for kind in KINDS.values():
-            self.store.clear(kind)
-        until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "no map is current", 20)
-
-    def client(self, port: str = "/map2D_nws_yarp/rpc") -> Map2DClient:
-        return Map2DClient(port, naming=self.names, timeout=20)
-
-    def latest(self, topic: str, type_: str) -> Any:
-        """Subscribe to a latched topic; return a function that returns the newest message."""
-        subscription = self.far.subscribe(topic, type_, latched=True, depth=1)
-
-        def newest() -> dict[str, Any] | None:
-            return next(reversed(self.far.wait(subscription, 0, 0)), None)
-
-        return newest
-
-    def close(self) -> None:
-        super().close()
-        self.yarp.close()
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with Served(tmp_path_factory.mktemp("served")) as served:
-        yield served
-
-
-@pytest.fixture
-def served(running: Served) -> Served:
-    running.fresh()
-    return running
-
-
-def six_flags(name: str = "office", seed: int = 1) -> MapGrid2D:
-    flags = np.random.default_rng(seed).integers(0, 6, (12, 17), np.uint8)
-    return MapGrid2D.of(flags, name=name, resolution=0.5, origin=(-1.0, -2.0, 0.0))
+INFO, MARKERS = "nav2_msgs/CostmapFilterInfo", "visualization_msgs/MarkerArray"
 
 
 def test_a_yarp_clients_map_is_served_with_all_six_flags(served: Served) -> None:
@@ -274,121 +208,6 @@ def test_the_publisher_of_a_bridged_map_is_named_by_its_side(served: Served) -> 
     until(lambda: "published by" not in text(), "the health text no longer names a publisher", 20)
 
 
-def test_another_programs_map_is_imported_and_not_republished(served: Served) -> None:
-    theirs = six_flags("taken")
-    theirs.flags[theirs.flags == MapFlag.KEEP_OUT] = MapFlag.FREE
-    served.store.put(MAP, "other", six_flags("other"))
-    served.store.use_map("other")
-    served.far.until_published("/map")
-    mine = {"header": {"frame_id": "map"}, "info": message_info(theirs), "data": data(theirs)}
-    out = served.far.advertise("/map", GRID, latched=True, depth=1)
-    try:
-        served.far.publish(out, mine)
-        until(lambda: served.store.get(MAP, "taken"), "the map is in the store", 20)
-        until(lambda: served.store.current_map() == "taken", "the map is current", 20)
-        served.far.until_unpublished("/map")
-        stored = served.store.get(MAP, "taken")
-        assert stored is not None
-        assert np.array_equal(stored.occupancy, theirs.occupancy)
-        until(
-            lambda: "published by /far" in str((served.status("map2d_server") or {}).get("text")),
-            "the status names the publisher",
-            20,
-        )
-        # painted cells are kept when the mapper publishes again
-        stored.flags[0, 0] = MapFlag.KEEP_OUT
-        served.store.put(MAP, "taken", stored)
-        theirs.occupancy[5, 5] = 100 - theirs.occupancy[5, 5] % 101
-        served.far.publish(out, mine | {"data": data(theirs)})
-
-        def updated() -> bool:
-            now = served.store.get(MAP, "taken")
-            return now is not None and bool(now.occupancy[5, 5] == theirs.occupancy[5, 5])
-
-        until(updated, "the next map is imported", 20)
-        now = served.store.get(MAP, "taken")
-        assert now is not None
-        assert now.flags[0, 0] == MapFlag.KEEP_OUT
-    finally:
-        served.far.drop(out)
-    served.far.until_published("/map")
-
-
-@contextmanager
-def twin_of(served: Served) -> Iterator[Callable[[], None]]:
-    """Run another Map2DServer; yield a function that publishes its map, and returns when the module has received it."""
-    with Hub.open(replace(served.hubs.settings("far"), node="map2d_server")) as hub:
-        twin = HubSide(hub, served.far.registry)
-        current = twin.subscribe("/map", GRID, latched=True, depth=1)
-        twin.wait(current, 1, 20)
-        out = twin.advertise("/map", GRID, latched=True, depth=1)
-        theirs = six_flags("theirs", seed=3)
-
-        def publish() -> None:
-            counters = intake(served)._end.counters
-            before = counters.messages
-            twin.publish(out, {"header": {"frame_id": "map"}, "info": message_info(theirs), "data": data(theirs)})
-            until(lambda: counters.messages > before, "the message is received", 20)
-
-        yield publish
-
-
-@pytest.fixture
-def other(served: Served) -> Served:
-    """Make ``other`` the current map."""
-    served.store.put(MAP, "other", six_flags("other"))
-    served.store.use_map("other")
-    served.far.until_published("/map")
-    return served
-
-
-def check_not_imported(served: Served) -> None:
-    def handled() -> bool:
-        return bool(served.worker.running("map2d_server").host.loop.call(settled, 20))
-
-    def settled() -> bool:
-        return not intake(served)._unknown and not intake(served)._due
-
-    until(handled, "the messages are handled", 20)
-    assert served.store.get(MAP, "taken") is None
-    assert served.store.current_map() == "other"
-
-
-def test_a_map_of_another_map2d_server_is_not_imported(other: Served) -> None:
-    with twin_of(other) as publish:
-        publish()
-        publish()
-        other.far.until_published("/map", 2)
-        check_not_imported(other)
-
-
-def test_the_map_of_a_map2d_server_that_leaves_at_once_is_not_imported(other: Served) -> None:
-    with twin_of(other) as publish:
-        publish()
-    until(lambda: len(other.far.publishers("/map")) == 1, "the other server has left", 20)
-    check_not_imported(other)
-
-
-def test_a_map_waits_until_the_graph_shows_its_publisher(other: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    graph = intake(other)._host.node.hub.graph
-    tokens: list[str] = []
-    put_token = graph._put_token
-    monkeypatch.setattr(graph, "_put_token", lambda key: bool(tokens.append(key)))
-    with twin_of(other) as publish:
-        publish()
-        with pytest.raises(AssertionError, match="not within"):
-            until(lambda: other.store.get(MAP, "taken"), "the map is in the store", 0.6)
-        monkeypatch.undo()
-        for key in tokens:
-            graph._notify(put_token(key))
-        check_not_imported(other)
-
-
-def intake(served: Served) -> Any:
-    module: Any = served.worker.running("map2d_server").module
-    return module._intakes[0]
-
-
 def test_explain_shows_the_protocol_of_a_client(
     served: Served, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -400,16 +219,6 @@ def test_explain_shows_the_protocol_of_a_client(
     output = capsys.readouterr().out
     assert "its calls are answered as YARP 3.12 does (it asked for the protocol's version in YARP 3's format" in output
     assert "has no decision on it" not in output
-
-
-def message_info(grid: MapGrid2D) -> dict[str, Any]:
-    x, y, _ = grid.getOrigin()
-    return {"resolution": grid.resolution, "width": grid.width(), "height": grid.height(),
-            "origin": {"position": {"x": x, "y": y}, "orientation": {"w": 1.0}}}  # fmt: skip
-
-
-def data(grid: MapGrid2D) -> list[int]:
-    return [int(value) if value <= 100 else -1 for value in grid.occupancy[::-1].reshape(-1)]
 
 
 def test_areas_and_places_are_published(served: Served) -> None:
