@@ -196,7 +196,7 @@ def _of_family(name: str) -> Any:
 
 @cache
 def _family_class(name: str) -> Any:
-    """Return the class of a family for one kind of data, made once; None for another name."""
+    """Return the class of a family for one kind of data, created at first use; None if the name is of no family."""
     common = {"__module__": "yarp_compat"}  # the module for pickle
     for family in _FAMILIES:
         if name.startswith(family) and _is_data(data := name.removeprefix(family)):

@@ -23,8 +23,8 @@ _SKIPPED = {"__pycache__", "node_modules", "site-packages"}
 
 
 @dataclass
-class Absent:
-    """A missing name, the reason, and the lines that use it."""
+class MissingName:
+    """A name that this package lacks, the reason, and the lines that use it."""
 
     name: str
     reason: str
@@ -32,41 +32,41 @@ class Absent:
 
 
 @dataclass
-class Checked:
-    """The result for a script: whether it imports YARP, how many of YARP's names it uses, and which are missing."""
+class ScriptReport:
+    """The result of checking a script: whether it imports YARP, how many YARP names it uses, and which are missing."""
 
     path: Path
     imports_yarp: bool
     count: int = 0
-    absent: list[Absent] = field(default_factory=list)
+    missing: list[MissingName] = field(default_factory=list)
 
     @override
     def __str__(self) -> str:
         if not self.imports_yarp:
             return f"{self.path}: it does not import yarp"
-        lines = [f"{self.path}: {_counted(self.count, 'name')} of YARP, {len(self.absent) or 'none'} missing"]
-        for absent in self.absent:
-            numbers = f"line{'s' * (len(absent.lines) > 1)} {', '.join(map(str, absent.lines))}"
-            lines.append(f"  {absent.name} ({numbers}): {absent.reason}")
+        lines = [f"{self.path}: {_counted(self.count, 'name')} of YARP, {len(self.missing) or 'none'} missing"]
+        for entry in self.missing:
+            numbers = f"line{'s' * (len(entry.lines) > 1)} {', '.join(map(str, entry.lines))}"
+            lines.append(f"  {entry.name} ({numbers}): {entry.reason}")
         return "\n".join(lines)
 
 
-def check(path: Path) -> Checked:
-    """Check a script; raises `ScriptError` if the file cannot be read as one."""
+def check(path: Path) -> ScriptReport:
+    """Check a script; raises `ScriptError` if the file is not a readable Python script."""
     names = read(path)
-    absent: dict[str, Absent] = {}
+    missing: dict[str, MissingName] = {}
     for use in names.uses:
         shown, reason = _device(use.name) if use.is_device else lacking(use.name)
         if reason:
-            entry = absent.setdefault(shown, Absent(shown, reason))
+            entry = missing.setdefault(shown, MissingName(shown, reason))
             entry.lines += [use.line] * (use.line not in entry.lines)
-    return Checked(path, names.imports_yarp, len({use.name for use in names.uses}), list(absent.values()))
+    return ScriptReport(path, names.imports_yarp, len({use.name for use in names.uses}), list(missing.values()))
 
 
 def lacking(name: str) -> tuple[str, str]:
-    """Return the missing part of a name (``Bottle``) or method (``Bottle.get``) and the reason; both are "" if none is.
+    """Return what is missing of a class (``Bottle``) or method (``Bottle.get``), and the reason; both "" if nothing is.
 
-    If the class of a method is missing, that is the missing part.
+    For a method of a missing class, the class is what is missing.
     """
     owner, _, method = name.partition(".")
     try:
@@ -97,29 +97,29 @@ def main(arguments: Sequence[str]) -> int:
     if not arguments or any(argument.startswith("-") for argument in arguments):
         sys.stderr.write(f"{USAGE}\n")
         return 1
-    checked: list[Checked] = []
+    reports: list[ScriptReport] = []
     failures = 0
     for argument in arguments:
         try:
             for path in paths([argument]):
-                failures += not _checked(path, checked)
+                failures += not _check_file(path, reports)
         except ScriptError as error:
             sys.stderr.write(f"{error}\n")
             failures += 1
     named = {Path(argument) for argument in arguments}
-    for script in checked:
+    for script in reports:
         if script.imports_yarp or script.path in named:
             sys.stdout.write(f"{script}\n")
-    scripts = [script for script in checked if script.imports_yarp]
-    complete = sum(not script.absent for script in scripts)
+    scripts = [script for script in reports if script.imports_yarp]
+    complete = sum(not script.missing for script in scripts)
     sys.stdout.write(f"{_counted(len(scripts), 'script')} for YARP, {complete} with every name\n")
     return int(bool(failures) or complete < len(scripts))
 
 
-def _checked(path: Path, into: list[Checked]) -> bool:
-    """Check one file, and add the result; return whether it could be read."""
+def _check_file(path: Path, reports: list[ScriptReport]) -> bool:
+    """Check one file, and add its report to ``reports``; return whether it could be read."""
     try:
-        into.append(check(path))
+        reports.append(check(path))
     except ScriptError as error:
         sys.stderr.write(f"{error}\n")
         return False
@@ -127,7 +127,7 @@ def _checked(path: Path, into: list[Checked]) -> bool:
 
 
 def _device(name: str) -> tuple[str, str]:
-    """Return a missing device and the reason; empty texts if it exists."""
+    """Return ``device NAME`` and the reason if this package lacks a device, else two empty texts."""
     try:
         registry.factory(name)
     except registry.DeviceError as error:

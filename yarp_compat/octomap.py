@@ -36,7 +36,7 @@ class Octomap(Generated):
     TYPE: ClassVar[str] = "midspan/octomap"
 
     id: str = "OcTree"  #: the class of OctoMap
-    binary: bool = True  #: the stream has the format of ``.bt`` (only free or occupied), else of ``.ot``
+    binary: bool = True  #: whether the stream has the format of ``.bt`` (only free or occupied) instead of ``.ot``
     resolution: float = 0.1  #: edge of the finest cells, meters
     frame: str = ""
     data: bytes = b""

@@ -106,7 +106,7 @@ class OcTree:
         """Decode a binary stream; raises `OctreeError`. Bytes after the tree are ignored."""
         check_resolution(resolution)
         pairs = _binary_children(data)
-        codes, depths = _places(pairs == 3, DEPTH - 1)  # leaves are one level below
+        codes, depths = _locate(pairs == 3, DEPTH - 1)  # of inner nodes; leaves are one level below them
         rows, children = np.nonzero((pairs == 1) | (pairs == 2))
         levels = depths[rows] + 1
         leaves = codes[rows] + (children.astype(_CODES) << _shifts(levels))
@@ -119,7 +119,7 @@ class OcTree:
         """Decode a full stream of one of ``KINDS``; raises `OctreeError`. Values of inner nodes are dropped."""
         check_resolution(resolution)
         nodes, masks = _full_nodes(data, kind)
-        codes, depths = _places(np.unpackbits(masks[:, None], axis=1, bitorder="little").view(bool), DEPTH)
+        codes, depths = _locate(np.unpackbits(masks[:, None], axis=1, bitorder="little").view(bool), DEPTH)
         leaves = masks == 0
         rows = nodes[leaves]
         values = rows[:, :4].copy().view("<f4").reshape(-1)
@@ -347,7 +347,7 @@ def _tree_size(children: NDArray[np.int8], size: int) -> int:
     return end + 1
 
 
-def _places(inner: NDArray[np.bool_], deepest: int) -> tuple[NDArray[np.uint64], NDArray[np.uint8]]:
+def _locate(inner: NDArray[np.bool_], deepest: int) -> tuple[NDArray[np.uint64], NDArray[np.uint8]]:
     """Return the code and depth of each node of a stream, from the children (N, 8) of each node in the stream.
 
     Let S of a node be the number of nodes after it that the nodes before it have announced. A child after m siblings is

@@ -84,7 +84,7 @@ def test_missing_names_are_listed_with_their_lines(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     checked = check.check(script)
-    assert {absent.name: absent.lines for absent in checked.absent} == {
+    assert {entry.name: entry.lines for entry in checked.missing} == {
         "IGazeControl": [2, 8],
         "device gazecontrollerclient": [5],
         "Port.openFakely": [21],
@@ -104,7 +104,7 @@ def test_no_name_is_missing_in_the_scripts_that_run() -> None:
     for path in SCRIPTS.glob("*.py"):
         checked = check.check(path)
         assert checked.imports_yarp
-        assert not checked.absent, str(checked)
+        assert not checked.missing, str(checked)
 
 
 @pytest.mark.parametrize(

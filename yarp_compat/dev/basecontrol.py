@@ -24,7 +24,7 @@ from yarp_compat.dev.service import Service, rpc
 
 @dataclass
 class OdometryData(Generated):
-    """A base's pose in the odometry frame, and its velocity in its own frame and in that: meters, degrees, seconds."""
+    """A base's pose in the odometry frame, and its velocity in the base's and the odometry frame: m, deg, s."""
 
     odom_x: float = 0.0
     odom_y: float = 0.0
@@ -52,7 +52,7 @@ DEFAULT_TIMEOUT = 0.1
 
 @rpc
 class INavigation2DVelocityActionsMsgs(Service):
-    """The methods of a mobile base's port: m/s, m/s, deg/s, and the validity of a command in seconds."""
+    """The methods of a mobile base's port: m/s, deg/s; ``timeout`` is a command's validity in seconds."""
 
     def applyVelocityCommandRPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue: ...
     def getLastVelocityCommandRPC(self) -> tuple[ReturnValue, float, float, float]: ...
@@ -100,8 +100,8 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
 class Odometry2DClient(StreamingClient[IOdometry2DMsgs, OdometryData]):
     """A client that receives and resets odometry, like YARP's ``odometry2D_nwc_yarp`` (`IOdometry2D`).
 
-    ``server`` is the prefix of the server's ports (``/baseControl/odometry``), ``name`` that of the client's ports;
-    ``carrier`` is for the stream. For the other arguments, see `ServiceClient`.
+    ``server`` is the prefix of the server's ports (``/baseControl/odometry``), ``name`` the prefix of the
+    client's ports; ``carrier`` is the stream's carrier. For the other arguments, see `ServiceClient`.
     """
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:

@@ -87,7 +87,7 @@ class IBattery:
         """Return the newest message; None before the first."""
         raise NotImplementedError
 
-    def described(self) -> tuple[ReturnValue, str]:
+    def description(self) -> tuple[ReturnValue, str]:
         """Return the outcome and the description of the battery."""
         raise NotImplementedError
 
@@ -113,7 +113,7 @@ class IBattery:
 
     def getBatteryInfo(self, battery_info: MutableSequence[str] | None = None) -> Any:
         """Return the description of the battery."""
-        return deliver(*self.described(), battery_info)
+        return deliver(*self.description(), battery_info)
 
     def _value(self, name: str, into: Any) -> Any:
         data = self.newest()
@@ -126,8 +126,8 @@ class IBattery:
 class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
     """A client that receives a battery's state, like YARP's ``battery_nwc_yarp``.
 
-    ``server`` is the prefix of the server's ports (``/robot/battery``), ``name`` that of the client's ports;
-    ``carrier`` is for the stream. For the other arguments, see `ServiceClient`.
+    ``server`` is the prefix of the server's ports (``/robot/battery``), ``name`` the prefix of the client's
+    ports; ``carrier`` is the stream's carrier. For the other arguments, see `ServiceClient`.
     """
 
     def __init__(self, server: str, name: str = "", carrier: str = "", **options: Unpack[ClientOptions]) -> None:
@@ -142,7 +142,7 @@ class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
         return None if last is None else last[0]
 
     @override
-    def described(self) -> tuple[ReturnValue, str]:
+    def description(self) -> tuple[ReturnValue, str]:
         if self.version is not None:
             outcome, *info = results_of(self.remote.getBatteryInfoRPC)
             return outcome, info[0] if outcome else ""
@@ -152,8 +152,8 @@ class BatteryClient(StreamingClient[_BatteryCalls, BatteryData], IBattery):
             return UNREACHED, ""
 
     @override
-    def _meant(self, received: tuple[BatteryData, float] | None) -> tuple[BatteryData, float] | None:
-        """Reorder the numbers of servers before 3.12: voltage, current, charge."""
+    def _converted(self, received: tuple[BatteryData, float] | None) -> tuple[BatteryData, float] | None:
+        """Reorder the numbers of servers before 3.12, which send voltage, current, charge."""
         if received is None or self.version is not None:
             return received
         old, stamp = received  # its fields hold the old order's numbers

@@ -57,7 +57,7 @@ class PortChannel:
         self._generation, self._is_fixed = generation, True
 
     def request(self, payload: bytes, parse: Callable[[Buffer], int]) -> Buffer:
-        """Send a request and return the reply; raises `TimeoutError`, or `ConnectionError` without a server."""
+        """Send a request and return the reply; raises `TimeoutError`, or `ConnectionError` if not connected."""
         if self._connect is not None and self._port.is_open and not self._port.connections.outputs:
             try:
                 self._connect()
@@ -118,7 +118,7 @@ class Stream(Openable, Generic[T]):
 
 
 class ClientOptions(TypedDict, total=False):
-    """``timeout``: the seconds for a reply (None: no limit; default `PATIENCE`); ``naming`` (default ``yarp.conf``)."""
+    """``timeout`` in seconds for a reply (None: no limit; default `PATIENCE`); ``naming`` (default ``yarp.conf``)."""
 
     timeout: float | None
     naming: Naming | None
@@ -160,15 +160,15 @@ class ServiceClient(Client, Generic[S]):
 class StreamingClient(ServiceClient[S], Generic[S, T]):
     """A client of a server that also streams one ``kind`` of data.
 
-    ``source`` is the streaming port, ``mine`` the client's own port for the stream; ``carrier`` is for the stream.
+    ``source`` is the streaming port, ``reader`` the client's port that receives the stream over ``carrier``.
     """
 
     def __init__(
-        self, interface: type[S], server: str, name: str, source: str, kind: type[T], mine: str, carrier: str,
+        self, interface: type[S], server: str, name: str, source: str, kind: type[T], reader: str, carrier: str,
         **options: Unpack[ClientOptions],
     ) -> None:  # fmt: skip
         super().__init__(interface, server, name, **options)
-        self._stream = Stream(source, kind, mine, carrier, naming=options.get("naming"))
+        self._stream = Stream(source, kind, reader, carrier, naming=options.get("naming"))
         self._last: tuple[T, float] | None = None
 
     @override
@@ -187,16 +187,16 @@ class StreamingClient(ServiceClient[S], Generic[S, T]):
 
     def read(self) -> tuple[T, float] | None:
         """Wait for the next data and its time stamp in seconds; None once the stream is closed."""
-        received = self._meant(self._stream.read())
+        received = self._converted(self._stream.read())
         self._last = received or self._last
         return received
 
     def last(self) -> tuple[T, float] | None:
         """Return the newest data (skipping other types) and its time stamp in seconds; None before the first."""
         with contextlib.suppress(WireError):
-            self._last = self._meant(self._stream.read_now()) or self._last
+            self._last = self._converted(self._stream.read_now()) or self._last
         return self._last
 
-    def _meant(self, received: tuple[T, float] | None) -> tuple[T, float] | None:
-        """Convert data of an older release's server."""
+    def _converted(self, received: tuple[T, float] | None) -> tuple[T, float] | None:
+        """Convert data that a server of an older release has sent; by default return it unchanged."""
         return received

@@ -79,8 +79,8 @@ def _points(places: Places) -> Iterable[dict[str, Any]]:
 def _areas(places: Places, behaviors: Mapping[str, AreaBehavior]) -> Iterable[dict[str, Any]]:
     for name, area in sorted(places.areas.items()):
         corners = [[point.x, point.y] for point in area.points]
-        turns = sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, [*corners[1:], *corners[:1]], strict=True))
-        ring = corners if turns >= 0 else corners[::-1]  # RFC 7946: an outer ring goes counterclockwise
+        area2 = sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, [*corners[1:], *corners[:1]], strict=True))
+        ring = corners if area2 >= 0 else corners[::-1]  # RFC 7946: an outer ring goes counterclockwise
         rules = behaviors.get(name, AreaBehavior())
         yield _feature(
             "area", name, area.map_id, "Polygon", [[*ring, *ring[:1]]] if ring else [],

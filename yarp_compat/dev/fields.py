@@ -30,8 +30,8 @@ from yarp_compat.wire.text import to_text
 class FieldCodec(ABC):
     """The codec of an argument, a result or a structure's field; ``name`` is its type in help texts.
 
-    ``default`` makes the initial value of C++; ``tag`` returns the tag that the elements of a list of such values share
-    in a profile, 0 if each element has its own.
+    ``default`` returns C++'s initial value; ``tag`` returns the tag that all elements of a list of this type share in a
+    profile, or 0 if each element has its own tag.
     """
 
     def __init__(self, name: str, default: Callable[[], Any], tag: Callable[[Profile], int] = lambda _: 0) -> None:
@@ -39,7 +39,7 @@ class FieldCodec(ABC):
 
     @abstractmethod
     def write(self, out: ElementWriter, value: Any, *, tagged: bool = True) -> None:
-        """Write a value; with ``tagged=False``, without its tag, which the list's header has."""
+        """Write a value; ``tagged=False`` omits its tag, because the header of the list has it."""
 
     @abstractmethod
     def read(self, source: ElementReader) -> Any:
@@ -137,7 +137,7 @@ class Choice(FieldCodec):
     @override
     def read(self, source: ElementReader) -> IntEnum:
         value: Any = source.word() if self._is_text else source.integer()
-        if value == "":  # the vocab 0, C++'s initial value: sent with an outcome that is not ok
+        if value == "":  # the vocab 0, C++'s initial value, which servers send with a failed outcome
             return next(iter(self._kind))
         try:
             return self._kind(value)
@@ -249,7 +249,7 @@ class Structure(Portable):
 
 
 class Generated(Structure):
-    """A structure whose C++ class is generated, so that its text form is a Bottle's; others have their own form."""
+    """A structure whose C++ class YARP generates; as there, `toString` returns the text of a Bottle."""
 
     def toString(self) -> str:
         """Return the fields as the text of a Bottle."""

@@ -1,7 +1,7 @@
 """A camera: its images, and its controls (`frameGrabberMsgs.thrift`, `IFrameGrabberControls.h`).
 
 Ports (`frameGrabber_nws_yarp`): the stream of images ``<name>``, and ``<name>/rpc``. Servers before 4.0 use vocabs: the
-reply to ``[fgc] [get] [feat] 16`` is ``[fgc] [feat] [is] 0.5``; that to ``[fgc] [has] [feat] 16`` is ``[fgc] [has]
+reply to ``[fgc] [get] [feat] 16`` is ``[fgc] [feat] [is] 0.5``; the reply to ``[fgc] [has] [feat] 16`` is ``[fgc] [has]
 [feat]``, a number, and 1.
 """
 
@@ -89,15 +89,15 @@ class IFrameGrabberControls:
     """A camera's controls under YARP's names; a value that is not reported is 0, False or ``MODE_UNKNOWN``."""
 
     def request(self, method: str, vocabs: tuple[str, str], *arguments: float) -> tuple[Any, ...]:
-        """Return the outcome and results of a method of 4.0, or of an action and its object in the older vocabs."""
+        """Call a method of 4.0, or in older servers an action and its object (vocabs); return outcome and results."""
         raise NotImplementedError
 
     def getCameraDescription(self, camera: CameraDescriptor) -> ReturnValue:
         """Fill in the camera's bus and name."""
         outcome, *results = self.request("getCameraDescriptionRPC", ("get", "camd"))
         if outcome:
-            many = len(results) > 1  # before 4.0
-            fill(camera, CameraDescriptor(BusType(int(results[0])), str(results[1])) if many else results[0])
+            separate = len(results) > 1  # before 4.0, instead of one structure
+            fill(camera, CameraDescriptor(BusType(int(results[0])), str(results[1])) if separate else results[0])
         return ReturnValue(outcome.code)
 
     def busType2String(self, type: BusType) -> str:  # noqa: A002 - YARP's name
@@ -110,31 +110,31 @@ class IFrameGrabberControls:
 
     def hasFeature(self, feature: int) -> bool:
         """Whether the camera has a feature."""
-        return self._truth("hasFeatureRPC", ("has", "feat"), feature)
+        return self._ask_bool("hasFeatureRPC", ("has", "feat"), feature)
 
     def hasOnOff(self, feature: int) -> bool:
         """Whether a feature can be switched off."""
-        return self._truth("hasOnOffRPC", ("has", "onof"), feature)
+        return self._ask_bool("hasOnOffRPC", ("has", "onof"), feature)
 
     def hasAuto(self, feature: int) -> bool:
         """Whether the camera can set a feature automatically."""
-        return self._truth("hasAutoRPC", ("has", "auto"), feature)
+        return self._ask_bool("hasAutoRPC", ("has", "auto"), feature)
 
     def hasManual(self, feature: int) -> bool:
         """Whether a feature can be set manually."""
-        return self._truth("hasManualRPC", ("has", "man"), feature)
+        return self._ask_bool("hasManualRPC", ("has", "man"), feature)
 
     def hasOnePush(self, feature: int) -> bool:
         """Whether the camera can set a feature once, on request."""
-        return self._truth("hasOnePushRPC", ("has", "onep"), feature)
+        return self._ask_bool("hasOnePushRPC", ("has", "onep"), feature)
 
     def getActive(self, feature: int) -> bool:
         """Whether a feature is switched on."""
-        return self._truth("getActiveRPC", ("get", "actv"), feature)
+        return self._ask_bool("getActiveRPC", ("get", "actv"), feature)
 
     def setActive(self, feature: int, onoff: bool) -> ReturnValue:
         """Switch a feature on or off."""
-        return self._done("setActiveRPC", ("set", "actv"), feature, onoff)
+        return self._command("setActiveRPC", ("set", "actv"), feature, onoff)
 
     def getFeature(
         self, feature: int, value1: MutableSequence[float] | None = None, value2: MutableSequence[float] | None = None
@@ -151,8 +151,8 @@ class IFrameGrabberControls:
     def setFeature(self, feature: int, value: float, value2: float | None = None) -> ReturnValue:
         """Set a feature's value, or its two values."""
         if value2 is None:
-            return self._done("setFeature1RPC", ("set", "feat"), feature, float(value))
-        return self._done("setFeature2RPC", ("set", "fea2"), feature, float(value), float(value2))
+            return self._command("setFeature1RPC", ("set", "feat"), feature, float(value))
+        return self._command("setFeature2RPC", ("set", "fea2"), feature, float(value), float(value2))
 
     def getMode(self, feature: int) -> FeatureMode:
         """Return how a feature is set."""
@@ -161,17 +161,17 @@ class IFrameGrabberControls:
 
     def setMode(self, feature: int, mode: FeatureMode) -> ReturnValue:
         """Select how a feature is set."""
-        return self._done("setModeRPC", ("set", "mode"), feature, FeatureMode(mode))
+        return self._command("setModeRPC", ("set", "mode"), feature, FeatureMode(mode))
 
     def setOnePush(self, feature: int) -> ReturnValue:
         """Let the camera set a feature once."""
-        return self._done("setOnePushRPC", ("set", "onep"), feature)
+        return self._command("setOnePushRPC", ("set", "onep"), feature)
 
-    def _truth(self, method: str, vocabs: tuple[str, str], feature: int) -> bool:
+    def _ask_bool(self, method: str, vocabs: tuple[str, str], feature: int) -> bool:
         outcome, *results = self.request(method, vocabs, int(feature))
         return bool(outcome and results[0])
 
-    def _done(self, method: str, vocabs: tuple[str, str], feature: int, *values: float) -> ReturnValue:
+    def _command(self, method: str, vocabs: tuple[str, str], feature: int, *values: float) -> ReturnValue:
         return ReturnValue(self.request(method, vocabs, int(feature), *values)[0].code)
 
 

@@ -27,7 +27,7 @@ _TAIL = struct.Struct("<id ib" + " id" * 7)
 
 @dataclass
 class FrameTransform(Structure):
-    """The pose of the frame ``dst_frame_id`` in ``src_frame_id``: meters, seconds; a static one does not expire."""
+    """The pose of the frame ``dst_frame_id`` in ``src_frame_id``: meters, seconds; a static pose does not expire."""
 
     TYPE = "yarp/frameTransform"
     src_frame_id: str = ""
@@ -55,7 +55,7 @@ class FrameTransform(Structure):
                 double, self.qX, double, self.qY, double, self.qZ, double, self.qW,
             )  # fmt: skip
         except (struct.error, TypeError, AttributeError, UnicodeEncodeError):
-            super()._write(out)  # which raises the precise error
+            super()._write(out)  # raises an error that names the invalid field
             return
         head = _HEAD.pack(tags.LIST, _FIELDS, tags.STRING, len(parent))
         out.block(b"".join((head, parent, _NEXT.pack(tags.STRING, len(child)), child, tail)))
@@ -101,7 +101,7 @@ STREAM = "/frameTransformGet_nws_yarp/tf:o"
 
 @rpc
 class FrameTransformStorageSetRPC(Service):
-    """Sets transforms: the newest between two frames counts. Deletes in either order; ``*`` matches any frame."""
+    """Sets transforms (the newest between two frames counts), and deletes them in either order; ``*`` is any frame."""
 
     def setTransformsRPC(self, transforms: list[FrameTransform]) -> ReturnValue: ...
     def setTransformRPC(self, transform: FrameTransform) -> ReturnValue: ...

@@ -36,7 +36,7 @@ from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
 
 LIFETIME = 0.2  # seconds after which received transforms expire, except static ones
-_AGAIN = 0.5  # seconds between attempts to reconnect the server's stream
+_RECONNECT_INTERVAL = 0.5  # seconds between attempts to reconnect the server's stream
 _POLL = 0.01  # seconds between requests without a stream
 
 
@@ -46,8 +46,10 @@ class TransformClient(Openable, IFrameTransform):
     The server streams all its transforms; the client decodes a message at the next query. Transforms that are not
     static expire `LIFETIME` after their arrival; only this machine's clock counts. Without ``streaming``, each query
     sends a request to the server.
-    ``server`` is the prefix of the server's ports (``/robot`` for ``/robot/frameTransformServer/...``), ``name`` that
-    of the client's ports; if it is empty, the name server chooses their names. For the options, see `ClientOptions`.
+
+    ``server`` is the prefix of the server's ports (``/robot`` for ``/robot/frameTransformServer/...``), ``name`` the
+    prefix of the client's ports; if it is empty, the name server chooses their names. For the options, see
+    `ClientOptions`.
     """
 
     def __init__(
@@ -77,7 +79,7 @@ class TransformClient(Openable, IFrameTransform):
             self._setter.open()
             self._getter.open()
             if self._input is not None:
-                self._fetched()  # the reply shows the server's release, before it streams
+                self._fetch()  # the reply shows the server's release, before it streams
                 if not self._input.is_open:
                     self._input.open()
                 connections.connect(self._naming, self._streamed, self._input.name)
@@ -130,7 +132,7 @@ class TransformClient(Openable, IFrameTransform):
     def tree(self) -> FrameTree:
         """Return all current frames; without a stream, raises `OSError` or `CallFailed` if the request fails."""
         if self._input is None:
-            return FrameTree(self._fetched())
+            return FrameTree(self._fetch())
         if not self._input.connections.inputs:
             self._reconnect()
         with self._arrival:
@@ -139,7 +141,7 @@ class TransformClient(Openable, IFrameTransform):
                 return self._tree
             arrived_at, payload = newest
             if self._tree_of != arrived_at:
-                self._tree, self._tree_of = FrameTree(self._parsed(payload)), arrived_at
+                self._tree, self._tree_of = FrameTree(self._parse(payload)), arrived_at
             if time.monotonic() - arrived_at > LIFETIME and any(not t.isStatic for t in self._tree.transforms):
                 self._tree = FrameTree(t for t in self._tree.transforms if t.isStatic)
             return self._tree
@@ -170,9 +172,9 @@ class TransformClient(Openable, IFrameTransform):
         """Wait for the next message, or without a stream until the next request is due."""
         left = max(deadline - time.monotonic(), 0.0)
         with self._arrival:
-            self._arrival.wait(min(left, _POLL if self._input is None else _AGAIN))
+            self._arrival.wait(min(left, _POLL if self._input is None else _RECONNECT_INTERVAL))
 
-    def _fetched(self) -> list[FrameTransform]:
+    def _fetch(self) -> list[FrameTransform]:
         outcome, transforms = self._getter.remote.getTransformsRPC()
         _succeeded(outcome)
         return transforms
@@ -183,8 +185,8 @@ class TransformClient(Openable, IFrameTransform):
             self._newest = time.monotonic(), message.payload
             self._arrival.notify_all()
 
-    def _parsed(self, payload: Buffer) -> list[FrameTransform]:
-        """Decode a streamed message of the release that the server's replies showed."""
+    def _parse(self, payload: Buffer) -> list[FrameTransform]:
+        """Decode a streamed message in the format of the YARP release that the server's replies showed."""
         generation = self._getter.generation
         if generation is not Generation.YARP_3_11:
             return tf.AllTransforms.from_bytes(payload).transforms_list
@@ -197,7 +199,7 @@ class TransformClient(Openable, IFrameTransform):
         """Reconnect the stream of a server that has restarted."""
         if self._input is None or time.monotonic() < self._retry_at:
             return
-        self._retry_at = time.monotonic() + _AGAIN
+        self._retry_at = time.monotonic() + _RECONNECT_INTERVAL
         try:
             connections.connect(self._naming, self._streamed, self._input.name)
         except (PortError, OSError):

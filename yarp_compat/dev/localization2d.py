@@ -37,7 +37,8 @@ SHAPE = (3, 3)
 class CovarianceCodec(Nested):
     """A pose's 3x3 covariance; None is sent as zeros, because real clients hang on an empty matrix.
 
-    Reading accepts an empty matrix: servers of YARP 3.12 and 4.0 confuse success and failure, and send one on success.
+    Reading accepts an empty matrix: servers of YARP 3.12 and 4.0 confuse success and failure, and send an
+    empty matrix on success.
     """
 
     def __init__(self) -> None:
@@ -136,7 +137,7 @@ class ILocalization2D:
         return fetch(self._localization.get_estimated_odometry_RPC, into=odom, default=OdometryData())
 
     def setInitialPose(self, loc: Map2DLocation, cov: Matrix | None = None) -> ReturnValue:
-        """Set the robot's pose, and its covariance if given; fail if that is not 3x3."""
+        """Set the robot's pose, and its covariance if given; fail if the covariance is not 3x3."""
         if cov is None:
             return invoke(self._localization.set_initial_pose1_RPC, loc)
         if cov.numpy().shape != (3, 3):

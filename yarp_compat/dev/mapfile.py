@@ -122,7 +122,7 @@ _FORMATS = ("PPM", "PNG", "BMP")
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """Read an image's pixels, with at most one copy; raises `MapFileError`, for a large image before reading pixels.
+    """Read an image's pixels, with at most one copy; raises `MapFileError`; rejects a too large image unread.
 
     Gray images have the shape (height, width), in uint8, or in uint16 with the full range 0 to 65,535; color images
     (height, width, 3 or 4): red, green, blue and opacity in uint8.

@@ -41,11 +41,11 @@ def lookup(cells: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uin
 
 
 def _compare(cells: NDArray[np.uint8], table: NDArray[np.uint8], edges: NDArray[np.intp]) -> NDArray[np.uint8]:
-    """Look up cells by comparisons, in a table with few edges; an edge is the first number of a step."""
+    """Look up cells by comparisons, in a table with few edges (numbers whose entry differs from the previous one)."""
     flat = np.ascontiguousarray(cells).reshape(-1)
     values = np.empty_like(flat)
     room = np.empty(min(_BLOCK, flat.size), np.uint8)
-    falls = not table[-1]  # counted from an end that is 0, if any, so that no base has to be added
+    falls = not table[-1]  # sum up the steps from the last entry if it is 0: no base has to be added then
     compared, base = (np.less, table[-1]) if falls else (np.greater_equal, table[0])
     rises = table[:-1] - table[1:] if falls else table[1:] - table[:-1]
     first, *others = [(np.uint8(edge), rises[edge - 1]) for edge in edges]
@@ -101,7 +101,7 @@ GRAYS = np.array([254 - occupancy * 254 // 100 for occupancy in range(101)] + [_
 OCCUPANCIES = np.round((254 - np.arange(256)) / 2.54).astype(np.int16).astype(np.uint8)
 OCCUPANCIES[GRAYS[:101]] = np.arange(101)
 OCCUPANCIES[[_UNKNOWN_GRAY, 255]] = UNKNOWN
-"""The occupancy of each gray: that of the nearest gray in `GRAYS`, and unknown for 205 and 255."""
+"""The occupancy of each gray: the occupancy of the nearest gray in `GRAYS`; unknown for 205 and 255."""
 
 _NUMBERS = {red | green << 8 | blue << 16: flag for flag, (red, green, blue) in COLORS.items()}
 

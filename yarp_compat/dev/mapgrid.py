@@ -33,7 +33,7 @@ __all__ = ["MAX_CELLS", "UNKNOWN", "MapFlag", "MapGrid2D", "flags_of", "occupanc
 
 log = logging.getLogger(__name__)
 
-_LONGEST_NAME = 254  # bytes: the buffer of YARP's reader
+_LONGEST_NAME = 254  # bytes that fit into the buffer of YARP's reader
 
 
 class MapGrid2D(MapGrid2DInfo, Portable):
@@ -386,7 +386,7 @@ def _cells(data: memoryview, count: int, *, compressed: bool) -> NDArray[np.uint
         except zlib.error as error:
             raise WireError(f"the map's cells cannot be unzipped: {error}") from None
     if len(content) != count:
-        raise WireError(f"a map of {count} cells must not have {len(content)}")
+        raise WireError(f"the map has {count} cells, but its data has {len(content)}")
     return np.frombuffer(content, np.uint8).copy()
 
 

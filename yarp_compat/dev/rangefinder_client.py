@@ -53,7 +53,7 @@ class IRangefinder2D:
         if scan is None:
             return UNREACHED
         fill(data, Vector(scan.scans))
-        _stamped(stamp, timestamp)
+        _store_stamp(stamp, timestamp)
         return OK
 
     def getLaserMeasurement(
@@ -68,7 +68,7 @@ class IRangefinder2D:
         distances = list(scan.scans)
         step = (scan.angle_max - scan.angle_min) / max(len(distances), 1)
         data[:] = [_point(distance, scan.angle_min + i * step) for i, distance in enumerate(distances)]
-        _stamped(stamp, timestamp)
+        _store_stamp(stamp, timestamp)
         return OK
 
     def getDeviceStatus(self, status: MutableSequence[int] | None = None) -> Any:
@@ -170,6 +170,6 @@ def _point(distance: float, degrees: float) -> LaserMeasurementData:
     return point
 
 
-def _stamped(stamp: float, into: MutableSequence[float] | None) -> None:
+def _store_stamp(stamp: float, into: MutableSequence[float] | None) -> None:
     if into is not None:
         into[:] = [stamp]

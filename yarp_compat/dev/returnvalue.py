@@ -152,7 +152,7 @@ OK = ReturnValue(ReturnCode.OK)
 
 
 class CallFailed(Exception):  # noqa: N818 - names the event
-    """Raised by an implementation to reply with a failure, and defaults as other results; the reason is logged."""
+    """Raised by a service's method to reply with a failure and default results; the reason is logged."""
 
     def __init__(self, code: ReturnCode = ReturnCode.METHOD_FAILED, reason: str = "") -> None:
         super().__init__(reason or code.name)

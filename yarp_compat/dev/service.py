@@ -58,7 +58,7 @@ class Service:
         return _calls(cls)  # type: ignore[arg-type]  # a class can be hashed
 
     def introduce(self) -> tuple[int, int, int, int] | None:
-        """Ask for the protocol's version, as clients of 4.0 do; return it and YARP's (None: older than 3.12)."""
+        """Request the versions of the protocol and of YARP, as clients of 4.0 do; return them, None before 3.12."""
         channel = self._require_channel(INTRODUCTION)
         out = ElementWriter(Profile.YARP4)
         out.begin(1)
@@ -217,7 +217,7 @@ class Call:
 
     @property
     def has_outcome(self) -> bool:
-        """Whether its first result is the call's outcome."""
+        """Whether the method's first result is the call's outcome."""
         return bool(self.results) and getattr(self.results[0], "kind", None) is ReturnValue
 
     def request(self, arguments: Sequence[Any], profile: Profile) -> bytes:

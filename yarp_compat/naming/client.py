@@ -1,8 +1,8 @@
 """A client of the YARP name server (Midspan's or yarpserver): one TCP connection per command, as YARP's programs do.
 
 The bytes are those of YARP 3.12.3 (`NameClient.cpp`, `NameserCarrier.cpp`, and captures): ``NAME_SERVER query /p``
-without quotes. The command ends with LF if the whole answer is read, and with CR LF if only its first line is (a Bottle
-has only one).
+without quotes. A command ends with LF if the client reads the whole answer, and with CR LF if it reads only the first
+line, as it does for an answer that is a Bottle.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class NameClient:
 
     @property
     def address(self) -> Address:
-        """The address; raises `NoNameServerError` if no file contains it, `NamingConfigError` if a file is invalid."""
+        """The server's address; raises `NoNameServerError` if no file has it, `NamingConfigError` if one is invalid."""
         address = self._configured_address or self._last_address or config.read(self._namespace)
         if address is None:
             raise NoNameServerError(
@@ -292,7 +292,7 @@ class _Registered:
 
 
 def _is_quoted(value: Any) -> bool:
-    """Whether a value parses differently as `_text` writes it: without its quotes and escapes."""
+    """Whether a value would parse differently without its quotes and escapes, which `_text` omits."""
     text = value_text(value)
     plain = plain_text(value) if isinstance(value, str) else text
     return '"' in text and from_text(plain.replace('"', "")) != [value]

@@ -28,7 +28,7 @@ _LIST, _OUT, _ADD, _DEL, _VER = (Vocab(name) for name in ("list", "out", "add", 
 def connect(
     naming: Naming, source: str, target: str, carrier: str = "", *, timeout: float = text_client.TIMEOUT
 ) -> str:
-    """Connect two ports over ``carrier``, else the one in a name (``udp://r``) or in the reading port's registration.
+    """Connect two ports over ``carrier``; default: that in a name (``udp://r``), or in the reader's registration.
 
     Return the writing port's reply. Raises `PortError` if a port is missing or does not reply within ``timeout``
     seconds per step, or if they cannot connect, and `NoNameServerError`.
@@ -223,7 +223,7 @@ class Connector:
                 _log.info("persistent connection from %s to %s established", wanted.source, wanted.target)
         except NamingError as err:
             return err
-        except Exception as err:  # without this thread, the connector would make fewer connections, or none
+        except Exception as err:  # an error that ended this thread would leave fewer threads, or none
             _log.exception("persistent connection from %s to %s", wanted.source, wanted.target)
             return err
         return None

@@ -111,7 +111,7 @@ class RFModule:
         return bool(self.respond(command, reply)) or self._basic_respond(command, reply)
 
     def runModule(self, rf: ResourceFinder | None = None) -> int:
-        """Configure (given a finder) and run until stopped; return 1 if configuring failed or it ran before, else 0."""
+        """Configure (if given a finder), and run until stopped; return 1 if that failed or the module ran before."""
         if self._ran:
             return 1
         if rf is not None and not self.configure(rf):

@@ -116,8 +116,8 @@ class PortBase(ABC):
         """Add an input connection from a port of the same process."""
 
     @abstractmethod
-    def ended(self, peer: MessagePeer, turned: socket.socket | None = None) -> None:
-        """Remove an input connection; ``turned`` is its socket if the peer asked to reverse the connection."""
+    def ended(self, peer: MessagePeer, reversed_socket: socket.socket | None = None) -> None:
+        """Remove an input connection; ``reversed_socket``: its socket, if the peer asked to reverse it."""
 
     @abstractmethod
     def abandon(self) -> None:

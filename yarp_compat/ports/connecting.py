@@ -237,12 +237,12 @@ class ConnectingPort(PortBase):
         return False, f"Could not find an incoming connection from {name}"
 
     @override
-    def ended(self, peer: MessagePeer, turned: socket.socket | None = None) -> None:
+    def ended(self, peer: MessagePeer, reversed_socket: socket.socket | None = None) -> None:
         self.connections.ended(peer)
-        if turned is not None:
+        if reversed_socket is not None:
             route = ConnectionRoute(self.name, peer.route.source, peer.route.carrier)
             with contextlib.suppress(ConnectionAbortedError):
-                self._add_established(turned, route, peer.carrier, peer.profile)
+                self._add_established(reversed_socket, route, peer.carrier, peer.profile)
 
     def _end_connections(self) -> None:
         """Close all connections and wait until their threads have ended."""

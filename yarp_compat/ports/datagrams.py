@@ -170,7 +170,7 @@ class DatagramOutput:
             self._fail(failed)
             return None
         self.counters.sent += 1
-        return Item([], ours=False, done=True)
+        return Item([], writer_completes=False, done=True)
 
     def finish(self, item: Item, deadline: float | None = None) -> bool:  # noqa: ARG002
         """Return at once: datagrams are not acknowledged."""

@@ -15,7 +15,7 @@ from yarp_compat.wire.contact import PortContact
 PATIENCE = 5.0  # seconds for a port to answer the introduction
 _FAREWELL = 1.0  # seconds for a port to accept a farewell
 _JOINING = 1.0
-"""Seconds for a port to join a multicast group before messages are sent; it misses messages sent earlier."""
+"""Seconds to wait until a port has joined a multicast group; it would miss messages sent earlier."""
 
 
 def dial(contact: PortContact, carrier: Carrier, sender: str, qualifiers: str = "") -> socket.socket:

@@ -29,12 +29,12 @@ class Input:
     """One input connection, whose peer has introduced itself; subclasses handle its bytes.
 
     The messages of one connection are handled in sequence, each after the port's owner is done with the previous one;
-    so a sender that waits for acknowledgments is as slow as the owner. ``already`` has the bytes that followed the
+    so a sender that waits for acknowledgments is as slow as the owner. ``received`` has the bytes that followed the
     introduction; ``greeting`` is the answer to the introduction, if it is still to be sent.
     """
 
     def __init__(
-        self, port: PortBase, sock: socket.socket, opened: Opening, already: bytes, address: tuple[str, int],
+        self, port: PortBase, sock: socket.socket, opened: Opening, received: bytes, address: tuple[str, int],
         greeting: bytes = b"",
     ) -> None:  # fmt: skip
         self.port = port
@@ -45,8 +45,8 @@ class Input:
         self.counters = MessageCounters()
         self.sock = sock
         sock.setblocking(True)
-        self.stream = ByteStream(sock, already, port.limit)
-        self._already = bool(already)
+        self.stream = ByteStream(sock, received, port.limit)
+        self._has_bytes = bool(received)
         self._greeting = greeting
         self._thread: threading.Thread | None = None
         self._ended = threading.Event()
@@ -55,7 +55,7 @@ class Input:
 
     def start(self, loop: PortLoop) -> None:
         """Wait for the first bytes; the connection gets its own thread when they arrive."""
-        if self._already or self._greeting:
+        if self._has_bytes or self._greeting:
             self._begin()
         else:
             loop.call_soon(lambda: self._await(loop))

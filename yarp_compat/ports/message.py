@@ -35,8 +35,8 @@ class PortMessage:
     # closes first
     wants_reply: bool = False
     replied: Payload | None = field(default=None, init=False)
-    is_plain: bool = field(default=False, init=False)  # the reply is sent unchanged on text carriers too
-    slack: int = field(default=0, init=False)  # bytes after the reply's acknowledgment, which asks to skip them
+    is_plain: bool = field(default=False, init=False)  # the reply is sent unchanged, even over text carriers
+    slack: int = field(default=0, init=False)  # bytes after the reply's acknowledgment, which the peer skips
     is_last: bool = field(default=False, init=False)  # the connection ends after the reply
     is_retired: bool = field(default=False, init=False)  # the port no longer waits for a reply from another thread
     _later: threading.Event | None = field(default=None, init=False)

@@ -37,7 +37,7 @@ class Item:
     """A message being sent."""
 
     buffers: list[Buffer]
-    ours: bool  # the writing thread itself completes it
+    writer_completes: bool  # the writing thread completes the message, not the shared thread
     done: bool = False
     dropped: bool = False  # a newer message replaced it, or the queue was full
 

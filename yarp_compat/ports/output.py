@@ -105,7 +105,7 @@ class Output:
 
     def finish(self, item: Item, deadline: float | None = None) -> bool:
         """Wait until a message is sent (and acknowledged); return False if it is late, replaced or lost."""
-        if item is not self._current or not item.ours:
+        if item is not self._current or not item.writer_completes:
             with self._lock:
                 self._wait_for(lambda: item.done or item.dropped or self.closed, deadline)
             return item.done
@@ -128,8 +128,8 @@ class Output:
 
     def detach(self, item: Item) -> None:
         """Let the shared thread complete a message that its writer does not `finish`."""
-        if item is self._current and item.ours:
-            item.ours = False
+        if item is self._current and item.writer_completes:
+            item.writer_completes = False
             self._drive_later()
 
     def _advance(self, item: Item) -> bool:
@@ -177,7 +177,7 @@ class Output:
     def _queue(self, item: Item, strict: bool) -> None:
         """Queue a message; the caller holds the lock."""
         item.copy_bytes()
-        item.ours = False
+        item.writer_completes = False
         self._pending.put(item, strict)
         if self.waiters:
             self._changed.notify_all()  # a thread may wait for a message that was dropped
@@ -250,7 +250,7 @@ class Output:
             if self.closed or not self.socket_side.due:
                 return True
             self._driven = True
-        self._current = Item([], ours=True)
+        self._current = Item([], writer_completes=True)
         return self.finish(self._current, deadline)
 
     def request(self, buffers: list[Buffer], parse: ReplyEnd | None, deadline: float | None) -> bytes:
@@ -269,7 +269,7 @@ class Output:
             if self._driven:
                 raise TimeoutError(f"{self.route.target} is still busy with another message")
             self._driven = True
-        item = self._current = Item(buffers, ours=True)
+        item = self._current = Item(buffers, writer_completes=True)
         try:
             while not self._push(item):
                 self._check_time(deadline)

@@ -259,7 +259,7 @@ class PortCore(ConnectingPort):
             for output in self.connections.outputs:
                 output.check()
             for connection in self.connections.inputs:
-                connection.stream.give_back(_KEPT_FOR)
+                connection.stream.free_unused(_KEPT_FOR)
             shared.call_later(_CHECK_PERIOD, self._check_outputs)
 
     def _on_refused(self, peer: str, error: WireError) -> None:

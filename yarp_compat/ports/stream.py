@@ -21,14 +21,14 @@ _KEYS = {ord(k): k for k in "dDaq"}
 class ByteStream:
     """A connection's incoming bytes; large payloads are writable views of memory that is reused when it is free."""
 
-    def __init__(self, sock: socket.socket, already: bytes = b"", limit: int = framing.DEFAULT_LIMIT) -> None:
+    def __init__(self, sock: socket.socket, received: bytes = b"", limit: int = framing.DEFAULT_LIMIT) -> None:
         self._sock = sock
         self._limit = limit
-        self._buffer = bytearray(max(4096, len(already)))
-        self._buffer[: len(already)] = already
+        self._buffer = bytearray(max(4096, len(received)))
+        self._buffer[: len(received)] = received
         self._view = memoryview(self._buffer)
         self._start = 0
-        self._end = len(already)
+        self._end = len(received)
         self._spare = bytearray()
         self._spared = 0.0
 
@@ -107,7 +107,7 @@ class ByteStream:
         """Bytes of memory reserved for the next large message."""
         return len(self._spare)
 
-    def give_back(self, seconds: float) -> None:
+    def free_unused(self, seconds: float) -> None:
         """Free the reserved memory if no large message arrived for ``seconds``; thread-safe."""
         if self._spare and time.monotonic() - self._spared >= seconds:
             self._spare = bytearray()

@@ -77,7 +77,7 @@ class NameInput(Input):
 
     @override
     def start(self, loop: PortLoop) -> None:
-        if self.port.on_line is not None and self._already and loop.is_own_thread:
+        if self.port.on_line is not None and self._has_bytes and loop.is_own_thread:
             self._serve(loop)
         else:
             super().start(loop)

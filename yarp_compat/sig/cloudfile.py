@@ -1,8 +1,8 @@
 """Point cloud files: PCL's ``.pcd`` and Stanford's ``.ply``, text or binary.
 
 Sources: pointclouds.org, "The PCD (Point Cloud Data) file format" (0.7); Greg Turk's "The PLY Polygon File Format".
-Readers use the fields that one of YARP's point types has, see `yarp_compat.sig.pointcloud`; files are written with all
-fields, binary and little endian.
+Reading keeps the fields of the best matching YARP point type (`yarp_compat.sig.pointcloud`); writing keeps all fields,
+in binary little endian.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 from yarp_compat.wire.errors import WireError
 
-MOST_POINTS = 8_000_000  # maximum points in a file to read
+MAX_POINTS = 8_000_000  # a file with more points is rejected
 MAX_FILE = 512 << 20
-"""Maximum bytes of a file to read."""
+"""Size in bytes of the largest file that is read."""
 
 _MOST_HEAD = 8192
 _MOST_FIELDS = 64
@@ -40,7 +40,7 @@ _PLY_TYPES = {
 
 
 class CloudFileError(WireError):
-    """Raised if a file is not a point cloud; the message names the invalid line of the header, or another reason."""
+    """Raised if a file is not a point cloud; the message names the invalid header line, or gives another reason."""
 
 
 def load_cloud(path: str | Path) -> PointCloud:
@@ -72,15 +72,15 @@ def write_pcd(cloud: PointCloud) -> bytes:
 def write_ply(cloud: PointCloud) -> bytes:
     """Return the cloud as a binary ``.ply`` file."""
     points, names = _packed(cloud, color="")
-    ours = {ours: theirs for theirs, ours in _PLY_NAMES.items()}
+    ply_names = {ours: theirs for theirs, ours in _PLY_NAMES.items()}
     kinds = ["uchar" if points.dtype[name].itemsize == 1 else "float" for name in names]
-    properties = [f"property {kind} {ours.get(name, name)}" for kind, name in zip(kinds, names, strict=True)]
+    properties = [f"property {kind} {ply_names.get(name, name)}" for kind, name in zip(kinds, names, strict=True)]
     head = ("ply", "format binary_little_endian 1.0", f"element vertex {cloud.size()}", *properties, "end_header\n")
     return "\n".join(head).encode() + points.tobytes()
 
 
 def _packed(cloud: PointCloud, color: str) -> tuple[NDArray[Any], list[str]]:
-    """Return the points without padding, and their fields; ``color`` names one field for a color's four channels."""
+    """Return the points without padding, and their fields; a ``color`` packs the color channels into one field."""
     points = cloud.numpy()
     names = list(points.dtype.names or ())
     merged = color and "b" in names
@@ -89,7 +89,7 @@ def _packed(cloud: PointCloud, color: str) -> tuple[NDArray[Any], list[str]]:
     packed = np.zeros(len(points), kinds)
     for name in fields:
         if merged and name == "b":
-            packed["rgba"] = sum(points[channel].astype("<u4") << (8 * place) for place, channel in enumerate("bgra"))
+            packed["rgba"] = sum(points[channel].astype("<u4") << (8 * index) for index, channel in enumerate("bgra"))
         else:
             packed[name] = points[name]
     return packed, list(packed.dtype.names or ())
@@ -123,12 +123,15 @@ def _read_pcd(data: bytes) -> PointCloud:
     if not 0 < len(names) == len(sizes) == len(types) == len(counts) <= _MOST_FIELDS:
         raise CloudFileError(f"FIELDS, SIZE, TYPE, COUNT: their lengths differ, or exceed {_MOST_FIELDS} fields")
     columns: list[Any] = []
-    for place, (name, size, letter, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
-        many = _int_of([count], f"COUNT of {name}")
-        if f"{letter}{size}" not in ("I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8", "F4", "F8") or many > 4096:
-            raise CloudFileError(f"TYPE, SIZE of {name[:40]}: {letter}{size}, {count} times, is not a number")
-        field = name if many == 1 and name not in [column[0] for column in columns] else f"{place}_"
-        columns.append((field, f"<{letter.lower()}{size}", *([] if many == 1 else [(many,)])))
+    for index, (name, size, letter, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
+        length = _int_of([count], f"COUNT of {name}")
+        if f"{letter}{size}" not in ("I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8", "F4", "F8") or length > 4096:
+            raise CloudFileError(
+                f"TYPE, SIZE, COUNT of {name[:40]}: {letter[:8]}{size[:8]} with the count {count} is not supported"
+                " (I or U with 1, 2, 4 or 8 bytes, F with 4 or 8; count up to 4096)"
+            )
+        field = name if length == 1 and name not in [column[0] for column in columns] else f"{index}_"
+        columns.append((field, f"<{letter.lower()}{size}", *([] if length == 1 else [(length,)])))
     form = (head["DATA"] or [""])[0]
     if form not in ("binary", "ascii"):
         raise CloudFileError(
@@ -144,7 +147,7 @@ def _read_ply(data: bytes) -> PointCloud:
     order = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
     if order is None:
         raise CloudFileError(f"format: {form[:40]!r} is not ascii, binary_little_endian or binary_big_endian")
-    elements = [place for place, line in enumerate(lines) if line[0] == "element"]
+    elements = [index for index, line in enumerate(lines) if line[0] == "element"]
     if not elements or lines[elements[0]][1:2] != ["vertex"]:
         raise CloudFileError("element: the first must be vertex")
     count = _int_of(lines[elements[0]][2:], "element vertex")
@@ -154,7 +157,8 @@ def _read_ply(data: bytes) -> PointCloud:
             continue
         letters = _PLY_TYPES.get(line[1] if len(line) == 3 else "")
         if letters is None or len(columns) >= _MOST_FIELDS:
-            raise CloudFileError(f"property: {' '.join(line[1:])[:40]!r} is not a number of a vertex")
+            text = " ".join(line[1:])[:40]
+            raise CloudFileError(f"property: {text!r} is not a scalar, or exceeds {_MOST_FIELDS} properties")
         name = _PLY_NAMES.get(line[2], line[2])
         columns.append((name if name not in [known for known, _ in columns] else f"{len(columns)}_", order + letters))
     return _cloud(_rows(data, start, np.dtype(columns), count, text=form == "ascii"), 1)
@@ -162,26 +166,27 @@ def _read_ply(data: bytes) -> PointCloud:
 
 def _rows(data: bytes, start: int, layout: np.dtype[Any], count: int, *, text: bool) -> NDArray[Any]:
     """Return ``count`` points; raises `CloudFileError` if there are fewer, or more than the limit."""
-    if count > MOST_POINTS:
-        raise CloudFileError(f"the header declares {count} points; the limit is {MOST_POINTS}")
+    if count > MAX_POINTS:
+        raise CloudFileError(f"the header declares {count} points; the limit is {MAX_POINTS}")
     if not text:
         if len(data) - start < count * layout.itemsize:
             raise CloudFileError(f"the points have {len(data) - start} bytes, not {count * layout.itemsize}")
         return np.frombuffer(data, layout, count, start)
     lines = data[start:].split(b"\n", count)[:count]
-    wide = sum(int(np.prod(layout[name].shape)) for name in layout.names or ())
+    width = sum(int(np.prod(layout[name].shape)) for name in layout.names or ())
     try:
         numbers = np.array([line.split() for line in lines if line.strip()], "S32").astype(np.float64)
     except ValueError as err:
-        raise CloudFileError(f"invalid line of a point: {str(err)[:80]}") from None
-    if numbers.shape != (count, wide) and count:
-        raise CloudFileError(f"the points have {numbers.shape} numbers, not ({count}, {wide})")
-    points, place = np.zeros(count, layout), 0
+        raise CloudFileError(f"invalid line of points: {str(err)[:80]}") from None
+    if numbers.shape != (count, width) and count:
+        shape = " x ".join(map(str, numbers.shape))
+        raise CloudFileError(f"the points are {shape} numbers, not {count} points of {width} numbers")
+    points, column = np.zeros(count, layout), 0
     with np.errstate(invalid="ignore", over="ignore"):
         for name in layout.names or () if count else ():
-            many = int(np.prod(layout[name].shape))
-            points[name] = numbers[:, place : place + many].reshape(count, *layout[name].shape)
-            place += many
+            length = int(np.prod(layout[name].shape))
+            points[name] = numbers[:, column : column + length].reshape(count, *layout[name].shape)
+            column += length
     return points
 
 
@@ -192,14 +197,15 @@ def _cloud(points: NDArray[Any], height: int) -> PointCloud:
     fields = names | ({"b", "g", "r", "a"} if packed else set())
     kind = next((kind for kind, wanted in _KINDS if wanted <= fields), None)
     if kind is None:
-        raise CloudFileError(f"the points have {', '.join(sorted(names))[:80]}: x, y and z are needed")
+        text = ", ".join(sorted(names))[:80]
+        raise CloudFileError(f"the points have only the fields {text}; x, y and z are required")
     converted = np.zeros(len(points), LAYOUTS[kind])
     with np.errstate(invalid="ignore", over="ignore"):
         for name in set(converted.dtype.names or ()) & names:
             converted[name] = points[name]
     if packed and "b" in (converted.dtype.names or ()):
         color = np.ascontiguousarray(points[packed]).view(np.uint8).reshape(-1, 4)
-        for place, name in enumerate("bgra"):
-            converted[name] = color[:, place]
+        for channel, name in enumerate("bgra"):
+            converted[name] = color[:, channel]
     dense = all(np.isfinite(converted[name]).all() for name in "xyz")
     return PointCloud.of(converted.reshape(height, -1) if height > 1 else converted, dense=dense)

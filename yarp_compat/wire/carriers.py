@@ -199,9 +199,9 @@ def _opening(carrier: Carrier, text: bytes, size: int, group: Group | None = Non
 
 
 def answer(opened: Opening, port: int) -> bytes:
-    """Return the answer to an introduction: for text a line, for tcp, fast_tcp and udp a port number; else nothing.
+    """Return the answer to an introduction: a line for text, ``port`` for tcp, fast_tcp and udp, else nothing.
 
-    ``port`` is that number: the TCP port's, or for udp the UDP port's.
+    ``port`` is the number of the TCP port, or for udp of the UDP port.
     """
     if opened.carrier in (TEXT, TEXT_ACK):
         return f"Welcome {opened.sender}\r\n".encode()

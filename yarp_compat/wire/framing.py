@@ -1,6 +1,6 @@
 """The frame of messages on a connection: the index, the command to the port, the payload, the acknowledgment.
 
-A message on tcp is ``YA 10 RP``, its number of blocks and that of the reply (1 byte each), 8 bytes of 0xff, an int32
+A message on tcp is ``YA 10 RP``, the numbers of its blocks and of the reply's (1 byte each), 8 bytes of 0xff, an int32
 length for each block (0 for the reply's), then the message's blocks, which are joined: the command, then the payload.
 
 A command is data, an administrative message, a request to connect, and so on. In binary, a command that is only a key:

@@ -64,7 +64,7 @@ def _answer(board: JointBoard, method: str, arguments: Sequence[Any]) -> Any:
     joints = arguments[0] if grouped else range(board.axes)
     values = arguments[1:] if grouped else arguments
     if any(not board.is_joint(joint) for joint in joints):
-        raise CallFailed(ReturnCode.OUT_OF_BOUNDS, f"{method}: joints {list(joints)} on a board of {board.axes}")
+        raise CallFailed(ReturnCode.OUT_OF_BOUNDS, f"{method}: joints {list(joints)}, but the board has {board.axes}")
     if any(len(listed) != len(joints) for listed in values):
         raise CallFailed(ReturnCode.METHOD_FAILED, f"{method}: expected {len(joints)} numbers, one for each joint")
     call = getattr(board, method_of_one)
@@ -88,7 +88,7 @@ def _check(board: JointBoard, method: str, arguments: Sequence[Any]) -> None:
     call = ControlBoardMsgs.calls()[method]
     first = arguments[0] if call.arguments and call.arguments[0][0] in ("j", "m", "axis") else 0
     if isinstance(first, int) and not board.is_joint(first):
-        raise CallFailed(ReturnCode.OUT_OF_BOUNDS, f"{method}: no joint {arguments[0]} on a board of {board.axes}")
+        raise CallFailed(ReturnCode.OUT_OF_BOUNDS, f"{method}: no joint {arguments[0]}, the board has {board.axes}")
 
 
 def _single_joint_method(method: str) -> tuple[str, bool] | None:

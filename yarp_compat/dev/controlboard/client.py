@@ -20,7 +20,7 @@ from typing import Any, Self
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.controlboard import vocab_rpc
 from yarp_compat.dev.controlboard.messages import ControlBoardMsgs
-from yarp_compat.dev.controlboard.streams import JointData, Numbers, command, streamed
+from yarp_compat.dev.controlboard.streams import JointData, Numbers, command, is_streamed
 from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnCode, ReturnValue
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
@@ -86,7 +86,7 @@ class ControlBoardClient(Openable):
         Raises `TypeError` and `ValueError` for arguments that are not numbers.
         """
         try:
-            if streamed(method):
+            if is_streamed(method):
                 message = command(method, arguments, self.profile)
                 strict = self.strict or "One" in method  # commands to two joints in a row must both arrive
                 return (OK,) if self._commands.write(payload_of(message), strict=strict) else (UNREACHED,)

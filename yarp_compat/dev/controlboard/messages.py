@@ -39,7 +39,7 @@ class VocabForm:
 
 
 def vocabs(request: str, reply: str = "") -> Callable[[_Method], _Method]:
-    """Attach the vocabs of 3.x to a method; by default the reply to ``get x`` is ``is x * t``."""
+    """Attach the vocabs of 3.x to a method. Default reply: ``is x * t`` to ``get x``, else only the outcome."""
     head = tuple(request.split())
     tail = tuple(reply.split()) or (("is", head[1], "*", "t") if head[0] == "get" else ())
 

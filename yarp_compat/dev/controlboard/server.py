@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from yarp_compat.dev.controlboard.board import JointBoard, answer
 from yarp_compat.dev.controlboard.messages import ControlBoardMsgs
-from yarp_compat.dev.controlboard.streams import CommandMessage, JointData, called
+from yarp_compat.dev.controlboard.streams import CommandMessage, JointData, parse_command
 from yarp_compat.dev.controlboard.vocab_rpc import respond
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnValue
 from yarp_compat.dev.server import ServiceServer
@@ -58,10 +58,10 @@ _INTERFACES = {
     "iVelocityControl": "velocityMoveOneRPC",
     "iVelocityDirect": "",
 }
-"""YARP 4's names of interfaces, and the method that a board with this interface defines; empty: never offered."""
+"""By YARP 4's name of an interface: a method that boards with this interface define; "": no board offers it."""
 
 
-def _calling(name: str) -> Callable[..., Any]:
+def _forwarder(name: str) -> Callable[..., Any]:
     def call(self: BoardService, *arguments: Any) -> Any:
         return answer(self.board, name, arguments)
 
@@ -86,7 +86,7 @@ class BoardService(ControlBoardMsgs):
 
 for _name in ControlBoardMsgs.calls():
     if _name not in vars(BoardService):
-        setattr(BoardService, _name, _calling(_name))
+        setattr(BoardService, _name, _forwarder(_name))
 
 
 class BoardHandler:
@@ -105,7 +105,7 @@ class BoardHandler:
     def execute(self, received: Received) -> None:
         """Execute a command; raises `WireError` if it is invalid, and does nothing if the board refuses it."""
         try:
-            method, arguments = called(received.to(CommandMessage))
+            method, arguments = parse_command(received.to(CommandMessage))
             answer(self.board, method, arguments)
         except (CallFailed, NotImplementedError) as error:
             self.refused += 1

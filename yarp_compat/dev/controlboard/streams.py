@@ -98,7 +98,7 @@ _METHODS = {tuple(heads.split()): name for name, both in COMMANDS.items() for he
 _RPC = "positionMoveAllRPC"  # clients call it at the RPC port, and wait for a reply
 
 
-def streamed(method: str) -> bool:
+def is_streamed(method: str) -> bool:
     """Whether YARP's clients stream a method; a streamed method has no outcome."""
     return method in COMMANDS and method != _RPC
 
@@ -116,7 +116,7 @@ def command(method: str, arguments: Sequence[Any], profile: Profile) -> CommandM
     return CommandMessage(Bottle(head), Vector(list(map(float, arguments[0]))))
 
 
-def called(message: CommandMessage) -> tuple[str, list[Any]]:
+def parse_command(message: CommandMessage) -> tuple[str, list[Any]]:
     """Return the method and arguments of a command of either release; raises `WireError` if it is invalid."""
     parts = message.head.plain
     numbers = list(message.body)

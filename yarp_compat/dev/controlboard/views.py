@@ -6,8 +6,8 @@ A method whose name differs between YARP 3 and 4 has both names: ``setRefSpeed``
 
 Setters return whether they succeeded, and so do getters that store results in their last arguments (a ``DVector``, an
 ``IVector``, a ``Vector`` or its ``data()``). ``getEncoder(j)``, ``getControlMode(j)``, ``getAxisName(j)`` and the like
-return the value itself, as the bindings do; if it is missing, 0, the name ``unknown``, or a vocab such as
-``VOCAB_CM_UNKNOWN``. Joints are given as ``(j, ...)``, ``(n, joints, ...)`` or ``(joints, ...)``; without joints, a
+return the value itself, as the bindings do, or 0, the name ``unknown`` or a vocab such as ``VOCAB_CM_UNKNOWN`` if the
+value is missing. Joints are given as ``(j, ...)``, ``(n, joints, ...)`` or ``(joints, ...)``; without joints, a
 method applies to all of them.
 """
 
@@ -69,7 +69,7 @@ def _numbers(values: Any) -> list[Any]:
     return [value.item() if hasattr(value, "item") else value for value in values]
 
 
-def _chosen(arguments: tuple[Any, ...], values: int, name: str) -> tuple[str, list[Any], list[Any]]:
+def _split(arguments: tuple[Any, ...], values: int, name: str) -> tuple[str, list[Any], list[Any]]:
     """Split arguments into the kind (``One``, ``All`` or ``Group``), the joints, and the last ``values`` arguments."""
     given = len(arguments) - values
     if given == 0 and all(map(_is_list, arguments)):
@@ -85,11 +85,11 @@ def _chosen(arguments: tuple[Any, ...], values: int, name: str) -> tuple[str, li
 
 
 def _setter(one: str = "", of_all: str = "", group: str = "", values: int = 1) -> Method:
-    """Make a method that sets ``values`` values of one joint, all or some, given the server's method for each case."""
+    """Make a method that sets ``values`` values of one joint, all or some, by the server's method for each case."""
     methods = {"One": one, "All": of_all, "Group": group}
 
     def do(self: BoardView, *arguments: Any) -> bool:
-        kind, joints, given = _chosen(arguments, values, methods["One"] or methods["All"])
+        kind, joints, given = _split(arguments, values, methods["One"] or methods["All"])
         if kind == "All":
             given = [_numbers(value)[: self._board.axes] for value in given]
             if any(len(value) != self._board.axes for value in given):
@@ -104,12 +104,12 @@ def _setter(one: str = "", of_all: str = "", group: str = "", values: int = 1) -
     return do
 
 
-def _asker(one: str = "", of_all: str = "", group: str = "", values: int = 1) -> Method:
+def _getter(one: str = "", of_all: str = "", group: str = "", values: int = 1) -> Method:
     """Make a method that requests values from the server, and stores them in its last ``values`` arguments."""
     methods = {"One": one, "All": of_all, "Group": group}
 
     def ask(self: BoardView, *arguments: Any) -> bool:
-        kind, joints, into = _chosen(arguments, values, methods["One"] or methods["All"])
+        kind, joints, into = _split(arguments, values, methods["One"] or methods["All"])
         if not methods[kind]:
             raise TypeError(f"{methods['One']}: wrong arguments {arguments!r}")
         outcome, *returned = self._board.call(methods[kind], *joints)
@@ -122,14 +122,14 @@ def _asker(one: str = "", of_all: str = "", group: str = "", values: int = 1) ->
     return ask
 
 
-def _streamed(name: str, *, timed: bool = False) -> Method:
+def _stream_getter(name: str, *, timed: bool = False) -> Method:
     """Make a method that stores a streamed quantity of one joint, some or all, in its last argument.
 
     ``timed``: the last two arguments receive the quantity and its times.
     """
 
     def ask(self: BoardView, *arguments: Any) -> bool:
-        kind, joints, into = _chosen(arguments, 2 if timed else 1, name)
+        kind, joints, into = _split(arguments, 2 if timed else 1, name)
         state = self._board.state(name)
         if state is None:
             return False
@@ -146,9 +146,9 @@ def _streamed(name: str, *, timed: bool = False) -> Method:
     return ask
 
 
-def _streamed_value(name: str, default: Any) -> Method:
-    """Make a method that returns a streamed quantity of one joint, or stores it like the method of `_streamed`."""
-    filled = _streamed(name)
+def _stream_value_getter(name: str, default: Any) -> Method:
+    """Make a method that returns a streamed quantity of one joint, or stores it like the method of `_stream_getter`."""
+    filled = _stream_getter(name)
 
     def get(self: BoardView, *arguments: Any) -> Any:
         if len(arguments) != 1 or _is_list(arguments[0]):
@@ -177,12 +177,12 @@ class IEncoders(BoardView):
     resetEncoder = _setter("resetEncoderOneRPC", values=0)
     setEncoder = _setter("setEncoderOneRPC")
     setEncoders = _setter(of_all="setEncoderAllRPC")
-    getEncoder = _streamed_value("jointPosition", 0.0)
-    getEncoders = _streamed("jointPosition")
-    getEncoderSpeed = _streamed_value("jointVelocity", 0.0)
-    getEncoderSpeeds = _streamed("jointVelocity")
-    getEncoderAcceleration = _streamed_value("jointAcceleration", 0.0)
-    getEncoderAccelerations = _streamed("jointAcceleration")
+    getEncoder = _stream_value_getter("jointPosition", 0.0)
+    getEncoders = _stream_getter("jointPosition")
+    getEncoderSpeed = _stream_value_getter("jointVelocity", 0.0)
+    getEncoderSpeeds = _stream_getter("jointVelocity")
+    getEncoderAcceleration = _stream_value_getter("jointAcceleration", 0.0)
+    getEncoderAccelerations = _stream_getter("jointAcceleration")
 
     def resetEncoders(self) -> bool:
         """Set the encoders of all joints to 0."""
@@ -192,8 +192,8 @@ class IEncoders(BoardView):
 class IEncodersTimed(IEncoders):
     """Encoders with times in seconds."""
 
-    getEncoderTimed = _streamed("jointPosition", timed=True)
-    getEncodersTimed = _streamed("jointPosition", timed=True)
+    getEncoderTimed = _stream_getter("jointPosition", timed=True)
+    getEncodersTimed = _stream_getter("jointPosition", timed=True)
 
 
 class IMotorEncoders(BoardView):
@@ -202,14 +202,14 @@ class IMotorEncoders(BoardView):
     resetMotorEncoder = _setter("resetMotorEncoderRPC", values=0)
     setMotorEncoder = _setter("setMotorEncoderRPC")
     setMotorEncoders = _setter(of_all="setMotorEncodersAllRPC")
-    getMotorEncoder = _streamed_value("motorPosition", 0.0)
-    getMotorEncoders = _streamed("motorPosition")
-    getMotorEncoderTimed = _streamed("motorPosition", timed=True)
-    getMotorEncodersTimed = _streamed("motorPosition", timed=True)
-    getMotorEncoderSpeed = _streamed_value("motorVelocity", 0.0)
-    getMotorEncoderSpeeds = _streamed("motorVelocity")
-    getMotorEncoderAcceleration = _streamed("motorAcceleration")
-    getMotorEncoderAccelerations = _streamed("motorAcceleration")
+    getMotorEncoder = _stream_value_getter("motorPosition", 0.0)
+    getMotorEncoders = _stream_getter("motorPosition")
+    getMotorEncoderTimed = _stream_getter("motorPosition", timed=True)
+    getMotorEncodersTimed = _stream_getter("motorPosition", timed=True)
+    getMotorEncoderSpeed = _stream_value_getter("motorVelocity", 0.0)
+    getMotorEncoderSpeeds = _stream_getter("motorVelocity")
+    getMotorEncoderAcceleration = _stream_getter("motorAcceleration")
+    getMotorEncoderAccelerations = _stream_getter("motorAcceleration")
 
     def getNumberOfMotorEncoders(self) -> int:
         """Return the number of motor encoders."""
@@ -227,18 +227,18 @@ class IPositionControl(BoardView):
     relativeMove = _setter("relativeMoveOneRPC", "relativeMoveAllRPC", "relativeMoveGroupRPC")
     setTrajSpeed = setRefSpeed = _setter("setTrajSpeedOneRPC")
     setTrajSpeeds = setRefSpeeds = _setter("", "setTrajSpeedAllRPC", "setTrajSpeedGroupRPC")
-    getTrajSpeed = getRefSpeed = _asker("getTrajSpeedOneRPC")
-    getTrajSpeeds = getRefSpeeds = _asker("", "getTrajSpeedsAllRPC", "getTrajSpeedsGroupRPC")
+    getTrajSpeed = getRefSpeed = _getter("getTrajSpeedOneRPC")
+    getTrajSpeeds = getRefSpeeds = _getter("", "getTrajSpeedsAllRPC", "getTrajSpeedsGroupRPC")
     setTrajAcceleration = setRefAcceleration = _setter("setTrajAccelerationOneRPC")
     setTrajAccelerations = setRefAccelerations = _setter(
         "", "setTrajAccelerationsAllRPC", "setTrajAccelerationsGroupRPC"
     )
-    getTrajAcceleration = getRefAcceleration = _asker("getTrajAccelerationOneRPC")
-    getTrajAccelerations = getRefAccelerations = _asker("", "getTrajAccelerationAllRPC", "getTrajAccelerationGroupRPC")
-    getTargetPosition = _asker("getTargetPositionOneRPC")
-    getTargetPositions = _asker("", "getTargetPositionAllRPC", "getTargetPositionGroupRPC")
+    getTrajAcceleration = getRefAcceleration = _getter("getTrajAccelerationOneRPC")
+    getTrajAccelerations = getRefAccelerations = _getter("", "getTrajAccelerationAllRPC", "getTrajAccelerationGroupRPC")
+    getTargetPosition = _getter("getTargetPositionOneRPC")
+    getTargetPositions = _getter("", "getTargetPositionAllRPC", "getTargetPositionGroupRPC")
     _stop = _setter("stopOneRPC", "", "stopGroupRPC", values=0)
-    _motion_done = _asker("checkMotionDoneOneRPC", "checkMotionDoneAllRPC", "checkMotionDoneGroupRPC")
+    _motion_done = _getter("checkMotionDoneOneRPC", "checkMotionDoneAllRPC", "checkMotionDoneGroupRPC")
 
     def stop(self, *joints: Any) -> bool:
         """Stop one joint, some, or all."""
@@ -247,7 +247,7 @@ class IPositionControl(BoardView):
     def checkMotionDone(self, *arguments: Any) -> bool:
         """Whether all motions are done; True if the board does not report it.
 
-        With arguments, whether the board reports this for the given joints; the last argument then receives it.
+        With arguments, store the result for the given joints in the last one; return whether the board reports it.
         """
         if not arguments:
             return bool(self._value("checkMotionDoneAllRPC", default=True))
@@ -265,16 +265,16 @@ class IPositionDirect(BoardView):
 
     setPosition = setRefPosition = _setter("setRefPositionOneRPC")
     setPositions = setRefPositions = _setter("", "setRefPositionAllRPC", "setRefPositionGroupRPC")
-    getRefPosition = _asker("getRefPositionOneRPC")
-    getRefPositions = _asker("", "getRefPositionAllRPC", "getRefPositionGroupRPC")
+    getRefPosition = _getter("getRefPositionOneRPC")
+    getRefPositions = _getter("", "getRefPositionAllRPC", "getRefPositionGroupRPC")
 
 
 class IVelocityControl(BoardView):
     """Moves with a velocity. Midspan's own boards stop unless the command is repeated (`docs/yarp/boards.md`)."""
 
     velocityMove = _setter("velocityMoveOneRPC", "velocityMoveAllRPC", "velocityMoveGroupRPC")
-    getTargetVelocity = getRefVelocity = _asker("getTargetVelocityOneRPC")
-    getTargetVelocities = getRefVelocities = _asker("", "getTargetVelocityAllRPC", "getTargetVelocityGroupRPC")
+    getTargetVelocity = getRefVelocity = _getter("getTargetVelocityOneRPC")
+    getTargetVelocities = getRefVelocities = _getter("", "getTargetVelocityAllRPC", "getTargetVelocityGroupRPC")
     setTrajAcceleration = setRefAcceleration = IPositionControl.setTrajAcceleration
     setTrajAccelerations = setRefAccelerations = IPositionControl.setTrajAccelerations
     getTrajAcceleration = getRefAcceleration = IPositionControl.getTrajAcceleration
@@ -288,12 +288,12 @@ class ITorqueControl(BoardView):
 
     setRefTorque = _setter("setRefTorqueOneRPC")
     setRefTorques = _setter("", "setRefTorqueAllRPC", "setRefTorqueGroupRPC")
-    getRefTorque = _asker("getRefTorqueOneRPC")
-    getRefTorques = _asker("", "getRefTorqueAllRPC")
-    getTorque = _streamed("torque")
-    getTorques = _streamed("torque")
-    getTorqueRange = _asker("getTorqueRangeOneRPC", values=2)
-    getTorqueRanges = _asker("", "getTorqueRangeAllRPC", values=2)
+    getRefTorque = _getter("getRefTorqueOneRPC")
+    getRefTorques = _getter("", "getRefTorqueAllRPC")
+    getTorque = _stream_getter("torque")
+    getTorques = _stream_getter("torque")
+    getTorqueRange = _getter("getTorqueRangeOneRPC", values=2)
+    getTorqueRanges = _getter("", "getTorqueRangeAllRPC", values=2)
 
 
 class _Motors(BoardView):
@@ -306,10 +306,10 @@ class IPWMControl(_Motors):
 
     setRefDutyCycle = _setter("setRefDutyCycleOneRPC")
     setRefDutyCycles = _setter("", "setRefDutyCycleAllRPC")
-    getRefDutyCycle = _asker("getRefDutyCycleOneRPC")
-    getRefDutyCycles = _asker("", "getRefDutyCycleAllRPC")
-    getDutyCycle = _streamed("pwmDutycycle")
-    getDutyCycles = _streamed("pwmDutycycle")
+    getRefDutyCycle = _getter("getRefDutyCycleOneRPC")
+    getRefDutyCycles = _getter("", "getRefDutyCycleAllRPC")
+    getDutyCycle = _stream_getter("pwmDutycycle")
+    getDutyCycles = _stream_getter("pwmDutycycle")
 
 
 class ICurrentControl(_Motors):
@@ -317,22 +317,22 @@ class ICurrentControl(_Motors):
 
     setRefCurrent = _setter("setRefCurrentOneRPC")
     setRefCurrents = _setter("", "setRefCurrentAllRPC", "setRefCurrentGroupRPC")
-    getRefCurrent = _asker("getRefCurrentOneRPC")
-    getRefCurrents = _asker("", "getRefCurrentAllRPC")
-    getCurrent = _streamed("current")
-    getCurrents = _streamed("current")
-    getCurrentRange = _asker("getCurrentRangeOneRPC", values=2)
-    getCurrentRanges = _asker("", "getCurrentRangeAllRPC", values=2)
+    getRefCurrent = _getter("getRefCurrentOneRPC")
+    getRefCurrents = _getter("", "getRefCurrentAllRPC")
+    getCurrent = _stream_getter("current")
+    getCurrents = _stream_getter("current")
+    getCurrentRange = _getter("getCurrentRangeOneRPC", values=2)
+    getCurrentRanges = _getter("", "getCurrentRangeAllRPC", values=2)
 
 
 class IMotor(_Motors):
     """Temperatures (degrees Celsius) and gearbox ratios of motors."""
 
-    getTemperature = _asker("getTemperatureOneRPC")
-    getTemperatures = _asker("", "getTemperatureAllRPC")
-    getTemperatureLimit = _asker("getTemperatureLimitRPC")
+    getTemperature = _getter("getTemperatureOneRPC")
+    getTemperatures = _getter("", "getTemperatureAllRPC")
+    getTemperatureLimit = _getter("getTemperatureLimitRPC")
     setTemperatureLimit = _setter("setTemperatureLimitRPC")
-    getGearboxRatio = _asker("getGearboxRatioRPC")
+    getGearboxRatio = _getter("getGearboxRatioRPC")
     setGearboxRatio = _setter("setGearboxRatioRPC")
 
 
@@ -341,28 +341,28 @@ class IAmplifierControl(BoardView):
 
     enableAmp = _setter("enableAmpRPC", values=0)
     disableAmp = _setter("disableAmpRPC", values=0)
-    getAmpStatus = _asker("getAmpStatusOneRPC", "getAmpStatusAllRPC")
-    getCurrent = _streamed("current")
-    getCurrents = _streamed("current")
-    getMaxCurrent = _asker("getMaxCurrentRPC")
+    getAmpStatus = _getter("getAmpStatusOneRPC", "getAmpStatusAllRPC")
+    getCurrent = _stream_getter("current")
+    getCurrents = _stream_getter("current")
+    getMaxCurrent = _getter("getMaxCurrentRPC")
     setMaxCurrent = _setter("setMaxCurrentRPC")
-    getNominalCurrent = _asker("getNominalCurrentRPC")
+    getNominalCurrent = _getter("getNominalCurrentRPC")
     setNominalCurrent = _setter("setNominalCurrentRPC")
-    getPeakCurrent = _asker("getPeakCurrentRPC")
+    getPeakCurrent = _getter("getPeakCurrentRPC")
     setPeakCurrent = _setter("setPeakCurrentRPC")
-    getPWM = _streamed("pwmDutycycle")
-    getPWMLimit = _asker("getPWMLimitRPC")
+    getPWM = _stream_getter("pwmDutycycle")
+    getPWMLimit = _getter("getPWMLimitRPC")
     setPWMLimit = _setter("setPWMLimitRPC")
-    getPowerSupplyVoltage = _asker("getPowerSupplyVoltageRPC")
+    getPowerSupplyVoltage = _getter("getPowerSupplyVoltageRPC")
 
 
 class IControlLimits(BoardView):
     """The limits of position and velocity."""
 
     setPosLimits = setLimits = _setter("setPosLimitsRPC", values=2)
-    getPosLimits = getLimits = _asker("getPosLimitsRPC", values=2)
+    getPosLimits = getLimits = _getter("getPosLimitsRPC", values=2)
     setVelLimits = _setter("setVelLimitsRPC", values=2)
-    getVelLimits = _asker("getVelLimitsRPC", values=2)
+    getVelLimits = _getter("getVelLimitsRPC", values=2)
 
 
 class IControlMode(BoardView):
@@ -370,7 +370,7 @@ class IControlMode(BoardView):
 
     setControlMode = _setter("setControlModeOneRPC")
     setControlModes = _setter("", "setControlModeAllRPC", "setControlModeGroupRPC")
-    getControlModes = _streamed("controlMode")
+    getControlModes = _stream_getter("controlMode")
 
     def getControlMode(self, joint: int) -> int:
         """Return the mode of a joint, such as ``VOCAB_CM_POSITION``."""
@@ -382,15 +382,15 @@ class IInteractionMode(BoardView):
 
     setInteractionMode = _setter("setInteractionModeOneRPC")
     setInteractionModes = _setter("", "setInteractionModesAllRPC", "setInteractionModesGroupRPC")
-    getInteractionModes = _streamed("interactionMode")
+    getInteractionModes = _stream_getter("interactionMode")
 
     def getInteractionMode(self, joint: int) -> int:
         """Return the mode of a joint, such as ``VOCAB_IM_STIFF``."""
         return int(_INTERACTION_MODE(self, joint))
 
 
-_CONTROL_MODE = _streamed_value("controlMode", VOCAB_CM_UNKNOWN)
-_INTERACTION_MODE = _streamed_value("interactionMode", VOCAB_IM_UNKNOWN)
+_CONTROL_MODE = _stream_value_getter("controlMode", VOCAB_CM_UNKNOWN)
+_INTERACTION_MODE = _stream_value_getter("interactionMode", VOCAB_IM_UNKNOWN)
 
 
 class IRemoteVariables(BoardView):

@@ -38,7 +38,7 @@ def methods_by_vocabs() -> dict[tuple[str, ...], tuple[Call, VocabForm]]:
 
 
 def form_of(method: str) -> VocabForm | None:
-    """Return a method's form in the vocabs of 3.x; None if it has none."""
+    """Return a method's form in the vocabs of 3.x; None if 3.x does not call it by vocabs."""
     form: VocabForm | None = getattr(getattr(ControlBoardMsgs, method), "vocabs", None)
     return form
 
@@ -147,7 +147,7 @@ def _vocab(code: int) -> Any:
 
 def _to_element(field: FieldCodec, value: Any) -> Any:
     """Convert a value to an element of a Bottle."""
-    if isinstance(field, ListOf) and isinstance(field.element, Nested):  # one Bottle; 4.0 has several
+    if isinstance(field, ListOf) and isinstance(field.element, Nested):  # 3.x has one Bottle, 4.0 several
         return [element for bottle in value for element in bottle.plain]
     if isinstance(field, ListOf):
         return [_to_element(field.element, element) for element in value]

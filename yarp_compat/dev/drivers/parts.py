@@ -64,9 +64,8 @@ def battery(options: DeviceOptions) -> OpenDevice:
 def frame_grabber(options: DeviceOptions) -> OpenDevice:
     """Open with ``local`` and ``remote``, the images' ports, ``carrier`` and ``no_stream``.
 
-    The RPC ports' names begin with those of the images' ports.
-
-    Servers for ``remote_grabber`` used to reply at the images' port itself, and some still do.
+    The RPC ports are ``<remote>/rpc`` and ``<local>/rpc_client``. Servers for ``remote_grabber`` used to reply at the
+    images' port itself, and some still do.
     """
     remote, carrier = options.port("remote"), options.text("carrier", "fast_tcp")
     rpc_port = f"{remote}/rpc"

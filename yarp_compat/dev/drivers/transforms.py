@@ -24,7 +24,7 @@ _BOTH = ("ftc_yarp_only.xml", "ftc_pub_yarp_only.xml")
 _REFUSED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
 
 
-class _Listener(TransformClient):
+class _ReadOnlyClient(TransformClient):
     """A client that cannot set or delete transforms, as with ``ftc_sub_yarp_only.xml``."""
 
     @override
@@ -41,7 +41,7 @@ class _Listener(TransformClient):
 
 
 def frame_transform_client(options: DeviceOptions) -> OpenDevice:
-    """Open the variant that ``config_name`` selects: this program's own transforms (the default) or a server's client.
+    """Open what ``config_name`` selects: a store inside this program (the default), or a client of a server.
 
     The client has the options of `frame_transform`. ``ftc_storage_timeout``: seconds after which this program's own
     transforms expire.
@@ -54,7 +54,7 @@ def frame_transform_client(options: DeviceOptions) -> OpenDevice:
         local = LocalTransforms(options.number("ftc_storage_timeout", LIFETIME))
         return OpenDevice(local.remove_all, {"IFrameTransform": local})
     if config == _LISTENING:
-        return _opened(_Listener, options)
+        return _opened(_ReadOnlyClient, options)
     if config in _BOTH:
         return frame_transform(options)
     raise DeviceError(f"unknown config_name {config}; supported are {', '.join((_LOCAL, *_BOTH, _LISTENING))}")

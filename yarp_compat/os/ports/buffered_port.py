@@ -117,7 +117,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
         return self._spare is not None
 
     def write(self, forceStrict: bool = False) -> None:
-        """Send the prepared object in place of queued messages; with ``forceStrict``, first wait for these."""
+        """Send the prepared object in place of queued messages, or with ``forceStrict`` after they have been sent."""
         data, self._prepared = self._prepared, None
         core = self._core
         if data is None:

@@ -16,7 +16,7 @@ from yarp_compat.dev.controlboard import vocab_rpc
 from yarp_compat.dev.controlboard.board import JointBoard
 from yarp_compat.dev.controlboard.messages import ControlBoardMsgs
 from yarp_compat.dev.controlboard.server import BoardHandler
-from yarp_compat.dev.controlboard.streams import CommandMessage, JointData, called, command
+from yarp_compat.dev.controlboard.streams import CommandMessage, JointData, command, parse_command
 from yarp_compat.dev.returnvalue import OK
 from yarp_compat.dev.server import Server
 from yarp_compat.dev.service import INTRODUCTION
@@ -127,7 +127,7 @@ def test_every_recorded_command_and_state_is_reproduced(profile: Profile) -> Non
             state = JointData.from_bytes(payload, profile)
         except WireError:
             message = CommandMessage.from_bytes(payload, profile)
-            method, arguments = called(message)
+            method, arguments = parse_command(message)
             assert command(method, arguments, profile).to_bytes(profile) == payload
             methods.add(method)
         else:
