@@ -2,12 +2,13 @@
 
 It copies the measured behavior of move_base (navigation 1.17, Noetic). A goal in an unknown frame, or in one with a
 slash, stays ACTIVE forever. A new goal preempts the old one. ``/move_base_simple/goal`` becomes a goal on
-``/move_base/goal``. The texts are move_base's. It starts once it has received the pose of the base. actionlib's server
-itself provides the rest: the RECALLED state, repeated ids, cancel-all, long status lists, unlatched results.
+``/move_base/goal``. The texts are move_base's. The stand-in starts its server once it has received the pose of
+the base. actionlib's server itself provides the rest: the RECALLED state, repeated ids, cancel-all, long status lists,
+unlatched results.
 
-Goals with x of 900 and more are unreachable. Runs on the system's Python. It starts the base as a process. With the
-argument ``there``, it uses a base that is already running and that keeps running when the stand-in is killed or
-stopped. It prints ``ended`` and ``time.monotonic()`` whenever it ends a goal, except by preemption.
+Goals with x of 900 and more are unreachable. The stand-in runs on the system's Python. It starts the base as a
+process. With the argument ``there``, it uses a base that is already running and that keeps running when the stand-in
+is killed or stopped. It prints ``ended`` and ``time.monotonic()`` whenever it ends a goal, except by preemption.
 Usage: move_base.py SPEED PATIENCE [there [CYCLE]], CYCLE: seconds between two control cycles
 """
 # ruff: noqa: ANN204  # it runs without Midspan
@@ -42,7 +43,7 @@ class MoveBase:
     def __init__(self, speed, patience):
         self.speed, self.patience = speed, patience
         self.place = None
-        self.current, self.since, self.canceled = None, 0, False
+        self.current, self.cycles, self.canceled = None, 0, False
         self.velocity = rospy.Publisher("cmd_vel", Twist, queue_size=1)
         self.target = rospy.Publisher("move_base/current_goal", PoseStamped, queue_size=10)
         self.goals = rospy.Publisher("move_base/goal", MoveBaseActionGoal, queue_size=10)
@@ -81,7 +82,7 @@ class MoveBase:
                     handle.set_canceled(text=ANOTHER)
                     return
                 before.set_canceled(MoveBaseResult(), ANOTHER)
-            self.current, self.since, self.canceled = handle, 0, False
+            self.current, self.cycles, self.canceled = handle, 0, False
             handle.set_accepted(ACCEPTED)
             turn = handle.get_goal().target_pose.pose.orientation
             if abs(math.hypot(math.hypot(turn.x, turn.y), math.hypot(turn.z, turn.w)) - 1.0) > 0.1:
@@ -106,14 +107,14 @@ class MoveBase:
         with self.lock:
             if self.current is None:
                 return
-            self.since += 1
+            self.cycles += 1
             goal = self.current.get_goal().target_pose
             if self.canceled:
                 self.end("set_canceled", "")
             elif goal.header.frame_id not in FRAMES:
                 self.target.publish(goal)
             elif goal.pose.position.x >= UNREACHABLE:
-                if self.since * PERIOD >= self.patience:
+                if self.cycles * PERIOD >= self.patience:
                     self.end("set_aborted", NO_PLAN)
             else:
                 self.drive(goal.pose.position)

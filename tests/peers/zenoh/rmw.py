@@ -149,7 +149,7 @@ class RmwSubscription(_Announced):
         self.missed += miss.nb
 
     def _add(self, sample: zenoh.Sample) -> None:
-        if sample.attachment is not None:  # rmw_zenoh drops samples without one
+        if sample.attachment is not None:  # rmw_zenoh drops samples without an attachment
             payload = sample.payload.to_bytes()
             self.payloads.append(payload)
             self._received(payload)

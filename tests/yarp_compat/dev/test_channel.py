@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.support.wait import until
-from tests.yarp_compat.dev.test_service import KITCHEN, Kept, Places
+from tests.yarp_compat.dev.test_service import KITCHEN, Places, PlacesServer
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
 from yarp_compat.dev.client import PortChannel, ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, Navigation2DServer
@@ -33,7 +33,7 @@ def whole(data: Buffer, size: int) -> int:
 @pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])
 @pytest.mark.parametrize("generation", Generation)
 def test_a_client_calls_a_server_of_each_generation(make_port: MakePort, generation: Generation, carrier: str) -> None:
-    make_port("/server/rpc", Server(Kept(), Generations(generation)), rpc=True)
+    make_port("/server/rpc", Server(PlacesServer(), Generations(generation)), rpc=True)
     client = make_port("/client/rpc", rpc=True, profile=generation.profile)
     assert client.add_output(f"{carrier}://server/rpc")[0]
     places = Places(PortChannel(client, generation, timeout=10))
@@ -59,7 +59,7 @@ def test_a_client_reads_failures_after_a_restart_of_its_server(make_port: MakePo
 
 
 def test_a_reply_of_a_megabyte_arrives(make_port: MakePort) -> None:
-    make_port("/server/rpc", Server(Kept(), Generations(Generation.YARP_3_11)), rpc=True)
+    make_port("/server/rpc", Server(PlacesServer(), Generations(Generation.YARP_3_11)), rpc=True)
     client = make_port("/client/rpc", rpc=True)
     assert client.add_output("/server/rpc")[0]
     places = Places(PortChannel(client, Generation.YARP_3_11, timeout=30))
@@ -69,9 +69,9 @@ def test_a_reply_of_a_megabyte_arrives(make_port: MakePort) -> None:
 
 
 def test_the_server_distinguishes_clients_of_three_releases(make_port: MakePort) -> None:
-    """A client of 4.0 introduces itself, a rule matches one of 3.9, and the default applies to the third."""
+    """A client of 4.0 introduces itself, a rule matches a client of 3.9, and the default applies to the third."""
     generations = Generations(Generation.YARP_3_12, [("/old/*", Generation.YARP_3_6)])
-    make_port("/server/rpc", Server(Kept(), generations), rpc=True)
+    make_port("/server/rpc", Server(PlacesServer(), generations), rpc=True)
     dialects = {"/new/rpc": Profile.YARP4, "/old/rpc": Profile.YARP3, "/other/rpc": Profile.YARP3}
     ports = {name: make_port(name, rpc=True, profile=profile) for name, profile in dialects.items()}
     for port in ports.values():
@@ -87,7 +87,7 @@ def test_the_server_distinguishes_clients_of_three_releases(make_port: MakePort)
 
 
 def test_a_release_is_forgotten_with_its_connection(make_port: MakePort) -> None:
-    server = Server(Kept())
+    server = Server(PlacesServer())
     make_port("/server/rpc", server, rpc=True, on_event=server.on_event)
     client = make_port("/client/rpc", rpc=True)
     for _ in range(2):
@@ -102,7 +102,7 @@ def test_a_release_is_forgotten_with_its_connection(make_port: MakePort) -> None
 
 def test_a_text_client_receives_text(make_port: MakePort) -> None:
     """`yarp rpc` and `telnet` use text, whatever the generation."""
-    kept = Kept()
+    kept = PlacesServer()
     kept.at["kitchen"] = KITCHEN
     make_port("/server/rpc", Server(kept), rpc=True)
     client = make_port("/user", rpc=True)

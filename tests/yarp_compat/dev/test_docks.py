@@ -38,6 +38,6 @@ def test_docks_survive_yarps_files(tmp_path: Path) -> None:
     assert (again, dock_of(again)) == (charger, dock)
 
 
-def test_a_type_is_one_word() -> None:
+def test_a_dock_type_that_is_not_one_word_is_rejected() -> None:
     with pytest.raises(ValueError, match="a dock's type has letters"):
         Dock("two words").to_text()

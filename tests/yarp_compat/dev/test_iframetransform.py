@@ -28,7 +28,7 @@ from yarp_compat.wire.generation import Generation, Generations
 from yarp_compat.wire.profile import Profile
 
 
-class Setting(FrameTransformStorageSetRPC):
+class TransformSetter(FrameTransformStorageSetRPC):
     def __init__(self, kept: list[FrameTransform]) -> None:
         super().__init__()
         self.kept = kept
@@ -52,7 +52,7 @@ class Setting(FrameTransformStorageSetRPC):
         return OK
 
 
-class Getting(FrameTransformStorageGetRPC):
+class TransformGetter(FrameTransformStorageGetRPC):
     def __init__(self, kept: list[FrameTransform]) -> None:
         super().__init__()
         self.kept = kept
@@ -86,7 +86,8 @@ class Local(IFrameTransform):
         self.away = False
         self.refusal: ReturnCode | None = None
         self.wires = [
-            Wire(Server(service(self.kept), Generations(generation)), generation) for service in (Setting, Getting)
+            Wire(Server(service(self.kept), Generations(generation)), generation)
+            for service in (TransformSetter, TransformGetter)
         ]
         self.setter, self.getter = (
             FrameTransformStorageSetRPC(self.wires[0]),

@@ -208,7 +208,7 @@ def test_a_client_reconnects_to_a_restarted_server(make_port: MakePort, naming: 
         assert list(client.locations) == []
 
 
-def test_the_client_has_a_method_for_each_of_the_service() -> None:
+def test_the_client_has_every_method_of_the_service() -> None:
     """The client's methods have YARP's names."""
     methods = [name for name, _ in inspect.getmembers(IMap2D, inspect.isfunction) if not name.startswith("_")]
     assert len(methods) == 44

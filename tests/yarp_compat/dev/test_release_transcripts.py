@@ -83,7 +83,10 @@ def test_transcripts_of_four_releases_are_reproduced_at_one_server(connect: Call
 
 
 def test_transcripts_of_four_unknown_releases_contain_no_false_success(connect: Callable[..., Client]) -> None:
-    """Clients of 3.12 and 4.0 read the real outcome; older ones do if it is the whole reply, otherwise a failure."""
+    """Clients of 3.12 and 4.0 read the real outcome. Older clients do so only if it is the whole reply.
+
+    Otherwise they read a failure.
+    """
     talks = recorded()
     server = Server(Replaying(talks), Generations())
     clients = {release: connect(server, f"/nav{release}", release) for release in talks}

@@ -33,7 +33,7 @@ from yarp_compat.wire.values import Vocab
 __all__ = ["connect", "loads", "make_port", "naming"]
 
 
-def test_a_map_client_with_tcp_is_taken_for_one_before_3_10(connect: Callable[..., Client]) -> None:
+def test_a_map_client_over_tcp_counts_as_older_than_3_10(connect: Callable[..., Client]) -> None:
     """``map2D_nwc_yarp`` connects by fast_tcp since 3.10; this is only a hint, so replies stay unambiguous."""
     server = Server(Planner())
     old = connect(server, "/module/mapClient_rpc", "3.9", carriers.TCP)

@@ -64,7 +64,7 @@ class Places(Service):
     def clear_RPC(self) -> ReturnValue: ...
 
 
-class Kept(Places):
+class PlacesServer(Places):
     def __init__(self) -> None:
         super().__init__()
         self.at: dict[str, Map2DLocation] = {}
@@ -135,7 +135,7 @@ KITCHEN = Map2DLocation("m1", 1.5, -2.0, 90.0, "by the door")
 def test_clients_with_any_expectation_read_replies_of_any_generation(
     generation: Generation, expected: Generation
 ) -> None:
-    server = Server(Kept(), Generations(generation))
+    server = Server(PlacesServer(), Generations(generation))
     wire = Wire(server, expected)
     places = Places(wire)
     if Generation.YARP_3_11 in (generation, expected):
@@ -157,8 +157,8 @@ def test_clients_with_any_expectation_read_replies_of_any_generation(
 
 
 @pytest.mark.parametrize("generation", Generation)
-def test_an_introduced_peer_is_one_of_4_0(generation: Generation) -> None:
-    server = Server(Kept(), Generations(generation))
+def test_a_client_that_introduces_itself_counts_as_4_0(generation: Generation) -> None:
+    server = Server(PlacesServer(), Generations(generation))
     wire = Wire(server, generation)
     assert Places(wire).introduce() == (3, 4, 0, 0)
     assert wire.generation is Generation.YARP_4
@@ -218,7 +218,7 @@ SINGLE = {
 
 @pytest.mark.parametrize("generation", Generation)
 def test_replies_have_the_bytes_of_each_generation(generation: Generation) -> None:
-    server = Server(Kept(), Generations(generation))
+    server = Server(PlacesServer(), Generations(generation))
     status = Places.calls()["get_status_RPC"].request([], generation.profile)
     store = Places.calls()["store_location_RPC"].request(["a", KITCHEN], generation.profile)
     assert server.answer(status) == bytes.fromhex(REPLIES[generation])
@@ -236,14 +236,14 @@ def test_replies_have_the_bytes_of_each_generation(generation: Generation) -> No
     ],
 )
 def test_typed_names_and_arguments_are_accepted(typed: list[Any]) -> None:
-    kept = Kept()
+    kept = PlacesServer()
     server = Server(kept)
     assert server.answer(binary.encode(typed, Profile.YARP3)) != FAIL
     assert kept.on
 
 
 def test_a_request_of_only_a_name_is_a_list_of_one_type() -> None:
-    assert Server(Kept()).answer(binary.encode(["names"], Profile.YARP3)) == bytes.fromhex(
+    assert Server(PlacesServer()).answer(binary.encode(["names"], Profile.YARP3)) == bytes.fromhex(
         "0001000001000000 0401000000000000"
     )
 
@@ -255,18 +255,18 @@ def test_a_request_of_only_a_name_is_a_list_of_one_type() -> None:
 )  # fmt: skip
 def test_unknown_requests_get_fail(request_: list[Any], caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
-        assert Server(Kept()).answer(binary.encode(request_, Profile.YARP3), "/peer") == FAIL
+        assert Server(PlacesServer()).answer(binary.encode(request_, Profile.YARP3), "/peer") == FAIL
     assert "/peer" in caplog.text
 
 
 def test_invalid_bytes_get_fail() -> None:
-    server = Server(Kept())
+    server = Server(PlacesServer())
     for data in (b"", b"\0" * 8, b"\xff" * 40, bytes.fromhex("00010000ffffff7f")):
         assert server.answer(data) == FAIL
 
 
 def test_help_lists_and_describes_methods() -> None:
-    server = Server(Kept())
+    server = Server(PlacesServer())
     many, lines = binary.decode(server.answer(binary.encode([Vocab("help")], Profile.YARP3)))
     assert (many, lines[0], lines[1], lines[-1]) == ("many", "*** Available commands:", "store_location_RPC", "help")
     _, lines = binary.decode(server.answer(binary.encode(["help", "count"], Profile.YARP3)))
@@ -276,7 +276,7 @@ def test_help_lists_and_describes_methods() -> None:
 
 
 def test_an_exception_of_an_implementation_becomes_an_outcome(caplog: pytest.LogCaptureFixture) -> None:
-    class Broken(Kept):
+    class Broken(PlacesServer):
         def get_location_RPC(self, name: str) -> Any:
             if name == "odd":
                 return OK, "not a location"
@@ -306,7 +306,7 @@ def test_an_exception_of_an_implementation_becomes_an_outcome(caplog: pytest.Log
 
 
 def test_the_dialect_of_a_request_shows_the_generation() -> None:
-    server = Server(Kept())
+    server = Server(PlacesServer())
     store = Places.calls()["store_location_RPC"]
     assert server.answer(store.request(["a", KITCHEN], Profile.YARP4), "/new") == bytes.fromhex(
         SINGLE[Generation.YARP_4]
@@ -315,7 +315,7 @@ def test_the_dialect_of_a_request_shows_the_generation() -> None:
         SINGLE[Generation.YARP_3_12]
     )
     assert [(known.peer, known.generation) for known in server.generations.explain()] == [("/new", Generation.YARP_4)]
-    server = Server(Kept(), Generations(Generation.YARP_4))
+    server = Server(PlacesServer(), Generations(Generation.YARP_4))
     assert server.answer(store.request(["a", KITCHEN], Profile.YARP3), "/old") == bytes.fromhex(
         SINGLE[Generation.YARP_3_12]
     )
@@ -329,7 +329,7 @@ def test_the_dialect_of_a_request_shows_the_generation() -> None:
 @pytest.mark.parametrize("profile", Profile)
 def test_no_number_is_misread_with_any_expectation(generation: Generation, profile: Profile) -> None:
     """YARP 3's tag for doubles is YARP 4's tag for floats, which are half as long."""
-    server = Server(Kept(), Generations(generation))
+    server = Server(PlacesServer(), Generations(generation))
     for number in (0.0, 2.0, 1e9):
         reply = server.answer(Places.calls()["count"].request([1, number], profile))
         assert binary.decode(reply) == [1 + number]
@@ -337,7 +337,7 @@ def test_no_number_is_misread_with_any_expectation(generation: Generation, profi
 
 def test_a_text_carrier_gets_a_bottle_in_every_generation() -> None:
     for generation in Generation:
-        server = Server(Kept(), Generations(generation))
+        server = Server(PlacesServer(), Generations(generation))
         replies = []
         peer = SimpleNamespace(
             route=SimpleNamespace(source="admin"),
@@ -355,7 +355,7 @@ def test_a_text_carrier_gets_a_bottle_in_every_generation() -> None:
 
 
 def test_a_request_sets_the_dialect_of_its_connection() -> None:
-    server = Server(Kept())
+    server = Server(PlacesServer())
     replies = []
     peer = SimpleNamespace(
         route=SimpleNamespace(source="/c"),

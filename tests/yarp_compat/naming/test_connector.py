@@ -102,7 +102,7 @@ def test_the_connector_survives_unexpected_errors(ports: Ports, monkeypatch: pyt
     connector.close()
 
 
-def test_a_forced_connection_replaces_one_to_an_earlier_port_of_that_name(ports: Ports) -> None:
+def test_a_forced_connection_replaces_the_connection_to_an_earlier_port_with_the_name(ports: Ports) -> None:
     """A writer that reports itself as connected must connect to the new port."""
     connector = Connector(LocalNaming())
     connector.request(WantedConnection("/connected", "/r", force=True))

@@ -75,7 +75,7 @@ def test_one_connection_may_send_many_commands(server: NameServer) -> None:
     assert lines == ["*** end of message", line, "*** end of message", line, "*** end of message"]
 
 
-def test_others_are_answered_while_dead_ports_are_probed(
+def test_commands_are_answered_while_dead_ports_are_probed(
     server: NameServer, names: NameClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun, release = threading.Event(), threading.Event()

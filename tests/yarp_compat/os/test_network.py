@@ -96,7 +96,7 @@ def test_names_are_registered_and_queried() -> None:
     assert not yarp.Network.isValidPortName("a b")
 
 
-def test_wait_for_a_port() -> None:
+def test_wait_port_returns_when_the_port_opens() -> None:
     port = yarp.Port()
     thread = threading.Timer(0.1, lambda: port.open("/late"))
     thread.start()

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.support.wait import until
-from tests.yarp_compat.dev.test_service import Kept, Places
+from tests.yarp_compat.dev.test_service import Places, PlacesServer
 from tests.yarp_compat.ports.conftest import MakePort
 from yarp_compat.dev.client import PortChannel
 from yarp_compat.dev.server import Server
@@ -147,7 +147,7 @@ def test_release_is_decided_before_the_client_asks_for_the_version(
 ) -> None:
     """A client's port answers no queries while it waits for a reply, so it is queried before the first request."""
     naming.register("/client", *other.address)
-    server = Server(Kept())
+    server = Server(PlacesServer())
     port = make_port("/server", server, rpc=True, on_event=server.on_event)
     with call(port.contact, b"/client") as sock:
         assert len(sock.recv(8)) == 8

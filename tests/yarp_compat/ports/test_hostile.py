@@ -142,7 +142,7 @@ def test_announced_size_reserves_no_memory(make_port: MakePort) -> None:
     until(lambda: not port.inputs(), "all connections are closed")
 
 
-def test_text_without_a_line_end(works: Works) -> None:
+def test_text_without_a_line_end_closes_the_connection(works: Works) -> None:
     sock = call(works.port, b"CONNACK x\r\n")
     assert sock.recv(100) == b"Welcome x\r\n"
     with contextlib.suppress(OSError):
@@ -197,7 +197,7 @@ def test_a_thousand_silent_connections_do_not_block_a_valid_peer(make_port: Make
     works.check()
 
 
-def test_peers_that_are_silent_after_their_introduction(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_introduced_peers_that_are_silent_have_no_thread(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "MOST_INPUTS", 50)
     works = Works(make_port)
     threads = threading.active_count()

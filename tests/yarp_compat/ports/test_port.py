@@ -271,7 +271,7 @@ def test_carrier_modifiers_are_refused(make_port: MakePort, target: str, caplog:
 
 @pytest.mark.parametrize("first", [b"YA\xe4\x1e\0\0RP", b"YAd\x1e\0\0RP", b"YAa\x1e\0\0RP", b"CONNACK "])
 def test_modifier_of_the_writer_is_accepted(make_port: MakePort, first: bytes) -> None:
-    """A C++ port that connects with ``send.portmonitor`` modifies its messages itself; one with ``recv`` is refused.
+    """A C++ port that connects with ``send.portmonitor`` modifies its messages itself; ``recv`` is refused.
 
     The C++ port accepts any eight bytes as an answer (``TcpCarrier::expectReplyToHeader``): after a refusal in words,
     ``yarp connect`` of 3.9.1 reported "Success", so only the text carriers get an answer to a refused connection.
@@ -392,7 +392,7 @@ descriptors = len(os.listdir("/proc/self/fd"))
 child = os.fork()
 if not child:
     assert not reader.is_open and not writer.outputs()
-    assert len(os.listdir("/proc/self/fd")) < descriptors, "it let go of them"
+    assert len(os.listdir("/proc/self/fd")) < descriptors, "the child has closed the descriptors of its parent"
     for port in pair("child"):
         port.close()
     reader.close()

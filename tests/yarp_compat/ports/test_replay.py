@@ -95,7 +95,7 @@ def assert_answers(talk: Talk, address: tuple[str, int], profile: Profile) -> No
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_reader_of_connect(profile: Profile) -> None:
+def test_a_reader_answers_yarp_connect_as_recorded(profile: Profile) -> None:
     got: list[list[object]] = []
 
     def on_message(incoming: PortMessage) -> None:

@@ -75,7 +75,7 @@ PLY = write_ply(PointCloud.of(np.zeros(2, LAYOUTS[PointType.XYZ])))
         (PCD.replace(b"DATA binary", b"DATA binary_compressed"), "DATA: 'binary_compressed' is not binary or ascii"),
         (PCD[:-1], "the points have 23 bytes, not 24"),
         (PCD.replace(b"DATA binary", b"DATA ascii")[:-24] + b"1 2 3\n1 2\n", "invalid line of points"),
-        (PCD.replace(b"DATA binary", b"DATA ascii")[:-24] + b"1 2 3\n", "the points are 1 x 3 numbers, not 2 points of 3"),
+        (PCD.replace(b"DATA binary", b"DATA ascii")[:-24] + b"1 2 3\n", "the points are 1 x 3 numbers, not 2 points"),
         (PCD.replace(b"DATA binary", b"DATA ascii")[:-24] + b"1 2 3\n1 2 x\n", "invalid line of points"),
         (PLY.replace(b"vertex 2", b"vertex 100000000"), "declares 100000000 points"),
         (PLY.replace(b"element vertex", b"element edge"), "element: the first"),

@@ -183,7 +183,7 @@ def test_a_configuration_file_is_read_as_by_yarp(tmp_path: Path, monkeypatch: py
     assert property_.findGroup("PARTS").toString() == "PARTS left right left right left right"
 
 
-def test_windows_line_ends_and_values_from_the_caller() -> None:
+def test_windows_line_ends_and_the_callers_values_are_read() -> None:
     property_ = Property()
     property_.fromConfig("a 1\r\n[G]\r\nb $X\r\n", Property("(X 5)"))
     assert property_.toString() == "(G (b 5)) (a 1)"
@@ -232,7 +232,7 @@ def test_file_is_read_identically_on_every_system(tmp_path: Path) -> None:
         ("(a 1) ([a] 2)", "([a] 2)"),
     ],
 )
-def test_keys_that_are_not_strings(text: str, printed: str) -> None:
+def test_keys_that_are_not_strings_keep_their_type(text: str, printed: str) -> None:
     """Of two keys with the same text, the last one counts, and its type is kept."""
     property_ = Property(text)
     assert property_.toString() == printed
@@ -286,7 +286,7 @@ def test_a_folder_of_files_is_read(tmp_path: Path) -> None:
     assert property_.findGroup(names[1]).find("y").asInt32() == 2
 
 
-def test_missing_and_recursive_includes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_files_and_recursive_includes_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     property_ = Property("(old 1)")
     assert not property_.fromConfigFile(str(tmp_path / "none.ini"))
     assert not property_.fromConfigDir(str(tmp_path / "none"), "X")
