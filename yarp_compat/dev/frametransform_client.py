@@ -47,9 +47,8 @@ class TransformClient(Openable, IFrameTransform):
     static expire `LIFETIME` after their arrival; only this machine's clock counts. Without ``streaming``, each query
     sends a request to the server.
 
-    ``server`` is the prefix of the server's ports (``/robot`` for ``/robot/frameTransformServer/...``), ``name`` the
-    prefix of the client's ports; if it is empty, the name server chooses their names. For the options, see
-    `ClientOptions`.
+    ``server`` is the prefix of the server's ports (``/robot`` for ``/robot/frameTransformServer/...``), ``name`` that
+    of the client's ports; if ``name`` is empty, the name server chooses their names. Options: see `ClientOptions`.
     """
 
     def __init__(

@@ -37,8 +37,7 @@ SHAPE = (3, 3)
 class CovarianceCodec(Nested):
     """A pose's 3x3 covariance; None is sent as zeros, because real clients hang on an empty matrix.
 
-    Reading accepts an empty matrix: servers of YARP 3.12 and 4.0 confuse success and failure, and send an
-    empty matrix on success.
+    Reading accepts an empty matrix, which servers of YARP 3.12 and 4.0 send on success (they confuse it with failure).
     """
 
     def __init__(self) -> None:

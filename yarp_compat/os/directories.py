@@ -26,8 +26,7 @@ yarpcachehome, yarpruntimedir = _DIRECTORIES.cache_home, _DIRECTORIES.runtime_ho
 def get_string(key: str, default: str = "", *rest: str) -> str:
     """Return an environment variable, or a default.
 
-    If there are more than two texts, the second names another variable, the third is its default, and the fourth is
-    appended to its value.
+    Of more than two texts, the second names another variable, the third is its default, the fourth a suffix for both.
     """
     if not rest or key in os.environ:
         return os.environ.get(key, "" if rest else default)

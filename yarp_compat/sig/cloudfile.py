@@ -126,10 +126,7 @@ def _read_pcd(data: bytes) -> PointCloud:
     for index, (name, size, letter, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
         length = _int_of([count], f"COUNT of {name}")
         if f"{letter}{size}" not in ("I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8", "F4", "F8") or length > 4096:
-            raise CloudFileError(
-                f"TYPE, SIZE, COUNT of {name[:40]}: {letter[:8]}{size[:8]} with the count {count} is not supported"
-                " (I or U with 1, 2, 4 or 8 bytes, F with 4 or 8; count up to 4096)"
-            )
+            raise CloudFileError(f"TYPE, SIZE, COUNT of {name[:40]}: {letter[:8]}{size[:8]}, {count} are not supported")
         field = name if length == 1 and name not in [column[0] for column in columns] else f"{index}_"
         columns.append((field, f"<{letter.lower()}{size}", *([] if length == 1 else [(length,)])))
     form = (head["DATA"] or [""])[0]
@@ -157,8 +154,7 @@ def _read_ply(data: bytes) -> PointCloud:
             continue
         letters = _PLY_TYPES.get(line[1] if len(line) == 3 else "")
         if letters is None or len(columns) >= _MOST_FIELDS:
-            text = " ".join(line[1:])[:40]
-            raise CloudFileError(f"property: {text!r} is not a scalar, or exceeds {_MOST_FIELDS} properties")
+            raise CloudFileError(f"property: {' '.join(line[1:])[:40]!r} is not a scalar, or one too many")
         name = _PLY_NAMES.get(line[2], line[2])
         columns.append((name if name not in [known for known, _ in columns] else f"{len(columns)}_", order + letters))
     return _cloud(_rows(data, start, np.dtype(columns), count, text=form == "ascii"), 1)
@@ -179,8 +175,7 @@ def _rows(data: bytes, start: int, layout: np.dtype[Any], count: int, *, text: b
     except ValueError as err:
         raise CloudFileError(f"invalid line of points: {str(err)[:80]}") from None
     if numbers.shape != (count, width) and count:
-        shape = " x ".join(map(str, numbers.shape))
-        raise CloudFileError(f"the points are {shape} numbers, not {count} points of {width} numbers")
+        raise CloudFileError(f"the points are {' x '.join(map(str, numbers.shape))} numbers, not {count} x {width}")
     points, column = np.zeros(count, layout), 0
     with np.errstate(invalid="ignore", over="ignore"):
         for name in layout.names or () if count else ():
@@ -197,8 +192,7 @@ def _cloud(points: NDArray[Any], height: int) -> PointCloud:
     fields = names | ({"b", "g", "r", "a"} if packed else set())
     kind = next((kind for kind, wanted in _KINDS if wanted <= fields), None)
     if kind is None:
-        text = ", ".join(sorted(names))[:80]
-        raise CloudFileError(f"the points have only the fields {text}; x, y and z are required")
+        raise CloudFileError(f"the points have only the fields {', '.join(sorted(names))[:80]}; x, y and z are needed")
     converted = np.zeros(len(points), LAYOUTS[kind])
     with np.errstate(invalid="ignore", over="ignore"):
         for name in set(converted.dtype.names or ()) & names:
