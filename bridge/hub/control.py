@@ -30,10 +30,10 @@ _log = logging.getLogger(__name__)
 Handler = Callable[[dict[str, Any]], Any]
 
 RECORDED = {"recorded": True}
-"""A recorder's answer to ``halt``: it moves nothing, and saves what led to the halt."""
+"""A recorder's answer to ``halt``: the recorder stops nothing, but saves the messages that led to the halt."""
 
 WHO = {"who": True}
-"""Parameters to which a worker responds, for any verb, with only the identity of its daemon."""
+"""Parameters of any verb that request only the identity of the worker's daemon."""
 
 _MAX_PENDING = 64
 _MAX_QUESTION = 1 << 20
@@ -45,8 +45,8 @@ _THREADS = 2
 class WorkerAnswer:
     """One worker's answer; ``error`` is "" if ``value`` is valid.
 
-    ``session`` is the id of the worker's session; ``identity`` identifies its daemon, None if the worker sent none, as
-    in earlier releases.
+    ``session`` is the id of the worker's session; ``identity`` identifies its daemon, None if the worker's release does
+    not send it.
     """
 
     daemon: str

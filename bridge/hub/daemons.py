@@ -54,7 +54,7 @@ def identity_of(config: Config) -> DaemonIdentity | None:
 
 
 def read_identity(value: Any) -> DaemonIdentity | None:
-    """Return the identity in an answer; None if it has no valid one, as from an earlier release."""
+    """Return the identity in an answer; None if it is missing (earlier releases send none) or invalid."""
     if not isinstance(value, dict):
         return None
     texts = [text[:_MAX_TEXT] for text in map(value.get, ("instance", "machine", "folder")) if isinstance(text, str)]

@@ -50,8 +50,9 @@ _MARK = "d0c0ffee"
 """Prefix of the zenoh ids of sessions that introduce others; when such a session ends, no peer is lost."""
 
 _FIRST_SECONDS = 1.5
-"""Seconds before a lost session is introduced: longer than the other sessions and the router take to detect a loss.
-Otherwise a suspended process would be announced, and failing attempts to reach it would still run when it continues."""
+"""Seconds before a lost session is introduced, longer than the other sessions and the router take to detect a loss.
+Otherwise the router would announce a process that is still suspended, and the attempts to reach this process would
+still be failing when it continues."""
 
 _SOON_SECONDS = 0.2
 _TOGETHER_SECONDS = 1.0
@@ -63,7 +64,7 @@ _REMEMBERED_SECONDS = 60.0
 """Seconds for which a lost session is searched for, because it may return to the router."""
 
 _COMPARE_SECONDS = 5.0
-"""Seconds between comparisons with the router's peers. A peer that is missing in two successive ones has no link."""
+"""Seconds between comparisons with the router's peers; a peer without a link in two successive comparisons is lost."""
 
 _POLL_SECONDS = 0.4
 _MOST_EVENTS = 1000
@@ -78,7 +79,7 @@ class Mesh:
     Args:
         config: returns a configuration for another session on the same hub.
         members: returns the zenoh ids of all sessions at this session's routers, None if no router answers.
-        peers: the same for peers only.
+        peers: returns the same, but only for sessions that are peers.
 
     Attributes:
         mended: number of missing links that were restored.
@@ -141,7 +142,7 @@ class Mesh:
             pause = min(2 * pause, _LONGEST_SECONDS)
 
     def _give_up(self, oldest: float) -> None:
-        """Stop searching for sessions that were lost before a time."""
+        """Stop searching for sessions that were lost before the time ``oldest``."""
         over = {zid for zid, at in self._lost.items() if at <= oldest}
         self._lost = {zid: at for zid, at in self._lost.items() if zid not in over}
         self._unreachable |= over
@@ -151,7 +152,7 @@ class Mesh:
         return bool(json.loads(self._config().get_json("mode")) == "client")
 
     def _compare(self) -> None:
-        """Count the router's peers without a link in two comparisons as lost; a client needs no links to peers."""
+        """Record the router's peers without a link in two comparisons as lost; a client needs no links to peers."""
         now = time.monotonic()
         if now < self._compare_at:
             return
@@ -220,7 +221,7 @@ def _far(address: str) -> bool:
 
 
 def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> None:
-    """Set the time limit on all connections of this process, ``process``, to addresses for which ``far`` is true."""
+    """Set the time limit on the connections of ``process``, which is this process, to addresses that are ``far``."""
     if _OPTION is None:
         return
     import psutil  # only needed with an external listener
@@ -233,9 +234,9 @@ def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> N
 
 
 def duplicate(descriptor: int) -> socket.socket:
-    """Return a second socket for a connection of zenoh, which may close its descriptor; the number may then be reused.
+    """Return another socket for a connection of zenoh, which may close ``descriptor``, so that its number is reused.
 
-    Raises `OSError` if it is not a socket.
+    Raises `OSError` if ``descriptor`` is not a socket.
     """
     copy = os.dup(descriptor)
     try:

@@ -28,7 +28,7 @@ class Namesakes:
     """Searches the hub for other daemons with this daemon's name.
 
     Attributes:
-        warning: the other daemons and how to fix that; "" if there are none.
+        warning: names the other daemons, and how to resolve the conflict; "" if there are none.
     """
 
     def __init__(self, session: zenoh.Session, domain: int, daemon: str, own: DaemonIdentity | None) -> None:
@@ -51,7 +51,7 @@ class Namesakes:
         self.warning = warning
 
     def _others(self) -> set[str]:
-        """Return the machines of other routers with this daemon name, and the places of other daemons at this one."""
+        """Return the machines of other routers with this daemon name, and the places of namesakes at this router."""
         own = str(self._session.zid())
         answers = ask(self._session, self._domain, MEMBERS, {}, self._daemon, "router", _ANSWER_SECONDS)
         values = [answer.value for answer in answers if isinstance(answer.value, dict)]
@@ -110,7 +110,7 @@ class DaemonNames:
                 self._here.setdefault(answer.daemon, {})[answer.identity.instance] = answer.identity
 
     def _router(self, answer: WorkerAnswer) -> str:
-        """Return the router that distinguishes the answer's daemon from the own router's; "" if none does."""
+        """Return the answering daemon's router, if it distinguishes this daemon from those at the own router, or ""."""
         routers = self._routers.get(answer.daemon, {})
         if len(routers) > 1:
             for zid, sessions in routers.items():

@@ -42,7 +42,7 @@ _MAX_MEMBERS = 1000
 """Maximum number of sessions in the status document."""
 
 _ROUTERS = {"router", "zenohd", "rmw_zenohd"}
-"""Words in the command lines of routers: Midspan's (`midspan worker router`) and those of others."""
+"""Words in the command lines of Midspan's router (`midspan worker router`) and of other routers."""
 
 
 @dataclass(frozen=True, slots=True)

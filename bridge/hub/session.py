@@ -291,7 +291,7 @@ class Hub:
         self._context.variants.versions = versions
 
     def lane(self) -> LaneStatus:
-        """Return the state of the local transport to this daemon's other workers; without one, no value is set."""
+        """Return the state of the local transport to this daemon's other workers; empty if the session has no lane."""
         return LaneStatus() if self._joined.lane is None else self._joined.lane.status()
 
     def linked(self) -> bool:
@@ -318,10 +318,10 @@ class Hub:
     ) -> HubPublisher:
         """Create a publisher, which exists until it or the node is closed.
 
-        The priority is ``command``, ``state`` or ``stream``. With ``express``, each sample is sent in its own packet,
-        by default only commands: a burst of other samples is as fast in shared packets, and if each had its own, some
-        might be lost on a busy machine. ``queue`` is the maximum number of messages that wait for a slow reader of the
-        lane, by default 1 for commands and 1000 otherwise.
+        The priority is ``command``, ``state`` or ``stream``. With ``express``, which is the default for commands only,
+        each sample is sent in its own packet. Bursts of other samples are as fast in shared packets; some of them might
+        be lost in separate packets on a busy machine. ``queue`` is the maximum number of messages that wait for a slow
+        reader of the lane, by default 1 for commands and 1000 otherwise.
         """
         with self._lock:
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)

@@ -19,7 +19,7 @@ Refuse = Callable[[zenoh.Query, bytes], None]
 
 
 def reply_error(query: zenoh.Query, error: CallError, refuse: Refuse | None = None) -> None:
-    """End a query with a zenoh error reply; ``refuse`` also sends the error's reply of the service's type, if any."""
+    """End a query with a zenoh error reply; if the error has a ``reply`` of the service's type, ``refuse`` sends it."""
     refused = isinstance(error, UnsentCallError)
     try:
         with query:

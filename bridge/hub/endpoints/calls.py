@@ -54,7 +54,7 @@ _log = logging.getLogger(__name__)
 
 LEFT = "the server of {name} left before it answered"
 PRIORITY = zenoh.Priority.INTERACTIVE_LOW
-"""Higher than that of topics, so that calls do not wait for images; replies inherit the priority of their query."""
+"""The priority of calls: higher than that of topics, so that calls do not wait for images. Replies inherit it."""
 
 MAX_ERROR = 4096
 """Maximum size of an error text, in bytes."""
@@ -62,21 +62,21 @@ MAX_ERROR = 4096
 _CLOSED = "the call of {name} was ended: its client was closed"
 _REFUSED = "; or an external listener between the machines refuses this call (hub.open.trusted)"
 _AT_ONCE = 0.2
-"""Seconds within which zenoh ends a query that no server received; a query that lasts longer did reach a server.
+"""Seconds within which zenoh ends a query that no server received, so that a query that lasts longer reached a server.
 
-A query that ends within this time may also have reached a server, which then crashed or dropped the query. So no call
-is repeated.
+A query that ends within this time may have reached a server too, if the server then crashed or dropped the query. So
+no call is repeated.
 """
 
 _LEAVING = 1.0
-"""Seconds within which a crashed server's queryable disappears; a server whose queryable remains did not crash."""
+"""Seconds within which a crashed server's queryable disappears; if the queryable remains, the server did not crash."""
 
 _NO_SERVER = "no server of {name} is on {where}"
 REFUSED_ENCODING = zenoh.Encoding("text/plain;refused")
 """Encoding of the text of an `UnsentCallError`."""
 
 _FOR_EVER = 1e9
-"""Timeout of zenoh queries in seconds, instead of the default of ten: calls have no timeout."""
+"""Timeout of zenoh queries in seconds, because calls have no timeout; zenoh's default is ten seconds."""
 
 
 class _PendingCall:

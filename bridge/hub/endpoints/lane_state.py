@@ -16,7 +16,7 @@ from bridge.hub.lane.inlet import Inlet
 from bridge.hub.zenoh_compat import subscribe, undeclare
 
 QUIET_SECONDS = 1.0
-"""Maximum seconds to wait for a message over zenoh before leaving a lane, whose publishers may be quiet."""
+"""Maximum seconds to wait for a message over zenoh before leaving a lane, because its publishers may be quiet."""
 
 CAUGHT_SECONDS = 10.0
 """Seconds from a mark until a lane is used even if its session does not respond over zenoh."""
@@ -31,7 +31,7 @@ class Joined:
     inlet: Inlet
     mark: int
     since: float
-    caught: bool = False
+    caught_up: bool = False
 
 
 class LeavingStep(Enum):
@@ -56,7 +56,7 @@ class Leaving:
 
 
 class Lanes:
-    """The lanes of one subscription, whose lock guards them. Only the thread that chooses adds to ``inlets``.
+    """The lanes of one subscription, whose lock guards them. Only the lane's thread adds to ``inlets``.
 
     Attributes:
         inlets: the lanes, each with the time when it was last joined (monotonic seconds).
@@ -81,14 +81,14 @@ class Lanes:
         """Start leaving a lane; return the current step, which is `ENDED` for a lane whose connection has ended."""
         return self.leaving.setdefault(inlet, Leaving()).step if inlet in self.inlets else LeavingStep.ENDED
 
-    def known(self, inlet: Inlet, now: float) -> None:
+    def on_subscriber_known(self, inlet: Inlet, now: float) -> None:
         """Note that a lane's session knows the subscriber on zenoh, and begin to wait for a message over zenoh."""
         if inlet in self.leaving:
             self.leaving[inlet] = Leaving(LeavingStep.KNOWN, now)
             self.received.discard(inlet.zid)
 
-    def fence(self, inlet: Inlet, now: float) -> bool:
-        """Return whether to send a fence now, because a message has arrived over zenoh, or none did for a second."""
+    def start_fence(self, inlet: Inlet, now: float) -> bool:
+        """Return whether to send a fence now, because a message arrived over zenoh, or none did for `QUIET_SECONDS`."""
         leaving = self.leaving.get(inlet)
         if leaving is None or leaving.step is not LeavingStep.KNOWN:
             return False
@@ -97,7 +97,7 @@ class Lanes:
             self.leaving[inlet] = Leaving(LeavingStep.FENCED, now)
         return due
 
-    def fenced(self, inlet: Inlet) -> None:
+    def on_fence(self, inlet: Inlet) -> None:
         """Note that the fence has returned; a fence from an earlier attempt to leave the lane is ignored."""
         leaving = self.leaving.get(inlet)
         if leaving is not None and leaving.step is LeavingStep.FENCED:
@@ -119,8 +119,8 @@ class Lanes:
         joined = self.joined.get(gid)
         return joined is not None and joined.inlet in self.leaving
 
-    def caught(self, gid: bytes, last: int | None, now: float, passed: Callable[[str, float], bool]) -> bool:
-        """Return whether all messages that a publisher sent only on zenoh have arrived; the last received is ``last``.
+    def has_caught_up(self, gid: bytes, last: int | None, now: float, passed: Callable[[str, float], bool]) -> bool:
+        """Return whether all messages that a publisher sent only on zenoh have arrived; ``last``: last received number.
 
         ``passed`` returns whether a session has replied to a query that was sent after a given time. In that case its
         earlier messages, which zenoh delivers before the reply, have arrived or were dropped.
@@ -128,17 +128,17 @@ class Lanes:
         joined = self.joined.get(gid)
         if joined is None:
             return False
-        joined.caught = (
-            joined.caught
+        joined.caught_up = (
+            joined.caught_up
             or (last or 0) >= joined.mark
             or passed(joined.inlet.zid, joined.since)
             or now - joined.since > CAUGHT_SECONDS
         )
-        return joined.caught
+        return joined.caught_up
 
 
 class ZenohSubscriber:
-    """A subscriber on zenoh for all sessions, or only for its own session, and then only if that has several nodes.
+    """A subscriber on zenoh that receives from all sessions, or only from other nodes of its own session, if any.
 
     ``_switching`` serializes the changes. ``lock``, the subscription's lock, guards ``everywhere``. A thread that holds
     ``_switching`` may acquire ``lock``, but not the reverse.
@@ -161,7 +161,7 @@ class ZenohSubscriber:
         self._subscriber = self._declare(self._reach)
 
     def listen(self, *, everywhere: bool) -> None:
-        """Receive from all sessions, or only from this session, and then only if it has several nodes."""
+        """Receive from all sessions, or only from other nodes of this session, if any."""
         with self._switching:
             if self._closed or everywhere == self.everywhere:
                 return

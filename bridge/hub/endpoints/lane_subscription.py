@@ -37,7 +37,7 @@ EARLY_SECONDS = 0.1
 """Seconds for which a message is held until earlier messages arrive on the other transport."""
 
 LEAVING_SECONDS = 5.0
-"""The same while a lane is being left, which still delivers all earlier messages, and then the fence."""
+"""The same limit while a lane is being left, because the lane still delivers all earlier messages, then the fence."""
 
 _UNANSWERED_SECONDS = 1.0
 
@@ -201,9 +201,9 @@ class LaneSubscription(HubSubscription):
             for deliverable in ready:
                 self._callback(deliverable)
         if len(message.payload) > BOUND:
-            self.grown()
+            self.on_large_message()
 
-    def heard(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
+    def on_message(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
         """Handle a message from a lane."""
         reader = self._reader
         if reader.closed:
@@ -251,7 +251,7 @@ class LaneSubscription(HubSubscription):
 
     # -- lanes ---------------------------------------------------------------------------------------------------------
 
-    def marked(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
+    def on_mark(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
         """Handle a mark: the publisher sends all messages after this number on the lane."""
         with self._lock:
             self._lanes.mark(inlet, gid, sequence)
@@ -261,19 +261,19 @@ class LaneSubscription(HubSubscription):
             source.paired = True
         self._lane.wake(self)
 
-    def fenced(self, inlet: Inlet) -> None:
+    def on_fence(self, inlet: Inlet) -> None:
         """Handle a returned fence: the lane that is being left has delivered everything."""
         with self._lock:
-            self._lanes.fenced(inlet)
+            self._lanes.on_fence(inlet)
         self._lane.wake(self)
 
-    def grown(self) -> None:
+    def on_large_message(self) -> None:
         """Switch to zenoh after a message that is too large for the lane."""
         if not self._large:
             self._large = True
             self._lane.wake(self)
 
-    def parted(self, inlet: Inlet) -> None:
+    def on_disconnected(self, inlet: Inlet) -> None:
         """Handle the end of a connection."""
         if inlet in self._lanes.inlets:
             self._drop(inlet)
@@ -340,7 +340,7 @@ class LaneSubscription(HubSubscription):
             lanes.inlets[inlet] = now
             inlet.join(self)
         with self._lock:
-            missing = [publisher for publisher in publishers if not self._caught(publisher.gid, now)]
+            missing = [publisher for publisher in publishers if not self._has_caught_up(publisher.gid, now)]
         if not missing:
             self._zenoh.listen(everywhere=False)
             self.way, self.why = "lane", ""
@@ -356,10 +356,10 @@ class LaneSubscription(HubSubscription):
                 late.join(self)  # again, to receive another mark
         return True
 
-    def _caught(self, gid: bytes, now: float) -> bool:
+    def _has_caught_up(self, gid: bytes, now: float) -> bool:
         source = self.sources.get(gid)
         last = None if source is None else source.sequence
-        return self._lanes.caught(gid, last, now, self._lane.barriers.passed)
+        return self._lanes.has_caught_up(gid, last, now, self._lane.barriers.passed)
 
     def _to_zenoh(self, why: str) -> bool:
         self._zenoh.listen(everywhere=True)
@@ -374,10 +374,10 @@ class LaneSubscription(HubSubscription):
             elif step is LeavingStep.DECLARED:
                 if self._lane.barriers.passed(inlet.zid, self._zenoh.declared):
                     with self._lock:
-                        lanes.known(inlet, now)
+                        lanes.on_subscriber_known(inlet, now)
             else:
                 with self._lock:
-                    fence = lanes.fence(inlet, now)
+                    fence = lanes.start_fence(inlet, now)
                 if fence:
                     inlet.fence(self)
         return bool(lanes.inlets)

@@ -34,8 +34,8 @@ class LatchedHubSubscription(HubSubscription):
     """Receives one latched topic.
 
     With a depth above 1, live samples of a session are held while it is queried for its cached samples, so that the
-    history is delivered first. With such a depth, a query is also triggered by the first live sample of a publisher, if
-    it is not that publisher's first sample, and in a reliable subscription by each gap.
+    history is delivered first. A publisher is then also queried if the first live sample received from it is not its
+    first, and, if the subscription is reliable, after each gap in its samples.
 
     ``_lock`` also guards the counts of unfinished queries. It is held during the callback, to preserve the order.
     """

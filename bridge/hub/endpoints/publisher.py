@@ -38,7 +38,7 @@ KEEP_ALL_CACHE = 1000
 MAX_CACHE = 10_000
 
 LARGE = POOL
-"""Size in bytes; a larger message does not fit into the shared memory, and needs hundreds of packets on a link."""
+"""Size in bytes above which a message does not fit into the shared memory, and needs hundreds of packets on a link."""
 
 
 _log = logging.getLogger(__name__)
@@ -108,11 +108,11 @@ class _Matching:
     """Whether another session subscribes to a publisher's key.
 
     A put without a subscriber costs a worker 14 us, and a query of the matching status 7 us, mostly because the memory
-    that they use is no longer in the processor's caches. So a listener follows the changes. zenoh may call the listener
-    only after it has answered queries that a new subscriber sent after its declaration (measured: 1 in 100), whereas
-    the status is as recent as zenoh's routes. So if the listener reports no subscriber, the status is queried too: in
-    `now` always, and in `reaches` once after each change of the graph, because the token that announces a subscriber
-    follows its declaration.
+    that they use is no longer in the processor's caches. So a listener follows the changes. The listener may be late:
+    in 1 case of 100, zenoh called it only after queries that the new subscriber sent after its declaration had been
+    answered. The status is as recent as zenoh's routes. So if the listener reports no subscriber, the status is queried
+    too: in `now` always, and in `reaches` once after each change of the graph, because the token that announces a
+    subscriber follows its declaration.
     """
 
     def __init__(self, publisher: zenoh.Publisher, graph: HubGraph) -> None:
@@ -208,7 +208,7 @@ class _PlainSink:
                 return
             payload = converted
         if len(payload) > LARGE and self._large is None and not self._blocks:
-            # later messages use it too, so that none overtakes the large one
+            # later messages use this publisher too, so that none overtakes the large message
             self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=BEHIND)
             self._put = self._large.put
         prepare_to_send(len(payload))

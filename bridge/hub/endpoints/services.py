@@ -132,7 +132,7 @@ class HubServer(CallServer):
         if pending.number is not None and len(self._callers) < _MAX_CALLERS:
             self._callers[pending.caller, pending.number] = pending
         if self._unwatch is None:
-            self._unwatch = self._graph.watch(self._look_for_callers)
+            self._unwatch = self._graph.watch(self._abandon_absent_clients)
 
     @override
     def _on_removed(self, pending: PendingRequest) -> None:
@@ -157,7 +157,7 @@ class HubServer(CallServer):
         if request is not None:
             self._abandoned(request)
 
-    def _look_for_callers(self) -> None:
+    def _abandon_absent_clients(self) -> None:
         """Abandon the calls of clients whose tokens have disappeared; called after changes of the graph."""
         with self._lock:
             waiting = [

@@ -24,7 +24,7 @@ from bridge.resources import LARGE_MESSAGES
 _log = logging.getLogger(__name__)
 _MAX_SOURCES = 4096
 _SPARED = 64
-"""Publishers outside the graph whose state remains when others are dropped; also the limit of sources in `Losses`."""
+"""Maximum number of publishers outside the graph whose state is kept, and maximum number of sources in `Losses`."""
 _MAX_GAP = 1_000_000
 
 MAX_HELD_BYTES = 256 << 20
@@ -139,7 +139,7 @@ class PublisherStates(dict[bytes, PublisherState]):
         return source
 
     def _make_room(self) -> None:
-        """Drop publishers that have left, but not the newest: some (zenoh-ros2-sdk) were never in the graph."""
+        """Drop publishers that are not in the graph, except the newest: those of zenoh-ros2-sdk are never in it."""
         departed = [gid for gid, source in self.items() if not source.held and not self._graph.zid_of(gid)]
         for gid in departed[:-_SPARED]:
             del self[gid]

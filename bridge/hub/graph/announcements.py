@@ -38,7 +38,7 @@ class SessionAnnouncements:
         self._strangers: set[str] = set()
 
     def members(self) -> dict[str, frozenset[str]]:
-        """Return by zid the members of the foreign network that each active worker's session announces."""
+        """Return, by the session (zid) of each active worker, the members that it announces of its foreign network."""
         return {zid: frozenset(members) for zid, members in self._members.items()}
 
     def put(self, key: str) -> bool:

@@ -47,7 +47,7 @@ class BestAvailable:
             self._changed.add(topic)
 
     def removed(self, key: str, topic: str, *, last: bool) -> None:
-        """Remove an endpoint; ``last``: whether the topic has no other endpoint."""
+        """Remove an endpoint; ``last``: whether it was the topic's only endpoint."""
         if last:
             self._changed.discard(topic)
         elif self._announced:

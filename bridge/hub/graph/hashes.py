@@ -73,7 +73,7 @@ class TypeHashes:
             self._changed.add(endpoint.topic)
 
     def removed(self, key: str, endpoint: HashedEndpoint, *, last: bool) -> None:
-        """Remove an endpoint; ``last``: whether the topic has no other endpoint."""
+        """Remove an endpoint; ``last``: whether it was the topic's only endpoint."""
         type_hash = self.announced(key, endpoint)
         self._keys.discard(key)
         name = endpoint.topic, endpoint.type_name

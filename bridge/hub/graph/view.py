@@ -32,7 +32,7 @@ class HubGraph:
     Attributes:
         epoch: an object that is replaced after each token that appears or disappears, and by `renew`.
         refused: number of tokens that were ignored because they are malformed or exceed the limit.
-        trouble: the reason why the last of these was ignored.
+        trouble: the reason why the last of these tokens was ignored, "" if there are none.
     """
 
     def __init__(self, session: zenoh.Session, domain: int, max_tokens: int) -> None:
@@ -87,7 +87,7 @@ class HubGraph:
             return dict(self._origins)
 
     def members(self) -> dict[str, frozenset[str]]:
-        """Return by zid the members of the foreign network that each active worker's session announces."""
+        """Return, by the session (zid) of each active worker, the members that it announces of its foreign network."""
         with self._lock:
             return self._announced.members()
 

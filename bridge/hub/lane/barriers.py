@@ -20,7 +20,7 @@ from bridge.hub.zenoh_compat import answer, keep_thread_state, undeclare
 _log = logging.getLogger(__name__)
 
 _AGAIN_SECONDS = 1.0
-"""Seconds after which a session that has not replied is queried again: the query may have been lost with a link."""
+"""Seconds after which a session that has not replied is queried again, because the query may be lost with a link."""
 
 _REPLY_SECONDS = 10.0
 """Time limit for a reply in seconds: on a busy machine a session may need seconds for each."""
@@ -30,15 +30,15 @@ class LaneBarriers:
     """The barriers of one session. Safe to use from any thread.
 
     Args:
-        renew: called before the reply to another session's barrier: that session may have declared subscribers, so
-            this session's publishers must check again whether they have any.
+        renew: called before the reply to another session's barrier. The other session may have declared subscribers,
+            so this session's publishers must check again whether they have subscribers.
     """
 
     def __init__(self, zid: str, session: zenoh.Session, domain: int, renew: Callable[[], None]) -> None:
         self._session = session
         self._lock = Lock()
         self._times: dict[str, tuple[float, float]] = {}
-        """By session: when it was last queried, and when the newest query that it answered was sent."""
+        """By session: when it was last queried, and when the last query to which it replied was sent."""
 
         self._closed = False
         self._asking = SerialExecutor("hub-lane-asks")

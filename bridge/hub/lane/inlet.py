@@ -36,16 +36,16 @@ class LaneReader(Protocol):
 
     key: str
 
-    def heard(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
+    def on_message(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
         """Handle a message; ``attached`` is its number, source time and publisher (GID), ``payload`` is CDR."""
 
-    def marked(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
+    def on_mark(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
         """Handle a mark: the publisher sends all messages after this number on this lane."""
 
-    def fenced(self, inlet: Inlet) -> None:
-        """Handle a fence: everything that was sent on this lane before the call of `Inlet.fence` has arrived."""
+    def on_fence(self, inlet: Inlet) -> None:
+        """Handle a returned fence: everything sent on this lane before the call of `Inlet.fence` has arrived."""
 
-    def grown(self) -> None:
+    def on_large_message(self) -> None:
         """Handle the first part of a message that is too large for the lane."""
 
 
@@ -95,7 +95,7 @@ class Inlet:
             self._send(HEAD.pack(ON, key.number) + reader.key.encode())
 
     def fence(self, reader: LaneReader) -> None:
-        """Request a fence: `LaneReader.fenced` is called after everything that was sent until now."""
+        """Request a fence: `LaneReader.on_fence` is called after everything that was sent until now."""
         with self._lock:
             key = self._keys.get(reader.key)
             if key is not None:
@@ -162,7 +162,7 @@ class Inlet:
     def _hand(self, key: _Key, message: tuple[int, int, bytes], payload: bytes) -> None:
         for reader in key.readers:
             try:
-                reader.heard(self, message, payload)
+                reader.on_message(self, message, payload)
             except Exception:  # the other subscriptions must still receive the message
                 _log.exception("a message from the lane was not handled")
 
@@ -170,13 +170,13 @@ class Inlet:
         if kind == MARK:
             sequence, _, gid = unpack_attachment(attached)
             for reader in key.readers:
-                reader.marked(self, gid, sequence)
+                reader.on_mark(self, gid, sequence)
         elif kind == FENCE:
             (token,) = TOKEN.unpack(record[HEAD.size :])
             with self._lock:
                 fenced = self._fences.pop(token, None)
             if fenced is not None:
-                fenced.fenced(self)
+                fenced.on_fence(self)
         elif kind == PART:
             self._part(key, attached, record)
 
@@ -188,7 +188,7 @@ class Inlet:
         if at == 0 and whole <= MAX_PAYLOAD:
             key.parts[gid] = (sequence, bytearray())
             for reader in key.readers:
-                reader.grown()
+                reader.on_large_message()
         number, data = key.parts.get(gid, (0, bytearray()))
         if number != sequence or len(data) != at:  # the beginning was dropped
             return

@@ -35,7 +35,7 @@ class Choosing(Protocol):
     def settle(self) -> bool:
         """Continue the switch to the wanted transport; return whether to check again soon."""
 
-    def parted(self, inlet: Inlet) -> None:
+    def on_disconnected(self, inlet: Inlet) -> None:
         """Handle the end of a connection."""
 
 
@@ -123,7 +123,7 @@ class Lane:
         with self._lock:
             choosing = tuple(self._choosing)
         for chooser in choosing:
-            chooser.parted(inlet)
+            chooser.on_disconnected(inlet)
 
     def _check_later(self) -> None:
         if not self._closing.is_set():

@@ -27,8 +27,8 @@ PIECE = struct.Struct("<II")
 TOKEN = struct.Struct("<Q")
 SIZE = struct.Struct("<I")
 SAMPLE = struct.Struct(f"<BIIqqx{GID_SIZE}s")
-"""The bytes before the payload of a message in a ``DATA`` record: head, size of the payload, and the attachment with
-number, time and GID, whose length byte is skipped (`bridge.hub.wire.keys`)."""
+"""The bytes before the payload of a message in a ``DATA`` record: head, payload size, and the attachment's number, time
+and GID (`bridge.hub.wire.keys`); the byte with the GID's length is skipped."""
 
 BODY = HEAD.size + ATTACHMENT_SIZE
 """Offset of the data after the attachment in other records."""

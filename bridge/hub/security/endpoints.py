@@ -34,7 +34,7 @@ TEST_SECONDS = 10.0
 """Seconds between two tests of one endpoint."""
 
 REFUSAL_SECONDS = 15.0
-"""Seconds for which a listener counts as refusing after its last refusal; zenoh retries at least every 4 s."""
+"""Seconds after its last refusal for which a listener counts as refusing; a refused peer retries at least every 4 s."""
 
 _ADDRESS_SECONDS = 3.0
 """Seconds to search for the refused machine's address before the refusal is reported without it."""
@@ -70,7 +70,7 @@ class Owner:
 
     Attributes:
         prefix: precedes ``connect`` or ``listen`` in log lines.
-        cure: the cure for a refused certificate, and no cure for other reasons; with "", the cures of ``hub.open``.
+        cure: reported for a refused certificate, the only reason that then has a cure; "": use each reason's own cure.
     """
 
     prefix: str = "hub.open."
@@ -299,9 +299,10 @@ class _Listen(_Endpoint):
             self._closed = None
 
     def _note_callers(self, active: Sequence[_Refusals]) -> None:
-        """Find which machines were refused: zenoh does not log them, but the system lists connections closed recently.
+        """Find which machines were refused, from the system's list of recently closed connections.
 
-        New addresses are recorded only if there was one cause, because the list does not show the cause.
+        zenoh does not log their addresses. New addresses are recorded only if there was one cause, because the list
+        does not show the cause.
         """
         closed, before = self._closed_connections(), self._closed
         self._closed = closed

@@ -18,7 +18,7 @@ from bridge.status import EndpointStatus, MachineStatus, RouterStatus
 _log = logging.getLogger(__name__)
 _RETRY_SECONDS = 5.0
 _REOPEN_SECONDS = 0.3
-"""zenoh's routers check their neighbors every 0.1 s; a router that replaces another sooner gets no subscriptions."""
+"""Seconds between the routers: zenoh checks for new neighbors every 0.1 s, and gives subscriptions only to these."""
 
 
 class ExternalAccess:
@@ -65,7 +65,7 @@ class ExternalAccess:
             self.reopen(config)
 
     def reopen(self, config: Config) -> None:
-        """Replace the router by one with this configuration."""
+        """Close the router, and open a router with this configuration."""
         if self.router is not None:
             self.close()
             time.sleep(_REOPEN_SECONDS)
@@ -80,7 +80,7 @@ class ExternalAccess:
             router.close()
 
     def text(self) -> str:
-        """Return the part of the worker's status text about other machines, "" without ``hub.open``."""
+        """Return the part of the worker's status text about other machines, "" if ``hub.open`` is not set."""
         if self.trouble:
             return f"; closed to other machines: {self.trouble}"
         if self.router is None:

@@ -1,4 +1,4 @@
-"""The router for other machines (``hub.open``), which is separate from that for this machine's programs.
+"""The router for other machines (``hub.open``), which is separate from the router for this machine's programs.
 
 Its access rules apply to every session that joins through it. Its gossip is disabled, so that this machine's programs
 do not discover it: they would connect directly to programs on other machines, and bypass the rules. zenoh reads
@@ -43,7 +43,7 @@ class ConnectedMachine:
 
     Attributes:
         name: the name in its certificate, "" if it presented none.
-        zid: the zenoh session at the other end of the link, that of the machine's router or of a program.
+        zid: the zenoh session at the other end of the link, of the machine's router or of another program.
         address: its address and port, in zenoh's format.
         trusted: whether its commands are accepted.
     """

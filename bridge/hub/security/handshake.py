@@ -108,12 +108,12 @@ class HostPort:
 
     @property
     def can_be_tested(self) -> bool:
-        """Whether `attempt` can connect to it; this module cannot open QUIC connections, and UDP has none."""
+        """Whether `attempt` can connect to it: not over QUIC, which this module does not support, nor over UDP."""
         return self.protocol in ("tls", "tcp")
 
 
 def resolve(place: HostPort) -> list[HostPort]:
-    """Return the place once for each of its first 4 addresses; raises `OSError` if its name cannot be resolved."""
+    """Return a copy of the place for each of its first 4 addresses; raises `OSError` if its name cannot be resolved."""
     try:
         results = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)
     except UnicodeError as err:
@@ -135,7 +135,7 @@ def resolved(place: HostPort) -> Attempt:
 def attempt(place: HostPort, identity: Identity | None, name: str = "") -> Attempt:
     """Connect to the first reachable address of a place, and close the connection again.
 
-    After the name was resolved, this takes at most about 14 s, and 3 s more for each address that does not respond.
+    Once the name is resolved, this takes at most about 14 s, plus 3 s for each address that does not respond.
     ``name`` is the name to verify in the other machine's certificate, by default the place's host.
     """
     try:
@@ -231,8 +231,8 @@ def _broken(err: OSError, place: HostPort) -> Reason:
 def _details(place: HostPort, identity: Identity, name: str, refusal: str) -> tuple[Reason, str]:
     """Request the refused certificate again without verifying it, to report its names and dates.
 
-    Nothing is sent over this connection after the handshake. It also shows whether the other machine refuses our
-    certificate.
+    Nothing is sent over this connection after the handshake. The connection also shows whether the other machine
+    refuses this machine's certificate.
     """
     context = identity.context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE

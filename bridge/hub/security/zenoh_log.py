@@ -54,7 +54,7 @@ AGAIN_SECONDS = 60.0
 """Seconds until a warning that differs only in numbers is logged again."""
 
 _MOST_WARNINGS = 20
-"""Maximum number of different warnings in that time; further ones are only counted."""
+"""Maximum number of different warnings that are logged in `AGAIN_SECONDS`; further warnings are only counted."""
 
 _LONGEST_WARNING = 500
 
@@ -105,7 +105,7 @@ class ZenohLog:
     """Collects the failed connections in zenoh's log, and passes on its warnings.
 
     Attributes:
-        reports_refusals: whether someone reads `refusals`; otherwise they are logged like other warnings.
+        reports_refusals: whether a program reads `refusals`; otherwise refusals are logged like other warnings.
     """
 
     reports_refusals = False
@@ -182,5 +182,5 @@ _captured: ZenohLog | None = None
 
 
 def captured() -> ZenohLog | None:
-    """Return the log that this process captures, None if it does not, as in commands."""
+    """Return the log that this process captures, None if it captures none (commands do not)."""
     return _captured

@@ -129,19 +129,19 @@ def test_a_subscriber_leaves_a_lane_step_by_step(message: bool) -> None:
     lanes, lane = Lanes(), inlet()
     lanes.inlets[lane] = 0.0
     assert [lanes.leave(lane), lanes.leave(lane)] == [LeavingStep.DECLARED] * 2
-    assert not lanes.fence(lane, 100.0), "the session may not know the subscriber yet"
+    assert not lanes.start_fence(lane, 100.0), "the session may not know the subscriber yet"
     lanes.received.add("z")
-    lanes.known(lane, 10.0)
+    lanes.on_subscriber_known(lane, 10.0)
     assert lanes.leave(lane) is LeavingStep.KNOWN
-    assert not lanes.fence(lane, 10.0), "the message over zenoh arrived earlier"
-    lanes.fenced(lane)
+    assert not lanes.start_fence(lane, 10.0), "the message over zenoh arrived earlier"
+    lanes.on_fence(lane)
     assert lanes.leave(lane) is LeavingStep.KNOWN, "the fence belongs to an earlier attempt"
     if message:
         lanes.received.add("z")
-    assert lanes.fence(lane, 10.1 if message else 10.1 + QUIET_SECONDS)
+    assert lanes.start_fence(lane, 10.1 if message else 10.1 + QUIET_SECONDS)
     assert lanes.leave(lane) is LeavingStep.FENCED
-    assert not lanes.fence(lane, 100.0), "only one fence is sent"
-    lanes.fenced(lane)
+    assert not lanes.start_fence(lane, 100.0), "only one fence is sent"
+    lanes.on_fence(lane)
     assert lanes.leave(lane) is LeavingStep.ENDED
     lanes.drop(lane)
     assert (lanes.inlets, lanes.leaving) == ({}, {})
@@ -149,9 +149,9 @@ def test_a_subscriber_leaves_a_lane_step_by_step(message: bool) -> None:
 
 def test_lane_that_ended_meanwhile_is_left() -> None:
     lanes, lane = Lanes(), inlet()
-    lanes.known(lane, 1.0)
-    lanes.fenced(lane)
-    assert (lanes.fence(lane, 1.0), lanes.leave(lane), lanes.leaving) == (False, LeavingStep.ENDED, {})
+    lanes.on_subscriber_known(lane, 1.0)
+    lanes.on_fence(lane)
+    assert (lanes.start_fence(lane, 1.0), lanes.leave(lane), lanes.leaving) == (False, LeavingStep.ENDED, {})
 
 
 def test_publisher_has_caught_up_at_its_mark_or_once_its_session_replies() -> None:
@@ -160,7 +160,7 @@ def test_publisher_has_caught_up_at_its_mark_or_once_its_session_replies() -> No
     replied: dict[str, float] = {}
 
     def caught(last: int | None, at: float = now) -> bool:
-        return lanes.caught(GID, last, at, lambda zid, since: replied.get(zid, 0.0) >= since)
+        return lanes.has_caught_up(GID, last, at, lambda zid, since: replied.get(zid, 0.0) >= since)
 
     assert not caught(9, now + 100.0), "no mark has arrived yet"
     lanes.mark(lane, GID, 5)

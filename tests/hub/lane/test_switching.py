@@ -176,14 +176,15 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
     subscriber, ours, gate = Subscriber(reader, "/t", Qos(depth=depth)), advertise(writer, "/t"), threading.Event()
     chosen = subscription(subscriber)
     goes_by(subscriber, "lane")
-    receive, grown, both_put = chosen.heard, chosen.grown, threading.Event()
-    monkeypatch.setattr(chosen, "grown", lambda: both_put.wait(60) and grown())  # both messages are on the lane
+    receive, switch, both_put = chosen.on_message, chosen.on_large_message, threading.Event()
+    # switch to zenoh only once both messages are on the lane
+    monkeypatch.setattr(chosen, "on_large_message", lambda: both_put.wait(60) and switch())
 
     def slow(inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
         assert payload != b"late" or gate.wait(60)
         receive(inlet, attached, payload)
 
-    monkeypatch.setattr(chosen, "heard", slow)
+    monkeypatch.setattr(chosen, "on_message", slow)
     large = "x" * (3 * BOUND)
     for text in (large, "late"):
         ours.put(text.encode())
