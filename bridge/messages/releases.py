@@ -37,13 +37,13 @@ WITHOUT_HASHES: Releases = frozenset({Release.HUMBLE})
 WITH_HASHES = ALL - WITHOUT_HASHES
 
 _EARLIER = {"jazzy": frozenset({Release.IRON, Release.JAZZY})}
-"""The releases that a version of Jazzy may belong to, because Midspan does not have the definitions of Iron."""
+"""The releases that a definition of Jazzy may belong to, because Midspan does not have the definitions of Iron."""
 
 _types = cache(ReleaseTypes)
 
 
 def by_hash(type_name: str, type_hash: str) -> Releases:
-    """Return the releases whose packages have this definition of a type; all with hashes if no release is excluded."""
+    """Return the releases with this definition of a type; all with hashes if it is the same in all, or unknown."""
     named = (_EARLIER.get(name) or {Release[name.upper()]} for name in _types().with_hash(type_name, type_hash))
     return frozenset().union(*named) or WITH_HASHES
 

@@ -19,7 +19,7 @@ class MessageTemplate:
     """A message whose texts and array lengths do not change.
 
     Filling in a `nav_msgs/msg/Odometry` takes a tenth of the time of writing it field by field. Each path in
-    ``changing`` is that of a number, or of a part in which all numbers change (``header.stamp``,
+    ``changing`` leads to a number, or to a part in which all numbers change (``header.stamp``,
     ``transforms[0].transform``). Raises `ConversionError` if a field is unknown, its value does not fit, or there is no
     number at a path.
     """
@@ -28,8 +28,8 @@ class MessageTemplate:
         writer = _PlaceWriter(schema, changing)
         self._name = schema.name
         self._content = writer.message(message)
-        if vain := next((path for path in changing if path not in writer.found), None):
-            raise ConversionError(f"{schema.name} has no number at {vain!r}")
+        if missing := next((path for path in changing if path not in writer.found), None):
+            raise ConversionError(f"{schema.name} has no number at {missing!r}")
         self._count = len(writer.places)
         self._runs = _runs(writer.places)
 
@@ -52,7 +52,7 @@ class MessageTemplate:
 
 
 class _PlaceWriter(MessageWriter):
-    """Records the offsets and types of the changing numbers, and those of the given paths that lead to numbers."""
+    """Records the offsets and types of the changing numbers, and which of the paths lead to numbers."""
 
     def __init__(self, schema: Schema, changing: tuple[str, ...]) -> None:
         super().__init__(schema)

@@ -13,7 +13,7 @@ Message = TypeVar("Message")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Waiting(Generic[Message]):
+class HeldMessage(Generic[Message]):
     """A held message; ``since``: time of its arrival (monotonic seconds)."""
 
     source: Hashable
@@ -32,7 +32,7 @@ class Backlog(Generic[Message]):
     def __init__(self, most: int, room: int, dropped: Callable[[], None]) -> None:
         self._most, self._room, self._dropped = most, room, dropped
         self._lock = threading.Lock()
-        self._line: deque[Waiting[Message]] = deque()
+        self._line: deque[HeldMessage[Message]] = deque()
         self._bytes = 0
         self._judged = 0.0
 
@@ -48,9 +48,9 @@ class Backlog(Generic[Message]):
 
     def add(self, source: Hashable, message: Message, size: int) -> None:
         """Append a message of ``size`` bytes."""
-        self.put_back(Waiting(source, message, size, time.monotonic()))
+        self.put_back(HeldMessage(source, message, size, time.monotonic()))
 
-    def put_back(self, waiting: Waiting[Message]) -> None:
+    def put_back(self, waiting: HeldMessage[Message]) -> None:
         """Append a message that was held before."""
         with self._lock:
             self._line.append(waiting)
@@ -60,7 +60,7 @@ class Backlog(Generic[Message]):
                 self._dropped()
 
     def keep(self, source: Hashable, message: Message, size: int, depth: int) -> int:
-        """Append a message, hold only the publisher's newest ``depth`` messages, and return how many were dropped."""
+        """Append a message, keep only the publisher's newest ``depth`` messages, and return how many were removed."""
         with self._lock:
             older = [waiting for waiting in self._line if waiting.source == source]
             over = older[: max(len(older) - depth + 1, 0)]
@@ -71,15 +71,16 @@ class Backlog(Generic[Message]):
         return len(over)
 
     def overdue(self, seconds: float) -> float:
-        """Return the latest arrival time of messages that were held for ``seconds``, and already at the last call.
+        """Return the time before which messages arrived that are overdue (monotonic seconds).
 
-        So a process that was suspended checks for a message's publisher once more before it drops the message.
+        Overdue messages have been held for ``seconds``, and were already held at the last call. So a process that was
+        suspended checks for a message's publisher once more before it drops the message.
         """
         now = time.monotonic()
         before, self._judged = min(now - seconds, self._judged), now
         return before
 
-    def pop_matching(self, wanted: Callable[[Waiting[Message]], bool]) -> list[Waiting[Message]]:
+    def pop_matching(self, wanted: Callable[[HeldMessage[Message]], bool]) -> list[HeldMessage[Message]]:
         """Remove and return the messages for which ``wanted`` returns True, in their order."""
         if not self._line:
             return []

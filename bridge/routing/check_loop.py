@@ -15,10 +15,10 @@ TICK = 1.0
 """Seconds between two ticks."""
 
 POLL = 10.0
-"""Minimum seconds until a check without a wake-up, in case a notification is missed; refused routes shorten it."""
+"""Minimum seconds until a check without a wake-up, which catches missed notifications; `_RETRY` if it has to repeat."""
 
 _SHARE, _LONGEST = 1000, 60.0
-"""The pause is also at least 1000 times the last check's CPU time (0.1 % of a core), but at most 60 s."""
+"""This pause is 1000 times the last check's CPU time (0.1 % of a core), at least `POLL` and at most 60 s."""
 
 _RETRY = 2.0
 _SETTLE = 0.02
@@ -59,7 +59,7 @@ class CheckLoop:
             self._thread.join(3.0)
 
     def alive(self) -> str:
-        """Return a text about a long check, or ""; raises `TimeoutError` if the check hangs."""
+        """Return a text if a check takes long, else ""; raises `TimeoutError` if it hangs."""
         return self._step.judge(f"the {self._side} engine's loop", self._beat)
 
     def _run(self) -> None:

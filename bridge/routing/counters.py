@@ -25,7 +25,7 @@ LATENCY_BOUNDS = tuple(
 """Upper bounds in ns of the histogram's buckets; the last bucket has no bound."""
 
 CARRY_BOUNDS = (2e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2, 5e-2, 0.1, 0.25, 1.0)
-"""The same in seconds for the time that a message spends in the bridge."""
+"""Upper bounds in seconds of the buckets for the time that a message to the hub spends in the bridge."""
 
 
 class Counters:
@@ -71,7 +71,7 @@ class Counters:
         self._carrying += took
         self._carried[bisect_left(CARRY_BOUNDS, took)] += 1
 
-    def latency(self, nanoseconds: int) -> None:
+    def add_latency(self, nanoseconds: int) -> None:
         """Add a latency: the time since a message's source timestamp, or the duration of a call."""
         self._latencies.append(nanoseconds)
         self._buckets[bisect_left(LATENCY_BOUNDS, nanoseconds)] += 1
@@ -102,7 +102,7 @@ class Counters:
             self.error_at, self._logged = now, text
         return log
 
-    def recovered(self) -> None:
+    def clear_error(self) -> None:
         """Note that the route works again, so that the next error counts as new."""
         self._logged = ""
 
@@ -118,9 +118,9 @@ class Counters:
     def as_dict(self) -> dict[str, Any]:
         """Return the counters for the status document.
 
-        ``latency_ms`` covers the last 512 messages. ``latency`` covers all of them: the count in each bucket of
-        `LATENCY_BOUNDS`, and the sum. ``carry`` is the same for the time that messages to the hub spend in the bridge,
-        in buckets of `CARRY_BOUNDS`.
+        ``latency_ms`` covers the last 512 messages. ``latency`` covers all messages: the count in each bucket of
+        `LATENCY_BOUNDS`, and the sum. ``carry`` has counts and sum of the times that messages to the hub spend in the
+        bridge, in buckets of `CARRY_BOUNDS`.
         """
         late = sorted(self._latencies.copy())
         quantiles = {}

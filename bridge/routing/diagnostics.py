@@ -93,7 +93,7 @@ class Diagnostics:
 
         `bridge.messages.json` would take five times as long, 0.3 % of a core for 100 routes.
         """
-        routes = [route.status() for route in self._whose_turn()]
+        routes = [route.status() for route in self._next_routes()]
         summary = self._engine.summary()
         worker = self._status(
             "worker", _OK, f"{summary.routes} routes, {summary.rate:.0f} msg/s", {"network": summary.network}
@@ -101,7 +101,7 @@ class Diagnostics:
         stamp = _HEADER.pack(0, *divmod(self._edge.clock.now_ns(), 1_000_000_000))
         return b"".join([stamp, _text(""), _COUNT.pack(1 + len(routes)), worker, *map(self._route, routes)])
 
-    def _whose_turn(self) -> list[Route]:
+    def _next_routes(self) -> list[Route]:
         routes = list(self._engine.routes())
         start = self._turn if self._turn < len(routes) else 0
         self._turn = start + ROUTES_AT_ONCE

@@ -44,12 +44,12 @@ class Dispatcher:
         self._classes[priority].append(work)
         self._wake.put(True)
 
-    def here(self, work: Callable[..., None], *about: Any) -> None:
-        """Call ``work`` at once, on the calling thread, with the arguments ``about``."""
+    def run_here(self, work: Callable[..., None], *args: Any) -> None:
+        """Call ``work(*args)`` at once, on the calling thread; log its exceptions."""
         me = threading.get_ident()
         self._busy[me] = time.monotonic()
         try:
-            work(*about)
+            work(*args)
         except Exception:
             _log.exception("a route failed on one message")
         finally:
@@ -83,15 +83,15 @@ class Dispatcher:
                     break
             else:
                 continue
-            self.here(work)
+            self.run_here(work)
 
 
 class RouteQueue:
     """The queue of one route to the side; messages are published in order and one at a time.
 
     `receive` publishes a small message at once, unless an earlier message is queued or being published. Other messages
-    are queued for the dispatcher ``small``, and for ``bulk`` from the first large message that finds the queue empty. A
-    full queue drops its oldest messages.
+    are queued for the dispatcher ``small`` until a large message finds the queue empty; this message and all later ones
+    are queued for ``bulk``. A full queue drops its oldest messages.
 
     Locks: this queue and the route hold ``publishing`` while they publish a message. ``_lock`` guards the queue and the
     state that ``admits`` uses. A thread that holds ``_lock`` never waits for ``publishing``, so a thread that holds
@@ -127,7 +127,7 @@ class RouteQueue:
             dispatcher.submit(self.priority, self._next)
             return
         try:
-            dispatcher.here(self._publish, sample)
+            dispatcher.run_here(self._publish, sample)
         finally:
             self.publishing.release()
 

@@ -49,7 +49,7 @@ class MadeBy(Enum):
 
 
 class Obstacle(NamedTuple):
-    """Why calls to a server or requests from a client are not bridged, and how to fix that."""
+    """Why calls to a server or from a client are not bridged, and how to fix that."""
 
     reason: str
     cure: str
@@ -71,8 +71,8 @@ class Endpoint:
         type_id: the type hash that the endpoint announced (md5 or RIHS01), "" if unknown.
         definition: full definition text if the middleware carries one (ROS 1 connection header), else "".
         node: fully qualified node name, for people.
-        obstacle: why the calls of a server or client are not bridged, None if they are.
-        uncalled: why a server gets no calls while others of its name do, None if it gets them.
+        obstacle: why calls to this server, or from this client, are not bridged; None if they are bridged.
+        uncalled: why this server gets no calls although others of the same name do; None if it gets calls.
     """
 
     id: str
@@ -307,14 +307,14 @@ class Edge(ABC):
         return {}
 
     def version_notes(self) -> Mapping[tuple[str, str, str], Sequence[str]]:
-        """Return what the messages of nodes with other versions of types lose.
+        """Return which fields are lost in the messages of nodes that have other versions of the types, as texts.
 
         The keys are ``topic`` or ``service``, the direction as in decisions, and the name on the side.
         """
         return {}
 
     def programs(self) -> Mapping[str, str]:
-        """Return descriptions of the middleware and release of native endpoints' programs, by the endpoints' ids.
+        """Return, by the id of each native endpoint, the middleware and the release of its program, as text.
 
         The result is empty if all programs on the side use the same middleware and release.
         """

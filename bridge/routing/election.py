@@ -39,7 +39,7 @@ CUT = 1.0
 """Seconds after which a worker on this network that left our hub counts as a worker of another hub."""
 
 FOREIGN = "another Midspan worker on this network is incompatible"
-"""Prefix of the reason why this worker does not become active if another one has an incompatible version."""
+"""Prefix of the reason why this worker does not become active if another worker's version is incompatible."""
 
 MAX_RECORD = 1 << 18
 _MAX_NAMES = 10_000
@@ -49,7 +49,7 @@ _MAX_NAMES = 10_000
 class Claim:
     """A worker's claim to a role or to the messages of a network.
 
-    ``since`` is the time of the first request (wall clock, ns): the oldest of conflicting claims wins, even if the
+    ``since`` is the time of the first request (wall clock, ns). The oldest of conflicting claims wins, even if the
     clocks differ. ``held``: the worker forwards the messages. ``first`` is the number of the first record with this
     request.
     """
@@ -118,7 +118,7 @@ class Record:
 
     @property
     def first(self) -> int:
-        """Number of the first record that has all claims of this one."""
+        """Number of the worker's first record that had all of this record's claims."""
         claims = [*self.carries.values(), *([self.role] if self.role else [])]
         return max((c.first for c in claims), default=0)
 
@@ -164,9 +164,10 @@ class Outcome:
 
     @property
     def standing_by(self) -> str:
-        """The daemons that forward to this network instead, "" if this worker does.
+        """The daemons that forward to this network instead of this worker, "" if this worker forwards.
 
-        These are the holder of the role, or if this worker holds it but forwards no other network, the daemons that do.
+        If this worker holds the role but forwards the messages of no other network, these are the daemons that do so;
+        if it does not hold the role, its holder.
         """
         if not self.active:
             return self.holder
@@ -190,7 +191,7 @@ class Election:
         self.outcome = Outcome()
 
     def lapse(self, now: float, *, same_term: bool = False) -> None:
-        """Request all claims again, with unchanged ``since``: this worker was suspended, and others may hold them now.
+        """Request all claims again, with unchanged ``since``, because others may hold them after a suspension.
 
         With ``same_term``, keep the term, unless another worker appears before the role is held again.
         """
@@ -199,13 +200,13 @@ class Election:
             term = self.outcome.term + (not same_term)
             self.outcome = replace(self.outcome, term=term, active=False, carried=frozenset())
         if self._role is not None:
-            self._role = self._anew(self._role)
-        self._carries = {of: self._anew(claim) for of, claim in self._carries.items()}
+            self._role = self._requested_again(self._role)
+        self._carries = {of: self._requested_again(claim) for of, claim in self._carries.items()}
 
-    def _anew(self, claim: Claim) -> Claim:
+    def _requested_again(self, claim: Claim) -> Claim:
         return replace(claim, held=False, first=self._seq + 1)
 
-    def turn(
+    def run_round(
         self, now: float, wall_ns: int, sightings: Sequence[Sighting], hub: HubView, *, settled: bool
     ) -> tuple[Record, bool]:
         """Decide according to the current sightings; return the record to send, and whether it is urgent.
@@ -349,7 +350,7 @@ class Election:
 
 
 def join(members: Mapping[str, frozenset[str]]) -> list[frozenset[str]]:
-    """Return the networks of a hub's sessions, given the members of its own network that each session announces.
+    """Return the networks of a hub's sessions; ``members``: by session, the workers that it announces on its network.
 
     The sets of two sessions on the same network overlap, because at least one of the two workers knows the other.
     """

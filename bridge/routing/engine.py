@@ -83,7 +83,7 @@ class NetworkTokens:
         self._hub.set_origin(Origin(self._side, network, self._daemon) if network is not None else None)
 
     def announce_members(self, members: frozenset[str]) -> None:
-        """Announce the members before the engine opens endpoints, and none only after all endpoints are closed."""
+        """Announce the members; call it before endpoints are opened, and with no members once all are closed."""
         for member in members - self._members.keys():
             self._members[member] = self._hub.graph.announce_member(member)
         for member in self._members.keys() - members:

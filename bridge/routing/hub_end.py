@@ -17,12 +17,12 @@ from bridge.routing.limits import MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priorit
 from bridge.routing.stall import AgeGate
 from bridge.state_machine import Machine, Table
 
-UNHEARD = 10.0
+UNSUBSCRIBE_SECONDS = 10.0
 """Seconds without a subscriber on the side after which a route unsubscribes from a fast stream."""
 
 QUICK = 5.0
-"""Messages per second above which a stream counts as fast: a new subscriber misses some of them anyway. Rarer messages
-may be events, which a new subscriber must not miss."""
+"""Messages per second above which a stream counts as fast, because a new subscriber misses some of its messages anyway.
+Rarer messages may be events, which a new subscriber must not miss."""
 
 _MAX_DEPARTED = 4096
 """Maximum number of departed publishers that are remembered, because they may return."""
@@ -124,8 +124,8 @@ class RouteSubscription:
     ) -> None:
         """Request the cached messages of departed publishers that are allowed again, although they were received once.
 
-        ``remove`` removes the messages that the route holds for such publishers, because their caches contain these
-        too; it is called while the route's lock ``publishing`` is held.
+        ``remove`` removes the messages of such publishers that the route holds, because the publishers' caches contain
+        these too; it is called while the route's lock ``publishing`` is held.
         """
         for gid in self._departed.keys() & allowed.keys():
             del self._departed[gid]
@@ -206,7 +206,7 @@ DEMAND: Table[Demand, DemandEvent] = {
 
 
 class StreamDemand(Machine[Demand, DemandEvent]):
-    """Decides when to pause a stream: if it is fast, and the side has had no subscriber for `UNHEARD` seconds.
+    """Decides when to pause a stream: if it is fast, and the side had no subscriber for `UNSUBSCRIBE_SECONDS`.
 
     Used only by the engine's loop; any thread may read ``state``.
     """
@@ -222,10 +222,11 @@ class StreamDemand(Machine[Demand, DemandEvent]):
         whether the route's subscription is open.
         """
         seconds, count = time.monotonic() - self._counted_since, messages - self._messages_then
-        if self.state is Demand.WANTED or seconds > UNHEARD:  # the last check's subscriber may have left just now
+        expired = seconds > UNSUBSCRIBE_SECONDS
+        if self.state is Demand.WANTED or expired:  # the last check's subscriber may have left just now
             self._counted_since, self._messages_then = time.monotonic(), messages
         if wanted:
             self.on(DemandEvent.SUBSCRIBED)
-        elif not self.on(DemandEvent.UNSUBSCRIBED) and subscribed and seconds > UNHEARD and count > QUICK * seconds:
+        elif not self.on(DemandEvent.UNSUBSCRIBED) and subscribed and expired and count > QUICK * seconds:
             self.on(DemandEvent.WASTED)
         return self.state

@@ -13,7 +13,7 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import Conversion
-from bridge.routing.backlog import Waiting
+from bridge.routing.backlog import HeldMessage
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
 from bridge.routing.dispatcher import RouteQueue
 from bridge.routing.edge import EdgePublisher, Endpoint
@@ -207,7 +207,7 @@ class HubToSideRoute(TopicRoute):
                 for pending in self.held.unknown.pop_matching(lambda _: True):
                     self._retry(pending, before)
 
-    def _retry(self, pending: Waiting[HubSample], before: float) -> None:
+    def _retry(self, pending: HeldMessage[HubSample], before: float) -> None:
         sample, sources = pending.message, self._sources
         source, endpoint = sources.of(sample), sources.waiting.get(sample.gid)
         if source is not None:
@@ -234,8 +234,8 @@ class HubToSideRoute(TopicRoute):
     def handle(self, sample: HubSample) -> None:
         """Publish a message on the side, or hold it until its publisher is known.
 
-        The loop may replace the sources meanwhile, and then looks for stored and retained messages. So this method
-        checks the sources again after it has stored or retained a message.
+        The loop may replace the sources meanwhile, and then handles the messages that are held or retained. So this
+        method checks the sources again after it has held or retained a message.
         """
         sources = self._sources
         source = sources.allowed.get(sample.gid) or sources.of(sample)
@@ -295,7 +295,7 @@ class HubToSideRoute(TopicRoute):
         # A message cached for late joiners has no latency to count. Compare monotonic times: the clock may be set.
         latency = time.time_ns() - sample.source_time_ns
         if time.monotonic() - latency / 1e9 >= self._subscription.since:
-            self.counters.latency(latency)
+            self.counters.add_latency(latency)
 
     def _stale(self, sample: HubSample, source: HubSource) -> bool:
         timeout = self.policy.timeout

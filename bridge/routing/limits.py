@@ -26,7 +26,7 @@ class Priority(Enum):
 
 
 def default_priority(topic: str, type_name: str, *, latched: bool) -> Priority:
-    """Return the class of a topic for which no rule sets one; type and name show whether it is a velocity command."""
+    """Return the class of a topic if no rule sets it; type and name show whether it is a velocity command."""
     if type_name in VELOCITIES and COMMAND_NAME.search(topic):
         return Priority.COMMAND
     return Priority.STATE if latched else Priority.STREAM
@@ -68,7 +68,7 @@ STREAM_DEPTH = 1000
 """Minimum history depth of the bridge's endpoints on a stream, to absorb bursts."""
 
 BULK_DEPTH = 50
-"""The same for types with unbounded byte arrays, such as images, clouds and maps."""
+"""Minimum history depth for types with unbounded byte arrays, such as images, clouds and maps."""
 
 BULK = 64 * 1024
 """Size in bytes above which separate threads handle a message, so that it does not delay small ones."""

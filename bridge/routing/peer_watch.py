@@ -48,15 +48,15 @@ class Lease:
 _log = logging.getLogger(__name__)
 
 FENCE = 0.7
-"""Seconds for which a worker stays active after its last round: less than `bridge.routing.election.SILENCE`."""
+"""Seconds for which a worker stays active after its last round; less than `bridge.routing.election.SILENCE`."""
 
 ALONE = 1.5
-"""The same if there are no other workers on the network: a worker that joins meanwhile waits for longer than this."""
+"""The same if no other worker is on the network; a worker that joins meanwhile waits longer than this."""
 
 _ALONE_PERIOD = 0.4
 """Seconds between rounds if no other worker is known; the first worker that joins wakes the thread at once."""
 
-_TURN_SECONDS = 3.0
+_ROUND_SECONDS = 3.0
 """Seconds without progress after which a round counts as hanging."""
 
 _PAUSE = 0.02
@@ -64,11 +64,11 @@ _HUB_LINKED = 1.0
 """Seconds from the first link on the hub until all sessions on the hub are known."""
 
 _HUB_AGAIN = 2.5
-"""The same after a hang that cost the links, which are restored one after the other (`bridge.hub.links`)."""
+"""The same after a hang in which the links were lost; they are restored one after the other (`bridge.hub.links`)."""
 
 _LINKS_LAST = 0.75 * LEASE_MS / 1000
-"""Seconds of a hang after which other sessions on the hub drop the links to this one: less than zenoh's lease, because
-the last keep-alive was sent before the hang."""
+"""Seconds of a hang after which other sessions on the hub drop their links to this session. This is less than zenoh's
+lease, because the last keep-alive was sent before the hang."""
 
 _HUB_ALONE = 3.0
 """Seconds after which a session without links counts as the only one on its hub."""
@@ -117,9 +117,9 @@ class PeerWatch:
         self._outcome = Outcome()
         self.changes = 0  #: how often this worker became active or stopped being active
         self._outcome_before_hang: Outcome | None = None
-        self._since = self._turned = time.monotonic()
+        self._since = self._last_round = time.monotonic()
         self._due = 0.0
-        self._step = StepWatch(_TURN_SECONDS)
+        self._step = StepWatch(_ROUND_SECONDS)
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"midspan-{edge.side}-watch", daemon=True)
@@ -130,7 +130,7 @@ class PeerWatch:
 
     def start(self) -> None:
         """Start the thread; call it after the start of the edge."""
-        self._since = self._turned = now = time.monotonic()
+        self._since = self._last_round = now = time.monotonic()
         self._views.restart(now)
         self._thread.start()
 
@@ -149,13 +149,13 @@ class PeerWatch:
 
     def alive(self) -> str:
         """Check this thread, as `bridge.routing.engine.Engine.alive` does for the engine's threads."""
-        return self._step.judge(f"following the other workers on {self._edge.side}", self._turned)
+        return self._step.judge(f"following the other workers on {self._edge.side}", self._last_round)
 
     def _run(self) -> None:
         self._step.begin()
         while not self._stopping.is_set():
             try:
-                self.turn()
+                self.run_round()
             except HubError:
                 return
             except Exception:
@@ -166,14 +166,14 @@ class PeerWatch:
                 self._wake.clear()
                 self._stopping.wait(_PAUSE)
 
-    def turn(self) -> None:
+    def run_round(self) -> None:
         """Read the other workers' records, announce this worker's record, and decide.
 
         Raises `HubError` if the hub is closed.
         """
         now = time.monotonic()
         if self._election.outcome.active and self.lease.over:
-            hang = now - self._turned
+            hang = now - self._last_round
             _log.warning("%s: suspended for %.1f s; checking for another active worker", self._edge.side, hang)
             alone = len(self._outcome.members) == 1
             self._outcome_before_hang = self._outcome if alone else None
@@ -181,8 +181,8 @@ class PeerWatch:
             self._since = now
             if hang > _LINKS_LAST:
                 self._views.restart(now, _HUB_AGAIN)
-        self._turned = now
-        record, urgent = self._election.turn(
+        self._last_round = now
+        record, urgent = self._election.run_round(
             now, time.time_ns(), self._edge.sightings(), self._views.now(now), settled=self._edge.settled(self._since)
         )
         decided = self._election.outcome
@@ -202,10 +202,11 @@ class PeerWatch:
             self._changed()
 
     def _with_routes_before_hang(self, decided: Outcome) -> Outcome:
-        """Return the outcome for the engine: a lone worker keeps its routes after a hang until it sees another worker.
+        """Return the outcome for the engine, with which a lone worker keeps its routes after a hang.
 
-        The expired lease blocks the routes meanwhile. They are kept because users may have connected programs to their
-        endpoints by hand, as in YARP, and nothing would connect these programs to new endpoints.
+        It keeps them until it sees another worker or is active again; the expired lease blocks the routes meanwhile.
+        Users may have connected programs to the routes' endpoints by hand, as in YARP, and nothing would connect these
+        programs to new endpoints.
         """
         if decided.active or len(decided.members) > 1:
             self._outcome_before_hang = None

@@ -39,7 +39,7 @@ class StaticTransforms:
         return len(self._by_child)
 
     def merge(self, cdr: bytes) -> bytes:
-        """Merge a TFMessage (CDR), and return one with all transforms.
+        """Merge a TFMessage (CDR), and return a TFMessage with all transforms.
 
         Raises `ValueError` if the message is invalid or there are more than `MAX_FRAMES` frames.
         """
@@ -123,7 +123,7 @@ _AFTER_FRAME = 7 * 8
 
 
 def with_spread(conversion: Conversion, hub_topic: str) -> Conversion:
-    """Return ``conversion``, or for initial poses one that also fills in a missing covariance."""
+    """Return ``conversion``; for initial poses, extended so that it replaces a covariance of zeros."""
     if conversion.source.name != POSE_TYPE or hub_topic.rpartition("/")[2] != TOPIC:
         return conversion
     then = conversion.convert

@@ -19,7 +19,7 @@ class EngineRoutes:
     """The routes of one side, and the rules that apply to them. Only the engine's loop changes the routes.
 
     Attributes:
-        rules: any thread may replace them; they apply from the next check on.
+        rules: the rules of the configuration; any thread may replace them, and they apply from the next check on.
         topics_to_hub: the routes of the side's topics.
         velocities: hub topic and type of the velocities that the side's own nodes subscribe to, at the last check.
     """

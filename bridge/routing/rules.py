@@ -164,7 +164,7 @@ class RuleSet:
         return self._once((side, topic, type_name, kind), lambda: self._enter(side, topic, type_name, kind))
 
     def naming(self, name: str) -> Iterator[tuple[str, Rule, bool]]:
-        """Yield each rule's readable name, the rule, and whether its pattern matches (for any kind, side and type)."""
+        """Yield each rule's readable name, the rule, and whether its pattern matches, whatever its other conditions."""
         for of, rule, pattern in zip(self._names, self.section.rules, self._patterns, strict=True):
             yield of, rule, pattern is not None and pattern.fullmatch(name) is not None
 
@@ -194,8 +194,8 @@ class RuleSet:
         """Decide whether a topic, service or action from the side ``origin`` may leave the hub to ``side``.
 
         A native hub topic (origin ``zenoh``) has passed no gate yet, so rules without ``to`` apply to it in full, and
-        private topics and services are withheld here. To other topics, such rules were applied when they entered the
-        hub, so that here only denial, priority, depth, timeout and QoS apply again. ``elsewhere``: another daemon,
+        private topics and services are withheld here. Other topics have passed such rules when they entered the hub, so
+        that only the rules' denial, priority, depth, timeout and QoS apply again here. ``elsewhere``: another daemon,
         whose rules may differ, let the topic in.
         """
         question = (origin, side, topic, type_name, kind, "elsewhere" if elsewhere else "")
@@ -243,7 +243,7 @@ class RuleSet:
         return None
 
     def _shares(self, origin: str, name: str, type_name: str, kind: Kind) -> bool:
-        """Return whether this is a parameter service, on its owner's side, of a node in ``routing.parameters``."""
+        """Return whether this is a parameter service of a node in ``routing.parameters``, from that node's side."""
         if kind != "service" or type_name not in _PARAMETERS:
             return False
         return self._owners.get(name.rpartition("/")[0]) == ("ros1" if origin == "ros1" else "ros2")

@@ -57,7 +57,7 @@ def native_velocities(endpoints: Sequence[Endpoint]) -> frozenset[tuple[str, str
 
 
 def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str]]) -> str:
-    """Return the velocity type to which the side's nodes subscribe instead of this type, "" if they do not.
+    """Return the velocity type to which the side's nodes subscribe instead of ``side_type``, "" if there is none.
 
     A side has one type per topic, so a route of this type would exclude the other. ROS 1's master would even report
     this type for the topic, and the type that the nodes use would no longer be known.
@@ -123,7 +123,7 @@ def _chain(first: Convert | None, then: Convert | None) -> Convert | None:
 
 
 def _rewrite(type_name: str, clock: RunClock) -> Convert:
-    """Return the function that converts a velocity (CDR) of the other type to this type."""
+    """Return the function that converts a velocity (CDR) of the other type to the type ``type_name``."""
     return unstamped if type_name == TWIST else lambda cdr: with_stamp(cdr, clock)
 
 

@@ -109,30 +109,30 @@ _MOST_TEXT = 300
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """Two concurrent changes of one key. The later one wins."""
+    """Two concurrent changes of one key; the later change wins."""
 
-    holds: StoreEntry
+    winner: StoreEntry
     lost: StoreEntry
 
     @override
     def __str__(self) -> str:
         """Describe the conflict with the lost value, so that it can be restored by hand."""
         return (
-            f"{self.lost.kind} {self.lost.name!r} was changed at {self.holds.version.origin} and at"
-            f" {self.lost.version.origin} concurrently; the later change wins: {self.holds.version.origin},"
-            f" {_when(self.holds)}: {_what(self.holds)}; the other is lost: {self.lost.version.origin},"
+            f"{self.lost.kind} {self.lost.name!r} was changed at {self.winner.version.origin} and at"
+            f" {self.lost.version.origin} concurrently; the later change wins: {self.winner.version.origin},"
+            f" {_when(self.winner)}: {_what(self.winner)}; the other is lost: {self.lost.version.origin},"
             f" {_when(self.lost)}: {_what(self.lost)}"
         )
 
 
 def conflict(one: StoreEntry, other: StoreEntry) -> Conflict | None:
-    """Return the conflict of two entries of one key, None if one followed the other or both have the same value."""
+    """Return the conflict of two entries of one key; None if one version follows the other, or the values are equal."""
     if one.version.has_seen(other.version) or other.version.has_seen(one.version) or one.body == other.body:
         return None
     if (one.version.stamp.ns == OLDEST) is not (other.version.stamp.ns == OLDEST):
         return None  # a written value replaces an imported one
-    lost, holds = sorted((one, other), key=lambda entry: entry.version.stamp)
-    return Conflict(holds, lost)
+    lost, winner = sorted((one, other), key=lambda entry: entry.version.stamp)
+    return Conflict(winner, lost)
 
 
 def _when(entry: StoreEntry) -> str:

@@ -38,7 +38,7 @@ class StoreLimits:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A write or deletion of a key by the daemon ``origin``; ``here``: through this replica."""
+    """A write or deletion of a key by the daemon ``origin``; ``here``: whether it was made through this replica."""
 
     kind: str
     name: str
@@ -137,8 +137,9 @@ class Replica:
     def write(self, changes: Mapping[Key, Body | None], *, oldest: bool = False) -> list[StoreEntry]:
         """Write values, or delete them (None), in one transaction; it is on the disk when this returns.
 
-        With ``oldest``, the values count as older than any other: keys with a value or a tombstone keep it, and are not
-        returned. Raises `StoreError` if the store is full or the file cannot be written; then nothing has changed.
+        With ``oldest``, the values count as older than any other value, so that keys with a value or a tombstone keep
+        it; these keys are not returned. Raises `StoreError` if the store is full or the file cannot be written; then
+        nothing has changed.
         """
         with self._lock:
             self._check_open()
@@ -226,7 +227,7 @@ class Replica:
         now = self._last = max(time.time_ns(), self._last + 1)
         if oldest:
             now = OLDEST
-        # if the clock of the key's last writer was ahead, stamp this change after that; other keys use the local time
+        # if the key's last writer had a clock ahead of ours, stamp this change after its change; else with our time
         above = 0 if before is None else before.version.stamp.ns + 1
         if above >= LATEST:
             msg = f"{key[0]} {key[1]!r} has the latest possible time stamp; delete it at its origin"
@@ -243,7 +244,7 @@ class Replica:
             size += (0 if entry.body is None else len(entry.body)) - (before_size or 0)
             live += (entry.body is not None) - (before_size is not None)
         self._check_room(size, live)
-        expired = self._forgettable(entries)
+        expired = self._tombstones_to_drop(entries)
         self._table.write(entries, expired)
         self._size, self._live = size, live
         for entry in entries:
@@ -262,8 +263,8 @@ class Replica:
             return
         raise StoreError(msg)
 
-    def _forgettable(self, entries: Sequence[StoreEntry]) -> list[Key]:
-        """Return the tombstones to drop: those that are too old, or too many."""
+    def _tombstones_to_drop(self, entries: Sequence[StoreEntry]) -> list[Key]:
+        """Return the tombstones that have expired, and the oldest ones above the limit once ``entries`` are written."""
         coming = sum(entry.body is None for entry in entries)
         if not coming:
             return []

@@ -119,7 +119,7 @@ class StoreService:
     Args:
         config: the configuration.
         alone: name of the module whose separate process has its own replica; "" in the daemon's modules worker.
-        join: creates a node of the first name on the hub, which uses the second name on the control plane.
+        join: creates a node on the hub, given the node's name and its name on the control plane.
     """
 
     def __init__(self, config: Config, alone: str, join: Callable[[str, str], Hub]) -> None:
@@ -145,7 +145,7 @@ class StoreService:
             return self._open[0]
 
     def trouble(self) -> str:
-        """Open the store if the configuration always wants it; return why that fails, "" if it does not."""
+        """Open the store if ``store.enabled`` is true; return why it cannot be opened, "" if it can or need not be."""
         if self._config.store.enabled is True:
             try:
                 _ = self.store

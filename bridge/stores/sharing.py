@@ -45,7 +45,7 @@ _NOT_AN_OBJECT = "the query is not a JSON object"
 
 
 class StoreSync:
-    """Synchronizes a replica from now on, and compares it with the others every ``period`` s; closes ``space``."""
+    """Synchronizes a replica from now on, and compares it with the others every ``period`` s; owns ``space``."""
 
     def __init__(self, replica: Replica, space: KeySpace, zid: str, period: float = PERIOD) -> None:
         self._replica, self._space, self._zid, self._period = replica, space, zid, period
@@ -256,7 +256,7 @@ class StoreSync:
                     self._due.setdefault(zid, tries + 1)
 
     def _align(self, zid: str) -> bool:
-        """Merge the entries of which another replica has a later version; return False if it does not answer."""
+        """Merge the entries of which replica ``zid`` has a later version; return False if it does not answer."""
         question = json.dumps({"wire": WIRE, "digests": digests(self._replica.versions())}).encode()
         answers = self._space.ask(f"@sync/digest/{zid}", question)
         if not answers:

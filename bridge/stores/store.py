@@ -65,11 +65,11 @@ def rename_writes(values: Values, kind: ValueKind[Any], old: str, new: str) -> l
     companion_value = None if companion is None else values.get(companion, old)
     if companion is not None and companion_value is not None:
         writes.append(Write(companion, new, companion_value))
-    return writes + (_moved(values, old, new) if kind is MAP else [])
+    return writes + (_move_writes(values, old, new) if kind is MAP else [])
 
 
-def _moved(values: Values, old: str, new: str) -> list[Write[Any]]:
-    """Return the writes that move a map's places to another map, and make that the current map if the old one was."""
+def _move_writes(values: Values, old: str, new: str) -> list[Write[Any]]:
+    """Return the writes that move the places of map ``old`` to ``new``, and choose ``new`` if ``old`` is current."""
     writes: list[Write[Any]] = []
     kinds: tuple[ValueKind[Any], ...] = (LOCATION, AREA, OBJECT)
     for kind in kinds:
@@ -90,7 +90,7 @@ _MOST_WARNINGS = 10
 
 @dataclass(frozen=True, slots=True)
 class MapAreas:
-    """The areas on a map; robots keep out of what cannot be read."""
+    """The areas on a map; robots keep out of areas that cannot be read."""
 
     #: each area with its behavior, by name; the behavior is keep-out if it cannot be read
     named: Mapping[str, tuple[Map2DArea, AreaBehavior]] = field(default_factory=dict)
@@ -201,7 +201,7 @@ class Store:
         return f"{err} (in {self.replica.file}); store it again, or remove it: {remove}"
 
     def _map_of(self, area: str) -> str | None:
-        """Return the name of the map of an area that cannot be read; None if that cannot be read either."""
+        """Return the name of the map of an area that cannot be read; None if the name cannot be read either."""
         try:
             body = self.replica.get(AREA.name, area)
             found = None if body is None else json_object(body[0]).get("map")

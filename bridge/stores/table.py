@@ -69,14 +69,14 @@ class EntryTable:
             row = self._base.execute(wanted, (kind, name)).fetchone()
         return (None, "") if row is None else (row[0], row[1])
 
-    def write(self, entries: Sequence[StoreEntry], gone: Iterable[tuple[str, str]] = ()) -> None:
-        """Write entries and remove expired tombstones, in one transaction that is durable when this returns."""
+    def write(self, entries: Sequence[StoreEntry], removed: Iterable[tuple[str, str]] = ()) -> None:
+        """Write entries and delete the ``removed`` keys' rows, in one transaction that is durable when this returns."""
         with self._store_errors():
             self._base.execute("BEGIN IMMEDIATE")
             try:
                 insert = "INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
                 self._base.executemany(insert, map(_row, entries))
-                self._base.executemany("DELETE FROM entries WHERE kind = ? AND name = ?", gone)
+                self._base.executemany("DELETE FROM entries WHERE kind = ? AND name = ?", removed)
                 self._base.execute("COMMIT")
             except BaseException:
                 if self._base.in_transaction:

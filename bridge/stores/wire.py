@@ -2,7 +2,7 @@
 
 The attachment is JSON, ``{"ns", "replica", "origin", "seen"}`` of `bridge.stores.entry` and ``wire``, the version of
 `bridge.hub.wire.version`, which the queries and JSON replies of `bridge.stores.sharing` have too. A value without an
-attachment comes from a plain zenoh program: its time is zenoh's, and its writer counts as knowing the current version.
+attachment comes from a plain zenoh program. Its time is zenoh's, and its writer counts as knowing the current version.
 zenoh's routers add a time to a put without one, but not to a delete (measured with zenoh 1.10).
 """
 
@@ -95,7 +95,7 @@ def stamp_of(ns: Any, replica: Any) -> ChangeStamp:
 
 
 def digests(versions: Mapping[Key, tuple[ChangeStamp, int]]) -> list[str]:
-    """Return a digest of the stamps in each of `BUCKETS` parts of the keys, for comparing replicas."""
+    """Divide the keys into `BUCKETS` parts, and return a digest of the stamps in each part, to compare replicas."""
     buckets = [0] * BUCKETS
     for key, (stamp, _) in versions.items():
         text = f"{key[0]}/{key[1]}/{stamp.ns}/{stamp.replica}".encode()
@@ -104,5 +104,5 @@ def digests(versions: Mapping[Key, tuple[ChangeStamp, int]]) -> list[str]:
 
 
 def bucket(key: Key) -> int:
-    """Return the number of the part of the keys to which a key belongs."""
+    """Return the index of a key's part among the `BUCKETS` parts."""
     return hashlib.blake2b("/".join(key).encode(), digest_size=1).digest()[0] % BUCKETS

@@ -82,8 +82,8 @@ class TransformBuffer:
     ) -> list[FrameRefusal | None]:
         """Insert many transforms at once, each as (parent, child, stamp, translation, rotation).
 
-        Each is handled as in `set_transform`. Lookups see all of them or none; but if one raises, the transforms before
-        it are still inserted.
+        Each is handled as in `set_transform`. Lookups see all of the transforms or none. But if a transform raises, the
+        earlier ones stay inserted.
         """
         with self._lock:
             try:
@@ -177,8 +177,8 @@ class TransformBuffer:
         source_frame: str,  # frame that the data are in
         stamps: ArrayLike,  # (N), ns
         *,
-        # if given, the target frame stays where it was in this frame at ``target_stamp``; else its pose is that of
-        # each stamp
+        # if given, the target frame is taken to stay where it was in this frame at ``target_stamp``; otherwise its
+        # pose at each stamp is used
         fixed_frame: str = "",
         target_stamp: int = LATEST,  # ns, or `LATEST`
         extrapolate: float = 0.0,  # as in `lookup_transform`

@@ -57,7 +57,7 @@ CURES = {
     FrameRefusal.DENORMALIZED_QUATERNION: "the rotation's length is not 1: normalize it (0, 0, 0, 1 is no rotation)",
     FrameRefusal.OLD_DATA: "it is older than the history: its publisher's clock is behind or was set back, or a second"
     " publisher uses another clock",
-    FrameRefusal.REPEATED_DATA: "the buffer has one with this stamp: it was sent twice, or arrives by two paths",
+    FrameRefusal.REPEATED_DATA: "the buffer has a transform with this stamp: it was sent twice or arrives by two paths",
     FrameRefusal.INVALID_STAMP: "its stamp is not a valid time",
     FrameRefusal.FUTURE: "its stamp is further ahead of the clock than max_future: synchronize the machines' clocks",
     FrameRefusal.TIME_SCALE: "its stamp is on another time scale: its publisher uses the system clock, and this daemon"

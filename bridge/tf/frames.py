@@ -30,7 +30,7 @@ class Frame:
         self._earlier: dict[tuple[int, str], int] = {}
 
     def switch(self, parent: int, authority: str) -> None:
-        """Store the source of the newest transform, whose parent or authority differs from the previous one's."""
+        """Store the source of the newest transform; it must differ from the previous source."""
         if self.parent:
             self._earlier.pop((self.parent, self.authority), None)
             self._earlier[self.parent, self.authority] = self.stamp
@@ -39,7 +39,7 @@ class Frame:
         self.parent, self.authority = parent, authority
 
     def sources(self, since: int) -> dict[tuple[int, str], int]:
-        """Return the current (parent, authority) and earlier ones since a stamp in ns, each with its last stamp."""
+        """Return the current source (parent, authority) and those since a stamp in ns, each with its last stamp."""
         stamps = {(self.parent, self.authority): self.stamp}
         for source, stamp in reversed(self._earlier.items()):
             if stamp >= since:
@@ -62,7 +62,7 @@ class FrameTable:
 
     @property
     def full(self) -> bool:
-        """Whether two more frames would reach the limit."""
+        """Whether there is no room for two more frames, a parent and a child."""
         return len(self._frames) > MAX_FRAMES - 2
 
     def get(self, name: str) -> Frame:

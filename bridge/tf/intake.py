@@ -28,7 +28,7 @@ Sample = tuple[str, str, int, Sequence[float], Sequence[float]]
 """Parent, child, stamp in ns, translation in m, rotation (x, y, z, w)."""
 
 OTHER_SCALE = 86_400 * _SECOND
-"""A stamp that differs from the clock by a day (in ns) is on another time scale, e.g. simulated, not system time."""
+"""A stamp that differs from the clock by a day (in ns) is on another time scale, such as simulated time."""
 
 
 class Intake:
@@ -146,7 +146,7 @@ class Intake:
         return _REFUSALS.get(pose_flaw(*pose))
 
     def _stamp_flaw(self, frame: Frame, stamp: int, static: bool) -> FrameRefusal | None:
-        """Check the stamp of a known frame's transform; the stamps of static transforms are not checked."""
+        """Check the stamp of a known frame's transform, except that of a static transform whose frame is static."""
         if self._now is None and 0 <= stamp < LAST_STAMP:
             return None
         return None if static and frame.kind != TIMED else self._clock_flaw(stamp)

@@ -19,7 +19,8 @@ EMPTY: Final = 0
 SINGLE: Final = 1
 FUTURE: Final = 2
 PAST: Final = 3
-"""Why there is no sample at a time: the frame has none, has only one at another time, only older ones, only newer."""
+"""Why there is no sample at a time: the frame has none at all, only one, which has another time, only older ones, or
+only newer ones."""
 
 NAN: Final = 1
 DENORMALIZED: Final = 2
@@ -35,4 +36,4 @@ TOLERANCE: Final = 10e-3
 """Allowed deviation of the square of a rotation's length from 1 (tf2, buffer_core.cpp)."""
 
 LAST_STAMP: Final = 1 << 62
-"""Stamps are at least 0 and less than this, in ns: 146 years."""
+"""Upper bound of stamps in ns (146 years); stamps are at least 0 and less than this."""

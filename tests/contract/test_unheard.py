@@ -13,7 +13,7 @@ from tests.support.wait import until
 
 STRING = "std_msgs/String"
 SOON = 2.0
-"""Seconds; replaces `bridge.routing.hub_end.UNHEARD` and the engine's poll period if the worker is in this process."""
+"""Seconds; replaces `hub_end.UNSUBSCRIBE_SECONDS` and the engine's poll period if the worker is in this process."""
 
 PERIOD = 0.05
 """Seconds between two messages, far below `bridge.routing.hub_end.QUICK`."""
@@ -28,7 +28,7 @@ def _route(far: HubSide, topic: str) -> dict[str, Any]:
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hub_end, "UNHEARD", SOON)
+    monkeypatch.setattr(hub_end, "UNSUBSCRIBE_SECONDS", SOON)
     monkeypatch.setattr(check_loop, "POLL", SOON)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bridge.routing.backlog import Backlog, Waiting
+from bridge.routing.backlog import Backlog, HeldMessage
 
 
 class Line:
@@ -49,7 +49,7 @@ def test_selected_messages_are_removed_and_returned_ones_keep_their_age() -> Non
         line.backlog.add(source, message, 1)
     (waiting,) = line.backlog.pop_matching(lambda w: w.source == "y")
     assert (waiting.message, len(line.backlog)) == ("b", 2)
-    old = Waiting("y", "old", 1, since=0.0)
+    old = HeldMessage("y", "old", 1, since=0.0)
     line.backlog.put_back(old)
     assert [w.message for w in line.backlog.pop_matching(lambda w: w.since < 1.0)] == ["old"]
     assert line.taken() == ["a", "c"]

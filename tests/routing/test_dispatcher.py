@@ -45,7 +45,7 @@ def test_work_that_fails_stops_nothing() -> None:
     dispatcher.start()
     done = threading.Event()
     try:
-        dispatcher.here(lambda: 1 // 0)  # type: ignore[arg-type]
+        dispatcher.run_here(lambda: 1 // 0)  # type: ignore[arg-type]
         dispatcher.submit(Priority.STREAM, lambda: 1 // 0)  # type: ignore[arg-type]
         dispatcher.submit(Priority.STREAM, done.set)
         assert done.wait(40)

@@ -80,9 +80,9 @@ class World:
         members = {w.name: w.election.outcome.members for w in sessions if w.active}
         return HubView(frozenset(w.name for w in sessions), join(members), settled=self.now > worker.started + 1.0)
 
-    def turn(self, worker: Worker) -> None:
+    def run_round(self, worker: Worker) -> None:
         sightings = [s for (to, _), s in self._heard.items() if to == worker.name]
-        record, _ = worker.election.turn(
+        record, _ = worker.election.run_round(
             self.now,
             int(self.now * NS) + worker.skew,
             sightings,
@@ -102,7 +102,7 @@ class World:
             self._heard[to, sender] = Sighting(sender, record, self.now)
         for worker in self.workers:
             if worker.alive and round(self.now / 0.05) % 4 == crc32(worker.name.encode()) % 4:
-                self.turn(worker)
+                self.run_round(worker)
         self.check()
 
     def run(self, seconds: float) -> None:
@@ -222,7 +222,7 @@ def test_suspended_daemon_is_inactive_until_it_has_checked(world: World) -> None
         worker.alive = True
         worker.election.lapse(world.now)
         assert not worker.active
-        world.turn(worker)
+        world.run_round(worker)
         assert not worker.active
     world.run(5)
     assert not any(w.active for w in still)
@@ -240,18 +240,18 @@ def test_suspended_lone_daemon_continues_in_a_new_term(world: World) -> None:
 def test_only_records_received_after_a_suspension_count() -> None:
     election = Election("a", "A")
 
-    def turn(now: float, heard: bytes) -> bool:
-        election.turn(now, 5, [Sighting("b", heard, now)], HubView(frozenset("ab")), settled=True)
+    def run_round(now: float, heard: bytes) -> bool:
+        election.run_round(now, 5, [Sighting("b", heard, now)], HubView(frozenset("ab")), settled=True)
         return election.outcome.active
 
     def standby(acked: int) -> bytes:
         return Record("b", "B", acked, {"a": acked}, frozenset("ab"), "", Claim(9, held=False, first=1), {}).encode()
 
-    assert not turn(1.0, standby(0))
-    assert turn(1.2, standby(1))
+    assert not run_round(1.0, standby(0))
+    assert run_round(1.2, standby(1))
     election.lapse(5.0)
-    assert not turn(5.0, standby(2)), "b may have taken over since it sent this record"
-    assert turn(5.2, standby(3))
+    assert not run_round(5.0, standby(2)), "b may have taken over since it sent this record"
+    assert run_round(5.2, standby(3))
 
 
 def test_other_sessions_of_its_own_network_are_not_carried(world: World) -> None:
@@ -264,7 +264,7 @@ def test_other_sessions_of_its_own_network_are_not_carried(world: World) -> None
 def test_unreachable_daemon_delays_activation_for_a_limited_time() -> None:
     election, unheard = Election("a", "A"), Sighting("?", None, 10.0)
     for now, active in ((10.0, False), (10.0 + UNKNOWN - 0.1, False), (10.0 + UNKNOWN, True)):
-        election.turn(now, int(now * NS), [unheard], HubView(), settled=True)
+        election.run_round(now, int(now * NS), [unheard], HubView(), settled=True)
         assert election.outcome.active is active
     assert not election.outcome.waiting
 
@@ -273,18 +273,18 @@ def test_no_daemon_is_active_beside_another_major_version() -> None:
     election = Election("b", "B")
     other = json.loads(Record("a", "A", 5, {"b": 100}, frozenset("a"), "", Claim(1, held=True, first=1), {}).encode())
 
-    def turn(now: float, heard: float, version: str) -> str:
+    def run_round(now: float, heard: float, version: str) -> str:
         record = json.dumps({**other, "wire": version, "more": 1}).encode()
-        election.turn(now, 100, [Sighting("a", record, heard)], HubView(frozenset("ab")), settled=True)
+        election.run_round(now, 100, [Sighting("a", record, heard)], HubView(frozenset("ab")), settled=True)
         assert not election.outcome.active
         return election.outcome.waiting
 
     for now in (1.0, 1.0 + 10 * UNKNOWN):
-        assert "uses version 2.0 of Midspan's protocol" in turn(now, now, "2.0")
-    assert turn(90.0, 90.0, "1.99") == ""
+        assert "uses version 2.0 of Midspan's protocol" in run_round(now, now, "2.0")
+    assert run_round(90.0, 90.0, "1.99") == ""
     assert election.outcome.standing_by == "A", "records of a later minor version are understood"
-    election.turn(91.0 + SILENCE, 100, [Sighting("a", b'{"wire": "2.0"}', 90.0)], HubView(), settled=True)
-    election.turn(91.0 + UNKNOWN, 100, [], HubView(), settled=True)
+    election.run_round(91.0 + SILENCE, 100, [Sighting("a", b'{"wire": "2.0"}', 90.0)], HubView(), settled=True)
+    election.run_round(91.0 + UNKNOWN, 100, [], HubView(), settled=True)
     assert election.outcome.active, "the other worker has left"
 
 
@@ -292,15 +292,15 @@ def test_nothing_is_bridged_while_it_is_unknown_whether_hubs_are_joined() -> Non
     election = Election("b", "B")
     other = Record("a", "A", 5, {"b": 100}, frozenset("a"), "", Claim(1, held=True, first=1), {})
 
-    def turn(now: float, hub: HubView) -> tuple[bool, str]:
-        election.turn(now, 100, [Sighting("a", other.encode(), now)], hub, settled=True)
+    def run_round(now: float, hub: HubView) -> tuple[bool, str]:
+        election.run_round(now, 100, [Sighting("a", other.encode(), now)], hub, settled=True)
         return election.outcome.active, election.outcome.standing_by
 
-    assert turn(1.0, HubView(settled=False)) == (False, "")
+    assert run_round(1.0, HubView(settled=False)) == (False, "")
     assert "share this hub" in election.outcome.waiting
-    assert turn(2.0, HubView(frozenset("ab"))) == (False, "A")
-    assert turn(2.0 + CUT / 2, HubView()) == (False, "A"), "a link may fail and be restored"
-    assert turn(2.0 + CUT, HubView()) == (True, ""), "the hubs are separate now, and no other worker serves this one"
+    assert run_round(2.0, HubView(frozenset("ab"))) == (False, "A")
+    assert run_round(2.0 + CUT / 2, HubView()) == (False, "A"), "a link may fail and be restored"
+    assert run_round(2.0 + CUT, HubView()) == (True, ""), "the hubs are separate, and no other worker serves this one"
 
 
 def test_joined_hubs_agree_on_one_active_daemon(world: World) -> None:

@@ -57,7 +57,7 @@ class World:
         """Run the watch for a time, in steps of 0.1 s."""
         for _ in range(round(seconds / 0.1)):
             self.now += 0.1
-            self.watch.turn()
+            self.watch.run_round()
 
 
 def test_suspended_worker_waits_for_its_hub_before_it_judges_another(
@@ -80,7 +80,7 @@ def test_hub_is_known_after_a_short_suspension(monkeypatch: pytest.MonkeyPatch) 
     world.run(2.0)
     assert world.watch.outcome.active
     world.now += 2.0
-    world.watch.turn()
+    world.watch.run_round()
     assert not world.watch.outcome.active
     world.run(0.3)
     assert world.watch.outcome.active

@@ -33,7 +33,7 @@ class DefinitionLibrary:
         self._nested: dict[str, Definition] = {}
         self._found: dict[str, Schema] = {}
         self._own: dict[str, Definition] = {}
-        """Definitions on this machine that other types nest; like those in ``_found``, they are read only once."""
+        """Definitions on this machine that other types nest, read only once, like the schemas in ``_found``."""
         self._room = MAX_LEARNED
 
     def fingerprint(self, schema: Schema) -> str:

@@ -126,10 +126,10 @@ def find_part(folder: Path, name: str, world: World = World.ROS2) -> dict[str, D
         return None
     sections = zip(CONTENTS[kind], read_sections(path, kind), strict=True)
     parts = {f"{base}_{part}": parse_definition(text, f"{base}_{part}", world) for part, text in sections}
-    return with_made(parts, name, world)
+    return with_generated_parts(parts, name, world)
 
 
-def with_made(definitions: dict[str, Definition], name: str, world: World) -> dict[str, Definition] | None:
+def with_generated_parts(definitions: dict[str, Definition], name: str, world: World) -> dict[str, Definition] | None:
     """Return the definitions of a service's or action's file and those that ROS 2 adds; None if ``name`` is missing."""
     if world is World.ROS2:
         definitions = generated_parts(base_of(name, world), world) | definitions

@@ -28,7 +28,7 @@ from bridge.messages.definitions.parts import (
     find_actionlib,
     find_part,
     read_sections,
-    with_made,
+    with_generated_parts,
 )
 from bridge.messages.definitions.schema import Constant, Definition, Field, FieldType, Shape, World
 from bridge.messages.definitions.stores import read_store
@@ -91,12 +91,12 @@ class DefinitionFolder:
 
     @cached_property
     def _parent_names(self) -> set[str]:
-        """The same names of the root's parent, in case the root is a package's ``msg``, ``srv`` or ``action``."""
+        """The same names of the root's parent, for a root that is a package's ``msg``, ``srv`` or ``action``."""
         return {self.root.parent.name, package_name(self.root.resolve().parent)}
 
     @cached_property
     def _renamed(self) -> Mapping[str, list[Path]]:
-        """Package folders in the root whose own name is not that of the package, by the package's name."""
+        """Package folders in the root that are not named after their package, by the package's name."""
         folders: dict[str, list[Path]] = {}
         for file in sorted(self.root.glob("*/package.xml")):
             if (name := package_name(file.parent)) != file.parent.name:
@@ -133,7 +133,7 @@ class DefinitionFolder:
             return self._native(definitions, folder / f"{stem}.{name.split('/')[1]}")
         path = folder / f"{stem}.idl"
         if self.world is World.ROS2 and path.is_file():
-            return with_made(parse_idl(read_text(path), _first_part(name)), name, self.world)
+            return with_generated_parts(parse_idl(read_text(path), _first_part(name)), name, self.world)
         return None
 
     def _native(self, found: Found, path: Path) -> Found | None:

@@ -46,7 +46,7 @@ class ActionMapping:
         self._messages = messages
 
     def ros2_name(self, action: str) -> str:
-        """Return the ROS 2 action for a ROS 1 action: installed, else announced with an equal goal, else derived."""
+        """Return the ROS 2 action for a ROS 1 action: installed, or announced with an equal goal, or else derived."""
         names = self._messages.rules.ros2_names(action, "action")
         for name in names:
             if self._messages.ros2.installed(f"{name}_Goal") is not None:
@@ -59,7 +59,7 @@ class ActionMapping:
         return legal_type(action, "action")
 
     def ros1_name(self, action: str) -> str:
-        """Return the ROS 1 action for a ROS 2 action, ``pkg/action/Name``: a known one, else derived."""
+        """Return the ROS 1 action for a ROS 2 action, ``pkg/action/Name``: a known action, else a derived one."""
         return next(self._known_ros1(action), action.replace("/action/", "/", 1))
 
     def topics(self, action: str) -> ActionTopicTypes:
@@ -101,7 +101,7 @@ class ActionMapping:
         return f"{base}_{part}", self._ros1_types(base, part, ros1), dict(root.types)
 
     def _derived(self, name: str, type_hash: str) -> tuple[str, Types, Types]:
-        """Do the same as `of_ros2` for a part that is known only from ROS 1."""
+        """Return the same as `of_ros2`, for a part that is known only from ROS 1."""
         action, part = _split(name, World.ROS2)
         known = " or ".join(self._messages.ros2.fingerprints(name))
         for ros1_action in self._known_ros1(action):
@@ -116,7 +116,7 @@ class ActionMapping:
         raise unknown_type(name, World.ROS2, type_hash, known)
 
     def schema(self, name: str, type_hash: str = "") -> Schema:
-        """Return a message of a ROS 2 action that is known only from ROS 1, with the given hash unless that is ""."""
+        """Return a message of a ROS 2 action that is known only from ROS 1; a ``type_hash`` of "" means any."""
         action, known = split_part(name)[0], ""
         for ros1_action in self._known_ros1(action):
             if self.ros2_name(ros1_action) == action:
@@ -129,7 +129,7 @@ class ActionMapping:
         raise unknown_type(name, World.ROS2, type_hash, known)
 
     def derived(self, action: str) -> Types:
-        """Return all definitions of the ROS 2 action for a ROS 1 action, except those of unknown parts."""
+        """Return the definitions of the ROS 2 action for a ROS 1 action, without parts that are unknown in ROS 1."""
         ros2_action = self.ros2_name(action)
         types: Types = {}
         for part, content in _CONTENT_OF.items():

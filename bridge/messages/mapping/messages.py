@@ -165,7 +165,7 @@ class MessageMapping:
         raise unknown_type(name, World.ROS2, type_hash, " or ".join(self.ros2.fingerprints(name)), "msg")
 
     def _installed_as_ros1(self, name: str) -> Schema | None:
-        """Derive a ROS 1 message from the installed ROS 2 message that becomes it; None if ROS 2 lacks it."""
+        """Derive the ROS 1 message ``name`` from an installed ROS 2 message; None if no message gives this name."""
         for candidate in self.rules.ros2_names(name):
             ros2 = self.ros2.installed(candidate)
             derived = None if ros2 is None else derive_ros1(ros2, self.to_ros1)
@@ -174,7 +174,7 @@ class MessageMapping:
         return None
 
     def _installed_as_ros2(self, name: str) -> Schema | None:
-        """Derive a ROS 2 message from the installed ROS 1 message that becomes it; None if ROS 1 lacks it."""
+        """Derive the ROS 2 message ``name`` from an installed ROS 1 message; None if no message gives this name."""
         for candidate in self._ros1_names(name):
             ros1 = self.ros1.installed(candidate)
             derived = None if ros1 is None else derive_ros2(ros1, self.to_ros2)
@@ -196,7 +196,7 @@ class MessageMapping:
                 yield name
 
     def to_ros2(self, ros1: Schema) -> Schema:
-        """Return the ROS 2 type for a ROS 1 type: installed, else announced with equal fields, else derived."""
+        """Return the ROS 2 type for a ROS 1 type: installed, or announced with equal fields, or else derived."""
         key = (ros1.name, self.ros1.fingerprint(ros1))
         if key not in self._counterparts:
             self._counterparts[key] = self._match_ros2(ros1)
@@ -215,8 +215,9 @@ class MessageMapping:
         return derive_ros2(ros1, self.to_ros2)
 
     def to_ros1(self, ros2: Schema) -> Schema:
-        """Return the ROS 1 type for a ROS 2 type: one whose counterpart is this type, else the likeliest, else derived.
+        """Return the ROS 1 type for a ROS 2 type.
 
+        This is a known type whose counterpart is ``ros2``, else the likeliest known type, else a derived type.
         Announced types come before installed ones.
         """
         key = (ros2.name, self.ros2.fingerprint(ros2))

@@ -1,8 +1,8 @@
 """Converts messages between two versions of a type in which fields have different primitive types.
 
-Numbers convert to numbers and to text, and text converts to a number if it is the text of one. A value is kept or
-rounded; a message with a value that does not fit is refused. The messages are decoded, so this is slower than the
-virtual machine of `bridge.messages.transcode`, which converts messages of all other types.
+Numbers convert to numbers and to text, and text converts to a number if it spells one. Values are kept or rounded; a
+message with a value that does not fit is refused. The messages are decoded, so this is slower than the virtual machine
+of `bridge.messages.transcode`, which converts messages of all other types.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def obstacle(source: FieldType, target: FieldType) -> str:
     if source.nested or target.nested:
         return "a nested message cannot become another type; name its fields by their paths"
     if source.shape is not target.shape or (source.shape is Shape.ARRAY and source.length != target.length):
-        return "only one is an array, or the arrays differ in length or kind"
+        return "only one field is an array, or the arrays differ in length or kind"
     if "bool" in (source.base, target.base) and STRING_TYPES & {source.base, target.base}:
         return "text cannot be converted to or from bool"
     return ""

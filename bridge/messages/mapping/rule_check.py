@@ -19,7 +19,7 @@ _FOLDERS = "add a separate folder for each version of the package to types.folde
 
 
 def rule_errors(rules: VersionRules, versions: TypeVersions) -> Iterator[MessageTypeError]:
-    """Yield an error, with its cure, for each rule of the configuration that cannot apply, or contradicts another."""
+    """Yield an error, with its cure, for each of the configuration's rules that cannot apply or contradicts another."""
     sound: list[VersionRule] = []
     for rule in rules.given:
         errors = list(_errors(rule, versions))

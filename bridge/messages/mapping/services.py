@@ -97,7 +97,7 @@ class ServiceMapping:
         return schema
 
     def to_ros2(self, ros1: ServiceSchema) -> ServiceSchema:
-        """Return the ROS 2 service for a ROS 1 service: installed, else announced with equal fields, else derived."""
+        """Return the ROS 2 service for a ROS 1 service: installed, or announced with equal fields, or else derived."""
         names = [CANCEL_GOAL] if ros1.name == CANCEL_GOAL else self._messages.rules.ros2_names(ros1.name, "srv")
         for name in names:
             root = self._messages.ros2.installed(name)
@@ -113,7 +113,7 @@ class ServiceMapping:
         return self._derive_ros2(ros1)
 
     def to_ros1(self, ros2: ServiceSchema) -> ServiceSchema:
-        """Return the ROS 1 service for a ROS 2 service: installed, else derived."""
+        """Return the ROS 1 service for a ROS 2 service: the installed one, else a derived one."""
         first: ServiceSchema | None = None
         for ros1 in self._ros1_candidates(ros2.name):
             back = self.to_ros2(ros1)

@@ -113,7 +113,7 @@ def heading(orientation: Mapping[str, float]) -> float:
     return math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
-def turned(degrees: float) -> Message:
+def yaw_quaternion(degrees: float) -> Message:
     """Return the quaternion of a yaw in degrees."""
     half = math.radians(degrees) / 2
     return {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}

@@ -30,7 +30,8 @@ Form = Literal["bottle", "fields", "natural"]
 class Content:
     """The content of a port."""
 
-    # the format of messages; a type without a natural form is sent as a Bottle, a clock as YARP's type unless "fields"
+    # the format of messages; "natural" sends types without a natural form as Bottles, and "bottle" sends a clock in
+    # its natural form
     form: Form = "bottle"
     fields: tuple[BottleEntry, ...] = ()  #: the entries of the Bottle of chosen fields
     profile: Profile = Profile.YARP3  #: format of written bytes, and of read bytes whose format is not recognizable

@@ -94,7 +94,7 @@ class FieldsCodec(Codec):
             elif entry.index is not None:
                 raise ConversionError(f"{entry.text} is one element of an array, which the Bottle cannot set by itself")
             else:
-                _assign(message, entry.path, _taken(entry, kind, value))
+                _assign(message, entry.path, _field_value(entry, kind, value))
         return MessageWriter(self._schema).message(message)
 
 
@@ -154,7 +154,7 @@ def _compare(entry: BottleEntry, value: Any) -> None:
         raise ConversionError(f"a value of the Bottle is {value!r}, but the rule requires {entry.text}")
 
 
-def _taken(entry: BottleEntry, kind: FieldType, value: Any) -> Any:
+def _field_value(entry: BottleEntry, kind: FieldType, value: Any) -> Any:
     """Convert a Bottle's value to a value of the field."""
     if kind.base in _TIMES:
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1 << 31:

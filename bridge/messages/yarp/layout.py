@@ -1,8 +1,8 @@
 """The layout of the Bottles that YARP's own converter makes of ROS messages, as a plan of bytes for both directions.
 
 A message is a list of its fields, each with its own tag, even if all have the same type. A nested message is a list of
-the same form, and a time is a list of two integers. An array of numbers or strings is a list of that one type, even if
-it is empty; octets are one-byte integers; an array of messages is a list of lists. Unsigned numbers are written as
+the same form, and a time is a list of two integers. An array of numbers or strings, even an empty one, is a list of
+that one type; octets are one-byte integers; an array of messages is a list of lists. Unsigned numbers are written as
 signed numbers with the same bits. The source is ``yarpidl_rosmsg`` (RosTypeCodeGenYarp.cpp) in YARP 3.5, whose readers
 accept no other layout.
 

@@ -16,7 +16,7 @@ import numpy as np
 from typing_extensions import override
 
 from bridge.messages.errors import ConversionError
-from bridge.messages.yarp.codec import Message, Missing, NaturalType, header, heading, turned
+from bridge.messages.yarp.codec import Message, Missing, NaturalType, header, heading, yaw_quaternion
 from yarp_compat.dev.basecontrol import MobileBaseVelocity, OdometryData
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapflag import flags_of
@@ -47,7 +47,7 @@ class _Odometry:
         return {
             "header": header(stamp_ns, missing.frame or "odom"),
             "child_frame_id": missing.child_frame or "base_link",
-            "pose": {"pose": {"position": position, "orientation": turned(odometry.odom_theta)}},
+            "pose": {"pose": {"position": position, "orientation": yaw_quaternion(odometry.odom_theta)}},
             "twist": {"twist": _twist(odometry.base_vel_x, odometry.base_vel_y, odometry.base_vel_theta)},
         }
 
@@ -133,7 +133,7 @@ class Grid:
                 "resolution": grid.getResolution(),
                 "width": grid.width(),
                 "height": grid.height(),
-                "origin": {"position": {"x": x, "y": y}, "orientation": turned(math.degrees(yaw))},
+                "origin": {"position": {"x": x, "y": y}, "orientation": yaw_quaternion(math.degrees(yaw))},
             },
             "data": cells[::-1].astype(np.int8).reshape(-1),
         }
@@ -144,7 +144,7 @@ def _location(frame: str, pose: Mapping[str, Any]) -> Map2DLocation:
 
 
 def _pose(location: Map2DLocation) -> Message:
-    return {"position": {"x": location.x, "y": location.y}, "orientation": turned(location.theta)}
+    return {"position": {"x": location.x, "y": location.y}, "orientation": yaw_quaternion(location.theta)}
 
 
 class _Pose:

@@ -81,10 +81,10 @@ class _Cloud:
             have = sorted({field["name"] for field in message["fields"]})
             raise ConversionError(f"YARP has no kind of points for the fields {', '.join(have) or 'none'}")
         layout = LAYOUTS[kind]
-        if points.dtype.itemsize == layout.itemsize and _same_places(points.dtype, layout):
+        if points.dtype.itemsize == layout.itemsize and _has_fields_of(points.dtype, layout):
             points = np.ascontiguousarray(points).view(layout)
         else:
-            points = _copied(points, layout)
+            points = _copy_fields(points, layout)
         cloud = PointCloud.of(points, dense=bool(message["is_dense"]))
         cloud.write(out)
 
@@ -136,13 +136,14 @@ def _points(message: Mapping[str, Any]) -> np.ndarray:
     return points if len(points) > 1 else points.reshape(-1)
 
 
-def _same_places(found: np.dtype[Any], layout: np.dtype[Any]) -> bool:
-    have: Mapping[str, Any] = found.fields or {}
+def _has_fields_of(record: np.dtype[Any], layout: np.dtype[Any]) -> bool:
+    """Return whether a record has all fields of a layout, with the same types at the same offsets."""
+    have: Mapping[str, Any] = record.fields or {}
     want: Mapping[str, Any] = layout.fields or {}
-    return all(name in have and have[name][:2] == place[:2] for name, place in want.items())
+    return all(name in have and have[name][:2] == field[:2] for name, field in want.items())
 
 
-def _copied(points: np.ndarray, layout: np.dtype[Any]) -> np.ndarray:
+def _copy_fields(points: np.ndarray, layout: np.dtype[Any]) -> np.ndarray:
     copy = np.zeros(points.shape, layout)
     with np.errstate(over="ignore", invalid="ignore"):  # values beyond float32 become infinite
         for name in set(layout.names or ()) & set(points.dtype.names or ()):

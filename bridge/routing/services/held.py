@@ -19,8 +19,8 @@ HOLD_SECONDS = 5.0
 """Maximum seconds for which a call waits. A lone worker has its lease again after 0.1 to 3 s."""
 
 LATE_SECONDS = 15.0
-"""Seconds without the lease after which calls are refused at once: they may have waited in sockets all that time, and
-no client expects a goal that was sent before a laptop was closed to begin when it is opened."""
+"""Seconds without the lease after which calls are refused at once, because they may have waited in sockets for so long.
+No client expects a goal that it sent before a laptop was closed to begin when the laptop is opened."""
 
 MOST_HELD = 1000
 

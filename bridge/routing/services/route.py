@@ -81,13 +81,13 @@ class BridgedCall:
     def end(self, result: bytes | CallError) -> None:
         """End the call with its first result; later results are ignored."""
         if self._end():
-            self._route.over(self, result, time.monotonic_ns() - self._began)
+            self._route.count_end(self, result, time.monotonic_ns() - self._began)
             self._done(result)
 
     def abandon(self) -> None:
         """Cancel the call after its client left; the far server's reply is dropped."""
         if self._end():
-            self._route.over(self, None, 0)
+            self._route.count_end(self, None, 0)
             self.cancel()
 
     def cancel(self) -> None:
@@ -126,7 +126,7 @@ MAX_CALLS = 1000
 """Maximum number of pending calls of one route; further calls fail at once."""
 
 MAX_RESULTS = 10_000
-"""The same for result requests of an action, which stay pending while the goals are active."""
+"""Maximum number of pending result requests of an action, which stay pending while their goals are active."""
 
 
 class ServiceRoute(Route):
@@ -210,8 +210,8 @@ class ServiceRoute(Route):
         work()
         return True
 
-    def over(self, call: BridgedCall, result: bytes | CallError | None, nanoseconds: int) -> None:
-        """Count the end of a call; a result of None means that it was abandoned."""
+    def count_end(self, call: BridgedCall, result: bytes | CallError | None, nanoseconds: int) -> None:
+        """Count the end of a call, which took ``nanoseconds``; a result of None means that it was abandoned."""
         self._context.held_calls.drop(call)
         with self._lock:
             self._calls.pop(call, None)
@@ -224,10 +224,10 @@ class ServiceRoute(Route):
                 if counters.failed(str(result)):
                     _log.info("%s %s: %s", self.direction, self.side_topic, result)
             else:
-                counters.recovered()
+                counters.clear_error()
                 counters.replies += 1
                 counters.bytes += len(result)
-                counters.latency(nanoseconds)
+                counters.add_latency(nanoseconds)
 
     @override
     def close(self, why: str = "") -> None:

@@ -35,10 +35,10 @@ _UUID = slice(4, 20)
 class SideToHubService(ServiceRoute):
     """A service whose server is on the side, and whose clients are on the hub.
 
-    Clients of rmw_zenoh cannot receive errors, so a failed call to a service of an action gets a reply of its type: the
-    goal is rejected, its end is unknown (it may still be executing, so no client gets *aborted*), or the cancel request
-    is rejected. If the call was refused before a server received it, the error with its reason precedes that reply, and
-    Midspan's own clients use the error.
+    Clients of rmw_zenoh cannot receive errors. So a failed call to a service of an action gets a reply of its type,
+    which says that the goal is rejected, that its end is unknown (it may still be executing, so no client gets
+    *aborted*), or that the cancel request is rejected. If the call was refused before a server received it, the error
+    with its reason precedes this reply, and Midspan's own clients use the error.
     """
 
     direction = "in"
@@ -95,7 +95,7 @@ class SideToHubService(ServiceRoute):
 
 
 def _uncalled(servers: list[Endpoint]) -> Obstacle | None:
-    """Return why these servers are not called while others of their name are; None if they are called."""
+    """Return why these servers get no calls although others of the same name do; None if these servers get calls."""
     return next((server.uncalled for server in servers if server.uncalled is not None), None)
 
 
