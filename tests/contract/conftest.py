@@ -56,7 +56,7 @@ APART = ("ros1_embedded_master", "ros2_kilted", "ros2_cyclone")
 """Sides that only `make test-all` runs."""
 
 IN_TURN = (("ros1", "ros2", "own"), ("zenoh_ros2dds", "zenoh_ros1"))
-"""Groups of sides (with separate processes; dialects of one side): `make test` runs each test on one side of each."""
+"""Two groups, of sides with processes and of zenoh dialects; `make test` runs each test on one side of each group."""
 
 ANY_OS = {
     "test_messages_of_the_side_arrive_on_the_hub_in_order",
@@ -64,7 +64,7 @@ ANY_OS = {
     "test_a_call_from_the_hub_reaches_a_server_on_the_side",
     "test_a_call_from_the_side_reaches_a_server_on_the_hub",
 }
-"""Tests of messages and calls, both ways, that `make test` also runs on a side without what Windows lacks."""
+"""Tests of messages and calls that `make test` also runs on ``ros1_any_os``, which uses nothing that Windows lacks."""
 
 BASIC = ANY_OS | {"test_the_newest_latched_messages_from_before_the_start_are_bridged"}
 """Tests that `make test` runs on every side."""
@@ -77,7 +77,7 @@ OF_ANY_VARIANT = ("test_rules.py", "test_bad_input.py", "test_best_available.py"
 
 
 def _is_shown_elsewhere(item: pytest.Item) -> bool:
-    """Return whether a test on a variant of a side would show nothing that the same test on the side does not."""
+    """Return whether a test is redundant on a variant of a side, because it also runs on the side itself."""
     side, name = _param(item, "side"), getattr(item, "originalname", "")
     if side == "ros1_any_os" and _param(item, "lane"):
         return True  # it cannot have a lane, because it has no Unix sockets

@@ -31,7 +31,7 @@ class FakePeer:
         self._things: dict[int, tuple[Writer | Reader | Server, str]] = {}
         self._servings: dict[int, Serving] = {}
         self._callings: dict[int, Calling] = {}
-        self._heard: dict[int, list[dict[str, Any]]] = {}
+        self._received: dict[int, list[dict[str, Any]]] = {}
         self._ids = itertools.count(1)
         self._changed = threading.Condition()
 
@@ -44,7 +44,7 @@ class FakePeer:
     def subscribe(self, topic: str, type_: str, *, latched: bool = False, **_: Any) -> int:
         number = next(self._ids)
         received: list[dict[str, Any]] = []
-        self._heard[number] = received
+        self._received[number] = received
         name = ros2_name(type_)
 
         def deliver(payload: bytes, _source: str, _time: int | None) -> None:
@@ -63,8 +63,8 @@ class FakePeer:
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
         with self._changed:
-            self._changed.wait_for(lambda: len(self._heard[endpoint]) >= count, seconds)
-            return list(self._heard[endpoint])
+            self._changed.wait_for(lambda: len(self._received[endpoint]) >= count, seconds)
+            return list(self._received[endpoint])
 
     def ask(self, do: str, **params: Any) -> dict[str, Any]:
         """Execute the service commands of `tests.peers.peer`."""

@@ -24,7 +24,7 @@ class HubSide:
     def __init__(self, hub: Hub, registry: Registry) -> None:
         self.hub, self.registry = hub, registry
         self._publishers: dict[int, tuple[Any, str]] = {}
-        self._heard: dict[int, list[dict[str, Any]]] = {}
+        self._received: dict[int, list[dict[str, Any]]] = {}
         self._subscriptions: dict[int, Any] = {}
         self._changed = threading.Condition()
         self._next = 0
@@ -60,7 +60,7 @@ class HubSide:
                 received.append(to_json(self.registry, name, payload))
                 self._changed.notify_all()
 
-        self._heard[self._next] = received
+        self._received[self._next] = received
         type_hash = self.registry.ros2(name).type_id
         self._subscriptions[self._next] = self._subscription(topic, name, type_hash, qos, receive)
         return self._next
@@ -70,14 +70,14 @@ class HubSide:
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
         with self._changed:
-            self._changed.wait_for(lambda: len(self._heard[endpoint]) >= count, seconds)
-            return list(self._heard[endpoint])
+            self._changed.wait_for(lambda: len(self._received[endpoint]) >= count, seconds)
+            return list(self._received[endpoint])
 
     def wait_without(self, endpoint: int, probe: str, count: int) -> list[dict[str, Any]]:
         """Return all messages but the probes, once ``count`` others have arrived, or after 10 s."""
 
         def others() -> list[dict[str, Any]]:
-            return [m for m in self._heard[endpoint] if m["data"] != probe]
+            return [m for m in self._received[endpoint] if m["data"] != probe]
 
         with self._changed:
             self._changed.wait_for(lambda: len(others()) >= count, 10.0)
@@ -89,23 +89,23 @@ class HubSide:
         if endpoint in self._subscriptions:
             self._subscriptions.pop(endpoint).close()
 
-    def hub_publish_until(self, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> None:
+    def hub_publish_until(self, endpoint: int, message: dict[str, Any], arrived: Callable[[], Any]) -> None:
         """Publish until a message arrives on the side, because the route may not exist yet for the first ones."""
 
         def once() -> Any:
             self.publish(endpoint, message)
-            return heard()
+            return arrived()
 
         until(once, "a message from the hub arrives on the side", 20)
 
-    def publish_until(self, peer: PeerLike, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> int:
+    def publish_until(self, peer: PeerLike, endpoint: int, message: dict[str, Any], arrived: Callable[[], Any]) -> int:
         """Publish from a peer on the side until a message arrives on the hub; return how many were published."""
         count = itertools.count(1)
 
         def once() -> Any:
             peer.publish(endpoint, message)
             number = next(count)
-            return number if heard() else None
+            return number if arrived() else None
 
         return int(until(once, "a message from the side arrives on the hub", 20))
 
@@ -155,8 +155,8 @@ class HubSide:
         """Return one route as a dictionary, or None if it does not exist."""
         return next((r for r in self.status()["routes"] if r["topic"] == topic and r["direction"] == direction), None)
 
-    def takes(self, topic: str, direction: str, *, lane: bool) -> bool:
-        """Return whether messages of a route have crossed, and the route uses the lane, or, without ``lane``, zenoh."""
+    def uses_transport(self, topic: str, direction: str, *, lane: bool) -> bool:
+        """Return whether a route has bridged messages over the expected transport: the lane if ``lane``, else zenoh."""
         routes = [r for r in self.status()["routes"] if (r["hub_topic"], r["direction"]) == (topic, direction)]
         transport = "lane" if lane else "zenoh"
         return bool(routes and routes[0]["way"] == transport and routes[0]["ways"][transport])

@@ -37,7 +37,7 @@ class OwnPeer:
     def __init__(self, group: str, registry: Registry, name: str) -> None:
         self._node, self._registry = Node(group, "127.0.0.1", name), registry
         self._ends: dict[int, End] = {}
-        self._heard: dict[int, list[dict[str, Any]]] = {}
+        self._received: dict[int, list[dict[str, Any]]] = {}
         self._numbers = itertools.count(1)
         self._changed = threading.Condition()
 
@@ -48,7 +48,7 @@ class OwnPeer:
 
     def subscribe(self, topic: str, type_: str, *, latched: bool = False, **_: Any) -> int:
         number, name = next(self._numbers), ros2_name(type_)
-        received = self._heard[number] = []
+        received = self._received[number] = []
 
         def take(message: bytes, _publisher: str) -> None:
             with self._changed:
@@ -68,8 +68,8 @@ class OwnPeer:
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
         with self._changed:
-            self._changed.wait_for(lambda: len(self._heard[endpoint]) >= count, seconds)
-            return list(self._heard[endpoint])
+            self._changed.wait_for(lambda: len(self._received[endpoint]) >= count, seconds)
+            return list(self._received[endpoint])
 
     def drop(self, endpoint: int) -> None:
         self._node.close_end(self._ends.pop(endpoint))
@@ -105,7 +105,7 @@ class OwnSide(Side):
     """A network of datagrams. Like DDS, it has no central process that could crash."""
 
     name = "datagrams"
-    tells_listeners = False
+    lists_subscribers = False
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()

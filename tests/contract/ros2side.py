@@ -35,7 +35,7 @@ class Ros2Side(Side):
     name = "ros2"
     has_services = True
     tells_errors = False
-    tells_death = False  # not before a program's lease of 20 s expires
+    reports_death = False  # not before a program's lease of 20 s expires
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()

@@ -22,7 +22,7 @@ from tests.support.wait import until
 
 CUSTOM_FOLDER = Path(__file__).parent / "msgs"
 OWN_FOLDER = Path(__file__).parent / "own"
-"""Types that the bridge needs no folder for if the side's protocol describes them well enough: an empty message."""
+"""The folder of an empty message, which the bridge needs unless the side's protocol describes empty types fully."""
 
 PEER_FOLDERS = (CUSTOM_FOLDER, OWN_FOLDER)
 IMPORTS = ("bridge.cli.daemon.run", "bridge.daemon.worker_main", "bridge.adapters.worker")
@@ -61,8 +61,8 @@ class Side(ABC):
     tells_latching: ClassVar[bool] = True
     has_services: ClassVar[bool] = False
     tells_errors: ClassVar[bool] = True
-    tells_death: ClassVar[bool] = True
-    tells_listeners: ClassVar[bool] = True
+    reports_death: ClassVar[bool] = True
+    lists_subscribers: ClassVar[bool] = True
     tells_empty_types: ClassVar[bool] = False
 
     def __init__(self) -> None:

@@ -31,7 +31,7 @@ def test_junk_on_the_hub_is_counted_and_the_route_continues(side: Side, bridge: 
     assert route["error"]
 
 
-def test_an_unknown_type_is_reported_and_others_cross(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_an_unknown_type_is_reported_and_other_types_are_bridged(side: Side, bridge: Bridge, far: HubSide) -> None:
     strange = far.hub.publisher("/strange", "nowhere_msgs/msg/Nothing", "RIHS01_" + "ab" * 32, Qos())
     far.advertise("/normal", STRING)
     far.until_route("/normal", "out")

@@ -96,7 +96,9 @@ def test_a_velocity_is_never_latched(side: Side, bridge: Bridge, far: HubSide, t
     assert late.wait(at_late, 1, 0.2) == []
 
 
-def test_policies_that_rmw_does_not_define(side: Side, bridge: Bridge, far: HubSide, hubs: HubNetwork) -> None:
+def test_endpoints_with_undefined_policies_are_bridged(
+    side: Side, bridge: Bridge, far: HubSide, hubs: HubNetwork
+) -> None:
     type_id = far.registry.ros2(STRING).type_id
     with hubs.program() as session:
         zid = session.zid()

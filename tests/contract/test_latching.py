@@ -14,9 +14,9 @@ STRING = "std_msgs/String"
 
 
 @pytest.fixture(autouse=True)
-def _told(side: Side) -> None:
+def _skip_if_latching_is_unknown(side: Side) -> None:
     if not side.tells_latching:
-        pytest.skip("this side does not announce latching; tests/adapters/zenoh covers it")
+        pytest.skip("this side does not announce latching; tests/adapters/zenoh tests it")
 
 
 def test_a_late_joiner_of_the_hub_receives_the_last_message_of_three_latched_publishers(
@@ -102,7 +102,7 @@ def test_a_late_joiner_of_the_side_receives_the_static_transforms_of_three_broad
     assert _frames(_late_peer_tf(side)) == ["sensor0", "sensor1", "sensor2"]
 
 
-def test_transforms_that_are_not_latched_pass_beside_static_ones(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_transforms_that_are_not_latched_are_published_unchanged(side: Side, bridge: Bridge, far: HubSide) -> None:
     moving, fixed = side.peer(), side.peer()
     subscription = far.subscribe("/robot/tf", "tf2_msgs/TFMessage")
     out = moving.advertise("/robot/tf", "tf2_msgs/TFMessage")
@@ -118,7 +118,7 @@ def test_transforms_that_are_not_latched_pass_beside_static_ones(side: Side, bri
     assert _frames(_late_tf(far, "/robot/tf")) == ["fixed"]
 
 
-def test_a_program_that_advertises_again_without_latching_and_with(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_a_topic_follows_a_program_that_stops_and_resumes_latching(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     for latched, text in ((True, "kept"), (False, "heard"), (True, "retained again")):
         out = peer.advertise("/mode", STRING, latched=latched, depth=1)

@@ -34,7 +34,7 @@ def test_a_latched_message_that_arrives_by_two_paths_is_delivered_once() -> None
     assert received == ["2", "b1", "3", "end"]
 
 
-def test_a_latched_message_that_was_lost_is_asked_for_again() -> None:
+def test_a_lost_latched_message_is_requested_again() -> None:
     """A datagram can be lost. A program that only one side considers dead is received again by that side."""
     group = free_group()
     received: list[str] = []

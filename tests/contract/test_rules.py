@@ -95,7 +95,7 @@ def _seen(route: dict) -> int:
     return route["messages"] + route["drops"]["rate"]
 
 
-def test_static_transforms_that_are_denied_leave_both_ways(side: Side, far: HubSide, config) -> None:
+def test_denied_static_transforms_disappear_on_both_networks(side: Side, far: HubSide, config) -> None:
     """Static transforms outlive their broadcasters, but not the rule that allows them."""
     bridge = side.bridge(config())
     peer = side.peer()

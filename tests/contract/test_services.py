@@ -79,7 +79,7 @@ def test_calls_fail_when_their_server_leaves(side: Side, bridge: Bridge, far: Hu
     served = peer.ask("serve", service="/do", type=SET, reply=YES, held=True)["id"]
     waiting = far.call("/do", SET)
     assert peer.ask("requests", id=served, count=1)["requests"]
-    peer.stop(0.0) if isinstance(peer, Peer) and side.tells_death else peer.drop(served)
+    peer.stop(0.0) if isinstance(peer, Peer) and side.reports_death else peer.drop(served)
     ended = waiting.result(30)
     assert (ended["done"], ended["reply"]) == (True, None)
     assert ended["error"]
@@ -99,7 +99,7 @@ def test_a_bridge_that_stops_ends_its_calls(side: Side, bridge: Bridge, far: Hub
     until(lambda: not far.hub.graph.servers("/do"), "the server is gone from the hub", 30)
 
 
-def test_error_texts_cross_in_both_directions(side: Side, bridge: Bridge, far: HubSide) -> None:
+def test_error_texts_are_bridged_in_both_directions(side: Side, bridge: Bridge, far: HubSide) -> None:
     if not side.tells_errors:
         pytest.skip("its services cannot report errors")
     peer = side.peer()

@@ -23,7 +23,7 @@ def test_messages_of_the_side_arrive_on_the_hub_in_order(
     expected = [f"number {n}" for n in range(50)]
     assert [m["data"] for m in far.wait_without(subscription, "probe", 50)] == expected
     until(
-        lambda: peer.publish(out, {"data": "probe"}) or far.takes("/chatter", "in", lane=lane),
+        lambda: peer.publish(out, {"data": "probe"}) or far.uses_transport("/chatter", "in", lane=lane),
         "the route uses the expected transport",
         every=0.1,
     )
@@ -42,7 +42,7 @@ def test_messages_of_the_hub_arrive_on_the_side_in_order(
     got = [m["data"] for m in peer.wait(subscription, 51) if m["data"] != "probe"]
     assert got == [f"number {n}" for n in range(50)]
     until(
-        lambda: far.publish(out, {"data": "probe"}) or far.takes("/orders", "out", lane=lane),
+        lambda: far.publish(out, {"data": "probe"}) or far.uses_transport("/orders", "out", lane=lane),
         "the route uses the expected transport",
         every=0.1,
     )

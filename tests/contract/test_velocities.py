@@ -66,7 +66,7 @@ class Driver:
 
 
 @pytest.mark.parametrize("side", ["ros1", "ros2"], indirect=True)
-def test_velocities_have_the_form_that_the_base_subscribes_to(
+def test_velocities_have_the_type_that_the_base_subscribes_to(
     side: Side, far: HubSide, config: Callable[..., Any]
 ) -> None:
     side.bridge(config())

@@ -56,7 +56,7 @@ class ZenohBridge:
 class ZenohSide(Side):
     """A zenoh network with its own router, separate from the hub's."""
 
-    tells_listeners = False
+    lists_subscribers = False
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()

@@ -127,8 +127,8 @@ class LateThread(threading.Thread):
 def test_session_may_close_before_its_mesh_thread_starts(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     threads: list[LateThread] = []
 
-    def thread(**given: Any) -> LateThread:
-        threads.append(LateThread(**given))
+    def thread(**options: Any) -> LateThread:
+        threads.append(LateThread(**options))
         return threads[-1]
 
     monkeypatch.setattr(links, "Thread", thread)

@@ -120,7 +120,7 @@ def test_missing_room_for_shared_memory_is_reported(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit of Linux")
-def test_memory_that_may_not_be_locked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_limit_of_locked_memory_is_reported_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     import resource
 
     monkeypatch.setattr(resource, "getrlimit", lambda _which: (8 << 20, 8 << 20))
@@ -135,7 +135,7 @@ def test_memory_that_may_not_be_locked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert lock_trouble(18 << 20) == ""
 
 
-def test_a_verbs_session_never_uses_shared_memory() -> None:
+def test_a_commands_session_never_uses_shared_memory() -> None:
     user = {"transport": {"shared_memory": {"enabled": True}}}
     assert json.loads(client_session_config("tcp/127.0.0.1:1", user, 1.0).get_json(SWITCH)) is False
 

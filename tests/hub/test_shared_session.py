@@ -246,7 +246,7 @@ def test_closed_node_removes_only_its_own_endpoints(session: HubSession, far: Hu
 
 
 def test_message_published_in_a_callback_is_received(one: Hub, two: Hub) -> None:
-    """A brake publishes in such a callback. It runs on the publishing thread, which holds no lock that it needs."""
+    """A brake does so. Its callback runs on the publishing thread, which must hold no lock that the callback needs."""
     answers = advertise(two, "/answer")
     subscriber = Subscriber(one, "/answer")
     two.subscription("/ask", STRING, STRING_HASH, STREAM, lambda sample: answers.put(b"re " + sample.data()))

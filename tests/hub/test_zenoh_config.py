@@ -73,6 +73,6 @@ def test_a_router_on_all_interfaces_is_reached_on_loopback(listen: str, connect:
 @pytest.mark.parametrize(
     "names", [{"daemon": "a/b"}, {"worker": "*"}, {"node": "1x"}, {"node": "a/b"}, {"namespace": "x"}, {"daemon": ""}]
 )
-def test_names_that_cannot_be_keys(names: dict[str, str]):
+def test_names_that_cannot_be_part_of_a_key_are_refused(names: dict[str, str]):
     with pytest.raises(HubConfigError):
         HubSettings(**names)  # type: ignore[arg-type]

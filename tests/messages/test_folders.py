@@ -1,4 +1,4 @@
-"""Folders whose files nest types whose syntax or names are legal in only one ROS version."""
+"""Folders of files that nest types whose syntax or names are legal in only one ROS version."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def registry(tmp_path: Path, files: dict[str, str]) -> Registry:
 
 
 @pytest.mark.parametrize("files", NESTS)
-def test_each_world_has_all_that_it_nests(tmp_path: Path, files: dict[str, str]) -> None:
+def test_each_world_has_all_nested_types(tmp_path: Path, files: dict[str, str]) -> None:
     package_registry = registry(tmp_path, files)
     to_ros1, to_hub = package_registry.hub_to_ros1("my_robot/msg/Outer"), package_registry.ros1_to_hub("my_robot/Outer")
     assert (to_ros1.source, to_ros1.target) == (to_hub.target, to_hub.source)
@@ -56,7 +56,7 @@ def test_each_world_has_all_that_it_nests(tmp_path: Path, files: dict[str, str])
 
 @pytest.mark.parametrize("first", ["ros1", "ros2", "service", "action"])
 @pytest.mark.parametrize("files", NESTS)
-def test_services_and_actions_nest_them_too(tmp_path: Path, files: dict[str, str], first: str) -> None:
+def test_services_and_actions_may_nest_these_types(tmp_path: Path, files: dict[str, str], first: str) -> None:
     """The order in which types are requested does not matter."""
     package_registry = registry(
         tmp_path, {**files, "Ask": "Outer wanted\n---\nOuter[] had\n", "Go": "Outer a\n---\nOuter b\n---\nOuter c\n"}

@@ -37,7 +37,7 @@ def test_octets_are_base64_and_may_be_given_as_numbers(registry: Registry):
 
 @pytest.mark.parametrize("name", ["std_msgs/msg/Float32", "std_msgs/msg/Float64"])
 @pytest.mark.parametrize(("text", "number"), [("NaN", math.nan), ("Infinity", math.inf), ("-Infinity", -math.inf)])
-def test_numbers_that_json_does_not_have(registry: Registry, name: str, text: str, number: float):
+def test_nan_and_infinities_are_texts(registry: Registry, name: str, text: str, number: float):
     cdr = from_json(registry, name, {"data": number})
     assert to_json(registry, name, cdr) == {"data": text}
     assert from_json(registry, name, {"data": text}) == cdr

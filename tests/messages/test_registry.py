@@ -27,7 +27,7 @@ PAIRS = [
 
 
 @pytest.mark.parametrize(("ros1", "ros2"), PAIRS)
-def test_pairs_hold_both_ways(registry: Registry, ros1: str, ros2: str):
+def test_mapping_a_type_to_the_hub_and_back_gives_the_same_type(registry: Registry, ros1: str, ros2: str):
     to_hub, to_ros1 = registry.ros1_to_hub(ros1), registry.hub_to_ros1(ros2)
     assert (to_hub.source.name, to_hub.target.name) == (ros1, ros2)
     assert (to_ros1.source.name, to_ros1.target.name) == (ros2, ros1)
@@ -46,7 +46,7 @@ THREE_D = [
 
 
 @pytest.mark.parametrize("name", THREE_D)
-def test_maps_and_clouds_come_back_from_ros1_as_they_were(name: str):
+def test_maps_and_clouds_survive_the_round_trip_through_ros1(name: str):
     """No ROS 1 packages are installed. The fields that only ROS 2's Marker has are left at their default values."""
     registry = Registry(ros1_packages=Path("/nonexistent"))
     message = sample(registry.schema(name), 3)
@@ -150,7 +150,7 @@ def test_two_definitions_of_one_name_coexist():
         registry.ros1_to_hub("my_msgs/Thing", "0" * 32)
 
 
-def test_a_definition_that_belies_its_md5_is_refused():
+def test_a_definition_that_does_not_match_its_md5_is_refused():
     with pytest.raises(MessageTypeError, match=r"but f{32} was announced"):
         Registry().ros1_to_hub("my_msgs/Thing", "f" * 32, "int32 a\n")
 
@@ -177,7 +177,7 @@ def test_a_definition_from_the_hub_serves_its_hash():
     assert registry.ros2("std_msgs/msg/Int32") == known
 
 
-def test_ros1_goes_to_the_definition_that_others_use():
+def test_a_ros1_type_maps_to_the_definition_that_others_use():
     """ROS 1 has no bounds, so its type maps to the hub's bounded definition, whose subscribers then receive it."""
     registry = Registry()
     registry.learn_ros2("my_msgs/msg/Thing", "string<=5 text\n")
@@ -227,7 +227,7 @@ def test_types_that_exist_only_in_ros1_are_derived():
 
 
 @pytest.mark.skipif(not (GENPY / "move_base_msgs").is_dir(), reason="move_base_msgs is not installed")
-def test_move_base_is_derived_whole(registry: Registry):
+def test_all_messages_of_move_base_are_derived(registry: Registry):
     conversion = registry.ros1_to_hub("move_base_msgs/MoveBaseActionGoal")
     assert conversion.target.name == "move_base_msgs/msg/MoveBaseActionGoal"
     files = registry.ros2_package_sources("move_base_msgs")
@@ -347,7 +347,7 @@ def test_fields_that_differ_only_in_case_match_those_of_a_ros2_type(
     assert to_json(registry, "my_msgs/msg/Thing", convert(struct.pack("<2f", 1.0, 2.0))) == expected
 
 
-def test_fields_of_ros1_that_get_lost_are_named(tmp_path: Path):
+def test_lost_fields_of_ros1_are_named(tmp_path: Path):
     registry = with_ros2(tmp_path, "std_msgs/Header header\nuint8 b\n")
     header = SEPARATOR + "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
     more = "Header header\nuint8 b\nfloat64 extra\n"
@@ -424,7 +424,7 @@ def header_section(*, seq: bool = False) -> str:
 EMPTY_MD5 = "d41d8cd98f00b204e9800998ecf8427e"
 
 
-def test_the_md5_of_an_empty_type_is_its_definition():
+def test_the_md5_sum_alone_defines_an_empty_type():
     to_hub = Registry().ros1_to_hub("my_robot/ping_me", EMPTY_MD5)
     assert to_hub.convert is not None
     assert (to_hub.target.name, to_hub.convert(b"")) == ("my_robot/msg/PingMe", b"\0\1\0\0\0")
@@ -432,7 +432,7 @@ def test_the_md5_of_an_empty_type_is_its_definition():
         Registry().ros1_to_hub("my_robot/ping_me", "*")
 
 
-def test_the_hash_of_an_empty_type_is_its_definition():
+def test_the_hash_alone_defines_an_empty_type():
     known = Registry().ros1_to_hub("my_robot/Ping", EMPTY_MD5).target
     assert known.type_id == "RIHS01_eef277e8c43c810b6f9f3378ae352539907bf99f1913b118990412f01114ed5a"  # by rosbags
     back = Registry().hub_to_ros1("my_robot/msg/Ping", known.type_id)
@@ -453,7 +453,7 @@ def test_empty_version_coexists_with_the_installed_one(tmp_path: Path):
     assert [field.name for field in registry.schema("my_robot/msg/Ping").root.fields] == ["number"]
 
 
-def test_fingerprints_of_empty_services_are_their_definitions():
+def test_fingerprints_alone_define_empty_services():
     service = Registry().service_ros1_to_hub("my_robot/Reset", EMPTY_MD5)
     assert service.hub.name == "my_robot/srv/Reset"
     assert service.request_to_hub is not None

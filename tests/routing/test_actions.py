@@ -53,7 +53,7 @@ def test_names_of_parts_are_split_into_action_and_part(name: str, parts: tuple[s
     assert split(name) == parts
 
 
-def test_the_type_of_an_action_is_that_of_its_siblings() -> None:
+def test_the_type_of_an_action_is_known_from_its_other_parts() -> None:
     known = GraphActions([("/go/_action/feedback", f"{GO}_FeedbackMessage")])
     assert known.subject("topic", "/go/_action/status", PARTS["status"][1]) == Subject("action", "/go", GO, "status")
     other = known.subject("topic", "/other/_action/status", PARTS["status"][1])

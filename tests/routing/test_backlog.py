@@ -15,35 +15,35 @@ class Line:
     def _drop(self) -> None:
         self.dropped += 1
 
-    def taken(self) -> list[str]:
+    def pop_all(self) -> list[str]:
         return [waiting.message for waiting in self.backlog.pop_matching(lambda _: True)]
 
 
-def test_the_oldest_make_room_by_number() -> None:
+def test_the_oldest_messages_are_dropped_above_the_number_limit() -> None:
     line = Line(most=2, room=1000)
     for message in ("a", "b", "c"):
         line.backlog.add("source", message, 10)
-    assert (line.dropped, line.taken()) == (1, ["b", "c"])
+    assert (line.dropped, line.pop_all()) == (1, ["b", "c"])
 
 
-def test_the_oldest_make_room_by_bytes_and_the_newest_has_its_place() -> None:
+def test_the_oldest_messages_are_dropped_above_the_byte_limit_but_never_the_newest() -> None:
     line = Line(most=100, room=25)
     for message in ("a", "b", "c"):
         line.backlog.add("source", message, 10)
     assert line.dropped == 1
     line.backlog.add("source", "map", 1000)
-    assert (line.dropped, line.taken()) == (3, ["map"])
+    assert (line.dropped, line.pop_all()) == (3, ["map"])
     line.backlog.add("source", "d", 25)
-    assert (line.dropped, line.taken()) == (3, ["d"]), "removed messages free their space"
+    assert (line.dropped, line.pop_all()) == (3, ["d"]), "removed messages free their space"
 
 
-def test_a_publisher_keeps_its_newest() -> None:
+def test_only_the_newest_messages_of_a_publisher_are_kept() -> None:
     line = Line(most=100, room=30)
     removed = [line.backlog.keep(source, message, 10, depth=2) for source, message in ("xa", "yb", "xc", "xd")]
-    assert (removed, line.dropped, line.taken()) == ([0, 0, 0, 1], 0, ["b", "c", "d"])
+    assert (removed, line.dropped, line.pop_all()) == ([0, 0, 0, 1], 0, ["b", "c", "d"])
 
 
-def test_selected_messages_are_removed_and_returned_ones_keep_their_age() -> None:
+def test_messages_that_are_put_back_keep_their_age() -> None:
     line = Line(most=100, room=1000)
     for source, message in ("xa", "yb", "xc"):
         line.backlog.add(source, message, 1)
@@ -52,4 +52,4 @@ def test_selected_messages_are_removed_and_returned_ones_keep_their_age() -> Non
     old = HeldMessage("y", "old", 1, since=0.0)
     line.backlog.put_back(old)
     assert [w.message for w in line.backlog.pop_matching(lambda w: w.since < 1.0)] == ["old"]
-    assert line.taken() == ["a", "c"]
+    assert line.pop_all() == ["a", "c"]

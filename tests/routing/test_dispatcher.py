@@ -92,63 +92,63 @@ class Waiting(Dispatcher):
 
 
 def test_small_message_is_published_on_the_receiving_thread() -> None:
-    place = Queued()
-    place.receive(1, 2)
-    assert (place.published, place.small.calls, place.bulk.calls) == ([1, 2], [], [])
-    assert not place.queue.publishing.locked()
+    queued = Queued()
+    queued.receive(1, 2)
+    assert (queued.published, queued.small.calls, queued.bulk.calls) == ([1, 2], [], [])
+    assert not queued.queue.publishing.locked()
 
 
 def test_message_received_while_another_is_published_is_queued_in_order_and_in_its_class() -> None:
-    place = Queued()
-    place.queue.priority = Priority.COMMAND
-    with place.queue.publishing:
-        place.receive(1, 2)
-    place.receive(3)
-    assert place.published == [], "a later message does not overtake"
-    assert [priority for priority, _ in place.small.calls] == [Priority.COMMAND] * 3
-    place.small.run()
-    assert place.published == [1, 2, 3]
-    place.receive(4)
-    assert place.published == [1, 2, 3, 4]
+    queued = Queued()
+    queued.queue.priority = Priority.COMMAND
+    with queued.queue.publishing:
+        queued.receive(1, 2)
+    queued.receive(3)
+    assert queued.published == [], "a later message does not overtake"
+    assert [priority for priority, _ in queued.small.calls] == [Priority.COMMAND] * 3
+    queued.small.run()
+    assert queued.published == [1, 2, 3]
+    queued.receive(4)
+    assert queued.published == [1, 2, 3, 4]
 
 
 def test_full_queue_drops_its_oldest_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dispatcher_module, "QUEUE_BYTES", 100)
-    place = Queued()
-    with place.queue.publishing:
-        place.receive(1, 2, 3, 4, 5)
-        assert place.dropped == 2
-        place.receive(6, 7, size=99)
-    place.small.run()
-    assert (place.published, place.dropped) == ([7], 6), "the newest message does not count against the bytes"
+    queued = Queued()
+    with queued.queue.publishing:
+        queued.receive(1, 2, 3, 4, 5)
+        assert queued.dropped == 2
+        queued.receive(6, 7, size=99)
+    queued.small.run()
+    assert (queued.published, queued.dropped) == ([7], 6), "the newest message does not count against the bytes"
 
 
 def test_large_message_moves_the_route_to_the_bulk_dispatcher() -> None:
-    place = Queued()
-    place.receive(1)
-    place.receive(2, size=BULK + 1)
-    place.receive(3)
-    assert (len(place.small.calls), len(place.bulk.calls)) == (0, 2)
-    place.bulk.run()
-    assert place.published == [1, 2, 3]
+    queued = Queued()
+    queued.receive(1)
+    queued.receive(2, size=BULK + 1)
+    queued.receive(3)
+    assert (len(queued.small.calls), len(queued.bulk.calls)) == (0, 2)
+    queued.bulk.run()
+    assert queued.published == [1, 2, 3]
 
 
 def test_message_over_the_rate_is_neither_published_nor_queued() -> None:
-    place = Queued(lambda sample: sample.sequence % 2 == 0)
-    place.receive(1, 2)
-    with place.queue.publishing:
-        place.receive(3, 4)
-    place.small.run()
-    assert (place.published, place.dropped) == ([2, 4], 0)
+    queued = Queued(lambda sample: sample.sequence % 2 == 0)
+    queued.receive(1, 2)
+    with queued.queue.publishing:
+        queued.receive(3, 4)
+    queued.small.run()
+    assert (queued.published, queued.dropped) == ([2, 4], 0)
 
 
 def test_cleared_queue_publishes_nothing() -> None:
-    place = Queued()
-    with place.queue.publishing:
-        place.receive(1)
-    place.queue.clear()
-    place.small.run()
-    assert place.published == []
+    queued = Queued()
+    with queued.queue.publishing:
+        queued.receive(1)
+    queued.queue.clear()
+    queued.small.run()
+    assert queued.published == []
 
 
 def test_failed_publish_does_not_block_the_next_message() -> None:

@@ -171,7 +171,7 @@ def test_a_triangle_of_three_is_bridged_once(world: World, hubs: str) -> None:
     assert world.reached() == pairs("XYZ")
 
 
-def test_hubs_apart_carry_to_what_only_one_of_them_has(world: World) -> None:
+def test_separate_hubs_forward_to_networks_that_only_one_of_them_has(world: World) -> None:
     for network in "XY":
         world.add(f"A/{network}", network, "i")
     for network in "XYZ":
@@ -182,7 +182,9 @@ def test_hubs_apart_carry_to_what_only_one_of_them_has(world: World) -> None:
 
 @pytest.mark.parametrize("hubs", ["hh", "ij"])
 @pytest.mark.parametrize("known_gone", [True, False])
-def test_the_successor_takes_over_and_keeps(world: World, hubs: str, known_gone: bool) -> None:
+def test_the_successor_keeps_its_claims_when_the_former_worker_returns(
+    world: World, hubs: str, known_gone: bool
+) -> None:
     first = [world.add(f"A/{n}", n, hubs[0]) for n in "XY"]
     world.until(lambda: world.reached() == pairs("XY"), 5)
     for network in "XY":
@@ -365,6 +367,6 @@ def test_record_with_an_invalid_part_is_rejected(key: str, value: object) -> Non
     assert Record.decode(json.dumps({**tree, key: value}).encode()) is None
 
 
-def test_networks_that_overlap_are_one() -> None:
+def test_overlapping_networks_are_joined() -> None:
     announced = {"a": frozenset("ab"), "c": frozenset("bc"), "d": frozenset("d"), "e": frozenset("ec")}
     assert sorted(map(sorted, join(announced))) == [["a", "b", "c", "e"], ["d"]]

@@ -82,7 +82,7 @@ def test_tokens_name_the_network_and_its_current_members() -> None:
         assert hub.members == members
 
 
-def test_tap_shows_a_topic_that_does_not_cross_under_another_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tap_publishes_an_unbridged_topic_under_another_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(side_to_hub, "_TAP_ANSWER", 1000.0)
     network = FakeNetwork()
     network.write_on("/secret", "std_msgs/msg/String", Qos(), MadeBy.NATIVE, "/node")

@@ -51,7 +51,7 @@ def test_names_with_one_kind_of_endpoint_list_its_nodes() -> None:
     assert (reset["kind"], reset["why"]) == ("service", "it has no server; clients: /c")
 
 
-def test_the_side_s_nodes_have_their_programs() -> None:
+def test_the_nodes_of_the_side_are_listed_with_their_programs() -> None:
     fast, cyclone = "Fast DDS 3.2.2 (Kilted)", "Cyclone DDS 0.10.5 (Iron or later)"
     ends = [*ENDPOINTS, endpoint(Kind.PUBLISHER, "/scan", ""), endpoint(Kind.PUBLISHER, "/scan", "/d")]
     programs = {"/a/chatter": cyclone, "/b/chatter": fast, "/a/scan": fast, "/scan": cyclone, "/d/scan": cyclone}

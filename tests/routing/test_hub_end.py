@@ -129,7 +129,7 @@ CHECKS: list[tuple[Demand, dict[str, Any], Demand]] = [
     (Demand.PAUSED, {"subscribed": False}, Demand.PAUSED),
     (Demand.PAUSED, {"subscribed": False, "wanted": True}, Demand.WANTED),
 ]
-"""States, what a check sees, and the states that follow."""
+"""Rows of a state, what a check sees in it, and the state that follows."""
 
 
 @pytest.mark.parametrize(("begin", "check", "end"), CHECKS)

@@ -46,7 +46,7 @@ def message(covariance: list[float], frame: str = "map") -> bytes:
 
 
 @pytest.mark.parametrize("frame", ["", "map", "a_map", "robot1/map"])
-def test_zero_covariance_becomes_that_of_rviz(frame: str) -> None:
+def test_a_covariance_of_zeros_is_replaced_by_that_of_rviz(frame: str) -> None:
     before, after = (
         to_json(REGISTRY, POSE_TYPE, cdr) for cdr in (message([0.0] * 36, frame), filled_in(message([0.0] * 36, frame)))
     )
@@ -65,12 +65,12 @@ def test_given_covariance_is_kept(place: int) -> None:
 
 
 @pytest.mark.parametrize("length", [0, 4, 15, 16, 60, 100, 300])
-def test_truncated_message_is_left_to_its_converter(length: int) -> None:
+def test_a_truncated_message_stays_unchanged(length: int) -> None:
     cut = message([0.0] * 36)[:length]
     assert filled_in(cut) == cut
 
 
-def test_a_frame_longer_than_the_message_is_left_to_its_converter() -> None:
+def test_a_message_with_an_invalid_frame_length_stays_unchanged() -> None:
     bad = bytearray(message([0.0] * 36))
     bad[12:16] = b"\xff\xff\xff\x7f"
     assert filled_in(bytes(bad)) == bytes(bad)

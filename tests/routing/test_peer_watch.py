@@ -122,7 +122,7 @@ def test_lone_worker_releases_its_routes_to_a_newcomer(monkeypatch: pytest.Monke
 
 
 class LinkedHub:
-    """A hub with a worker that lists members of its network, and with two that list none, one of which publishes."""
+    """A hub with three workers: one lists members of its network, two list none, and one of these two publishes."""
 
     zid = "a"
 

@@ -22,7 +22,7 @@ def test_a_process_that_ended_is_known_by_its_name() -> None:
     assert has_ended(name)
 
 
-def test_an_id_that_another_process_has_by_now_is_not_the_same() -> None:
+def test_a_reused_process_id_is_recognized() -> None:
     place, _, _ = process_name().rpartition(" ")
     assert has_ended(f"{place} 1")
 

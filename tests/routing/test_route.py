@@ -60,7 +60,7 @@ def line(text: str) -> bytes:
 
 @pytest.mark.parametrize("latched", [True, False])
 @pytest.mark.parametrize("standby", [True, False])
-def test_messages_before_their_publisher_are_bridged_once_it_is_known(latched: bool, standby: bool) -> None:
+def test_messages_of_an_unknown_publisher_are_bridged_once_it_is_known(latched: bool, standby: bool) -> None:
     registry, network = Registry(), FakeNetwork()
     type_ = registry.ros2(STRING)
     durability = Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE
@@ -93,7 +93,7 @@ def test_messages_before_their_publisher_are_bridged_once_it_is_known(latched: b
 
 
 @pytest.mark.parametrize("latched", [True, False])
-def test_state_received_without_a_lease_is_bridged_with_the_next(latched: bool) -> None:
+def test_state_received_without_a_lease_is_bridged_with_the_next_lease(latched: bool) -> None:
     registry, topic = Registry(), "/state"
     type_ = registry.ros2(STRING)
     conversion, policy = Conversion(type_, type_, None), RoutePolicy(allowed=True, why="", name=topic)
@@ -335,7 +335,7 @@ def test_commands_do_not_wait_for_their_source(topic: str, kept: int) -> None:
     ("priority", "latched", "thinned"),
     [("", False, True), ("stream", False, True), ("", True, False), ("stream", True, False), ("state", False, False)],
 )
-def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, thinned: bool) -> None:
+def test_a_rate_applies_alike_in_both_directions(priority: str, latched: bool, thinned: bool) -> None:
     registry, network = Registry(), FakeNetwork()
     type_, topic = registry.ros2(STRING), "/state"
     qos = Qos(durability=Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=10)
@@ -367,7 +367,7 @@ def test_a_rate_means_the_same_in_both_directions(priority: str, latched: bool, 
         assert (route.counters.messages, route.counters.drops["rate"]) == ((1, 2) if thinned else (3, 0))
 
 
-def test_lost_messages_are_reported_with_their_place() -> None:
+def test_lost_messages_are_reported_with_where_they_were_lost() -> None:
     counters = Counters()
     counters.missed(0, lambda: "nowhere")
     assert counters.as_dict()["error"] == ""

@@ -90,7 +90,7 @@ def test_the_cure_of_a_denied_topic_names_each_rule_that_denies(entries: list[di
     assert rules(*kept).enter("ros1", "/scan", STRING).allowed
 
 
-def test_the_cure_of_a_rule_that_a_section_makes_names_the_section() -> None:
+def test_the_cure_of_a_generated_rule_names_its_section() -> None:
     rule = MadeRule.model_validate({"of": "navigation (move_base has /move_base there itself)", **DENY})
     section = RoutingSection().model_copy(update={"rules": (rule, Rule.model_validate(DENY))})
     policy = RuleSet(section).enter("ros1", "/scan", STRING)
@@ -163,7 +163,7 @@ def test_qos_and_depth_are_overridden() -> None:
     assert policy.override(Qos()) == Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=3)
 
 
-def test_names_are_chosen_as_in_rules() -> None:
+def test_a_name_filter_matches_names_as_rules_do() -> None:
     names = ["/camera", "/camera/a/b", "/scan", "/scan/raw", "tf"]
     for globs, exclude, wanted in (
         (["/**"], [], names),

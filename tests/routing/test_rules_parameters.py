@@ -126,7 +126,7 @@ def test_events_of_parameters_that_ros_1_owns_reach_ros_2() -> None:
 
 @pytest.mark.parametrize("origin", [NATIVE, "ros2"])
 @pytest.mark.parametrize("side", ["ros1", "yarp"])
-def test_a_rule_that_names_the_services_or_private_false_lets_them_leave(origin: str, side: str) -> None:
+def test_a_rule_or_private_false_lets_parameter_services_leave(origin: str, side: str) -> None:
     named = {"kind": "service", "type": "rcl_interfaces/srv/*"}
     assert allowed(leaving(rules("ros2", rules=[named]), origin, side)) == {True}
     assert allowed(leaving(rules("ros2", rules=[{**named, "to": side}]), origin, side)) == {True}
@@ -136,7 +136,7 @@ def test_a_rule_that_names_the_services_or_private_false_lets_them_leave(origin:
 
 @pytest.mark.parametrize("origin", [NATIVE, "ros2"])
 @pytest.mark.parametrize("default", ["allow", "deny"])
-def test_a_rule_for_one_side_lets_private_ones_leave_to_that_side_only(origin: str, default: str) -> None:
+def test_a_rule_for_one_side_lets_private_services_leave_to_that_side_only(origin: str, default: str) -> None:
     named = {"kind": "service", "type": "rcl_interfaces/srv/*", "to": "zenoh_ros2dds"}
     compiled = rules(rules=[named, {"topic": "/rosout", "to": "ros1"}], default=default)
     assert allowed(leaving(compiled, origin, "zenoh_ros2dds", "/ns/other")) == {True}
@@ -145,7 +145,7 @@ def test_a_rule_for_one_side_lets_private_ones_leave_to_that_side_only(origin: s
     assert not compiled.leave(origin, "yarp", "/rosout", "rcl_interfaces/msg/Log").allowed
 
 
-def test_a_rule_for_the_hub_lets_private_ones_leave_to_all_sides() -> None:
+def test_a_rule_for_the_hub_lets_private_services_leave_to_all_sides() -> None:
     compiled = rules(rules=[{"topic": "/rosout", "to": "zenoh"}])
     assert compiled.enter("ros2", "/rosout", "rcl_interfaces/msg/Log").allowed
     assert compiled.leave("ros2", "yarp", "/rosout", "rcl_interfaces/msg/Log").allowed

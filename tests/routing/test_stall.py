@@ -103,7 +103,7 @@ def test_a_message_that_was_overtaken_is_old(monkeypatch: pytest.MonkeyPatch) ->
     assert max(ages(clock, gate, 0.0)) < 0.01
 
 
-def test_suspended_worker_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_suspension_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = ProcessClock(monkeypatch)
     stall_detector = stall.StallDetector()
     for _ in range(5):

@@ -168,14 +168,14 @@ def test_a_rule_converts_velocities_to_the_hub(side: Side, stamped: bool, form: 
     assert {publisher.type_name for publisher in side.far.graph.publishers(CMD_VEL)} == {form}
 
 
-def test_a_base_that_gets_the_other_form_by_a_rule_is_not_announced(side: Side) -> None:
+def test_a_base_whose_velocities_a_rule_converts_is_not_announced(side: Side) -> None:
     side.base(CMD_VEL, STAMPED)
     until(side.announced((CMD_VEL, STAMPED)), "the base is announced")
     side.rules({"topic": CMD_VEL, "to": "ros1", "stamped": False})
     until(side.announced(), "no velocity reaches the base, so none is announced")
 
 
-def test_of_two_forms_a_side_gets_the_one_that_its_nodes_subscribe_to(side: Side) -> None:
+def test_a_side_gets_the_velocity_type_that_its_nodes_subscribe_to(side: Side) -> None:
     """A side has one type per topic; with the wrong type, velocities that stop the base would not arrive."""
     program = side.program(TWIST)
     until(lambda: [route.hub_type for route in side.engine.routes()] == [TWIST], "the first type has a route")
@@ -197,7 +197,7 @@ def test_of_two_forms_a_side_gets_the_one_that_its_nodes_subscribe_to(side: Side
     until(lambda: not side.engine.routes(), "the route ends after its publisher has left")
 
 
-def test_form_that_no_node_of_the_side_subscribes_to_has_no_route(side: Side) -> None:
+def test_a_velocity_type_without_a_subscriber_on_the_side_has_no_route(side: Side) -> None:
     """On ROS 1, this form would become the topic's type, and the base's type would no longer be known."""
     side.base(CMD_VEL, STAMPED)
     side.program(TWIST)

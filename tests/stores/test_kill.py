@@ -34,7 +34,7 @@ def test_kill_in_the_middle_of_writes(tmp_path: Path, again: int) -> None:
 
 
 def write(file: Path, first: int, kill_at: int) -> int:
-    """Start a writing process, kill it at a number, and return the last number that it acknowledged."""
+    """Start a writing process, kill it once it acknowledges ``kill_at``, and return the last acknowledged number."""
     with Process(
         [sys.executable, WRITER, file, str(first), str(MORE_THAN_ANY)], {"PYTHONPATH": str(ROOT)}, pipes=True
     ) as process:

@@ -1,4 +1,4 @@
-"""The store of the modules' worker: opened if wanted, shown in the status, used by modules."""
+"""The store of the modules' worker, which is opened when needed, and appears in the worker's status."""
 
 from __future__ import annotations
 
@@ -32,48 +32,48 @@ class Keeper(Module):
     name: ClassVar[str] = "keeper"
 
     def start(self, host: Host, section: Section) -> None:  # noqa: ARG002
-        self._heard: list[str] = []
+        self._received: list[str] = []
         store = host.store
-        self._close = store.watch(lambda change: host.loop.post(lambda: self._heard.append(change.name)))
+        self._close = store.watch(lambda change: host.loop.post(lambda: self._received.append(change.name)))
         store.put(LOCATION, "kitchen", KITCHEN)
 
     def status(self) -> dict[str, Any]:
-        return {"heard": list(self._heard)}
+        return {"received": list(self._received)}
 
     def stop(self) -> None:
         self._close()
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Iterator[Place]:
-    with Place(tmp_path) as place_:
-        yield place_
+def rig(tmp_path: Path) -> Iterator[Place]:
+    with Place(tmp_path) as rig_:
+        yield rig_
 
 
-def test_a_module_uses_the_store_and_the_status_shows_it(place: Place) -> None:
-    place.worker.start(place.config(OWN))
-    until(lambda: (place.status("keeper") or {}).get("heard") == ["kitchen"], "the module receives the change")
-    status = until(lambda: place.status("store"), "the store reports its status")
+def test_a_module_uses_the_store_and_the_status_shows_it(rig: Place) -> None:
+    rig.worker.start(rig.config(OWN))
+    until(lambda: (rig.status("keeper") or {}).get("received") == ["kitchen"], "the module receives the change")
+    status = until(lambda: rig.status("store"), "the store reports its status")
     assert status["text"] == "1 location; not shared"
     assert status["store"]["keys"] == {"location": 1}
-    assert (place.folder / "here" / "store.sqlite").exists()
+    assert (rig.folder / "here" / "store.sqlite").exists()
 
 
-def test_the_store_runs_without_modules(place: Place) -> None:
-    config = place.config(store={"enabled": True})
+def test_the_store_runs_without_modules(rig: Place) -> None:
+    config = rig.config(store={"enabled": True})
     assert worker_kinds()["modules"].enabled(config)
-    assert not worker_kinds()["modules"].enabled(place.config())
-    place.worker.start(config)
-    assert (place.worker.health().state, place.worker.health().text) == ("running", "store")
-    until(lambda: place.status("store"), "the store reports its status")
+    assert not worker_kinds()["modules"].enabled(rig.config())
+    rig.worker.start(config)
+    assert (rig.worker.health().state, rig.worker.health().text) == ("running", "store")
+    until(lambda: rig.status("store"), "the store reports its status")
 
 
-def test_a_disabled_store_or_one_in_use_is_reported(place: Place) -> None:
-    place.worker.start(place.config(OWN, store={"enabled": False}))
-    health = place.worker.health()
+def test_a_disabled_store_or_one_in_use_is_reported(rig: Place) -> None:
+    rig.worker.start(rig.config(OWN, store={"enabled": False}))
+    health = rig.worker.health()
     assert (health.state, health.text) == ("waiting", "keeper waiting: the store is disabled (store.enabled)")
-    place.worker.stop()
-    config = place.config(store={"enabled": True})
+    rig.worker.stop()
+    config = rig.config(store={"enabled": True})
     holder = Shared(config)
     assert holder.stores.trouble() == ""
     try:
@@ -84,7 +84,7 @@ def test_a_disabled_store_or_one_in_use_is_reported(place: Place) -> None:
         assert "in use by another process" in health.text
 
         def shown() -> bool:
-            answers = place.far.hub.ask("status", {}, worker="store")
+            answers = rig.far.hub.ask("status", {}, worker="store")
             return any("in use by another process" in str(answer.value) for answer in answers)
 
         until(shown, "the status of the store reports it")
@@ -94,8 +94,8 @@ def test_a_disabled_store_or_one_in_use_is_reported(place: Place) -> None:
     other.stop()
 
 
-def test_a_module_in_a_separate_process_has_its_own_replica(place: Place) -> None:
-    config = place.config(OWN, store={"enabled": True})
+def test_a_module_in_a_separate_process_has_its_own_replica(rig: Place) -> None:
+    config = rig.config(OWN, store={"enabled": True})
     daemon = Shared(config.model_copy(update={"modules": Config().modules}))
     alone = ModulesWorker("keeper")
     try:
@@ -105,14 +105,14 @@ def test_a_module_in_a_separate_process_has_its_own_replica(place: Place) -> Non
     finally:
         alone.stop()
         daemon.close()
-    assert {file.name for file in (place.folder / "here").glob("store*.sqlite")} == {
+    assert {file.name for file in (rig.folder / "here").glob("store*.sqlite")} == {
         "store.sqlite",
         "store-keeper.sqlite",
     }
 
 
 class Node:
-    """A node whose keyspace cannot be used at first."""
+    """A hub node whose keyspace fails, as if the router had disconnected."""
 
     def __init__(self) -> None:
         self.closed = False
@@ -124,11 +124,11 @@ class Node:
         self.closed = True
 
 
-def test_a_store_that_cannot_join_the_hub_is_unavailable_and_opened_later(place: Place) -> None:
+def test_a_store_that_cannot_join_the_hub_is_unavailable_and_opened_later(rig: Place) -> None:
     node = Node()
     nodes: list[Any] = [HubError("no router at tcp/127.0.0.1:1"), node]
 
-    daemon = Shared(place.config())
+    daemon = Shared(rig.config())
 
     def join(name: str, worker: str) -> Any:
         first = nodes.pop(0) if nodes else daemon.join(name, worker)
@@ -136,7 +136,7 @@ def test_a_store_that_cannot_join_the_hub_is_unavailable_and_opened_later(place:
             raise first
         return first
 
-    service = StoreService(place.config(), "", join)
+    service = StoreService(rig.config(), "", join)
     for reason in ("no router", "the router has left"):
         with pytest.raises(StoreError, match=f"the store cannot join the hub: {reason}"):
             _ = service.store

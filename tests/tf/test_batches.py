@@ -1,4 +1,4 @@
-"""Many transforms at once, and complete messages: the same results as single insertions."""
+"""Inserting many transforms at once, or a complete message, gives the same results as single insertions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TFMessage in CDR: the same bytes as from the general writer."""
+"""TFMessages in CDR have the same bytes as those of the general writer."""
 
 from __future__ import annotations
 

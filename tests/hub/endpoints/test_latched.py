@@ -127,7 +127,7 @@ def test_a_late_subscriber_receives_the_smaller_depth(network: HubNetwork, publi
         assert kept.matched()
 
 
-def test_keep_all_keeps_many(network: HubNetwork):
+def test_keep_all_caches_many_messages(network: HubNetwork):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
         every = Qos(LATCHED.reliability, LATCHED.durability, History.KEEP_ALL, depth=1)
@@ -254,7 +254,7 @@ def test_reply_on_another_key_is_ignored(network: HubNetwork) -> None:
 
 
 def test_stalled_peer_does_not_delay_closing_a_latched_publisher(network: HubNetwork):
-    """A heartbeat waits for that peer. With zenoh's own heartbeats, every closing publisher would wait, too."""
+    """A heartbeat waits for the stalled peer. With zenoh's own heartbeats, every closing publisher would wait, too."""
     queue = {"congestion_control": {"block": {"wait_before_close": 60_000_000}}}
     patient = {"transport": {"link": {"tx": {"queue": queue}}}}
     blocking = Qos(history=History.KEEP_ALL)
@@ -324,8 +324,8 @@ def test_publisher_without_a_reply_is_queried_again(network: HubNetwork, monkeyp
             ends.close()
 
 
-def test_query_that_its_history_no_longer_needs_ends() -> None:
-    """Otherwise the subscription would hold back that session's samples forever."""
+def test_a_query_that_a_closed_history_no_longer_needs_ends() -> None:
+    """Otherwise the subscription would hold back the queried session's samples forever."""
     jobs: list[Callable[[], object]] = []
     executor, events = cast("Any", SimpleNamespace(submit=jobs.append)), Events()
     unused = cast("Any", None)

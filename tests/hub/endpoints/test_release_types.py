@@ -62,7 +62,7 @@ def result_of(release: Release, **fields: Any) -> dict[str, Any]:
 
 
 @OTHERS
-def test_navigate_to_pose_of_another_release_is_driven(own: HubNode, node: Nodes, release: Release) -> None:
+def test_navigate_to_pose_of_another_release_can_be_called(own: HubNode, node: Nodes, release: Release) -> None:
     result = result_of(release, error_code=7, error_msg="seven")
     server = ReleaseActionServer(node(release), "/navigate", TO_POSE, FEEDBACK, result)
     client = own.on(lambda: own.node.action_client("/navigate", TO_POSE))
@@ -87,7 +87,7 @@ def test_navigate_to_pose_of_another_release_is_driven(own: HubNode, node: Nodes
 
 
 @OTHERS
-def test_navigate_through_poses_of_another_release_is_driven(own: HubNode, node: Nodes, release: Release) -> None:
+def test_navigate_through_poses_of_another_release_can_be_called(own: HubNode, node: Nodes, release: Release) -> None:
     server = ReleaseActionServer(node(release), "/navigate", THROUGH_POSES, FEEDBACK, {})
     client = own.on(lambda: own.node.action_client("/navigate", THROUGH_POSES))
     until(lambda: client.ready, "the server is ready")
@@ -102,7 +102,7 @@ def test_navigate_through_poses_of_another_release_is_driven(own: HubNode, node:
 
 
 @OTHERS
-def test_a_client_of_another_release_drives_an_action_here(own: HubNode, node: Nodes, release: Release) -> None:
+def test_a_client_of_another_release_calls_an_action_of_the_hub(own: HubNode, node: Nodes, release: Release) -> None:
     goals: list[Any] = []
 
     def take(goal: Any) -> bool:
@@ -276,7 +276,7 @@ def test_a_value_that_another_version_cannot_hold_is_logged_once(
 def test_buffers_of_another_version_of_a_type_are_received(
     network: HubNetwork, node: Nodes, tmp_path: Path, first: str
 ) -> None:
-    """A publisher of Lyrical sends them in the CPU group of its own hash only."""
+    """A publisher of Lyrical sends buffers only in the CPU group of its own hash."""
     pixels = "fleet_msgs/msg/Pixels"
     for folder, extra in (("old", ""), ("new", "int32 width\n")):
         write_package(tmp_path / folder / "fleet_msgs", {"msg/Pixels.msg": f"uint8[] data\n{extra}"})

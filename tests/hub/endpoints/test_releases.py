@@ -140,7 +140,7 @@ def test_subscriptions_of_two_releases_and_of_any_hash_receive_each_message_once
             assert len(set(numbers)) == len(numbers)
 
 
-def test_a_key_without_a_hash_exists_only_while_such_a_subscription_does(hub: Hub, node: Nodes) -> None:
+def test_a_key_without_a_hash_exists_only_while_a_hashless_subscription_does(hub: Hub, node: Nodes) -> None:
     publisher = advertise(hub, "/chatter")
     assert not publisher.matched()
     received = ReleaseSubscription(node(HUMBLE), CHATTER)
@@ -182,7 +182,7 @@ def test_a_closed_publisher_leaves_no_key_behind(hub: Hub, node: Nodes) -> None:
 # the graph
 
 
-def test_an_endpoint_without_a_hash_counts_as_one_of_the_hash_that_others_announce(hub: Hub, node: Nodes) -> None:
+def test_an_endpoint_without_a_hash_gets_the_hash_that_others_announce(hub: Hub, node: Nodes) -> None:
     humble = ReleasePublisher(node(HUMBLE), CHATTER)
     (endpoint,) = until(lambda: hub.graph.publishers("/chatter"), "the publisher is seen")
     assert (endpoint.type_hash, endpoint.gid) == (NO_HASH, humble.gid)
@@ -246,7 +246,7 @@ def test_a_server_of_each_release_is_called_once(hub: Hub, node: Nodes, release:
     until(lambda: not client.ready, "the server has left")
 
 
-def test_of_two_releases_servers_the_one_with_the_clients_hash_is_called(hub: Hub, node: Nodes) -> None:
+def test_a_client_calls_the_server_with_its_own_hash(hub: Hub, node: Nodes) -> None:
     client = hub.client(SERVICE.name, SERVICE.type_name, HASH)
     humble = ReleaseServer(node(HUMBLE), SERVICE, lambda _: b"humble")
     assert answered(client, b"1") == b"humble"
@@ -334,7 +334,7 @@ def test_the_hub_does_not_cost_a_publisher_with_buffers_a_message_for_each_subsc
             until(lambda s=subscription: s.texts() == ["1"], "the message arrives")
 
 
-def test_numbers_that_other_keys_used_are_no_losses(hub: Hub, node: Nodes) -> None:
+def test_numbers_used_on_other_keys_do_not_count_as_losses(hub: Hub, node: Nodes) -> None:
     """The publisher also numbers its messages on the separate key of a Jazzy subscription."""
     publisher = ReleasePublisher(node(LYRICAL), IMAGE)
     received = Images(hub, IMAGE)

@@ -78,7 +78,7 @@ def test_messages_without_a_subscription_leave_no_gap(network: HubNetwork) -> No
         assert received.missed == 0
 
 
-def test_all_messages_arrive_around_one_that_is_too_large_for_the_shared_memory(network: HubNetwork) -> None:
+def test_messages_around_one_that_exceeds_the_shared_memory_arrive(network: HubNetwork) -> None:
     """From the large message on, the hub publisher uses a second zenoh publisher with another priority."""
     with Hub.open(network.settings("a")) as a, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/map"), STREAM)
@@ -93,7 +93,7 @@ def test_all_messages_arrive_around_one_that_is_too_large_for_the_shared_memory(
 
 
 @pytest.mark.parametrize("qos", [STREAM, LATCHED], ids=["volatile", "latched"])
-def test_source_numbers_go_on_past_the_last_one(network: HubNetwork, qos: Qos) -> None:
+def test_source_numbers_wrap_after_the_highest(network: HubNetwork, qos: Qos) -> None:
     with network.program() as program, network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/chatter"), qos)
         publisher = program.declare_publisher(key(network, "/chatter"))
@@ -117,7 +117,7 @@ def test_two_publishers_of_one_session_are_two_sources(network: HubNetwork) -> N
         received.expect(*(f"{name} {number}" for number in range(5) for name in ("first", "second")))
 
 
-def test_the_messages_of_a_standby_that_takes_over_arrive_from_the_first_on(network: HubNetwork) -> None:
+def test_all_messages_of_a_standby_that_takes_over_arrive(network: HubNetwork) -> None:
     with network.rmw_session() as rmw:
         received = RmwSubscription(rmw, key(network, "/odom"), STREAM)
         for name in ("active", "standby"):
@@ -206,7 +206,7 @@ def test_cached_messages_are_received_late(network: HubNetwork, qos: Qos, first:
 
 
 @EACH_QOS
-def test_a_node_that_restarts_is_received_from_its_first_message_on(network: HubNetwork, qos: Qos) -> None:
+def test_all_messages_of_a_restarted_node_are_received(network: HubNetwork, qos: Qos) -> None:
     with Hub.open(network.settings("a")) as a:
         received = Subscriber(a, "/scan", qos)
         expected = []

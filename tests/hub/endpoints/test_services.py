@@ -195,7 +195,7 @@ def test_lost_server_ends_calls_while_other_threads_query_and_declare(network: H
 
 
 def test_lost_server_ends_its_calls_after_its_successor_has_joined(network: HubNetwork) -> None:
-    """The client then never lacks a server; the successor must not execute the call again."""
+    """The client never lacks a server then, but the successor must not execute the call again."""
     with (
         Hub.open(network.settings("b")) as b,
         network.hub_peer("server") as server,
@@ -229,7 +229,7 @@ def test_abandoned_call_notifies_only_the_server(network: HubNetwork) -> None:
         assert (called.ends, serving.abandoned) == ([], [b"dull"])
 
 
-def test_calls_under_another_hash_are_abandoned_and_numbered_with_the_clients_others(network: HubNetwork) -> None:
+def test_calls_under_another_hash_share_the_clients_numbers_and_are_abandoned(network: HubNetwork) -> None:
     """These calls have the client's GID, and servers distinguish calls by GID and number."""
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         hashless = Serving(a, type_hash=NO_HASH)

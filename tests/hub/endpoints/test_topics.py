@@ -71,7 +71,7 @@ def test_a_subscription_to_any_hash_receives_all_versions(network: HubNetwork):
         same.expect("same")
 
 
-def test_topics_types_and_domains_are_apart(network: HubNetwork):
+def test_other_topics_types_and_domains_are_not_received(network: HubNetwork):
     with (
         Hub.open(network.settings("a")) as a,
         Hub.open(network.settings("b")) as b,
@@ -125,7 +125,7 @@ def test_a_listed_subscription_of_another_program_misses_nothing(
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_an_unlisted_subscriber_misses_nothing_from_the_match_on(
+def test_an_unlisted_subscriber_misses_nothing_after_the_match(
     network: HubNetwork, monkeypatch: pytest.MonkeyPatch, late: bool
 ) -> None:
     """A plain zenoh program announces no token. Its match is reported, or, if ``late``, found by a query."""

@@ -1,4 +1,4 @@
-"""Key variants are updated: endpoints neither wait for each other nor fail together."""
+"""Updates of key variants, in which endpoints neither wait for each other nor fail together."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def variants(graph: Graph) -> Iterator[KeyVariants]:
     executor.close()
 
 
-def test_endpoint_that_blocks_delays_no_new_one(graph: Graph, variants: KeyVariants) -> None:
+def test_a_blocking_endpoint_does_not_delay_a_new_endpoint(graph: Graph, variants: KeyVariants) -> None:
     go_on, blocked = threading.Event(), threading.Event()
     variants.add(slow := VariedEnd(lambda: (blocked.set(), go_on.wait(20.0))), TOKEN)
     graph.change()

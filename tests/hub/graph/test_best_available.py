@@ -93,7 +93,7 @@ PROFILES = st.builds(Qos, st.sampled_from(Reliability), st.sampled_from(Durabili
 
 
 @given(st.lists(st.tuples(st.sampled_from(EndpointKind), PROFILES), max_size=6))
-def test_nothing_stays_open_and_closed_policies_stay(endpoints: list[tuple[EndpointKind, Qos]]) -> None:
+def test_all_open_policies_are_resolved_and_closed_ones_stay(endpoints: list[tuple[EndpointKind, Qos]]) -> None:
     announced = {str(number): endpoint for number, endpoint in enumerate(endpoints)}
     resolved = resolve(STRING, announced)
     assert resolved.keys() == announced.keys()
@@ -116,7 +116,7 @@ class NoSession:
 
 @settings(max_examples=500)
 @given(st.lists(st.integers(0, 2) | TOKENS, min_size=3, max_size=12))
-def test_the_graph_has_what_its_present_tokens_resolve_to(changes: list[int | tuple[str, str, str, str]]) -> None:
+def test_the_graph_resolves_its_present_tokens(changes: list[int | tuple[str, str, str, str]]) -> None:
     """A number removes one of the present tokens, and a tuple declares a new one."""
     graph = HubGraph(NoSession(), 0, 100)  # type: ignore[arg-type]
     present: list[str] = []
@@ -242,7 +242,9 @@ def test_an_unknown_policy_takes_the_default_with_one_warning(
     assert graph.refused == 0
 
 
-def test_each_unknown_policy_is_one_warning(graph: HubGraph, node: RmwNode, caplog: pytest.LogCaptureFixture) -> None:
+def test_each_unknown_policy_is_warned_about_once(
+    graph: HubGraph, node: RmwNode, caplog: pytest.LogCaptureFixture
+) -> None:
     with caplog.at_level(logging.WARNING):
         token = node.declare("MP", "t", "7:8:9,10:,:,:10,,")
         until(lambda: graph.publishers("/t"), "the publisher is seen")

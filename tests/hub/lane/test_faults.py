@@ -29,15 +29,15 @@ def test_stalled_reader_does_not_block_others(network: HubNetwork, tmp_path: Pat
         until(lambda: reader.ask("way", id=number)["way"] == "lane", "the subscription uses the lane")
         os.kill(reader.pid, signal.SIGSTOP)
 
-        def say_all() -> None:
+        def publish_all() -> None:
             for number in range(count):
                 publisher.put(str(number).encode().ljust(2000))
 
-        saying = threading.Thread(target=say_all, daemon=True)
-        saying.start()
-        saying.join(30.0)
+        publishing = threading.Thread(target=publish_all, daemon=True)
+        publishing.start()
+        publishing.join(30.0)
         os.kill(reader.pid, signal.SIGCONT)
-        assert not saying.is_alive(), "no put waits for the reader"
+        assert not publishing.is_alive(), "no put waits for the reader"
 
         def newest() -> bool:
             return str(count - 1) in reader.ask("wait", id=number, count=0, seconds=0.0)["texts"][-1:][0].strip()
@@ -53,7 +53,7 @@ def test_stalled_reader_does_not_block_others(network: HubNetwork, tmp_path: Pat
         assert reader.ask("way", id=number)["lost"] == dropped
 
 
-def test_killed_reader_is_removed_and_the_next_one_served(network: HubNetwork, tmp_path: Path) -> None:
+def test_killed_reader_is_removed_and_the_next_reader_is_served(network: HubNetwork, tmp_path: Path) -> None:
     lane = str(tmp_path)
     with Hub.open(network.settings("writer", lane=lane)) as writer:
         publisher = advertise(writer, "/t")
@@ -140,7 +140,7 @@ def test_without_descriptors_all_messages_use_zenoh(network: HubNetwork, tmp_pat
         whole(reader.ask("wait", id=subscription_id, count=len(texts) + 200, seconds=40.0)["texts"])
 
 
-def test_a_folder_that_cannot_be_written_to(network: HubNetwork, tmp_path: Path) -> None:
+def test_messages_use_zenoh_if_the_folder_cannot_be_written_to(network: HubNetwork, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     lane = str(tmp_path / "file" / "lane")
     with Hub.open(network.settings("a", lane=lane)) as a, Hub.open(network.settings("b", lane=lane)) as b:

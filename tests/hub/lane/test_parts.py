@@ -60,14 +60,14 @@ def test_early_message_is_held_until_the_earlier_one_arrives() -> None:
     assert (merged.states.held_bytes, merged.sequencer.due(), merged.losses.count) == (0, None, 0)
 
 
-def test_number_that_arrives_early_over_both_transports_waits_for_no_earlier_one() -> None:
+def test_message_received_over_both_transports_does_not_wait_for_earlier_ones() -> None:
     merged = Merged()
     assert merged.accept(1, 4, 5) == [1]
     assert merged.accept(4) == [4, 5]
     assert merged.losses.count == 2
 
 
-def test_first_message_after_the_mark_waits_for_those_that_zenoh_delivers() -> None:
+def test_first_message_after_the_mark_waits_for_those_before_the_mark() -> None:
     merged = Merged()
     assert merged.accept(6, first=5) == []
     assert merged.accept(5, first=5) == []
@@ -159,21 +159,21 @@ def test_publisher_has_caught_up_at_its_mark_or_once_its_session_replies() -> No
     now = time.monotonic()
     replied: dict[str, float] = {}
 
-    def caught(last: int | None, at: float = now) -> bool:
+    def caught_up(last: int | None, at: float = now) -> bool:
         return lanes.has_caught_up(GID, last, at, lambda zid, since: replied.get(zid, 0.0) >= since)
 
-    assert not caught(9, now + 100.0), "no mark has arrived yet"
+    assert not caught_up(9, now + 100.0), "no mark has arrived yet"
     lanes.mark(lane, GID, 5)
     lanes.mark(lane, GID, 7)  # a repeated mark
-    assert [caught(last) for last in (None, 4, 5, 0)] == [False, False, True, True]
+    assert [caught_up(last) for last in (None, 4, 5, 0)] == [False, False, True, True]
     lanes.mark(other, GID, 5)
     replied["y"] = now - 1.0
-    assert not caught(4), "the reply was to an earlier query"
+    assert not caught_up(4), "the reply was to an earlier query"
     replied["y"] = time.monotonic()
-    assert caught(4)
+    assert caught_up(4)
     lanes.mark(lane, GID, 5)
-    assert not caught(4)
-    assert caught(4, time.monotonic() + CAUGHT_SECONDS), "the session has not responded in time"
+    assert not caught_up(4)
+    assert caught_up(4, time.monotonic() + CAUGHT_SECONDS), "the session has not responded in time"
 
 
 def test_marks_of_departed_publishers_and_ended_lanes_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:

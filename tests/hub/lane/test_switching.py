@@ -212,7 +212,7 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
         (Qos(history=History.KEEP_ALL), "writer has the history keep_all"),
     ],
 )
-def test_topics_that_stay_on_zenoh(reader: Hub, writer: Hub, qos: Qos, why: str) -> None:
+def test_latched_and_keep_all_topics_stay_on_zenoh(reader: Hub, writer: Hub, qos: Qos, why: str) -> None:
     subscriber = Subscriber(reader, "/t")
     ours = advertise(writer, "/t", qos)
     goes_by(subscriber, "zenoh", why)

@@ -135,7 +135,7 @@ def test_each_endpoint_has_its_own_state(keys: Path, port: int) -> None:
         assert "cannot be resolved" in operator.wait(EndpointState.UNREACHABLE, 3).reason
 
 
-def test_both_connect_to_each_other(keys: Path, port: int) -> None:
+def test_two_machines_may_connect_to_each_other(keys: Path, port: int) -> None:
     places = [f"tls/127.0.0.1:{port}", f"tls/127.0.0.1:{free_port()}"]
     with (
         Machine("robot1", keys / "a", listen=[places[0]], connect=[places[1]]) as robot,
@@ -174,7 +174,7 @@ def test_endpoints_without_keys_stay_closed(keys: Path, tmp_path: Path) -> None:
     assert all("there is no" in endpoint["reason"] for endpoint in endpoints)
 
 
-def test_an_own_certificate_that_has_expired(tmp_path: Path, port: int) -> None:
+def test_an_expired_own_certificate_is_reported(tmp_path: Path, port: int) -> None:
     Authority(tmp_path).make()
     Authority(tmp_path).issue("robot1", ["127.0.0.1"], days=-1)
     with Machine("robot1", tmp_path, listen=[f"tls/127.0.0.1:{port}"]) as robot:
@@ -266,7 +266,7 @@ def test_a_listener_logs_each_cause_once_and_recovers(slow: float, caplog: pytes
     ], messages  # fmt: skip
 
 
-def test_zenoh_reason_if_no_test_is_possible(slow: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_zenohs_reason_is_reported_if_no_test_is_possible(slow: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bridge.hub.security.zenoh_log.time", SimpleNamespace(monotonic=lambda: slow + 31))
     endpoint, log = endpoints._Connect("quic/10.0.0.9:7448", None), ZenohLog()
     pool: Any = Pool(Attempt(Reason(EndpointState.CONNECTING, "zenoh does not report why over quic")))

@@ -167,7 +167,7 @@ def test_a_guest_cannot_borrow_a_name(machines: Machines) -> None:
 
 
 @pytest.mark.parametrize(("name", "works"), [("friend", True), ("guest", False)])
-def test_goals_and_cancels(machines: Machines, name: str, works: bool) -> None:
+def test_only_a_trusted_machine_calls_goal_and_cancel_services(machines: Machines, name: str, works: bool) -> None:
     answered: list[str] = []
 
     def ask(sender: zenoh.Session) -> None:
@@ -213,7 +213,7 @@ def test_a_guest_cannot_answer_with_commands(machines: Machines) -> None:
     assert ask(goal) == []
 
 
-def test_others_cannot_join(machines: Machines) -> None:
+def test_strangers_and_machines_without_a_certificate_cannot_join(machines: Machines) -> None:
     for name in ("stranger", ""):
         with pytest.raises(HubError, match="cannot join the hub"):
             machines.hub(name)

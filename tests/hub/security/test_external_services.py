@@ -68,7 +68,7 @@ def test_only_a_trusted_machine_calls_services_that_command(
 
 @pytest.mark.parametrize("name", ["friend", "guest"])
 def test_every_machine_answers_calls_of_its_own_services(machines: Machines, name: str) -> None:
-    """The other machine's replies to goal requests pass, too, because the service is its own."""
+    """Its replies to goal requests pass, too, because it serves the action itself."""
     with Hub.open(machines.network.settings("robot")) as robot, machines.hub(name) as other:
         for service, type_name in {**QUESTIONS, **COMMANDS}.items():
             # three routers may announce a server before all have a route to it; such a call reaches no server

@@ -133,7 +133,7 @@ def test_an_unknown_host_is_unreachable(keys: Path) -> None:
         (OSError(errno.EACCES, "Permission denied"), EndpointState.UNREACHABLE, "Permission denied"),
     ],
 )
-def test_a_host_that_is_down(error: OSError, state: EndpointState, text: str) -> None:
+def test_a_connection_error_gives_a_state_and_a_reason(error: OSError, state: EndpointState, text: str) -> None:
     reason = unreachable(error, "10.0.0.9:7448")
     assert reason.state is state
     assert text in reason.text
@@ -150,7 +150,7 @@ def test_an_overlong_port_number_is_refused() -> None:
     assert HostPort.of("tcp/127.0.0.1:" + "1" * 5000) is None
 
 
-def test_a_host_that_drops_packets(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_host_that_drops_packets_does_not_answer(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Linux does not respond on a port whose queue is full, like a machine that is switched off."""
     monkeypatch.setattr("bridge.hub.security.handshake._CONNECT_SECONDS", 0.3)
     with ExitStack() as stack:
@@ -197,7 +197,7 @@ def server(answer: bytes | None) -> Iterator[str]:
         (b"", "closes the connection during the TLS handshake"),
     ],
 )
-def test_programs_that_are_not_zenoh(
+def test_a_program_that_is_not_zenoh_is_reported(
     keys: Path, answer: bytes | None, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bridge.hub.security.handshake._HANDSHAKE_SECONDS", 0.3)
@@ -218,7 +218,7 @@ def test_connection_closes_in_order(keys: Path) -> None:
     assert result.reason.state is EndpointState.CONNECTING
 
 
-def test_files_that_cannot_be_used(keys: Path, tmp_path: Path) -> None:
+def test_unusable_certificate_files_are_reported(keys: Path, tmp_path: Path) -> None:
     broken = Identity(keys / "a" / "ca.pem", keys / "a" / "robot1.pem", keys / "a" / "operator1.key")
     port = free_port()
     with listener(keys / "a", "robot1", f"tls/127.0.0.1:{port}"):

@@ -140,7 +140,7 @@ def test_access_control_limits_a_robot_to_its_topics(certificates: Path):
 
 
 def test_two_machines_join_by_their_routers():
-    """The sessions of each machine only know their own router, but data and state cross."""
+    """The sessions of each machine know only their own router, but data and state reach the other machine."""
     with (
         HubNetwork() as first_network,
         HubNetwork(router_zenoh={"connect": {"endpoints": [first_network.endpoint]}}) as second_network,

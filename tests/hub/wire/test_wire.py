@@ -148,13 +148,13 @@ def test_keys_of_topics_are_those_of_rmw_zenoh():
         "/" + "a" * 2000,
     ],
 )
-def test_topic_that_cannot_be_a_key(topic: str):
+def test_a_topic_that_cannot_be_part_of_a_key_is_refused(topic: str):
     with pytest.raises(HubWireError):
         keys.topic_key(0, topic, "std_msgs/msg/String", STRING_HASH)
 
 
 @pytest.mark.parametrize("name", ["std_msgs/String", "std_msgs/msg/", "/msg/X", "a/msg/B/C", "a/msg/*", "a/msg/Ä", ""])
-def test_type_that_cannot_be_a_key(name: str):
+def test_a_type_that_cannot_be_part_of_a_key_is_refused(name: str):
     with pytest.raises(HubWireError):
         keys.topic_key(0, "/t", name, STRING_HASH)
 
@@ -162,7 +162,7 @@ def test_type_that_cannot_be_a_key(name: str):
 @pytest.mark.parametrize(
     "type_hash", [" ", "*", "md5", "TypeHashNotSupported", "RIHS01_", "RIHS01_XY", "RIHS01_00/..", "**"]
 )
-def test_hash_that_cannot_be_a_key(type_hash: str):
+def test_a_hash_that_cannot_be_part_of_a_key_is_refused(type_hash: str):
     with pytest.raises(HubWireError):
         keys.topic_key(0, "/t", "std_msgs/msg/String", type_hash)
 

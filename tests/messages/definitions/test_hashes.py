@@ -42,7 +42,7 @@ def test_hashes_are_those_of_the_installed_packages(registry: Registry):
 
 
 @pytest.mark.parametrize("world", list(World))
-def test_the_stores_agree_with_what_is_installed(registry: Registry, world: World):
+def test_the_stores_agree_with_the_installed_packages(registry: Registry, world: World):
     """Definitions of rosbags replace those of missing packages, so both must be the same type."""
     bare = Registry(ros1_packages=Path("/nonexistent"))
     for name in store_names("sensor_msgs", world):
@@ -80,7 +80,7 @@ def test_common_ros1_types_need_no_package():
         ("visualization_msgs/Marker", "4048c9de2a16f4ae8e0538085ebf1b97"),
     ],
 )
-def test_common_types_that_are_not_installed_here(name: str, md5: str):
+def test_common_types_that_are_not_installed_have_noetics_md5_sums(name: str, md5: str):
     """The md5 sums are those that Noetic's packages announce."""
     assert Registry(ros1_packages=Path("/nonexistent")).ros1(name).type_id == md5
 

@@ -35,7 +35,7 @@ def test_constants_are_upper_case():
     }
 
 
-def test_msgs_and_interfaces_are_tried_for_each_other():
+def test_packages_named_msgs_and_interfaces_are_tried_for_each_other():
     assert "my_interfaces/msg/A" in names.ros2_candidates("my_msgs/A")
     assert "my_msgs/A" in names.ros1_candidates("my_interfaces/msg/A")
     assert names.ros1_candidates("my_msgs/srv/A_Request") == []

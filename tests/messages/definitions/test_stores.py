@@ -13,7 +13,7 @@ from bridge.messages.definitions.stores import read_store
 
 
 @pytest.mark.parametrize("store", ["ros1_noetic", "ros2_jazzy"])
-def test_a_table_is_that_of_the_imported_store(store: str) -> None:
+def test_a_table_equals_that_of_the_imported_store(store: str) -> None:
     table = importlib.import_module(f"rosbags.typesys.stores.{store}").FIELDDEFS
     assert read_store(store) == table
     assert len(table) > 100

@@ -139,12 +139,12 @@ def test_types_that_nest_too_deep_are_refused():
 
 
 @pytest.mark.parametrize("last", ["", "uint8 a\n", "string a\n"])
-def test_types_that_unfold_beyond_measure_are_refused_at_once(last: str):
+def test_types_with_too_many_fields_are_refused_at_once(last: str):
     with pytest.raises(MessageTypeError, match="too large to be converted"):
         Registry().ros1_to_hub("my_msgs/T0", definition=chain(40, 10, last))
 
 
-def test_lines_beyond_measure_are_refused_at_once():
+def test_overlong_lines_are_refused_at_once():
     with pytest.raises(MessageTypeError, match="longer than"):
         parse("string a " + "\"'" * 1_000_000, World.ROS2)
     assert parse("# " + "x" * 100_000 + "\nint8 a", World.ROS2).fields

@@ -81,7 +81,7 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
 
 @needs_genpy
 @pytest.mark.parametrize(("ros1", "ros2"), PAIRS.items())
-def test_pairs_hold_both_ways(ros1: str, ros2: str, registry: Registry):
+def test_mapping_a_type_to_the_hub_and_back_gives_the_same_type(ros1: str, ros2: str, registry: Registry):
     assert registry.action_to_ros1(ros2) == ros1
     base = ros1.replace("/", "/action/")
     for part in ("SendGoal", "GetResult"):
@@ -97,9 +97,9 @@ def test_pairs_hold_both_ways(ros1: str, ros2: str, registry: Registry):
 
 @needs_genpy
 def test_ros1_bytes_are_those_of_genpy(registry: Registry):
-    """Genpy encodes the parts of actions with the same fields on both sides, and of derived ones, in both directions.
+    """The actions are those with the same fields on both sides, and derived ones; each is converted in both directions.
 
-    Midspan adds the status text to the ROS 1 result (`STATUS_TEXT`). Genpy's results lack it, and it is empty here.
+    Midspan adds the status text to the ROS 1 result (`STATUS_TEXT`). It is empty here, because genpy's results lack it.
     """
     text_field, no_text = f"string {STATUS_TEXT}\n", bytes(4)
     items, cdrs, backs = [], [], []
@@ -147,7 +147,7 @@ def wire_pose(seed: int) -> bytes:
     return head + struct.pack("<7d", *(seed + n + 0.5 for n in range(2, 9)))
 
 
-def test_a_goal_of_move_base_is_one_of_navigate_to_pose(registry: Registry):
+def test_a_goal_of_move_base_converts_to_navigate_to_pose(registry: Registry):
     conversion = registry.service_ros1_to_hub("move_base_msgs/action/MoveBase_SendGoal")
     name = "nav2_msgs/action/NavigateToPose_SendGoal"
     assert (conversion.hub.name, conversion.left_out) == (name, ())
@@ -168,7 +168,7 @@ def test_a_goal_of_move_base_is_one_of_navigate_to_pose(registry: Registry):
     )
 
 
-def test_feedback_and_result_of_navigate_to_pose_are_move_bases(registry: Registry):
+def test_feedback_and_result_of_navigate_to_pose_convert_to_move_base(registry: Registry):
     name = "nav2_msgs/action/NavigateToPose"
     feedback = registry.hub_to_ros1(f"{name}_FeedbackMessage")
     assert feedback.target.name == "move_base_msgs/action/MoveBase_FeedbackMessage"
@@ -240,7 +240,7 @@ def test_move_base_is_known_where_ros1_is_not_installed(registry: Registry):
     assert service.hub == registry.service_hub_to_ros1("nav2_msgs/action/NavigateToPose_SendGoal").hub
 
 
-def test_canceling_and_status_are_those_of_action_msgs(registry: Registry):
+def test_cancel_and_status_types_are_those_of_action_msgs(registry: Registry):
     cancel = registry.service_hub_to_ros1("action_msgs/srv/CancelGoal")
     assert (cancel.side.name, cancel.hub.name) == ("action_msgs/srv/CancelGoal",) * 2
     assert registry.service_ros1_to_hub("action_msgs/srv/CancelGoal").side == cancel.side
@@ -283,7 +283,7 @@ def test_an_action_that_exists_only_in_ros1_is_derived(folders: Path):
     assert files["action/CountUp.action"].startswith("int32 order\nbuiltin_interfaces/Time until\n---\nbool DONE=1\n")
 
 
-def test_an_action_known_only_from_headers_is_derived(folders: Path):
+def test_an_action_known_only_from_connection_headers_is_derived(folders: Path):
     """A connection header contains the type that wraps a goal, with the goal's type nested in it."""
     topics = Registry(folders=[folders]).ros1_action("my_acts/count_up")
     registry = Registry()
@@ -327,7 +327,7 @@ RULES = """
 """
 
 
-def test_actions_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_path: Path):
+def test_a_mapping_rule_bridges_actions_with_other_names_and_fields(folders: Path, tmp_path: Path):
     rules = tmp_path / "rules.yaml"
     rules.write_text(RULES)
     registry = Registry(folders=[folders], mapping_rules=[rules])

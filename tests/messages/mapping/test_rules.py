@@ -1,4 +1,4 @@
-"""Mapping rules in ros1_bridge's files as they exist, and the fields that they match."""
+"""Mapping rules in files in the form of ros1_bridge, and the fields that the rules match."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def write(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_a_file_is_read_as_it_is(tmp_path: Path):
+def test_a_rule_file_of_ros1_bridge_is_read(tmp_path: Path):
     package, message, service = load_rules(write(tmp_path, FILE))
     assert (package.kind, package.fields) == ("", {})
     assert (message.kind, message.ros1, message.ros2) == ("msg", "Pose", "Place")
@@ -74,7 +74,7 @@ def test_a_file_is_read_as_it_is(tmp_path: Path):
     assert service.fields == {"Request": {"a": "b"}}
 
 
-def test_reordered_and_nested_fields_cross(tmp_path: Path, new_msgs: Path):
+def test_reordered_and_nested_fields_are_mapped(tmp_path: Path, new_msgs: Path):
     registry = Registry(folders=[new_msgs], mapping_rules=[write(tmp_path, FILE)])
     registry.learn_ros1("old_msgs/Pose", OLD_POSE)
     to_hub, to_ros1 = registry.ros1_to_hub("old_msgs/Pose"), registry.hub_to_ros1("new_msgs/msg/Place")

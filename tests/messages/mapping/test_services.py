@@ -1,4 +1,4 @@
-"""Services: ROS's fingerprints and bytes, pairs, derived types, and their errors."""
+"""Services: MD5 sums, hashes and bytes as ROS has them; pairing, derived types, and errors."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_md5_sums_are_those_of_rospy(name: str, registry: Registry):
 
 @needs_genpy
 @pytest.mark.parametrize("name", ROS1)
-def test_pairs_hold_both_ways(name: str, registry: Registry):
+def test_mapping_a_type_to_the_hub_and_back_gives_the_same_type(name: str, registry: Registry):
     from_ros1 = registry.service_ros1_to_hub(name)
     from_hub = registry.service_hub_to_ros1(from_ros1.hub.name, from_ros1.hub.type_id)
     assert (from_hub.side, from_hub.hub, from_hub.left_out) == (from_ros1.side, from_ros1.hub, ())
@@ -233,7 +233,7 @@ RULES = """
 """
 
 
-def test_services_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_path: Path):
+def test_a_mapping_rule_bridges_services_with_other_names_and_fields(folders: Path, tmp_path: Path):
     (folders / "your_srvs" / "srv").mkdir(parents=True)
     (folders / "your_srvs" / "srv" / "Tell.srv").write_text(
         "builtin_interfaces/Time when\nstring text\nbool loud true\n---\nint8 more\nmy_srvs/Mark[] all\n"
@@ -254,7 +254,7 @@ def test_services_with_other_names_and_fields_cross_by_rule(folders: Path, tmp_p
     assert response == bytes(8) + b"\1\0\0\0\x09\3\0\0\0"
 
 
-def test_the_service_of_ros1_bridges_example_is_the_one_of_example_interfaces(tmp_path: Path):
+def test_two_ints_maps_to_add_two_ints_of_example_interfaces(tmp_path: Path):
     """TwoInts follows example_interfaces' mapping rule; without an AddTwoInts definition, its ROS 2 type is derived."""
     for name in ("roscpp_tutorials/srv/TwoInts.srv", "example_interfaces/srv/AddTwoInts.srv"):
         (tmp_path / name).parent.mkdir(parents=True)
@@ -268,7 +268,7 @@ def test_the_service_of_ros1_bridges_example_is_the_one_of_example_interfaces(tm
     assert registry.service_ros1_to_hub("roscpp_tutorials/TwoInts").hub.name == "roscpp_tutorials/srv/TwoInts"
 
 
-def test_services_of_one_name_that_differ_are_no_pair(folders: Path):
+def test_services_with_the_same_name_but_other_fields_are_not_paired(folders: Path):
     registry = Registry(folders=[folders])
     # announced by the hub, but the installed definition is kept
     registry.learn_ros2("std_srvs/srv/SetBool", "bool data\n---\nbool done\n")
@@ -281,7 +281,7 @@ def test_services_of_one_name_that_differ_are_no_pair(folders: Path):
     assert "mapping rule" in caught.value.cure
 
 
-def test_package_with_only_idl_files_suffices(tmp_path: Path, registry: Registry):
+def test_idl_files_alone_define_a_service(tmp_path: Path, registry: Registry):
     share = tmp_path / "share" / "std_srvs" / "srv"
     share.mkdir(parents=True)
     idl = (Path(sys.prefix) / "share" / "std_srvs" / "srv" / "SetBool.idl").read_text()

@@ -105,7 +105,7 @@ def test_values_that_do_not_fit_are_refused(registry: Registry, older: bool, val
         convert(registry, WHEEL, value, older=older)
 
 
-def test_what_loses_information_is_named(registry: Registry) -> None:
+def test_fields_that_lose_information_are_named(registry: Registry) -> None:
     new, old = ends(registry, WHEEL, older=True)
     slip = "fleet_msgs/msg/Slip"
     assert registry.releases.losses(WHEEL, new, old) == (
@@ -125,7 +125,7 @@ def test_what_loses_information_is_named(registry: Registry) -> None:
     )
 
 
-def test_a_message_with_only_a_new_name_of_a_field_is_not_converted(tmp_path: Path) -> None:
+def test_versions_that_differ_only_in_a_field_name_need_no_conversion(tmp_path: Path) -> None:
     for number, name in enumerate(("one", "two")):
         write_package(tmp_path / str(number) / "own_msgs", {"msg/Own.msg": f"int32 {name}\nint32 last\n"})
     rules = tmp_path / "rules.yaml"

@@ -134,7 +134,7 @@ def test_other_encapsulations_are_refused(head: bytes, direction: str):
         convert(head + good[4:])
 
 
-def test_slack_is_trimmed_and_more_is_refused():
+def test_slack_is_trimmed_but_further_bytes_are_refused():
     check, good = CASES["sensor_msgs/msg/JointState", "check"]
     assert check(good) is good
     assert check(good + b"\xff\xff\xff") == good

@@ -48,7 +48,7 @@ def test_list_of_types_is_complete():
 
 
 @pytest.mark.parametrize("name", TYPES)
-def test_encodes_as_rosbags_reads_it(name: str, registry: Registry):
+def test_encoded_messages_are_read_by_rosbags(name: str, registry: Registry):
     schema = registry.schema(name)
     values = sample(schema)
     assert plain(JAZZY.deserialize_cdr(from_json(registry, name, values), name)) == values
@@ -66,7 +66,7 @@ def test_same_layouts_convert_as_rosbags_does(name: str, length: int, registry: 
 
 @pytest.mark.parametrize("length", [0, 1, 3])
 @pytest.mark.parametrize("name", sorted(LAYOUT_DIFFERS))
-def test_different_layouts_keep_what_both_have(name: str, length: int, registry: Registry):
+def test_different_layouts_keep_common_fields(name: str, length: int, registry: Registry):
     values = sample(registry.schema(name), length)
     to_ros1, to_hub = conversions(name, registry)
     ros1 = to_ros1(from_json(registry, name, values))

@@ -74,7 +74,7 @@ def test_loops_nest_as_deep_as_a_program_may(form: Any):
 
 
 @FORMS
-def test_as_many_positions_are_kept_as_a_program_may(form: Any):
+def test_a_program_may_store_the_maximum_number_of_positions(form: Any):
     program = ConversionProgram("reversed", source_cdr=False, target_cdr=False)
     slots = [program.new_slot() for _ in range(SLOTS)]
     for slot in slots:

@@ -1,4 +1,4 @@
-"""The default content equals the output of yarpidl_rosmsg's code byte for byte; it and looser Bottles are read back."""
+"""The default content equals the output of yarpidl_rosmsg's code byte for byte; other Bottles are read, too."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_any_bytes_are_refused_or_are_a_message(junk: bytes, profile: Profile | 
 
 
 @given(st.data())
-def test_a_bottle_with_a_byte_changed_harms_nothing(data: st.DataObject) -> None:
+def test_a_bottle_with_a_changed_byte_is_refused_or_converts(data: st.DataObject) -> None:
     whole = payload("nav_msgs/msg/Path", sample(REGISTRY.schema("nav_msgs/msg/Path"), 3))
     at = data.draw(st.integers(0, len(whole) - 1))
     changed = whole[:at] + data.draw(st.binary(min_size=0, max_size=3)) + whole[at + 1 :]

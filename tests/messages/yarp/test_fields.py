@@ -47,7 +47,7 @@ def test_a_velocity_survives_the_round_trip_through_its_short_bottle(
     assert known.to_hub(payload, profile, None) == cdr
 
 
-def test_constants_and_degrees_make_a_command_of_robot_goto() -> None:
+def test_constants_and_degrees_form_a_command_of_robot_goto() -> None:
     """``(3 vx vy vtheta gain)``, as the modules of robotology/navigation send it."""
     known = codec(TWIST, 3, "linear.x", "linear.y", "deg(angular.z)", 100.0)
     message = {"linear": {"x": 0.5}, "angular": {"z": math.pi}}
@@ -106,7 +106,7 @@ def test_an_invalid_time_is_refused(value: Any) -> None:
         back(codec("sensor_msgs/msg/JointState", "header.stamp"), "sensor_msgs/msg/JointState", [value])
 
 
-def test_a_list_where_the_rule_has_a_constant() -> None:
+def test_a_list_in_place_of_a_constant_is_refused() -> None:
     with pytest.raises(ConversionError, match="but the rule requires 3"):
         back(codec(TWIST, 3, "linear.x"), TWIST, [[1.0, 2.0], 1.0])
 

@@ -119,7 +119,7 @@ def test_images_of_each_encoding_survive_the_round_trip(
     assert data.tobytes() == rows[:, : width * pixel].tobytes()
 
 
-def test_big_endian_pixels_are_turned() -> None:
+def test_big_endian_pixels_are_swapped() -> None:
     message = {"width": 2, "height": 1, "encoding": "mono16", "is_bigendian": 1, "step": 4, "data": b"\1\2\3\4"}
     assert image.ImageMono16.from_bytes(out("sensor_msgs/msg/Image", message)).numpy().tolist() == [[0x102, 0x304]]
 
@@ -145,7 +145,7 @@ def _field(name: str, offset: int, datatype: int = 7) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_a_cloud_as_pcl_lays_it_out_is_passed_on_as_it_is(profile: Profile) -> None:
+def test_a_cloud_in_pcls_layout_is_passed_on_unchanged(profile: Profile) -> None:
     points = b"".join(struct.pack("<4f4B12x", n, n + 0.5, -n, 1.0, 10, 20, 30, 40) for n in range(4))
     message = {"header": HEADER, "height": 2, "width": 2, "point_step": 32, "row_step": 64, "is_dense": True,
                "fields": [_field("x", 0), _field("y", 4), _field("z", 8), _field("rgba", 16, 6)],
@@ -160,7 +160,7 @@ def test_a_cloud_as_pcl_lays_it_out_is_passed_on_as_it_is(profile: Profile) -> N
     assert again == {**to_json(REGISTRY, CLOUD, from_json(REGISTRY, CLOUD, message)), "header": {**HEADER, "frame_id": "camera"}}  # fmt: skip # noqa: E501
 
 
-def test_a_cloud_laid_out_otherwise_is_copied() -> None:
+def test_the_fields_of_a_cloud_with_another_layout_are_copied() -> None:
     points = b"".join(struct.pack("<Hddd f", 7, n, 2 * n, 3 * n, 0.5) for n in range(3))
     message = {"height": 1, "width": 3, "point_step": 30, "row_step": 90, "data": points,
                "fields": [_field("ring", 0, 4), *(_field(a, 2 + 8 * i, 8) for i, a in enumerate("xyz")),
@@ -227,7 +227,7 @@ def test_duplicate_and_unsupported_cloud_fields_are_skipped(more: list[dict[str,
     assert point == (1.0, 2.0, 3.0, 10, 20, 30, 40)
 
 
-def test_rows_that_are_padded_but_for_the_last_and_numbers_that_no_float_holds() -> None:
+def test_the_last_row_need_not_be_padded_and_large_numbers_become_infinite() -> None:
     rows = [struct.pack("<6d", *numbers) for numbers in ((1, 2, 3, 4, 5, 1e300), (7, 8, 9, 10, 11, 12))]
     message = {"height": 2, "width": 2, "point_step": 24, "row_step": 56, "data": rows[0] + bytes(8) + rows[1],
                "fields": [_field(axis, 8 * place, 8) for place, axis in enumerate("xyz")]}  # fmt: skip
@@ -243,7 +243,7 @@ def test_a_cloud_without_points_is_valid(step: int) -> None:
     assert pointcloud.PointCloudXYZ.from_bytes(out(CLOUD, message)).size() == 0
 
 
-def test_depth_in_millimeters_is_floats_of_meters_in_yarp() -> None:
+def test_depth_in_millimeters_becomes_floats_in_meters() -> None:
     data = struct.pack("<6H", 0, 1, 1000, 1500, 65535, 2)
     message = {"height": 2, "width": 3, "encoding": "16UC1", "step": 6, "data": data}
     depth = image.ImageFloat.from_bytes(out("sensor_msgs/msg/Image", message))
@@ -258,7 +258,7 @@ OCTOMAP = "octomap_msgs/msg/Octomap"
 
 
 @pytest.mark.parametrize("profile", Profile)
-def test_an_octomap_both_ways_and_as_yarp_compat_reads_it(profile: Profile) -> None:
+def test_an_octomap_survives_the_round_trip_and_yarp_compat_reads_it(profile: Profile) -> None:
     tree = OcTree.of([[32_768, 32_768, 32_768]], 1.5, resolution=0.5)
     for binary_ in (True, False):
         octomap = Octomap.of(tree, binary=binary_, frame="base")
@@ -349,7 +349,7 @@ def test_maps_of_a_real_yarp_are_read_and_written() -> None:
     assert out(GRID, back(GRID, out(GRID, plain))) == out(GRID, plain)
 
 
-def test_a_turned_map_has_its_cells_in_the_same_places() -> None:
+def test_the_cells_of_a_rotated_map_keep_their_positions() -> None:
     grid = MapGrid2D.of(np.zeros((4, 6), np.uint8), name="m", resolution=0.5, origin=(-1.0, 2.0, 30.0))
     info = back(GRID, grid.to_bytes(Profile.YARP4))["info"]
     turn, place = info["origin"]["orientation"], info["origin"]["position"]
@@ -433,7 +433,7 @@ def test_any_bytes_are_refused_or_are_a_message(name: str, junk: bytes, profile:
 
 @settings(max_examples=200)
 @given(st.data())
-def test_bytes_changed_in_a_message_harm_nothing(data: st.DataObject) -> None:
+def test_a_message_with_changed_bytes_is_refused_or_converts(data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(ANY))
     whole = bytearray(out(name, sample(REGISTRY.schema(name))))
     whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))

@@ -50,7 +50,7 @@ def test_held_calls_begin_in_order_when_the_lease_is_back(calls: Calls) -> None:
 
 
 def test_newer_call_does_not_overtake_a_held_one(calls: Calls) -> None:
-    """A call that arrives on another thread while an earlier one begins."""
+    """The newer call arrives on another thread while the held call begins."""
     began: list[str] = []
 
     def begin() -> None:

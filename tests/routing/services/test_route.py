@@ -36,7 +36,7 @@ SET, GO = "std_srvs/srv/SetBool", "nav2_msgs/action/NavigateToPose"
 REGISTRY = Registry()
 
 
-class Place:
+class Rig:
     """A fake network, an engine, and a native participant of the hub."""
 
     def __init__(self, hubs: QuickHub) -> None:
@@ -94,32 +94,32 @@ class Place:
 
 
 @pytest.fixture
-def place() -> Iterator[Place]:
-    with QuickHub() as hubs, contextlib.closing(Place(hubs)) as place:
-        yield place
+def rig() -> Iterator[Rig]:
+    with QuickHub() as hubs, contextlib.closing(Rig(hubs)) as rig:
+        yield rig
 
 
 def ask(client: HubClient, **request: Any) -> Calling:
     return Calling(REGISTRY, SET, request, client.call)
 
 
-def test_too_many_calls_get_an_error_at_once(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_calls_get_an_error_at_once(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(service_route, "MAX_CALLS", 3)
-    serving = place.serve(held=True, reply={"message": "late"})
-    client = place.client()
+    serving = rig.serve(held=True, reply={"message": "late"})
+    client = rig.client()
     waiting = [ask(client) for _ in range(3)]
     serving.requests(3)
     assert ask(client).result()["error"] == "3 calls of /do are already pending; call again later"
-    assert place.counts() == (4, 0, 1, 0, 3)
-    assert place.row()["drops"]["queue"] == 1
+    assert rig.counts() == (4, 0, 1, 0, 3)
+    assert rig.row()["drops"]["queue"] == 1
     serving.release()
     assert [call.result()["reply"]["message"] for call in waiting] == ["late"] * 3
     assert ask(client).result()["reply"]
-    assert place.counts() == (5, 4, 1, 0, 0)
+    assert rig.counts() == (5, 4, 1, 0, 0)
 
 
-def test_one_cause_is_logged_once_however_often_it_is_called(
-    place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_the_same_error_of_repeated_calls_is_logged_once(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A cancel request, for example, is repeated until the server responds."""
     caplog.set_level(logging.INFO, "bridge.routing.services.route")
@@ -130,8 +130,8 @@ def test_one_cause_is_logged_once_however_often_it_is_called(
         done(answer[0])
         return lambda: None
 
-    place.network.serve("/do", SET, MadeBy.NATIVE, "/native", call)
-    client = place.client()
+    rig.network.serve("/do", SET, MadeBy.NATIVE, "/native", call)
+    client = rig.client()
     clock = time.monotonic()
     monkeypatch.setattr(counters, "time", SimpleNamespace(monotonic=lambda: clock))
 
@@ -154,104 +154,104 @@ def test_one_cause_is_logged_once_however_often_it_is_called(
     assert logged(5) == 1, "logged again after a pause"
 
 
-def test_a_canceled_call_is_canceled_on_the_side(place: Place) -> None:
-    serving = place.serve(held=True)
-    call = ask(place.client())
+def test_a_canceled_call_is_canceled_on_the_side(rig: Rig) -> None:
+    serving = rig.serve(held=True)
+    call = ask(rig.client())
     serving.requests(1)
     call.abandon()
     until(lambda: serving.abandoned == 1, "the side's server is notified")
     serving.release()
-    assert place.counts() == (1, 0, 0, 1, 0)
+    assert rig.counts() == (1, 0, 0, 1, 0)
     assert not call.result(0)["done"]
 
 
-def test_malformed_requests_and_replies_are_refused(place: Place) -> None:
-    place.serve()
+def test_malformed_requests_and_replies_are_refused(rig: Rig) -> None:
+    rig.serve()
 
     def nonsense(_request: bytes, done: Done) -> Abandon:
         done(b"\0\1\0\0nonsense")
         return lambda: None
 
-    place.network.serve("/odd", SET, MadeBy.NATIVE, "/odd", nonsense)
+    rig.network.serve("/odd", SET, MadeBy.NATIVE, "/odd", nonsense)
     ends: list[bytes | CallError] = []
     ended = threading.Event()
-    place.client().call(b"\0\1\0\0", lambda end: (ends.append(end), ended.set()))
+    rig.client().call(b"\0\1\0\0", lambda end: (ends.append(end), ended.set()))
     assert ended.wait(20)
     assert str(ends[0]).startswith("the request does not match its type")
-    assert ask(place.client("/odd")).result()["error"].startswith("the reply does not match its type")
-    assert [place.row(name)["drops"]["bad"] for name in ("/do", "/odd")] == [1, 1]
-    assert place.counts("/odd") == (1, 0, 1, 0, 0)
+    assert ask(rig.client("/odd")).result()["error"].startswith("the reply does not match its type")
+    assert [rig.row(name)["drops"]["bad"] for name in ("/do", "/odd")] == [1, 1]
+    assert rig.counts("/odd") == (1, 0, 1, 0, 0)
 
 
-def test_a_large_reply_arrives_complete_and_delays_no_small_one(place: Place) -> None:
-    place.serve("/large", reply={"message": "x" * 1_000_000})
-    place.serve(reply={"message": "small"})
-    large, small = place.client("/large"), place.client()
+def test_a_large_reply_arrives_complete_and_delays_no_small_one(rig: Rig) -> None:
+    rig.serve("/large", reply={"message": "x" * 1_000_000})
+    rig.serve(reply={"message": "small"})
+    large, small = rig.client("/large"), rig.client()
     calls = [ask(large) for _ in range(5)]
     assert ask(small).result()["reply"]["message"] == "small"
     assert [len(call.result()["reply"]["message"]) for call in calls] == [1_000_000] * 5
 
 
-def test_call_without_the_lease_is_served_when_the_lease_is_back(place: Place) -> None:
-    serving = place.serve(reply={"message": "done"})
-    client = place.client()
-    lease = place.without_lease()
+def test_call_without_the_lease_is_served_when_the_lease_is_back(rig: Rig) -> None:
+    serving = rig.serve(reply={"message": "done"})
+    client = rig.client()
+    lease = rig.without_lease()
     left, call = ask(client), ask(client)
-    until(lambda: place.row()["pending"] == 2, "both calls are held")
+    until(lambda: rig.row()["pending"] == 2, "both calls are held")
     left.abandon()
-    until(lambda: place.row()["abandoned"] == 1, "the first client has left")
+    until(lambda: rig.row()["abandoned"] == 1, "the first client has left")
     assert serving.requests(1, 0) == []
     lease.extend(time.monotonic() + 60.0)
     assert call.result()["reply"]["message"] == "done"
     assert len(serving.requests(1, 0)) == 1
-    assert place.counts() == (2, 1, 0, 1, 0)
+    assert rig.counts() == (2, 1, 0, 1, 0)
 
 
-def test_call_is_refused_if_the_lease_does_not_return(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_call_is_refused_if_the_lease_does_not_return(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(held, "HOLD_SECONDS", 0.2)
-    serving = place.serve()
-    client = place.client()
-    place.without_lease()
+    serving = rig.serve()
+    client = rig.client()
+    rig.without_lease()
     assert ask(client).result()["error"] == "the bridge to fake was suspended or is on standby; call again later"
     assert serving.requests(1, 0) == []
-    assert place.row()["drops"]["standby"] == 1
+    assert rig.row()["drops"]["standby"] == 1
 
 
-def test_call_survives_a_watch_that_does_not_run(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_call_survives_a_watch_that_does_not_run(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """One thread of a starved worker stands still until its lease expires, while its other threads receive calls."""
-    place.serve(reply={"message": "done"})
-    client = place.client()
-    runs, lease = threading.Event(), place.engine._context.lease
-    sightings = place.engine.edge.sightings
-    monkeypatch.setattr(place.engine.edge, "sightings", lambda: (runs.wait(20), sightings())[1])
+    rig.serve(reply={"message": "done"})
+    client = rig.client()
+    runs, lease = threading.Event(), rig.engine._context.lease
+    sightings = rig.engine.edge.sightings
+    monkeypatch.setattr(rig.engine.edge, "sightings", lambda: (runs.wait(20), sightings())[1])
     until(lambda: lease.over, "the lease has expired")
     call = ask(client)
-    until(lambda: place.row()["pending"] == 1, "the call is held")
+    until(lambda: rig.row()["pending"] == 1, "the call is held")
     runs.set()
     assert call.result()["reply"]["message"] == "done"
 
 
-def test_held_call_ends_when_its_route_closes(place: Place) -> None:
-    place.serve()
-    client = place.client()
-    place.without_lease()
+def test_held_call_ends_when_its_route_closes(rig: Rig) -> None:
+    rig.serve()
+    client = rig.client()
+    rig.without_lease()
     call = ask(client)
-    until(lambda: place.row()["pending"] == 1, "the call is held")
-    place.network.restart(None)
+    until(lambda: rig.row()["pending"] == 1, "the call is held")
+    rig.network.restart(None)
     assert call.result()["error"]
 
 
-def test_the_end_of_the_network_ends_its_calls(place: Place) -> None:
-    serving = place.serve(held=True)
-    call = ask(place.client())
+def test_the_end_of_the_network_ends_its_calls(rig: Rig) -> None:
+    serving = rig.serve(held=True)
+    call = ask(rig.client())
     serving.requests(1)
-    place.network.restart(None)
+    rig.network.restart(None)
     assert call.result()["error"] in (
         "the fake network of the server is unavailable",
         "the server of /do left before it answered",
     )
     serving.release()
-    until(lambda: not place.far.graph.servers("/do"), "the service is gone from the hub")
+    until(lambda: not rig.far.graph.servers("/do"), "the service is gone from the hub")
 
 
 @pytest.mark.parametrize(
@@ -263,48 +263,48 @@ def test_the_end_of_the_network_ends_its_calls(place: Place) -> None:
     ],
 )
 def test_an_error_of_an_actions_service_becomes_a_refusing_reply(
-    place: Place, part: str, type_name: str, refusal: dict[str, int]
+    rig: Rig, part: str, type_name: str, refusal: dict[str, int]
 ) -> None:
     """A client of rmw_zenoh receives no errors."""
-    place.serve(f"/go/_action/{part}", type_name, error="the planner fell over")
+    rig.serve(f"/go/_action/{part}", type_name, error="the planner fell over")
     if part == "cancel_goal":
-        place.serve("/go/_action/send_goal", f"{GO}_SendGoal")
-    client = place.client(f"/go/_action/{part}", type_name)
+        rig.serve("/go/_action/send_goal", f"{GO}_SendGoal")
+    client = rig.client(f"/go/_action/{part}", type_name)
     ended = Calling(REGISTRY, type_name, {}, client.call).result()
     assert ended["reply"], ended
     reply = ended["reply"]
     assert {name: reply[name] for name in refusal} == refusal
-    row = place.row(f"/go/_action/{part}")
+    row = rig.row(f"/go/_action/{part}")
     assert (row["action"], row["errors"], row["error"]) == ("/go", 1, "the planner fell over")
 
 
-def test_explain_lists_the_parts_of_an_action(place: Place) -> None:
-    place.serve("/go/_action/send_goal", f"{GO}_SendGoal")
-    place.serve("/go/_action/cancel_goal", "action_msgs/srv/CancelGoal")
-    place.client("/go/_action/send_goal", f"{GO}_SendGoal")
+def test_explain_lists_the_parts_of_an_action(rig: Rig) -> None:
+    rig.serve("/go/_action/send_goal", f"{GO}_SendGoal")
+    rig.serve("/go/_action/cancel_goal", "action_msgs/srv/CancelGoal")
+    rig.client("/go/_action/send_goal", f"{GO}_SendGoal")
     expected = {
         ("/go/_action/send_goal", "/go", "bridged"),
         ("/go/_action/cancel_goal", "/go", "bridged"),
     }
 
     def explained() -> set[tuple[str, str, str]]:
-        return {(line["topic"], line["action"], line["decision"]) for line in place.engine.explain("/go")}
+        return {(line["topic"], line["action"], line["decision"]) for line in rig.engine.explain("/go")}
 
     until(lambda: explained() == expected, "both services are explained")
 
 
-def test_a_server_of_the_hub_is_called_from_the_side(place: Place) -> None:
+def test_a_server_of_the_hub_is_called_from_the_side(rig: Rig) -> None:
     def serve(request: bytes, done: Done) -> Abandon:
         on = to_json(REGISTRY, f"{SET}_Request", request)["data"]
         done(from_json(REGISTRY, f"{SET}_Response", {"success": on}))
         return lambda: None
 
-    server = place.far.server("/do", SET, REGISTRY.service_ros2(SET).type_id, serve)
-    served: Callable[[], bool] = lambda: any(e.topic == "/do" for e in place.network.endpoints())  # noqa: E731
+    server = rig.far.server("/do", SET, REGISTRY.service_ros2(SET).type_id, serve)
+    served: Callable[[], bool] = lambda: any(e.topic == "/do" for e in rig.network.endpoints())  # noqa: E731
     until(served, "the service is offered on the side")
 
     def ask_side(request: bytes, done: Done) -> Abandon:
-        return place.network.call("/do", request, done)
+        return rig.network.call("/do", request, done)
 
     assert Calling(REGISTRY, SET, {"data": True}, ask_side).result()["reply"]["success"] is True
     server.close()
@@ -312,48 +312,48 @@ def test_a_server_of_the_hub_is_called_from_the_side(place: Place) -> None:
     assert Calling(REGISTRY, SET, {}, ask_side).result()["error"] == "/do has no server"
 
 
-def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: Place) -> None:
+def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(rig: Rig) -> None:
     """The pending call ends with an error; the next one is served through the other worker."""
-    serving = place.serve(held=True, reply={"success": True})
-    client = place.client()
+    serving = rig.serve(held=True, reply={"success": True})
+    client = rig.client()
     call = ask(client)
     serving.requests(1)
-    second = place.another("second")
+    second = rig.another("second")
     until(lambda: second.summary().standing_by, "the second worker is on standby")
     until(lambda: [line["decision"] for line in second.explain("/do")] == ["standby"], "it is explained")
-    assert len(place.far.graph.servers("/do")) == 1
-    place.engine.stop()
+    assert len(rig.far.graph.servers("/do")) == 1
+    rig.engine.stop()
     assert call.result()["error"]
     serving.release()
     until(lambda: second.summary().state == "running", "the second worker is active")
-    again = place.client()
+    again = rig.client()
     until(lambda: (ask(again).result()["reply"] or {}).get("success"), "the next call is served")
-    until(lambda: len(place.far.graph.servers("/do")) == 1, "exactly one worker serves the service")
+    until(lambda: len(rig.far.graph.servers("/do")) == 1, "exactly one worker serves the service")
 
 
-def test_only_planner_goals_are_canceled_when_their_client_dies(place: Place) -> None:
+def test_only_planner_goals_are_canceled_when_their_client_dies(rig: Rig) -> None:
     """The gateway's session ends: no other program knows its goal, so no other program could stop the robot."""
-    hub = Hub.open(place.hubs.settings("gateway"))
-    cancels = {action: _goal(place, hub, action) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
+    hub = Hub.open(rig.hubs.settings("gateway"))
+    cancels = {action: _goal(rig, hub, action) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
     hub.close()
     (request,) = cancels["/planner/nav2/navigate_to_pose"].requests(1)
     assert b64decode(request["goal_info"]["goal_id"]["uuid"]) == bytes(range(16))
     assert request["goal_info"]["stamp"] == {"sec": 0, "nanosec": 0}
     until(
-        lambda: place.row("/arm/move/_action/get_result")["abandoned"] == 1,
+        lambda: rig.row("/arm/move/_action/get_result")["abandoned"] == 1,
         "the other result request is canceled",
     )
     assert cancels["/arm/move"].requests(1, 0) == []
 
 
-def _goal(place: Place, hub: Hub, action: str) -> Serving:
+def _goal(rig: Rig, hub: Hub, action: str) -> Serving:
     """Request a goal's result on the hub; return the side's cancel server."""
     result = f"{action}/_action/get_result"
-    place.serve(result, f"{GO}_GetResult", held=True)
-    cancels = place.serve(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
+    rig.serve(result, f"{GO}_GetResult", held=True)
+    cancels = rig.serve(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
     client = hub.client(result, f"{GO}_GetResult", REGISTRY.service_ros2(f"{GO}_GetResult").type_id)
     until(lambda: client.ready, "the service is on the hub")
-    place.client(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
+    rig.client(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
     Calling(REGISTRY, f"{GO}_GetResult", {"goal_id": {"uuid": list(range(16))}}, client.call)
-    until(lambda: place.row(result)["pending"] == 1, "the result request is pending")
+    until(lambda: rig.row(result)["pending"] == 1, "the result request is pending")
     return cancels

@@ -24,7 +24,7 @@ def served(_request: bytes, _done: Done) -> Any:
     return nothing
 
 
-def test_a_server_that_cannot_cross_does_not_keep_another_from_the_side() -> None:
+def test_a_server_that_cannot_be_bridged_leaves_its_name_to_another() -> None:
     """The first server has an unknown version of the type."""
     call: Call = served
     registry, network = Registry(), FakeNetwork()
