@@ -93,7 +93,7 @@ class Mesh:
         self._unlinked: set[str] = set()  # according to the last comparison
         self._unreachable: frozenset[str] = frozenset()
         self._compare_at = time.monotonic() + _COMPARE_SECONDS
-        self._adrift = float("-inf")
+        self._router_lost_at = float("-inf")
         self._closed = Event()
         self.mended = 0
         # not a callback, which would block zenoh's thread that opens and closes links on the GIL
@@ -118,13 +118,13 @@ class Mesh:
     def _run(self) -> None:
         while not self._closed.wait(_POLL_SECONDS):  # zenoh's own wait for events polls ten times a second
             try:
-                self._take_all()
+                self._handle_events()
                 self._compare()
             except zenoh.ZError:  # the session is closed
                 return
             self._search()
 
-    def _take_all(self) -> None:
+    def _handle_events(self) -> None:
         while (event := self._events.try_recv()) is not None:
             self._on_event(event)
 
@@ -133,9 +133,9 @@ class Mesh:
         pause = _SOON_SECONDS
         while self._lost and not self._closed.wait(pause):
             try:
-                self._take_all()
+                self._handle_events()
                 self._compare()
-                self._mend()
+                self._restore_links()
             except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
                 _log.debug("cannot restore lost links: %s", zenoh_reason(err))
             self._give_up(time.monotonic() - _REMEMBERED_SECONDS)
@@ -143,9 +143,9 @@ class Mesh:
 
     def _give_up(self, oldest: float) -> None:
         """Stop searching for sessions that were lost before the time ``oldest``."""
-        over = {zid for zid, at in self._lost.items() if at <= oldest}
-        self._lost = {zid: at for zid, at in self._lost.items() if zid not in over}
-        self._unreachable |= over
+        expired = {zid for zid, at in self._lost.items() if at <= oldest}
+        self._lost = {zid: at for zid, at in self._lost.items() if zid not in expired}
+        self._unreachable |= expired
 
     @functools.cached_property
     def _is_client(self) -> bool:
@@ -162,7 +162,7 @@ class Mesh:
             self._unlinked, self._unreachable = set(), frozenset()
             return
         self._unreachable &= peers  # a session that has left may return
-        linked = self._here() | self._unreachable | {str(self._session.zid())}
+        linked = self._linked_peers() | self._unreachable | {str(self._session.zid())}
         unlinked = {zid for zid in peers - linked if not zid.startswith(_MARK)}
         for zid in unlinked & self._unlinked:
             self._lost.setdefault(zid, now - _FIRST_SECONDS)
@@ -174,26 +174,28 @@ class Mesh:
             return
         zid, now = str(event.transport.zid), time.monotonic()
         if event.transport.whatami == zenoh.WhatAmI.ROUTER:
-            self._adrift = now
+            self._router_lost_at = now
         elif event.transport.whatami == zenoh.WhatAmI.PEER and not zid.startswith(_MARK):
             self._lost[zid] = now
 
-    def _mend(self) -> None:
+    def _restore_links(self) -> None:
         """Introduce the missing sessions; do nothing while no router reports its sessions."""
         if not self._session.info.routers_zid():  # when the router returns, all peers are announced
             return
         members = self._members()
         if members is None:
             return
-        for zid in self._here() & self._lost.keys():
+        for zid in self._linked_peers() & self._lost.keys():
             del self._lost[zid]
         before = time.monotonic() - _FIRST_SECONDS
-        due = {zid for zid, at in self._lost.items() if at < before or abs(at - self._adrift) < _TOGETHER_SECONDS}
+        due = {
+            zid for zid, at in self._lost.items() if at < before or abs(at - self._router_lost_at) < _TOGETHER_SECONDS
+        }
         missing = due & members
         if missing:
             self._introduce(missing)
 
-    def _here(self) -> set[str]:
+    def _linked_peers(self) -> set[str]:
         return {str(zid) for zid in self._session.info.peers_zid()}
 
     def _introduce(self, missing: Collection[str]) -> None:
@@ -204,7 +206,7 @@ class Mesh:
         try:
             deadline = time.monotonic() + _INTRODUCTION_SECONDS
             while time.monotonic() < deadline and not self._closed.wait(0.02):
-                if self._here().issuperset(missing):
+                if self._linked_peers().issuperset(missing):
                     self.mended += len(missing)
                     _log.warning("restored the direct link to %s", ", ".join(missing))
                     break

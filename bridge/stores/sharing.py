@@ -126,7 +126,7 @@ class StoreSync:
     def _merge(self, item: KeyItem, text: str) -> None:
         try:
             key = key_of(text)
-            if not item.attached and not item.ns:
+            if not item.attachment and not item.ns:
                 item = replace(item, ns=time.time_ns(), writer=self._replica.id)
             if self._replica.stamp(key) != version_of(item).stamp:
                 self._replica.merge(entry_of(item, key))

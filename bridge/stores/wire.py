@@ -37,8 +37,8 @@ def item_of(entry: StoreEntry, under: str = "") -> KeyItem:
     version = entry.version
     ns, replica = version.stamp.ns, version.stamp.replica
     about = {"ns": ns, "replica": replica, "origin": version.origin, "seen": dict(version.seen), "wire": WIRE}
-    attached = json.dumps(about, separators=(",", ":")).encode()
-    return KeyItem(f"{under}{entry.kind}/{entry.name}", entry.body, entry.encoding, ns, replica, attached)
+    attachment = json.dumps(about, separators=(",", ":")).encode()
+    return KeyItem(f"{under}{entry.kind}/{entry.name}", entry.body, entry.encoding, ns, replica, attachment)
 
 
 def key_of(text: str) -> Key:
@@ -62,9 +62,9 @@ def entry_of(item: KeyItem, key: Key) -> StoreEntry:
 
 def version_of(item: KeyItem) -> Version:
     """Return the version of an item; raises `StoreError`."""
-    if item.attached:
-        attached = item.attached if len(item.attached) <= _MOST_ATTACHED else b""
-        about = json_object(attached, "its attachment is not Midspan's")
+    if item.attachment:
+        attachment = item.attachment if len(item.attachment) <= _MOST_ATTACHED else b""
+        about = json_object(attachment, "its attachment is not Midspan's")
         check_wire(about)
         seen = about.get("seen")
         if not isinstance(seen, dict) or len(seen) > MOST_SEEN:

@@ -349,7 +349,7 @@ def test_invalid_queries_and_samples_are_refused(hub: QuickHub, tmp_path: Path) 
                 suffix = "/**" if verb == "fetch" else ""
                 replies = list(session.get(f"midspan/store/0/@sync/{verb}/{zid}{suffix}", payload=body))
                 assert [reply.err is not None for reply in replies] == [True], body
-        for attached in (
+        for attachment in (
             b"{",
             b"a" * 10_000,
             b"{}",
@@ -361,7 +361,7 @@ def test_invalid_queries_and_samples_are_refused(hub: QuickHub, tmp_path: Path) 
                 {"ns": 1, "replica": "aa", "origin": "x", "seen": {f"{n:04x}": n for n in range(1, 99)}}
             ).encode(),
         ):
-            session.put("midspan/store/0/location/bad", b"{}", attachment=attached)
+            session.put("midspan/store/0/location/bad", b"{}", attachment=attachment)
         session.put("midspan/store/0/location/good", b"{}")
         until(lambda: names(first_store), "the valid value is merged", SECONDS)
         assert names(first_store) == ["good"]
@@ -406,8 +406,8 @@ def test_a_replica_of_another_major_version_is_not_merged(
         assert json.loads(queries[0])["wire"] == WIRE
         version = {"ns": 7, "replica": "aa", "origin": "far", "seen": {}}
         for name, wire in (("strange", "2.0"), ("later", "1.7")):
-            attached = json.dumps({**version, "wire": wire, "more": 1}).encode()
-            session.put(f"midspan/store/0/location/{name}", b"{}", attachment=attached)
+            attachment = json.dumps({**version, "wire": wire, "more": 1}).encode()
+            session.put(f"midspan/store/0/location/{name}", b"{}", attachment=attachment)
         until(lambda: names(first_store), "the value of a later minor version is merged", SECONDS)
         assert names(first_store) == ["later"]
         assert "location/strange is not merged: it uses version 2.0" in caplog.text

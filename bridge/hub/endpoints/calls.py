@@ -82,12 +82,12 @@ _FOR_EVER = 1e9
 class _PendingCall:
     """A call that waits for its reply."""
 
-    __slots__ = ("attached", "done", "number", "request", "sent", "token")
+    __slots__ = ("attachment", "done", "number", "request", "sent", "token")
 
-    def __init__(self, number: int, request: bytes, attached: bytes | None, done: Done) -> None:
+    def __init__(self, number: int, request: bytes, attachment: bytes | None, done: Done) -> None:
         self.number = number
         self.request = request
-        self.attached = attached
+        self.attachment = attachment
         self.done = done
         self.token = zenoh.CancellationToken()
         self.sent = 0.0
@@ -147,7 +147,7 @@ class CallClient:
     def _attached(self, number: int) -> bytes | None:  # noqa: ARG002
         return None
 
-    def _abandoned(self, attached: bytes | None) -> None:
+    def _abandoned(self, attachment: bytes | None) -> None:
         """Handle the cancellation of the call whose request has this attachment."""
 
     @property
@@ -197,7 +197,7 @@ class CallClient:
                 handler,
                 payload=pending.request,
                 encoding=self.encoding,
-                attachment=pending.attached,
+                attachment=pending.attachment,
                 cancellation_token=pending.token,
             )
         except (zenoh.ZError, RuntimeError) as err:  # the client is being closed
@@ -278,7 +278,7 @@ class CallClient:
         if waited:
             # both may block: the former on a running callback, the latter on a congested link
             self._executor.submit(pending.token.cancel)
-            self._abandoned(pending.attached)
+            self._abandoned(pending.attachment)
 
 
 def _undeclare_querier(querier: zenoh.Querier) -> None:

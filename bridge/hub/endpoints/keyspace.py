@@ -38,7 +38,7 @@ class KeyItem:
     encoding: str = ""
     ns: int = 0
     writer: str = ""
-    attached: bytes = b""
+    attachment: bytes = b""
 
 
 class KeyQuery:
@@ -60,13 +60,15 @@ class KeyQuery:
     def reply(self, item: KeyItem) -> None:
         """Send a value or a deletion; a query may get several replies."""
         stamp = _timestamp(item)
-        key, attached = f"{self._prefix}/{item.key}", item.attached or None
+        key, attachment = f"{self._prefix}/{item.key}", item.attachment or None
         prepare_to_send(len(item.body or b""))
         with self._nobody_waits():
             if item.body is None:
-                self._query.reply_del(key, timestamp=stamp, attachment=attached)
+                self._query.reply_del(key, timestamp=stamp, attachment=attachment)
             else:
-                self._query.reply(key, item.body, encoding=item.encoding or None, timestamp=stamp, attachment=attached)
+                self._query.reply(
+                    key, item.body, encoding=item.encoding or None, timestamp=stamp, attachment=attachment
+                )
 
     def fail(self, why: str) -> None:
         """Reply with an error."""
@@ -106,10 +108,10 @@ class KeySpace:
 
     def send(self, item: KeyItem) -> None:
         """Publish a written value or a deletion; blocks while a link is full. Raises `HubError` if zenoh fails."""
-        key, stamp, attached = f"{self._prefix}/{item.key}", _timestamp(item), item.attached or None
+        key, stamp, attachment = f"{self._prefix}/{item.key}", _timestamp(item), item.attachment or None
         options: Any = {
             "timestamp": stamp,
-            "attachment": attached,
+            "attachment": attachment,
             "congestion_control": zenoh.CongestionControl.BLOCK,
             "priority": BEHIND,
             "allowed_destination": zenoh.Locality.REMOTE,
@@ -246,8 +248,8 @@ class KeySpace:
             ns = sample.timestamp.get_time_as_ntp64().as_nanos()
             writer = bytes(sample.timestamp.get_id()).hex()
         body = sample.payload.to_bytes() if sample.kind == zenoh.SampleKind.PUT else None
-        attached = b"" if sample.attachment is None else sample.attachment.to_bytes()
-        return KeyItem(key, body, str(sample.encoding), ns, writer, attached)
+        attachment = b"" if sample.attachment is None else sample.attachment.to_bytes()
+        return KeyItem(key, body, str(sample.encoding), ns, writer, attachment)
 
     def _below(self, key: str) -> str:
         return key.removeprefix(f"{self._prefix}/")

@@ -203,12 +203,12 @@ class LaneSubscription(HubSubscription):
         if len(message.payload) > BOUND:
             self.on_large_message()
 
-    def on_message(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
+    def on_message(self, inlet: Inlet, attachment: tuple[int, int, bytes], payload: bytes) -> None:
         """Handle a message from a lane."""
         reader = self._reader
         if reader.closed:
             return
-        sequence, time_ns, gid = attached
+        sequence, time_ns, gid = attachment
         if len(payload) > reader.limit:
             reader.refuse("large", f"message of {len(payload)} bytes, the limit is {reader.limit}")
             return

@@ -93,7 +93,7 @@ class _Sink(Protocol):
     keeps: ClassVar[bool]
     """Whether it caches samples for late joiners."""
 
-    def send(self, payload: bytes, attached: bytes) -> None: ...
+    def send(self, payload: bytes, attachment: bytes) -> None: ...
     def matched(self) -> bool: ...
     def close(self) -> None: ...
 
@@ -118,14 +118,14 @@ class _Matching:
     def __init__(self, publisher: zenoh.Publisher, graph: HubGraph) -> None:
         self._publisher, self._graph = publisher, graph
         self._listener: Any = None
-        self._told: dict[str, bool] = {}
+        self._reported: dict[str, bool] = {}
         self._absent: object = None
         """The graph's epoch in which a query found no subscriber."""
 
     def reaches(self) -> bool:
         """Return whether a put might reach a subscriber; not safe for two threads at once."""
         epoch = self._graph.epoch
-        if self._absent is epoch and not self._told[""]:
+        if self._absent is epoch and not self._reported[""]:
             return False
         if self.now():
             return True
@@ -139,8 +139,8 @@ class _Matching:
                 zenoh.handlers.Callback(self._changed, indirect=False)
             )
             # atomic in CPython, so that this older state does not replace a change reported meanwhile
-            self._told.setdefault("", _matching(self._publisher))
-        if self._told[""]:
+            self._reported.setdefault("", _matching(self._publisher))
+        if self._reported[""]:
             return True
         if _matching(self._publisher):
             self._absent = None
@@ -150,7 +150,7 @@ class _Matching:
     def _changed(self, status: Any) -> None:
         """Store a reported change; runs on a zenoh thread."""
         keep_thread_state()
-        self._told[""] = bool(status.matching)
+        self._reported[""] = bool(status.matching)
 
     def close(self) -> None:
         if self._listener is not None:
@@ -197,7 +197,7 @@ class _PlainSink:
         # the large publisher continues the count under the same id, so that subscribers see one source without gaps
         self._infos = source_infos(self._publisher)
 
-    def send(self, payload: bytes, attached: bytes) -> None:
+    def send(self, payload: bytes, attachment: bytes) -> None:
         if self._blocks:
             flush_joined()
         if not self._matching.reaches():
@@ -212,7 +212,7 @@ class _PlainSink:
             self._large = self._declare(congestion_control=zenoh.CongestionControl.DROP, priority=BEHIND)
             self._put = self._large.put
         prepare_to_send(len(payload))
-        self._put(payload, attachment=attached, source_info=next(self._infos))
+        self._put(payload, attachment=attachment, source_info=next(self._infos))
 
     def matched(self) -> bool:
         return self._matching.now()
@@ -251,22 +251,22 @@ class _LatchedSink:
         # the wheel's AdvancedPublisher does not show whether it is matched
         self._shadow = context.session.declare_publisher(key, allowed_destination=context.reach)
 
-    def send(self, payload: bytes, attached: bytes) -> None:
-        self._send(zenoh.ZBytes(payload), attached)
+    def send(self, payload: bytes, attachment: bytes) -> None:
+        self._send(zenoh.ZBytes(payload), attachment)
 
-    def _send(self, payload: zenoh.ZBytes, attached: bytes) -> None:
-        self.stored.append((payload, attached))
+    def _send(self, payload: zenoh.ZBytes, attachment: bytes) -> None:
+        self.stored.append((payload, attachment))
         if self._convert is not None:
             converted = self._convert(payload.to_bytes())
             if converted is None:
                 return
             payload = zenoh.ZBytes(converted)
-        self._publisher.put(payload, attached)
+        self._publisher.put(payload, attachment)
 
     def restore(self, samples: Iterable[tuple[zenoh.ZBytes, bytes]]) -> None:
         """Publish and cache the samples of another sink."""
-        for payload, attached in samples:
-            self._send(payload, attached)
+        for payload, attachment in samples:
+            self._send(payload, attachment)
 
     def matched(self) -> bool:
         return _matching(self._shadow)
@@ -369,14 +369,14 @@ class HubPublisher:
             if not self._sinks:
                 raise HubClosedError(f"publisher of {self.topic} is closed")
             self._sequence += 1
-            attached = _pack(self._sequence, source_time_ns, GID_SIZE, self.gid)
+            attachment = _pack(self._sequence, source_time_ns, GID_SIZE, self.gid)
             if self._outlets:
                 self.by_lane += 1
                 for outlet in self._outlets:
-                    outlet.send(attached, payload)
+                    outlet.send(attachment, payload)
             try:
                 for sink in self._sinks:
-                    sink.send(payload, attached)
+                    sink.send(payload, attachment)
             except zenoh.ZError as err:
                 raise HubClosedError(f"cannot publish on {self.topic}: {zenoh_reason(err)}") from None
 
@@ -455,7 +455,7 @@ class HubPublisher:
             # restore most samples without the lock: a congested link must not delay the messages on the other keys
             with self._lock:
                 samples = tuple(stored)
-            restored.update(attached for _, attached in samples)
+            restored.update(attachment for _, attachment in samples)
             sink.restore(samples)
         with self._lock:
             closed = not self._sinks

@@ -104,15 +104,15 @@ class HubServer(CallServer):
     @override
     def _is_call(self, query: zenoh.Query) -> bool:
         """Return whether to accept a call: the node's own calls are ignored."""
-        attached = query.attachment
-        return attached is None or attached.to_bytes()[-GID_SIZE:] not in self._own
+        attachment = query.attachment
+        return attachment is None or attachment.to_bytes()[-GID_SIZE:] not in self._own
 
     @override
     def _pending(self, query: zenoh.Query) -> _HubRequest:
-        request, attached = _HubRequest(query, self._answer), query.attachment
-        if attached is not None:  # optional for a plain zenoh program
+        request, attachment = _HubRequest(query, self._answer), query.attachment
+        if attachment is not None:  # optional for a plain zenoh program
             try:
-                request.number, _time, request.caller = unpack_attachment(attached.to_bytes())
+                request.number, _time, request.caller = unpack_attachment(attachment.to_bytes())
             except HubWireError as err:
                 raise CallError(str(err)) from None
             request.seen = bool(self._graph.zid_of(request.caller))
@@ -218,10 +218,10 @@ class _VariantClient(CallClient):
         return pack_attachment(number, time.time_ns(), self._client.gid)
 
     @override
-    def _abandoned(self, attached: bytes | None) -> None:
+    def _abandoned(self, attachment: bytes | None) -> None:
         # a server of either hash may have the call, and it listens for abandoned calls only under its own hash
         for key in (self._key, self._client._key):
-            self._client._announce_abandoned(key, attached)
+            self._client._announce_abandoned(key, attachment)
 
 
 class HubClient(CallClient):
@@ -311,17 +311,17 @@ class HubClient(CallClient):
         return pack_attachment(number, time.time_ns(), self.gid)
 
     @override
-    def _abandoned(self, attached: bytes | None) -> None:
-        self._announce_abandoned(self._key, attached)
+    def _abandoned(self, attachment: bytes | None) -> None:
+        self._announce_abandoned(self._key, attachment)
 
-    def _announce_abandoned(self, key: str, attached: bytes | None) -> None:
-        assert attached is not None
-        self._executor.submit(partial(self._put_abandoned, key, attached))
+    def _announce_abandoned(self, key: str, attachment: bytes | None) -> None:
+        assert attachment is not None
+        self._executor.submit(partial(self._put_abandoned, key, attachment))
 
-    def _put_abandoned(self, key: str, attached: bytes) -> None:
+    def _put_abandoned(self, key: str, attachment: bytes) -> None:
         self._session.put(
             abandon_key(key),
-            attached,
+            attachment,
             priority=PRIORITY,
             congestion_control=zenoh.CongestionControl.BLOCK,
             allowed_destination=self._reach,

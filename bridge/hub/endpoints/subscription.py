@@ -224,11 +224,11 @@ class SampleReader:
         keep_thread_state()
         if self.closed or (self.originals and sample.encoding == CONVERTED):
             return None
-        payload, attached = sample.payload, sample.attachment
+        payload, attachment = sample.payload, sample.attachment
         size = len(payload)
         if not size and sample.kind != zenoh.SampleKind.PUT:
             return None
-        if attached is None:
+        if attachment is None:
             self.refuse("bad", "a sample without rmw_zenoh's attachment")
             return None
         if size > self.limit:
@@ -236,7 +236,7 @@ class SampleReader:
             return None
         LARGE_MESSAGES.passed(size)
         try:
-            sequence, time_ns, gid = unpack_attachment(attached.to_bytes())
+            sequence, time_ns, gid = unpack_attachment(attachment.to_bytes())
         except HubWireError as err:
             self.refuse("bad", str(err))
             return None

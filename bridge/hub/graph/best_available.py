@@ -39,14 +39,14 @@ class BestAvailable:
         self._announced: dict[str, Qos] = {}
         self._changed: set[str] = set()
 
-    def added(self, key: str, topic: str, qos: Qos) -> None:
+    def add(self, key: str, topic: str, qos: Qos) -> None:
         """Add an endpoint, identified by its token, with the QoS that it announced."""
         if qos.best_available:
             self._announced[key] = qos
         if self._announced:
             self._changed.add(topic)
 
-    def removed(self, key: str, topic: str, *, last: bool) -> None:
+    def remove(self, key: str, topic: str, *, last: bool) -> None:
         """Remove an endpoint; ``last``: whether it was the topic's only endpoint."""
         if last:
             self._changed.discard(topic)
@@ -54,7 +54,7 @@ class BestAvailable:
             self._changed.add(topic)
         self._announced.pop(key, None)
 
-    def resolved(self, topics: Mapping[str, Mapping[str, GraphEndpoint]]) -> Iterator[tuple[str, str, Qos]]:
+    def pop_resolved(self, topics: Mapping[str, Mapping[str, GraphEndpoint]]) -> Iterator[tuple[str, str, Qos]]:
         """Yield topic, token and new QoS of each endpoint that changed, given all endpoints by topic and token."""
         changed, self._changed = self._changed, set()
         for name in changed:

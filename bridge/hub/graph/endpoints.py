@@ -128,7 +128,7 @@ class EndpointTable:
         The value is whether an endpoint with this hash is latched.
         """
         self._resolve()
-        return self._hashes.foreign(wanted, self._topics.get(wanted[1], {}))
+        return self._hashes.foreign_hashes(wanted, self._topics.get(wanted[1], {}))
 
     def add(self, key: str, token: NodeToken | EndpointToken) -> bool:
         """Add a node or an endpoint; return False if it is known already. Raises `HubWireError` above the limit."""
@@ -152,9 +152,9 @@ class EndpointTable:
         endpoint = HubEndpoint(*place, *name, token.qos, gid, None, False, is_own, buffers, hashless)
         self._buffered += buffers and token.kind is EndpointKind.PUBLISHER and not is_own
         self._warn_of_unknown(key, endpoint)
-        self._best_available.added(key, token.topic, token.qos)
+        self._best_available.add(key, token.topic, token.qos)
         self._place(key, endpoint)
-        self._hashes.added(key, endpoint)
+        self._hashes.add(key, endpoint)
         return True
 
     def remove(self, key: str) -> bool:
@@ -170,8 +170,8 @@ class EndpointTable:
             del topic[key]
             if not topic:
                 del self._topics[endpoint.topic]
-            self._best_available.removed(key, endpoint.topic, last=not topic)
-            self._hashes.removed(key, endpoint, last=not topic)
+            self._best_available.remove(key, endpoint.topic, last=not topic)
+            self._hashes.remove(key, endpoint, last=not topic)
         keys = self._sessions[known.zid]
         del keys[key]
         if not keys:
@@ -192,9 +192,9 @@ class EndpointTable:
         self._topics.setdefault(endpoint.topic, {})[key] = endpoint
 
     def _resolve(self) -> None:
-        for name, key, qos in self._best_available.resolved(self._topics):
+        for name, key, qos in self._best_available.pop_resolved(self._topics):
             self._endpoints[key] = self._topics[name][key] = replace(self._endpoints[key], qos=qos)
-        for name, key, type_hash in self._hashes.resolved(self._topics):
+        for name, key, type_hash in self._hashes.pop_resolved(self._topics):
             self._endpoints[key] = self._topics[name][key] = replace(self._endpoints[key], type_hash=type_hash)
 
     def _warn_of_unknown(self, key: str, endpoint: HubEndpoint) -> None:

@@ -60,7 +60,7 @@ class TypeHashes:
         self._keys: set[str] = set()
         self._changed: set[str] = set()
 
-    def added(self, key: str, endpoint: HashedEndpoint) -> None:
+    def add(self, key: str, endpoint: HashedEndpoint) -> None:
         """Add an endpoint, identified by its token."""
         type_hash = endpoint.type_hash
         if type_hash == NO_HASH:
@@ -72,9 +72,9 @@ class TypeHashes:
         if self._keys:
             self._changed.add(endpoint.topic)
 
-    def removed(self, key: str, endpoint: HashedEndpoint, *, last: bool) -> None:
+    def remove(self, key: str, endpoint: HashedEndpoint, *, last: bool) -> None:
         """Remove an endpoint; ``last``: whether it was the topic's only endpoint."""
-        type_hash = self.announced(key, endpoint)
+        type_hash = self.announced_hash(key, endpoint)
         self._keys.discard(key)
         name = endpoint.topic, endpoint.type_name
         if type_hash != UNKNOWN_HASH:
@@ -90,7 +90,7 @@ class TypeHashes:
         elif self._keys:
             self._changed.add(endpoint.topic)
 
-    def resolved(self, topics: Mapping[str, Mapping[str, HashedEndpoint]]) -> Iterator[tuple[str, str, str]]:
+    def pop_resolved(self, topics: Mapping[str, Mapping[str, HashedEndpoint]]) -> Iterator[tuple[str, str, str]]:
         """Yield topic, token and new hash of each endpoint that changed, given all endpoints by topic and token."""
         changed, self._changed = self._changed, set()
         for name in changed:
@@ -106,15 +106,15 @@ class TypeHashes:
         others = (end for key, end in topic.items() if key not in self._keys and (end.kind, end.type_name) == like)
         return min((end.type_hash for end in others if end.type_hash != UNKNOWN_HASH), default=NO_HASH)
 
-    def announced(self, key: str, endpoint: HashedEndpoint) -> str:
+    def announced_hash(self, key: str, endpoint: HashedEndpoint) -> str:
         """Return the hash that an endpoint's token announces, or `NO_HASH`."""
         return NO_HASH if key in self._keys else endpoint.type_hash
 
-    def foreign(self, wanted: KindOfEndpoint, topic: Mapping[str, HashedEndpoint]) -> dict[str, bool]:
+    def foreign_hashes(self, wanted: KindOfEndpoint, topic: Mapping[str, HashedEndpoint]) -> dict[str, bool]:
         """Return the hashes that other sessions announce for a kind of endpoint, each with whether any is latched."""
         hashes: dict[str, bool] = {}
         for key, end in topic.items():
-            type_hash = self.announced(key, end)
+            type_hash = self.announced_hash(key, end)
             if not end.own and (end.kind, end.topic, end.type_name) == wanted and type_hash != UNKNOWN_HASH:
                 hashes[type_hash] = hashes.get(type_hash, False) or end.qos.latched
         return hashes

@@ -23,13 +23,13 @@ class LaneConnections:
         path: the folder of the sockets.
         retry: called after a failure that may not last.
         gone: called with the session (zid) whose connection has ended.
-        parted: called with each connection that has ended.
+        disconnected: called with each connection that has ended.
     """
 
     def __init__(
-        self, path: Path, retry: Callable[[], None], gone: Callable[[str], None], parted: Callable[[Inlet], None]
+        self, path: Path, retry: Callable[[], None], gone: Callable[[str], None], disconnected: Callable[[Inlet], None]
     ) -> None:
-        self._folder, self._retry, self._gone, self._parted = path, retry, gone, parted
+        self._folder, self._retry, self._gone, self._disconnected = path, retry, gone, disconnected
         self._lock = Lock()
         self._inlets: dict[str, Inlet] = {}
         self._refused: dict[str, tuple[float, str]] = {}
@@ -84,7 +84,7 @@ class LaneConnections:
             self._gone(inlet.zid)
         if ended:
             self._refuse(inlet.zid, "the lane ended")
-        self._parted(inlet)
+        self._disconnected(inlet)
 
     def _refuse(self, zid: str, why: str, *, again: bool = True) -> None:
         with self._lock:

@@ -36,8 +36,8 @@ class LaneReader(Protocol):
 
     key: str
 
-    def on_message(self, inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
-        """Handle a message; ``attached`` is its number, source time and publisher (GID), ``payload`` is CDR."""
+    def on_message(self, inlet: Inlet, attachment: tuple[int, int, bytes], payload: bytes) -> None:
+        """Handle a message; ``attachment`` is its number, source time and publisher (GID), ``payload`` is CDR."""
 
     def on_mark(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
         """Handle a mark: the publisher sends all messages after this number on this lane."""
@@ -166,9 +166,9 @@ class Inlet:
             except Exception:  # the other subscriptions must still receive the message
                 _log.exception("a message from the lane was not handled")
 
-    def _other(self, kind: int, key: _Key, attached: bytes, record: bytes) -> None:
+    def _other(self, kind: int, key: _Key, attachment: bytes, record: bytes) -> None:
         if kind == MARK:
-            sequence, _, gid = unpack_attachment(attached)
+            sequence, _, gid = unpack_attachment(attachment)
             for reader in key.readers:
                 reader.on_mark(self, gid, sequence)
         elif kind == FENCE:
@@ -178,10 +178,10 @@ class Inlet:
             if fenced is not None:
                 fenced.on_fence(self)
         elif kind == PART:
-            self._part(key, attached, record)
+            self._part(key, attachment, record)
 
-    def _part(self, key: _Key, attached: bytes, record: bytes) -> None:
-        message = unpack_attachment(attached)
+    def _part(self, key: _Key, attachment: bytes, record: bytes) -> None:
+        message = unpack_attachment(attachment)
         sequence, gid = message[0], message[2]
         whole, at = PIECE.unpack_from(record, BODY)
         piece = record[BODY + PIECE.size :]

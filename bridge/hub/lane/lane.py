@@ -68,7 +68,7 @@ class Lane:
             _log.warning("this worker has no lane, its messages use zenoh: %s", self.why)
         self.calls = DelayedCalls("hub-lane-calls")
         self.barriers = LaneBarriers(zid, session, domain, renew)
-        self.connections = LaneConnections(path, self._check_later, self.barriers.forget, self._parted)
+        self.connections = LaneConnections(path, self._check_later, self.barriers.forget, self._on_disconnected)
         self._thread = Thread(target=self._run, name="hub-lane", daemon=True)
         self._thread.start()
 
@@ -119,7 +119,7 @@ class Lane:
             _log.exception("the choice between lane and zenoh failed")
         return False
 
-    def _parted(self, inlet: Inlet) -> None:
+    def _on_disconnected(self, inlet: Inlet) -> None:
         with self._lock:
             choosing = tuple(self._choosing)
         for chooser in choosing:

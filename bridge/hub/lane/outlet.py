@@ -24,10 +24,10 @@ MAX_WAITING = 32 << 20
 class LaneMessage:
     """A queued message, or the record of a fence; ``at`` is the number of bytes that were already sent in parts."""
 
-    __slots__ = ("at", "attached", "fence", "payload")
+    __slots__ = ("at", "attachment", "fence", "payload")
 
-    def __init__(self, attached: bytes, payload: bytes, fence: bytes = b"") -> None:
-        self.attached, self.payload, self.fence = attached, payload, fence
+    def __init__(self, attachment: bytes, payload: bytes, fence: bytes = b"") -> None:
+        self.attachment, self.payload, self.fence = attachment, payload, fence
         self.at = 0
 
 
@@ -51,9 +51,9 @@ class Outlet:
         self.head = HEAD.pack(DATA, number)
         self.send: Callable[[bytes, bytes], None] = partial(link.send, self)
 
-    def record(self, attached: bytes, payload: bytes) -> bytes:
+    def record(self, attachment: bytes, payload: bytes) -> bytes:
         """Return the record of a message."""
-        return b"".join((self.head, _size(len(payload)), attached, payload))
+        return b"".join((self.head, _size(len(payload)), attachment, payload))
 
     def mark(self, gid: bytes, sequence: int) -> None:
         """Send a mark, which announces that the publisher's messages after this number are sent on this lane."""
@@ -85,7 +85,7 @@ class ReaderLink:
         self._bytes = 0
         self._closed = False
 
-    def send(self, outlet: Outlet, attached: bytes, payload: bytes) -> None:
+    def send(self, outlet: Outlet, attachment: bytes, payload: bytes) -> None:
         """Send a message; see `Outlet.send`."""
         size = len(payload)
         with self._lock:
@@ -93,16 +93,16 @@ class ReaderLink:
                 return
             small = size <= MAX_JOINED_BYTES and not outlet.command
             if small and not self._queued and not self._notes and send_later(self):
-                self._joined.append((outlet, attached, payload))
+                self._joined.append((outlet, attachment, payload))
                 if len(self._joined) >= MAX_JOINED:
                     self._send_joined()
                 return
             if self._joined:
                 self._send_joined()
-            if not self._queued and not self._notes and size <= BOUND and self._put(outlet.record(attached, payload)):
+            if not self._queued and not self._notes and size <= BOUND and self._put(outlet.record(attachment, payload)):
                 return
             if not self._closed:
-                self._wait(outlet, LaneMessage(attached, payload))
+                self._wait(outlet, LaneMessage(attachment, payload))
 
     def send_joined(self) -> None:
         """Send the messages that were joined until now."""
@@ -113,11 +113,11 @@ class ReaderLink:
     def _send_joined(self) -> None:
         joined, self._joined = self._joined, []
         parts: list[bytes] = []
-        for outlet, attached, payload in joined:
-            parts += (outlet.head, _size(len(payload)), attached, payload)
+        for outlet, attachment, payload in joined:
+            parts += (outlet.head, _size(len(payload)), attachment, payload)
         if not self._put(b"".join(parts)):
-            for outlet, attached, payload in () if self._closed else joined:
-                self._wait(outlet, LaneMessage(attached, payload))
+            for outlet, attachment, payload in () if self._closed else joined:
+                self._wait(outlet, LaneMessage(attachment, payload))
 
     def note(self, record: bytes) -> None:
         """Send a record before all queued messages."""
@@ -195,7 +195,7 @@ class ReaderLink:
         if message.fence:
             sent = self._put(message.fence)
         elif len(message.payload) <= BOUND:
-            sent = self._put(outlet.record(message.attached, message.payload))
+            sent = self._put(outlet.record(message.attachment, message.payload))
         else:
             sent = self._send_parts(outlet, message)
         if sent:
@@ -206,7 +206,7 @@ class ReaderLink:
 
     def _send_parts(self, outlet: Outlet, message: LaneMessage) -> bool:
         whole = len(message.payload)
-        head = HEAD.pack(PART, outlet.number) + message.attached
+        head = HEAD.pack(PART, outlet.number) + message.attachment
         while message.at < whole:
             piece = message.payload[message.at : message.at + BOUND]
             if not self._put(head + PIECE.pack(whole, message.at) + piece):

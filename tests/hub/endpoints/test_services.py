@@ -307,14 +307,14 @@ def test_replies_to_plain_zenoh_programs_and_malformed_requests(network: HubNetw
             (reply,) = program.get(key, **more)
             if reply.ok is None:
                 return reply.err.payload.to_bytes(), None
-            attached = reply.ok.attachment
-            return reply.ok.payload.to_bytes(), attached and attached.to_bytes()
+            attachment = reply.ok.attachment
+            return reply.ok.payload.to_bytes(), attachment and attachment.to_bytes()
 
         until(lambda: list(program.get(key)), "the program's router knows the server")
         assert ask() == (b"re ", None)
         assert ask(payload=b"go") == (b"re go", None)
-        text, attached = ask(payload=b"go", attachment=pack_attachment(7, 1, b"g" * 16))
-        number, time_ns, gid = unpack_attachment(attached)
+        text, attachment = ask(payload=b"go", attachment=pack_attachment(7, 1, b"g" * 16))
+        number, time_ns, gid = unpack_attachment(attachment)
         assert (text, number, gid) == (b"re go", 7, b"g" * 16)
         assert time_ns > 1
         for bad in (b"", b"short", bytes(33), bytes(200)):

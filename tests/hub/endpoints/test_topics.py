@@ -138,7 +138,7 @@ def test_an_unlisted_subscriber_misses_nothing_after_the_match(
         subscriber = other.declare_subscriber(key, lambda sample: texts.append(sample.payload.to_string()))
         (sink,) = publisher._sinks
         matching = sink._matching  # type: ignore[attr-defined]
-        until(publisher.matched if late else lambda: matching._told[""], "the match is known")
+        until(publisher.matched if late else lambda: matching._reported[""], "the match is known")
         for number in range(100):
             publisher.put(b"%d" % number)
         until(lambda: len(texts) >= 100, "all messages arrive")
@@ -290,8 +290,8 @@ def test_samples_with_an_invalid_attachment_are_rejected(network: HubNetwork):
         matched(good)
         raw = program.declare_publisher(topic_key(a.domain, "/chatter", TYPE, HASH))
         until(lambda: raw.matching_status.matching, "the publisher is matched")  # type: ignore[attr-defined]
-        for attached in (None, b"", b"short", bytes(33), bytes(200)):
-            raw.put(b"bad", attachment=attached)
+        for attachment in (None, b"", b"short", bytes(33), bytes(200)):
+            raw.put(b"bad", attachment=attachment)
         raw.delete()
         raw.put(b"foreign", attachment=pack_attachment(0, 5, bytes(16)))
         good.put(b"good")

@@ -180,9 +180,9 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
     # switch to zenoh only once both messages are on the lane
     monkeypatch.setattr(chosen, "on_large_message", lambda: both_put.wait(60) and switch())
 
-    def slow(inlet: Inlet, attached: tuple[int, int, bytes], payload: bytes) -> None:
+    def slow(inlet: Inlet, attachment: tuple[int, int, bytes], payload: bytes) -> None:
         assert payload != b"late" or gate.wait(60)
-        receive(inlet, attached, payload)
+        receive(inlet, attachment, payload)
 
     monkeypatch.setattr(chosen, "on_message", slow)
     large = "x" * (3 * BOUND)
