@@ -60,8 +60,8 @@ class Namesakes:
         routers = _routers(answers).get(self._daemon, {})
         theirs = {session for zid, sessions in routers.items() if zid != own for session in sessions}
         workers = ask(self._session, self._domain, "status", WHO, self._daemon, "*", _WHO_SECONDS)
-        here = {worker.identity for worker in workers if worker.identity and worker.session not in theirs}
-        return others | {identity.place for identity in here if self._own and identity.instance != self._own.instance}
+        local = {worker.identity for worker in workers if worker.identity and worker.session not in theirs}
+        return others | {identity.place for identity in local if self._own and identity.instance != self._own.instance}
 
 
 def namesake_warning(others: str, daemon: str) -> str:
@@ -101,7 +101,7 @@ class DaemonNames:
             routers, here = self._routers.get(name, {}), self._here.get(name, {})
             places[name] = {f"router {zid[:8]}" for zid in routers if len(routers) > 1}
             places[name] |= {identity.place for identity in here.values() if len(here) > 1}
-        return {name: sorted(found) for name, found in sorted(places.items()) if found}
+        return {name: sorted(shared) for name, shared in sorted(places.items()) if shared}
 
     def _add(self, answers: Iterable[WorkerAnswer]) -> None:
         """Note the daemons that the router's id does not already distinguish."""

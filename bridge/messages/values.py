@@ -143,8 +143,8 @@ class MessageWriter:
         if not definition.fields:
             self.data.append(0)
         for field in definition.fields:
-            given = value[field.name] if field.name in value else _default(field)
-            self.value(field.type, given, join(where, field.name))
+            item = value[field.name] if field.name in value else _default(field)
+            self.value(field.type, item, join(where, field.name))
 
     def value(self, kind: FieldType, value: Any, where: str) -> None:
         """Write a field."""

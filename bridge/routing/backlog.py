@@ -63,12 +63,12 @@ class Backlog(Generic[Message]):
         """Append a message, keep only the publisher's newest ``depth`` messages, and return how many were removed."""
         with self._lock:
             older = [waiting for waiting in self._line if waiting.source == source]
-            over = older[: max(len(older) - depth + 1, 0)]
-            for waiting in over:
+            excess = older[: max(len(older) - depth + 1, 0)]
+            for waiting in excess:
                 self._line.remove(waiting)
                 self._bytes -= waiting.size
         self.add(source, message, size)
-        return len(over)
+        return len(excess)
 
     def overdue(self, seconds: float) -> float:
         """Return the time before which messages arrived that are overdue (monotonic seconds).
@@ -85,8 +85,8 @@ class Backlog(Generic[Message]):
         if not self._line:
             return []
         with self._lock:
-            taken = [waiting for waiting in self._line if wanted(waiting)]
-            removed = set(taken)
+            popped = [waiting for waiting in self._line if wanted(waiting)]
+            removed = set(popped)
             self._line = deque(waiting for waiting in self._line if waiting not in removed)
-            self._bytes -= sum(waiting.size for waiting in taken)
-        return taken
+            self._bytes -= sum(waiting.size for waiting in popped)
+        return popped

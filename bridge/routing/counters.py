@@ -67,9 +67,9 @@ class Counters:
         self.messages += 1
         self.bytes += size
         now = self.last = time.monotonic()
-        took = now - since
-        self._carrying += took
-        self._carried[bisect_left(CARRY_BOUNDS, took)] += 1
+        duration = now - since
+        self._carrying += duration
+        self._carried[bisect_left(CARRY_BOUNDS, duration)] += 1
 
     def add_latency(self, nanoseconds: int) -> None:
         """Add a latency: the time since a message's source timestamp, or the duration of a call."""

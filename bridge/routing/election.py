@@ -263,11 +263,11 @@ class Election:
     def _decode(self, sighting: Sighting, decoded: dict[str, tuple[bytes, Record | None]]) -> Record | None:
         if sighting.record is None:
             return None
-        known = self._decoded.get(sighting.id)
-        if known is None or known[0] is not sighting.record:
-            known = (sighting.record, Record.decode(sighting.record))
-        decoded[sighting.id] = known
-        return known[1]
+        cached = self._decoded.get(sighting.id)
+        if cached is None or cached[0] is not sighting.record:
+            cached = (sighting.record, Record.decode(sighting.record))
+        decoded[sighting.id] = cached
+        return cached[1]
 
     def _joined(self, other: Record, hub: HubView, now: float) -> bool:
         """Whether another worker shares our hub, or left it only a moment ago."""
@@ -298,8 +298,8 @@ class Election:
         for network in networks:
             if network & members:
                 continue
-            known = [claim for of, claim in before.items() if of & network]
-            claim = min(known, key=lambda c: (not c.held, c.since), default=Claim(wall_ns, False, self._seq + 1))
+            claims = [claim for of, claim in before.items() if of & network]
+            claim = min(claims, key=lambda c: (not c.held, c.since), default=Claim(wall_ns, False, self._seq + 1))
             rivals = [(o.id, theirs, o.daemon) for o in others for of, theirs in o.carries.items() if of & network]
             claim = self._elect(claim, [r[:2] for r in rivals], others, wall_ns, ready=True)
             self._carries[network] = claim

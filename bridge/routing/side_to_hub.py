@@ -50,11 +50,11 @@ class StaticPublisher:
 
 
 @dataclass(slots=True)
-class _Source:
-    """A publisher on the side; ``put`` publishes its messages on the hub through ``publisher``."""
+class _SidePublisher:
+    """A publisher on the side; ``put`` publishes its messages on the hub through ``hub_publisher``."""
 
     endpoint: Endpoint
-    publisher: HubPublisher
+    hub_publisher: HubPublisher
     put: Callable[[bytes, int | None], None]
     latched: bool
     age: AgeGate
@@ -69,7 +69,7 @@ class _Held(NamedTuple):
 
 class _Message(NamedTuple):
     payload: bytes
-    known: _Source
+    publisher: _SidePublisher
     source: str
     time_ns: int | None
     since: float
@@ -95,7 +95,7 @@ class SideToHubRoute(TopicRoute):
         super().__init__(key, (hub_topic, key.topic), conversion, policy, context)
         # a session does not receive its own publications from the hub
         self._tells_time = (hub_topic, self.hub_type) == (CLOCK_TOPIC, CLOCK_TYPE) and context.edge.clock.simulated
-        self._sources: dict[str, _Source] = {}
+        self._sources: dict[str, _SidePublisher] = {}
         self._shared: HubPublisher | None = None
         self._static: StaticPublisher | None = None
         self._by_lane_before = 0
@@ -119,9 +119,9 @@ class SideToHubRoute(TopicRoute):
         for departed in [s for s in self._sources if s not in current]:
             self._remove(departed)
         for endpoint in endpoints:
-            known = self._sources.get(endpoint.id)
-            if known is None or known.endpoint.qos != endpoint.qos:
-                if known is not None:
+            publisher = self._sources.get(endpoint.id)
+            if publisher is None or publisher.endpoint.qos != endpoint.qos:
+                if publisher is not None:
                     self._remove(endpoint.id)
                 self._add(endpoint)
         if endpoints:
@@ -144,7 +144,7 @@ class SideToHubRoute(TopicRoute):
             if self._shared is None:
                 self._shared = self._publisher(endpoint.qos)
             publisher, put = self._shared, self._shared.put
-        self._sources[endpoint.id] = _Source(endpoint, publisher, put, latched, AgeGate())
+        self._sources[endpoint.id] = _SidePublisher(endpoint, publisher, put, latched, AgeGate())
 
     def _publisher(self, qos: Qos) -> HubPublisher:
         qos = self.policy.override(qos)
@@ -156,13 +156,13 @@ class SideToHubRoute(TopicRoute):
         )
 
     def _remove(self, source: str) -> None:
-        known = self._sources.pop(source)
+        publisher = self._sources.pop(source)
         self.pending.pop_matching(lambda waiting: waiting.source == source)
-        if self._static is not None and known.publisher is self._static.publisher:
+        if self._static is not None and publisher.hub_publisher is self._static.publisher:
             return
-        if known.publisher is not self._shared:
-            known.publisher.close()
-        elif not any(s.publisher is self._shared for s in self._sources.values()):
+        if publisher.hub_publisher is not self._shared:
+            publisher.hub_publisher.close()
+        elif not any(s.hub_publisher is self._shared for s in self._sources.values()):
             self._by_lane_before += self._shared.by_lane
             self._shared.close()
             self._shared = None
@@ -197,36 +197,36 @@ class SideToHubRoute(TopicRoute):
     def _release(self) -> None:
         for waiting in self.pending.pop_matching(lambda w: w.source in self._sources):
             source = str(waiting.source)
-            known = self._sources.get(source)
+            publisher = self._sources.get(source)
             payload, time_ns, leased = waiting.message
-            if known is None:
+            if publisher is None:
                 self.counters.dropped("unknown")  # the publisher left meanwhile
-            elif leased or known.latched:
-                self._pass(known, source, payload, time_ns, time.monotonic())
+            elif leased or publisher.latched:
+                self._pass(publisher, source, payload, time_ns, time.monotonic())
             else:
                 self.counters.dropped("standby")
 
     def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
         """Handle a message from one of the side's publishers; the edge calls this method, on any thread."""
-        known = self._sources.get(source)
+        publisher = self._sources.get(source)
         since = time.monotonic()
-        if known is None or known.latched or since > self._lease.until:
-            self._deliver_rare(known, payload, source, time_ns)
+        if publisher is None or publisher.latched or since > self._lease.until:
+            self._deliver_rare(publisher, payload, source, time_ns)
         else:
-            self._pass(known, source, payload, time_ns, since)
+            self._pass(publisher, source, payload, time_ns, since)
 
-    def _deliver_rare(self, known: _Source | None, payload: bytes, source: str, time_ns: int | None) -> None:
+    def _deliver_rare(self, publisher: _SidePublisher | None, payload: bytes, source: str, time_ns: int | None) -> None:
         """Handle a message that is latched, is from an unknown publisher, or arrives without the lease."""
         counters = self.counters
         if self._lease.over:
             # a latched message arrives only once, and the route may continue
-            if known.latched if known is not None else self._priority is not Priority.COMMAND:
-                depth = 1 if known is None else min(max(known.endpoint.qos.depth, 1), MAX_PENDING)
+            if publisher.latched if publisher is not None else self._priority is not Priority.COMMAND:
+                depth = 1 if publisher is None else min(max(publisher.endpoint.qos.depth, 1), MAX_PENDING)
                 held = _Held(payload, time_ns, leased=False)
                 counters.dropped("standby", self.pending.keep(source, held, len(payload), depth))
             else:
                 counters.dropped("standby")
-        elif known is None and not self._blocked():
+        elif publisher is None and not self._blocked():
             # The engine may not have seen the publisher yet: hold its newest message until the engine calls `update`.
             if self._priority is Priority.COMMAND:
                 counters.dropped("unknown")  # a command is never held
@@ -234,48 +234,50 @@ class SideToHubRoute(TopicRoute):
                 held = _Held(payload, time_ns, leased=True)
                 counters.dropped("unknown", self.pending.keep(source, held, len(payload), depth=1))
             self._context.wake()
-        elif known is None:
+        elif publisher is None:
             counters.dropped("held")
-        elif known.latched and (self.pending or self._releasing.locked()):  # in this order: a release empties pending
+        elif publisher.latched and (
+            self.pending or self._releasing.locked()
+        ):  # this order, because a release empties it
             with self._releasing:
                 self._release()
-                self._pass(known, source, payload, time_ns, time.monotonic())
+                self._pass(publisher, source, payload, time_ns, time.monotonic())
         else:
-            self._pass(known, source, payload, time_ns, time.monotonic())
+            self._pass(publisher, source, payload, time_ns, time.monotonic())
 
     def _blocked(self) -> bool:
         return self._hold is not None and self._hold.held and self.hub_topic in self._hold.topics
 
-    def _pass(self, known: _Source, source: str, payload: bytes, time_ns: int | None, since: float) -> None:
+    def _pass(self, publisher: _SidePublisher, source: str, payload: bytes, time_ns: int | None, since: float) -> None:
         """Publish a known publisher's message, which arrived at ``since`` (monotonic), unless it has to be dropped."""
         size = len(payload)
         if self._hold is not None and self._blocked():
             self.counters.dropped("held")
-        elif self._priority is Priority.COMMAND and self._stale(known, time_ns):
+        elif self._priority is Priority.COMMAND and self._stale(publisher, time_ns):
             self.counters.dropped("stale")
-        elif (self._limit is not None and self.over_rate(latched=known.latched)) or self.too_large(size):
+        elif (self._limit is not None and self.over_rate(latched=publisher.latched)) or self.too_large(size):
             return
         elif size > BULK or (self._queues and self._large.busy):
             self._queues = True
-            self._large.put(_Message(payload, known, source, time_ns, since), size)
+            self._large.put(_Message(payload, publisher, source, time_ns, since), size)
         else:
-            self._carry(payload, known, time_ns, since)
+            self._carry(payload, publisher, time_ns, since)
 
     def _carry_large(self, message: _Message) -> None:
-        payload, known, source, time_ns, since = message
-        if self._sources.get(source) is known:
-            self._carry(payload, known, time_ns, since)
+        payload, publisher, source, time_ns, since = message
+        if self._sources.get(source) is publisher:
+            self._carry(payload, publisher, time_ns, since)
         else:
             self.counters.dropped("unknown")  # the publisher left meanwhile
 
-    def _carry(self, payload: bytes, known: _Source, time_ns: int | None, since: float) -> None:
+    def _carry(self, payload: bytes, publisher: _SidePublisher, time_ns: int | None, since: float) -> None:
         try:
             convert = self.conversion.convert
             data = payload if convert is None else convert(payload)
             size = len(data)
             if self.too_large(size):
                 return
-            known.put(data, time_ns)
+            publisher.put(data, time_ns)
         except (MessageError, HubError, ValueError) as err:
             self.bad(str(err))
             return
@@ -283,10 +285,10 @@ class SideToHubRoute(TopicRoute):
         if self._tells_time:
             self._context.edge.clock.receive(data)
 
-    def _stale(self, known: _Source, time_ns: int | None) -> bool:
+    def _stale(self, publisher: _SidePublisher, time_ns: int | None) -> bool:
         timeout = self.policy.timeout
         return self._context.stall_detector.stood_still(timeout) or (
-            time_ns is not None and known.age.age(time_ns) > timeout
+            time_ns is not None and publisher.age.age(time_ns) > timeout
         )
 
     @property
@@ -312,7 +314,7 @@ class SideToHubRoute(TopicRoute):
     def status(self) -> RouteStatus:
         if self._subscription is not None:
             self.counters.drops["lost"] = self._subscription.lost
-        publishers = {s.publisher.gid: s.publisher for s in tuple(self._sources.values())}.values()
+        publishers = {s.hub_publisher.gid: s.hub_publisher for s in tuple(self._sources.values())}.values()
         status = [publisher.way() for publisher in publishers]
         transports = {transport for transport, _ in status if transport}
         transport = "both" if len(transports) > 1 else next(iter(transports), "")

@@ -125,13 +125,13 @@ class Conflict:
         )
 
 
-def conflict(one: StoreEntry, other: StoreEntry) -> Conflict | None:
+def conflict(first: StoreEntry, other: StoreEntry) -> Conflict | None:
     """Return the conflict of two entries of one key; None if one version follows the other, or the values are equal."""
-    if one.version.has_seen(other.version) or other.version.has_seen(one.version) or one.body == other.body:
+    if first.version.has_seen(other.version) or other.version.has_seen(first.version) or first.body == other.body:
         return None
-    if (one.version.stamp.ns == OLDEST) is not (other.version.stamp.ns == OLDEST):
+    if (first.version.stamp.ns == OLDEST) is not (other.version.stamp.ns == OLDEST):
         return None  # a written value replaces an imported one
-    lost, winner = sorted((one, other), key=lambda entry: entry.version.stamp)
+    lost, winner = sorted((first, other), key=lambda entry: entry.version.stamp)
     return Conflict(winner, lost)
 
 

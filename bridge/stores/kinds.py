@@ -51,9 +51,9 @@ def location_json(location: Map2DLocation) -> Json:
     return {"map": location.map_id, **pose, "description": location.description}
 
 
-def _json_location(found: Json) -> Map2DLocation:
-    x, y, theta = (_number(found, key) for key in ("x", "y", "theta_deg"))
-    return Map2DLocation(_text(found, "map"), x, y, theta, _text(found, "description"))
+def _json_location(document: Json) -> Map2DLocation:
+    x, y, theta = (_number(document, key) for key in ("x", "y", "theta_deg"))
+    return Map2DLocation(_text(document, "map"), x, y, theta, _text(document, "description"))
 
 
 def area_json(area: Map2DArea) -> Json:
@@ -62,9 +62,9 @@ def area_json(area: Map2DArea) -> Json:
     return {"map": area.map_id, "points": points, "description": area.description}
 
 
-def _json_area(found: Json) -> Map2DArea:
-    points = [_point(point) for point in _several(found, "points")]
-    return Map2DArea(_text(found, "map"), points, _text(found, "description"))
+def _json_area(document: Json) -> Map2DArea:
+    points = [_point(point) for point in _several(document, "points")]
+    return Map2DArea(_text(document, "map"), points, _text(document, "description"))
 
 
 def path_json(path: Map2DPath) -> Json:
@@ -72,9 +72,9 @@ def path_json(path: Map2DPath) -> Json:
     return {"waypoints": [location_json(point) for point in path.waypoints], "description": path.description}
 
 
-def _json_path(found: Json) -> Map2DPath:
-    waypoints = [_json_location(_object(point)) for point in _several(found, "waypoints")]
-    return Map2DPath(waypoints, _text(found, "description"))
+def _json_path(document: Json) -> Map2DPath:
+    waypoints = [_json_location(_object(point)) for point in _several(document, "waypoints")]
+    return Map2DPath(waypoints, _text(document, "description"))
 
 
 def object_json(thing: Map2DObject) -> Json:
@@ -83,9 +83,9 @@ def object_json(thing: Map2DObject) -> Json:
     return {"map": thing.map_id, **pose, "description": thing.description}
 
 
-def _json_object(found: Json) -> Map2DObject:
-    x, y, z, roll, pitch, yaw = (_number(found, key) for key in _POSE)
-    return Map2DObject(_text(found, "map"), x, y, z, roll, pitch, yaw, _text(found, "description"))
+def _json_object(document: Json) -> Map2DObject:
+    x, y, z, roll, pitch, yaw = (_number(document, key) for key in _POSE)
+    return Map2DObject(_text(document, "map"), x, y, z, roll, pitch, yaw, _text(document, "description"))
 
 
 def behavior_json(behavior: AreaBehavior) -> Json:
@@ -93,14 +93,14 @@ def behavior_json(behavior: AreaBehavior) -> Json:
     return {key: getattr(behavior, key) for key in ("max_speed", "on_obstacle", "keep_out")}
 
 
-def _json_behavior(found: Json) -> AreaBehavior:
-    speed = found.get("max_speed")
+def _json_behavior(document: Json) -> AreaBehavior:
+    speed = document.get("max_speed")
     limit = None if speed is None else _finite(speed, "max_speed")
-    keep_out = found.get("keep_out", False)
+    keep_out = document.get("keep_out", False)
     if not isinstance(keep_out, bool):
         raise StoreError(f"keep_out must be true or false, not {keep_out!r:.60}")
     try:
-        return AreaBehavior(max_speed=limit, on_obstacle=_text(found, "on_obstacle"), keep_out=keep_out)
+        return AreaBehavior(max_speed=limit, on_obstacle=_text(document, "on_obstacle"), keep_out=keep_out)
     except ValueError as err:
         raise StoreError(str(err)) from None
 
@@ -110,15 +110,15 @@ def link_json(link: MapLink) -> Json:
     return {"from": link.first, "to": link.second, "cost": link.cost}
 
 
-def _json_link(found: Json) -> MapLink:
+def _json_link(document: Json) -> MapLink:
     try:
-        return MapLink(_text(found, "from"), _text(found, "to"), _number(found, "cost"))
+        return MapLink(_text(document, "from"), _text(document, "to"), _number(document, "cost"))
     except ValueError as err:
         raise StoreError(str(err)) from None
 
 
-def _number(found: Json, key: str) -> float:
-    return _finite(found.get(key, 0.0), key)
+def _number(document: Json, key: str) -> float:
+    return _finite(document.get(key, 0.0), key)
 
 
 def _finite(value: Any, what: str) -> float:
@@ -133,15 +133,15 @@ def _finite(value: Any, what: str) -> float:
     return number
 
 
-def _text(found: Json, key: str) -> str:
-    value = found.get(key, "")
+def _text(document: Json, key: str) -> str:
+    value = document.get(key, "")
     if not isinstance(value, str):
         raise StoreError(f"{key} is not a text: {value!r:.60}")
     return value
 
 
-def _several(found: Json, key: str) -> Sequence[Any]:
-    value = found.get(key, [])
+def _several(document: Json, key: str) -> Sequence[Any]:
+    value = document.get(key, [])
     if not isinstance(value, list) or len(value) > _MOST_POINTS:
         raise StoreError(f"{key} is not a list of up to {_MOST_POINTS} elements")
     return value
@@ -332,7 +332,7 @@ OBJECT = _json_kind("object", object_json, _json_object)
 LINK = _json_kind("link", link_json, _json_link)
 BEHAVIOR = _json_kind("behaviour", behavior_json, _json_behavior)
 """The rules of an area for robots, under the area's name."""
-CURRENT: ValueKind[str] = _json_kind("current", lambda name: {"map": name}, lambda found: _text(found, "map"))
+CURRENT: ValueKind[str] = _json_kind("current", lambda name: {"map": name}, lambda document: _text(document, "map"))
 """The current value of a kind; the key ``map`` has the name of the current map."""
 
 KINDS: dict[str, ValueKind[Any]] = {

@@ -52,7 +52,7 @@ SendEntries = Callable[[Sequence[StoreEntry]], Any]
 
 
 @dataclass(frozen=True, slots=True)
-class _Known:
+class _Row:
     version: Version
     size: int | None
 
@@ -66,9 +66,9 @@ class Replica:
         self.conflict_count = 0
         self._table = EntryTable(file)
         self.id = self._table.replica
-        self._known: dict[Key, _Known] = {key: _Known(version, size) for key, version, size in self._table.versions()}
-        self._size = sum(known.size or 0 for known in self._known.values())
-        self._live = sum(known.size is not None for known in self._known.values())
+        self._rows: dict[Key, _Row] = {key: _Row(version, size) for key, version, size in self._table.versions()}
+        self._size = sum(row.size or 0 for row in self._rows.values())
+        self._live = sum(row.size is not None for row in self._rows.values())
         self._lock = threading.RLock()
         self._last = 0
         self._watches: list[tuple[frozenset[str], OnChange]] = []
@@ -80,8 +80,8 @@ class Replica:
         """Return a key's value, None if the key has none."""
         with self._lock:
             self._check_open()
-            known = self._known.get((kind, name))
-            if known is None or known.size is None:
+            row = self._rows.get((kind, name))
+            if row is None or row.size is None:
                 return None
             body, encoding = self._table.body(kind, name)
         return None if body is None else (body, encoding)
@@ -90,30 +90,28 @@ class Replica:
         """Return a key with its version, None if it never existed; a deleted key has no body."""
         with self._lock:
             self._check_open()
-            known = self._known.get((kind, name))
-            if known is None:
+            row = self._rows.get((kind, name))
+            if row is None:
                 return None
             body, encoding = self._table.body(kind, name)
-            return StoreEntry(kind, name, body, encoding, known.version)
+            return StoreEntry(kind, name, body, encoding, row.version)
 
     def names(self, kind: str) -> list[str]:
         """Return the names of a kind's values, sorted."""
         with self._lock:
-            return sorted(
-                name for (other, name), known in self._known.items() if other == kind and known.size is not None
-            )
+            return sorted(name for (other, name), row in self._rows.items() if other == kind and row.size is not None)
 
     def stamp(self, key: Key) -> ChangeStamp | None:
         """Return when a key was last written or deleted, None if that is not known."""
         with self._lock:
-            known = self._known.get(key)
-            return None if known is None else known.version.stamp
+            row = self._rows.get(key)
+            return None if row is None else row.version.stamp
 
     def has(self, kind: str, name: str) -> bool:
         """Return whether a key has a value."""
         with self._lock:
-            known = self._known.get((kind, name))
-            return known is not None and known.size is not None
+            row = self._rows.get((kind, name))
+            return row is not None and row.size is not None
 
     def locked(self) -> threading.RLock:
         """Return a lock that blocks other threads' reads and writes while it is held."""
@@ -122,16 +120,16 @@ class Replica:
     def remembers(self, kind: str, name: str) -> bool:
         """Return whether the key has a value or a tombstone."""
         with self._lock:
-            return (kind, name) in self._known
+            return (kind, name) in self._rows
 
     def versions(self) -> Mapping[Key, tuple[ChangeStamp, int]]:
         """Return each key's stamp and the size of its value, including tombstones that are not expired."""
         oldest = self._oldest()
         with self._lock:
             return {
-                key: (known.version.stamp, known.size or 0)
-                for key, known in self._known.items()
-                if known.size is not None or known.version.stamp.ns > oldest
+                key: (row.version.stamp, row.size or 0)
+                for key, row in self._rows.items()
+                if row.size is not None or row.version.stamp.ns > oldest
             }
 
     def write(self, changes: Mapping[Key, Body | None], *, oldest: bool = False) -> list[StoreEntry]:
@@ -146,7 +144,7 @@ class Replica:
             entries = [
                 self._stamped(key, body, oldest=oldest)
                 for key, body in changes.items()
-                if not (oldest and key in self._known)
+                if not (oldest and key in self._rows)
             ]
             self._apply(entries, here=True)
             for send in self._senders:
@@ -157,17 +155,17 @@ class Replica:
         """Merge another replica's entry; return whether it is now current; raises `StoreError` if writing fails."""
         with self._lock:
             self._check_open()
-            known = self._known.get(entry.key)
+            row = self._rows.get(entry.key)
             # an entry of a plain zenoh program has no version, and counts as a change of the current version
             if not entry.version.seen:
-                before = None if known is None else known.version
+                before = None if row is None else row.version
                 version = follow(before, entry.version.stamp, entry.version.origin)
                 entry = replace(entry, version=version)
-            if known is not None:
-                if known.version.stamp == entry.version.stamp:
+            if row is not None:
+                if row.version.stamp == entry.version.stamp:
                     return False
                 self._compare(entry)
-                if known.version.stamp > entry.version.stamp:
+                if row.version.stamp > entry.version.stamp:
                     return False
             elif entry.body is None and entry.version.stamp.ns <= self._oldest():
                 return False
@@ -199,13 +197,13 @@ class Replica:
     def status(self) -> StoreContent:
         """Return the number of keys of each kind, and the conflicts, for the status document."""
         with self._lock:
-            live = [kind for (kind, _), known in self._known.items() if known.size is not None]
+            live = [kind for (kind, _), row in self._rows.items() if row.size is not None]
             return StoreContent(
                 keys={kind: live.count(kind) for kind in sorted(set(live))},
-                deleted=len(self._known) - len(live),
+                deleted=len(self._rows) - len(live),
                 bytes=self._size,
                 limits={"keys": self.limits.keys, "bytes": self.limits.size},
-                changed=max((known.version.stamp.ns for known in self._known.values()), default=0) / 1e9,
+                changed=max((row.version.stamp.ns for row in self._rows.values()), default=0) / 1e9,
                 conflicts=self.conflict_count,
                 lost=list(self._lost),
             )
@@ -223,7 +221,7 @@ class Replica:
         self._events.close()
 
     def _stamped(self, key: Key, body: Body | None, *, oldest: bool) -> StoreEntry:
-        before = self._known.get(key)
+        before = self._rows.get(key)
         now = self._last = max(time.time_ns(), self._last + 1)
         if oldest:
             now = OLDEST
@@ -239,7 +237,7 @@ class Replica:
     def _apply(self, entries: Sequence[StoreEntry], *, here: bool) -> None:
         size, live = self._size, self._live
         for entry in entries:
-            before = self._known.get(entry.key)
+            before = self._rows.get(entry.key)
             before_size = None if before is None else before.size
             size += (0 if entry.body is None else len(entry.body)) - (before_size or 0)
             live += (entry.body is not None) - (before_size is not None)
@@ -248,9 +246,9 @@ class Replica:
         self._table.write(entries, expired)
         self._size, self._live = size, live
         for entry in entries:
-            self._known[entry.key] = _Known(entry.version, None if entry.body is None else len(entry.body))
+            self._rows[entry.key] = _Row(entry.version, None if entry.body is None else len(entry.body))
         for key in expired:
-            del self._known[key]
+            del self._rows[key]
         for entry in entries:
             self._notify(Change(entry.kind, entry.name, entry.body is None, entry.version.origin, here))
 
@@ -270,9 +268,7 @@ class Replica:
             return []
         written = {entry.key for entry in entries}
         dead = sorted(
-            (known.version.stamp.ns, key)
-            for key, known in self._known.items()
-            if known.size is None and key not in written
+            (row.version.stamp.ns, key) for key, row in self._rows.items() if row.size is None and key not in written
         )
         oldest, many = self._oldest(), len(dead) + coming - self.limits.deleted
         return [key for number, (ns, key) in enumerate(dead) if ns <= oldest or number < many]

@@ -306,8 +306,8 @@ class StoreSync:
             yield keys
 
 
-def _texts(found: dict[str, Any], key: str, most: int) -> list[str]:
-    value = found.get(key, [])
+def _texts(document: dict[str, Any], key: str, most: int) -> list[str]:
+    value = document.get(key, [])
     if not isinstance(value, list) or len(value) > most or not all(isinstance(text, str) for text in value):
         raise StoreError(f"{key} is not a list of up to {most} texts")
     return value

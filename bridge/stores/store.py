@@ -204,10 +204,10 @@ class Store:
         """Return the name of the map of an area that cannot be read; None if the name cannot be read either."""
         try:
             body = self.replica.get(AREA.name, area)
-            found = None if body is None else json_object(body[0]).get("map")
+            map_name = None if body is None else json_object(body[0]).get("map")
         except StoreError:
             return None
-        return found if isinstance(found, str) else None
+        return map_name if isinstance(map_name, str) else None
 
     def current_map(self) -> str:
         """Return the name of the current map, "" if none was chosen."""

@@ -50,7 +50,7 @@ class LaneConnections:
             reason = err.strerror or str(err)
             if not exists:
                 reason = folder.other_version(self._folder, zid) or "it has no lane here"
-            self._refuse(zid, reason, again=exists)
+            self._refuse(zid, reason, may_recover=exists)
             return reason
         inlet = Inlet(sock, zid, self._lost)
         with self._lock:
@@ -86,10 +86,10 @@ class LaneConnections:
             self._refuse(inlet.zid, "the lane ended")
         self._disconnected(inlet)
 
-    def _refuse(self, zid: str, why: str, *, again: bool = True) -> None:
+    def _refuse(self, zid: str, why: str, *, may_recover: bool = True) -> None:
         with self._lock:
             if len(self._refused) >= _MAX_REFUSED:
                 del self._refused[next(iter(self._refused))]
             self._refused[zid] = time.monotonic(), why
-        if again:
+        if may_recover:
             self._retry()

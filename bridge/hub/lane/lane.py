@@ -56,7 +56,7 @@ class Lane:
     def __init__(self, path: Path, zid: str, session: zenoh.Session, domain: int, renew: Callable[[], None]) -> None:
         self._lock = Lock()
         self._choosing: dict[Choosing, None] = {}
-        self._looking: dict[Choosing, None] = {}
+        self._to_check: dict[Choosing, None] = {}
         self._wake, self._closing = Event(), Event()
         self.writer: LaneWriter | None = None
         self.why = ""
@@ -82,31 +82,31 @@ class Lane:
         """Remove a closed subscription."""
         with self._lock:
             self._choosing.pop(chooser, None)
-            self._looking.pop(chooser, None)
+            self._to_check.pop(chooser, None)
 
     def wake(self, chooser: Choosing) -> None:
         """Let a subscription choose again soon."""
         with self._lock:
-            self._looking[chooser] = None
+            self._to_check[chooser] = None
         self._wake.set()
 
     def graph_changed(self) -> None:
         """Let all subscriptions choose again soon."""
         with self._lock:
-            self._looking.update(self._choosing)
+            self._to_check.update(self._choosing)
         self._wake.set()
 
     def _run(self) -> None:
-        again: list[Choosing] = []
+        unsettled: list[Choosing] = []
         pause = _POLL_SECONDS
         while not self._closing.is_set():
-            woken = self._wake.wait(pause if again else None)
+            woken = self._wake.wait(pause if unsettled else None)
             pause = _POLL_SECONDS if woken else min(2 * pause, _LONGEST_POLL_SECONDS)
             self._wake.clear()
             with self._lock:
-                looking, self._looking = {**dict.fromkeys(again), **self._looking}, {}
+                to_check, self._to_check = {**dict.fromkeys(unsettled), **self._to_check}, {}
             began = time.thread_time()
-            again = [chooser for chooser in looking if chooser in self._choosing and self._settle(chooser)]
+            unsettled = [chooser for chooser in to_check if chooser in self._choosing and self._settle(chooser)]
             self._closing.wait(max(_SETTLE_SECONDS, _SHARE * (time.thread_time() - began)))
 
     @staticmethod

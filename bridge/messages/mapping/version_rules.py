@@ -67,9 +67,9 @@ class VersionRules:
             values.update(rule.defaults)
         return values
 
-    def replace(self, one: str, two: str) -> bool:
+    def replace(self, first: str, second: str) -> bool:
         """Whether two messages may replace each other as the type of a field."""
-        return one == two or (one, two) in self._by_names or (two, one) in self._by_names
+        return first == second or (first, second) in self._by_names or (second, first) in self._by_names
 
 
 @cache

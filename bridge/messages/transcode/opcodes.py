@@ -85,21 +85,21 @@ def verify(words: bytes, literals: bytes) -> None:
     if not whole or not 0 <= flags <= SOURCE_CDR | TARGET_CDR:
         raise ValueError("the program has no flags, no end, or too many steps")
     loops: list[int] = []
-    kept: list[set[int]] = [set()]  # slots that are certainly filled, by loop
+    filled: list[set[int]] = [set()]  # slots that are certainly filled, by loop
     for number, step in enumerate(steps):
         if not _sound(step, last=number == len(steps) - 1, literals=len(literals)):
             raise ValueError(f"step {number} of the program has invalid numbers: {step}")
         code, link = step[0], step[4]
         if code in _LOOPS:
             loops.append(number)
-            kept.append(set())
+            filled.append(set())
         elif code == Op.NEXT:
             if not loops or link != loops[-1] + 1 or steps[loops.pop()][4] != number + 1:
                 raise ValueError(f"step {number} of the program ends no loop")
-            kept.pop()
+            filled.pop()
         elif code == Op.MARK:
-            kept[-1].add(link)
-        elif code == Op.SEEK and not any(link in slots for slots in kept):
+            filled[-1].add(link)
+        elif code == Op.SEEK and not any(link in slots for slots in filled):
             raise ValueError(f"step {number} of the program seeks slot {link}, which may be empty")
         if len(loops) > FRAMES:
             raise ValueError(f"step {number} of the program is more than {FRAMES} loops deep")

@@ -74,9 +74,9 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
                 if key in self._routes:  # a server that cannot be bridged leaves the name to others
                     taken[decision.topic] = key
                 if decision.topic in barred and not decision.refused:
-                    also = RouteDecision("out", decision.topic, key.topic, key.type_name, decision.policy, of=_SERVICE)
-                    also.bar(barred[decision.topic])
-                    decisions.append(also)
+                    entry = RouteDecision("out", decision.topic, key.topic, key.type_name, decision.policy, of=_SERVICE)
+                    entry.bar(barred[decision.topic])
+                    decisions.append(entry)
             elif key in self._routes:
                 self._routes.pop(key).close(f"{key.topic} is no longer bridged")
 

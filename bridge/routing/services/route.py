@@ -33,18 +33,18 @@ Convert = Callable[[bytes], bytes] | None
 class BridgedCall:
     """A call from a client on one network to the server on the other. It ends exactly once."""
 
-    __slots__ = ("_abandon_far", "_began", "_done", "_lock", "_over", "_route")
+    __slots__ = ("_abandon_far", "_began", "_done", "_has_ended", "_lock", "_route")
 
     def __init__(self, route: ServiceRoute, done: Done) -> None:
         self._route, self._done = route, done
         self._began = time.monotonic_ns()
         self._lock = Lock()
-        self._over = False
+        self._has_ended = False
         self._abandon_far: Abandon | None = None
 
     def begin(self, request: bytes) -> None:
         """Convert the request and call the far server; runs on a thread of the edge, zenoh or the route's queue."""
-        if self._over:
+        if self._has_ended:
             return
         try:
             data = request if self._route.request is None else self._route.request(request)
@@ -59,8 +59,8 @@ class BridgedCall:
             self.end(CallError(f"the call could not be made: {type(err).__name__}: {err}"))
             return
         with self._lock:
-            self._abandon_far, over = abandon, self._over
-        if over:
+            self._abandon_far, has_ended = abandon, self._has_ended
+        if has_ended:
             abandon()  # the client left meanwhile; a no-op after the end
 
     def _on_result(self, result: bytes | CallError) -> None:
@@ -99,8 +99,8 @@ class BridgedCall:
 
     def _end(self) -> bool:
         with self._lock:
-            over, self._over = self._over, True
-        return not over
+            had_ended, self._has_ended = self._has_ended, True
+        return not had_ended
 
 
 class CallCounters(Counters):

@@ -77,18 +77,18 @@ class SideToHubService(ServiceRoute):
         orphaned = self.orphaned
         if orphaned is None:
             return super().call(request, done)
-        over = False
+        has_ended = False
 
         def ended(result: bytes | CallError) -> None:
-            nonlocal over
-            over = True
+            nonlocal has_ended
+            has_ended = True
             done(result)
 
         leave = super().call(request, ended)
 
         def left() -> None:
             leave()
-            if not over:
+            if not has_ended:
                 orphaned(request)
 
         return left
