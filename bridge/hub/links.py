@@ -51,8 +51,7 @@ _MARK = "d0c0ffee"
 
 _FIRST_SECONDS = 1.5
 """Seconds before a lost session is introduced, longer than the other sessions and the router take to detect a loss.
-Otherwise the router would announce a process that is still suspended, and the attempts to reach this process would
-still be failing when it continues."""
+Otherwise a process might be announced while it is suspended, and attempts to reach it still fail when it continues."""
 
 _SOON_SECONDS = 0.2
 _TOGETHER_SECONDS = 1.0
@@ -188,9 +187,8 @@ class Mesh:
         for zid in self._linked_peers() & self._lost.keys():
             del self._lost[zid]
         before = time.monotonic() - _FIRST_SECONDS
-        due = {
-            zid for zid, at in self._lost.items() if at < before or abs(at - self._router_lost_at) < _TOGETHER_SECONDS
-        }
+        router = self._router_lost_at
+        due = {zid for zid, at in self._lost.items() if at < before or abs(at - router) < _TOGETHER_SECONDS}
         missing = due & members
         if missing:
             self._introduce(missing)

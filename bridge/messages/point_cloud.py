@@ -23,10 +23,7 @@ class CloudError(ConversionError, ValueError):
 
 
 def number_format(message: Mapping[str, Any], field: Mapping[str, Any]) -> str:
-    """Return the numpy format of a field that holds a single number.
-
-    Raises `CloudError` if the field has several numbers, an unknown type, or extends beyond its point.
-    """
+    """Return the numpy format of a field; raises `CloudError` if it is not a single number within its point."""
     name, step, kind = field["name"], int(message["point_step"]), FORMATS.get(int(field["datatype"]))
     if kind is None:
         raise CloudError(f"fields.{name}.datatype: {field['datatype']} is not between 1 and 8")

@@ -236,9 +236,8 @@ class SideToHubRoute(TopicRoute):
             self._context.wake()
         elif publisher is None:
             counters.dropped("held")
-        elif publisher.latched and (
-            self.pending or self._releasing.locked()
-        ):  # this order, because a release empties it
+        # pending first, because a release empties it while it holds the lock
+        elif publisher.latched and (self.pending or self._releasing.locked()):
             with self._releasing:
                 self._release()
                 self._pass(publisher, source, payload, time_ns, time.monotonic())

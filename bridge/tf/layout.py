@@ -19,8 +19,7 @@ EMPTY: Final = 0
 SINGLE: Final = 1
 FUTURE: Final = 2
 PAST: Final = 3
-"""Why there is no sample at a time: the frame has none at all, only one, which has another time, only older ones, or
-only newer ones."""
+"""Why there is no sample at a time: the frame has none, only one with another time, only older or only newer ones."""
 
 NAN: Final = 1
 DENORMALIZED: Final = 2

@@ -66,9 +66,8 @@ class KeyQuery:
             if item.body is None:
                 self._query.reply_del(key, timestamp=stamp, attachment=attachment)
             else:
-                self._query.reply(
-                    key, item.body, encoding=item.encoding or None, timestamp=stamp, attachment=attachment
-                )
+                encoding = item.encoding or None
+                self._query.reply(key, item.body, encoding=encoding, timestamp=stamp, attachment=attachment)
 
     def fail(self, why: str) -> None:
         """Reply with an error."""

@@ -299,10 +299,9 @@ class _Listen(_Endpoint):
             self._closed = None
 
     def _note_callers(self, active: Sequence[_Refusals]) -> None:
-        """Find which machines were refused, from the system's list of recently closed connections.
+        """Find the refused machines, which zenoh does not log, in the system's list of recently closed connections.
 
-        zenoh does not log their addresses. New addresses are recorded only if there was one cause, because the list
-        does not show the cause.
+        New addresses are recorded only if there was one cause, because the list does not show the cause.
         """
         closed, before = self._closed_connections(), self._closed
         self._closed = closed

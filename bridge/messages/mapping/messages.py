@@ -215,9 +215,8 @@ class MessageMapping:
         return derive_ros2(ros1, self.to_ros2)
 
     def to_ros1(self, ros2: Schema) -> Schema:
-        """Return the ROS 1 type for a ROS 2 type.
+        """Return the ROS 1 type for a ROS 2 type: one that maps back to ``ros2``, the likeliest, or a derived one.
 
-        This is a known type whose counterpart is ``ros2``, else the likeliest known type, else a derived type.
         Announced types come before installed ones.
         """
         key = (ros2.name, self.ros2.fingerprint(ros2))
