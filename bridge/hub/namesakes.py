@@ -92,7 +92,7 @@ class DaemonNames:
     def apply(self, answers: Sequence[WorkerAnswer]) -> list[WorkerAnswer]:
         """Return the answers with distinct daemon names."""
         self._add(answers)
-        return [self._named(answer) for answer in answers]
+        return [self._distinguish(answer) for answer in answers]
 
     def several(self) -> dict[str, list[str]]:
         """Return the names that several daemons share, each with the locations of these daemons."""
@@ -118,7 +118,7 @@ class DaemonNames:
                     return zid
         return ""
 
-    def _named(self, answer: WorkerAnswer) -> WorkerAnswer:
+    def _distinguish(self, answer: WorkerAnswer) -> WorkerAnswer:
         if zid := self._router(answer):
             return replace(answer, daemon=f"{answer.daemon} (router {zid[:8]})")
         here, identity = self._here.get(answer.daemon, {}), answer.identity

@@ -24,7 +24,7 @@ from bridge.routing.limits import QUEUE_DEPTH, Priority, combined_qos, stream_de
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms, with_spread
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
-from bridge.routing.velocities import native_velocities, preferred, velocity_to_side
+from bridge.routing.velocities import native_velocities, preferred_type, velocity_to_side
 from bridge.status import RouteStatus
 
 PENDING_SECONDS = 2.0
@@ -344,7 +344,7 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
         outdated = (
             k
             for k, route in self._routes.items()
-            if k[0] not in groups or preferred(k[1], route.side_type, self._velocities)
+            if k[0] not in groups or preferred_type(k[1], route.side_type, self._velocities)
         )
         self._end(list(outdated), gate)
         live: set[tuple[RouteKey, str]] = set()
@@ -413,7 +413,7 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
             if conversion is None:
                 self._context.types.ask(key.type_name, key.type_id)
                 return
-            if other := preferred(side_topic, conversion.target.name, self._velocities):
+            if other := preferred_type(side_topic, conversion.target.name, self._velocities):
                 decision.refuse(
                     f"nodes on the side subscribe to {side_topic} as {other}",
                     f"convert it with a rule: 'to: {edge.side}', 'stamped: {str('Stamped' in other).lower()}'",

@@ -15,7 +15,7 @@ _PROC = Path("/proc")
 def process_name(pid: int = 0) -> str:
     """Return the name of a process, by default the calling process; "" if the system has no /proc."""
     pid = pid or os.getpid()
-    place, started = process_space(), _started(pid)
+    place, started = process_space(), _start_of(pid)
     return f"{place} {pid} {started}" if place and started else ""
 
 
@@ -24,7 +24,7 @@ def has_ended(name: str) -> bool:
     place, _, process = name.rpartition(" ")[0].rpartition(" ")
     pid, started = process, name.rpartition(" ")[2]
     return (
-        bool(place) and place == process_space() and pid.isascii() and pid.isdigit() and _started(int(pid)) != started
+        bool(place) and place == process_space() and pid.isascii() and pid.isdigit() and _start_of(int(pid)) != started
     )
 
 
@@ -37,7 +37,7 @@ def process_space() -> str:
         return ""
 
 
-def _started(pid: int) -> str:
+def _start_of(pid: int) -> str:
     """Return the start time of a process in the kernel's ticks, "" if it does not exist or is a zombie."""
     try:
         fields = (_PROC / str(pid) / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()

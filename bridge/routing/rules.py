@@ -52,23 +52,23 @@ class NameFilter:
     """
 
     def __init__(self, globs: Iterable[str] = ("/**",), exclude: Iterable[str] = ()) -> None:
-        self._globs = {glob: glob_regex(_slashed(glob)) for glob in globs}
+        self._globs = {glob: glob_regex(_with_slash(glob)) for glob in globs}
         self._exclude = [re.compile(expression) for expression in exclude]
 
     def matches(self, name: str) -> bool:
         """Return whether a topic of this name is selected."""
-        name = _slashed(name)
+        name = _with_slash(name)
         return any(glob.fullmatch(name) for glob in self._globs.values()) and not any(
             expression.search(name) for expression in self._exclude
         )
 
     def idle(self, names: Iterable[str]) -> list[str]:
         """Return the globs that match none of these names."""
-        known = list(map(_slashed, names))
+        known = list(map(_with_slash, names))
         return [glob for glob, regex in self._globs.items() if not any(map(regex.fullmatch, known))]
 
 
-def _slashed(name: str) -> str:
+def _with_slash(name: str) -> str:
     return name if name.startswith("/") else f"/{name}"
 
 
@@ -181,8 +181,8 @@ class RuleSet:
         matches = list(self._matches(side, topic, type_name, kind))
         entry = [m for m in matches if m.rule.to in (None, ENTRY)]
         return (
-            _denied(entry, topic)
-            or _allowed(entry, topic)
+            _denial(entry, topic)
+            or _permission(entry, topic)
             or self._onward(matches, topic)
             or self._private(side, topic, type_name, kind)
             or self._default(topic)
@@ -206,11 +206,11 @@ class RuleSet:
         matches_here = [m for m in matches if m.rule.to == side]
         general = [m for m in matches if m.rule.to is None]
         native = origin == ENTRY
-        denied = _denied(matches_here + general, topic)
+        denied = _denial(matches_here + general, topic)
         if denied or matches_here:
-            return denied or _allowed(matches_here, topic) or self._default(topic, side)
+            return denied or _permission(matches_here, topic) or self._default(topic, side)
         if general:
-            policy = _allowed(general, topic) or self._default(topic, side)
+            policy = _permission(general, topic) or self._default(topic, side)
             return policy if native else replace(policy, name=topic, rate=None, stamped=None)
         if matches and self.section.default == "deny":
             return RoutePolicy(False, "rules allow it to other sides only", topic, f"add a rule that {_allows(side)}")
@@ -280,7 +280,7 @@ class _Match(NamedTuple):
     match: re.Match[str] | None
 
 
-def _denied(matches: list[_Match], topic: str) -> RoutePolicy | None:
+def _denial(matches: list[_Match], topic: str) -> RoutePolicy | None:
     denying = [m for m in matches if m.rule.deny]
     if not denying:
         return None
@@ -305,7 +305,7 @@ def _listed(items: Sequence[str]) -> str:
     return f"{', '.join(others)} and {last}" if others else last
 
 
-def _allowed(matches: list[_Match], topic: str) -> RoutePolicy | None:
+def _permission(matches: list[_Match], topic: str) -> RoutePolicy | None:
     return _by_rule(*matches[0], topic) if matches else None
 
 

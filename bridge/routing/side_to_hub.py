@@ -226,7 +226,7 @@ class SideToHubRoute(TopicRoute):
                 counters.dropped("standby", self.pending.keep(source, held, len(payload), depth))
             else:
                 counters.dropped("standby")
-        elif publisher is None and not self._blocked():
+        elif publisher is None and not self._is_blocked():
             # The engine may not have seen the publisher yet: hold its newest message until the engine calls `update`.
             if self._priority is Priority.COMMAND:
                 counters.dropped("unknown")  # a command is never held
@@ -244,13 +244,13 @@ class SideToHubRoute(TopicRoute):
         else:
             self._pass(publisher, source, payload, time_ns, time.monotonic())
 
-    def _blocked(self) -> bool:
+    def _is_blocked(self) -> bool:
         return self._hold is not None and self._hold.held and self.hub_topic in self._hold.topics
 
     def _pass(self, publisher: _SidePublisher, source: str, payload: bytes, time_ns: int | None, since: float) -> None:
         """Publish a known publisher's message, which arrived at ``since`` (monotonic), unless it has to be dropped."""
         size = len(payload)
-        if self._hold is not None and self._blocked():
+        if self._hold is not None and self._is_blocked():
             self.counters.dropped("held")
         elif self._priority is Priority.COMMAND and self._stale(publisher, time_ns):
             self.counters.dropped("stale")

@@ -56,7 +56,7 @@ def native_velocities(endpoints: Sequence[Endpoint]) -> frozenset[tuple[str, str
     return frozenset(velocity for velocity in velocities if velocity[1] in VELOCITIES)
 
 
-def preferred(side_topic: str, side_type: str, native: Collection[tuple[str, str]]) -> str:
+def preferred_type(side_topic: str, side_type: str, native: Collection[tuple[str, str]]) -> str:
     """Return the velocity type to which the side's nodes subscribe instead of ``side_type``, "" if there is none.
 
     A side has one type per topic, so a route of this type would exclude the other. ROS 1's master would even report

@@ -142,7 +142,7 @@ class Replica:
         with self._lock:
             self._check_open()
             entries = [
-                self._stamped(key, body, oldest=oldest)
+                self._new_entry(key, body, oldest=oldest)
                 for key, body in changes.items()
                 if not (oldest and key in self._rows)
             ]
@@ -220,7 +220,7 @@ class Replica:
             self._table.close()
         self._events.close()
 
-    def _stamped(self, key: Key, body: Body | None, *, oldest: bool) -> StoreEntry:
+    def _new_entry(self, key: Key, body: Body | None, *, oldest: bool) -> StoreEntry:
         before = self._rows.get(key)
         now = self._last = max(time.time_ns(), self._last + 1)
         if oldest:

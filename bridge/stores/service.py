@@ -139,7 +139,7 @@ class StoreService:
                 if self._config.store.enabled is False:
                     raise StoreError("the store is disabled (store.enabled)")
                 try:
-                    self._open = self._opened()
+                    self._open = self._open_store()
                 except HubError as err:
                     raise StoreError(f"the store cannot join the hub: {err}") from err
             return self._open[0]
@@ -164,7 +164,7 @@ class StoreService:
             hub.close()
             store.replica.close()
 
-    def _opened(self) -> tuple[Store, StoreSync, Hub]:
+    def _open_store(self) -> tuple[Store, StoreSync, Hub]:
         config = self._config
         section = config.store
         limits = StoreLimits(section.keys, section.megabytes << 20, section.deleted, section.deleted_days)

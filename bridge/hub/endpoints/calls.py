@@ -141,7 +141,7 @@ class CallClient:
             allowed_destination=reach,
         )
         self._listener = self._querier.declare_matching_listener(
-            zenoh.handlers.Callback(self._match_changed, indirect=False)
+            zenoh.handlers.Callback(self._on_match_changed, indirect=False)
         )
 
     def _attached(self, number: int) -> bytes | None:  # noqa: ARG002
@@ -216,7 +216,7 @@ class CallClient:
             _undeclare_querier(querier)
             self._on_close(self)
 
-    def _match_changed(self, status: object) -> None:
+    def _on_match_changed(self, status: object) -> None:
         """Handle the first server or the loss of the last server; runs on a zenoh thread."""
         keep_thread_state()
         if not _matching(status):

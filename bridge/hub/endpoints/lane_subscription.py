@@ -359,7 +359,7 @@ class LaneSubscription(HubSubscription):
     def _has_caught_up(self, gid: bytes, now: float) -> bool:
         source = self.sources.get(gid)
         last = None if source is None else source.sequence
-        return self._lanes.has_caught_up(gid, last, now, self._lane.barriers.passed)
+        return self._lanes.has_caught_up(gid, last, now, self._lane.barriers.has_passed)
 
     def _to_zenoh(self, why: str) -> bool:
         self._zenoh.listen(everywhere=True)
@@ -372,7 +372,7 @@ class LaneSubscription(HubSubscription):
                 inlet.leave(self)
                 self._drop(inlet)
             elif step is LeavingStep.DECLARED:
-                if self._lane.barriers.passed(inlet.zid, self._zenoh.declared):
+                if self._lane.barriers.has_passed(inlet.zid, self._zenoh.declared):
                     with self._lock:
                         lanes.on_subscriber_known(inlet, now)
             else:

@@ -165,7 +165,7 @@ class LatchedHistory:
         if self._recovers:
             self._subscribers.append(subscribe(self._session, space, self._on_heartbeat))
 
-    def saw(self, info: zenoh.SourceInfo | None) -> None:
+    def on_sample(self, info: zenoh.SourceInfo | None) -> None:
         """Record the number of a publisher's newest sample."""
         if info is None:
             return

@@ -90,7 +90,7 @@ class LatchedHubSubscription(HubSubscription):
         message = self._reader.read(sample)
         if message is not None:
             for history in self._histories:
-                history.saw(sample.source_info)
+                history.on_sample(sample.source_info)
         return message
 
     @override

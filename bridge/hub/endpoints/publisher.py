@@ -136,7 +136,7 @@ class _Matching:
         """Return whether a put would reach a subscriber now or a moment ago; not safe for two threads at once."""
         if self._listener is None:
             self._listener = self._publisher.declare_matching_listener(
-                zenoh.handlers.Callback(self._changed, indirect=False)
+                zenoh.handlers.Callback(self._on_changed, indirect=False)
             )
             # atomic in CPython, so that this older state does not replace a change reported meanwhile
             self._reported.setdefault("", _matching(self._publisher))
@@ -147,7 +147,7 @@ class _Matching:
             return True
         return False
 
-    def _changed(self, status: Any) -> None:
+    def _on_changed(self, status: Any) -> None:
         """Store a reported change; runs on a zenoh thread."""
         keep_thread_state()
         self._reported[""] = bool(status.matching)

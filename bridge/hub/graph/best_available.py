@@ -78,13 +78,13 @@ def resolve(type_name: str, announced: Mapping[str, tuple[EndpointKind, Qos]]) -
     # rmw_zenoh stores nothing for a volatile publisher, and a bridge must not store velocities either
     durability = Durability.VOLATILE if type_name in VELOCITIES else Durability.TRANSIENT_LOCAL
     offer = Qos(Reliability.RELIABLE, durability, deadline_ns=shortest)
-    resolved = {key: _filled(qos, offer) for key, (kind, qos) in announced.items() if kind is EndpointKind.PUBLISHER}
+    resolved = {key: _fill_open(qos, offer) for key, (kind, qos) in announced.items() if kind is EndpointKind.PUBLISHER}
     request = _strongest(resolved.values())
     for key, (kind, qos) in announced.items():
         if kind is EndpointKind.SUBSCRIPTION:
-            resolved[key] = _filled(qos, request)
+            resolved[key] = _fill_open(qos, request)
         elif kind is not EndpointKind.PUBLISHER:
-            resolved[key] = _filled(qos, Qos())  # services: ``rmw_qos_profile_services_default``
+            resolved[key] = _fill_open(qos, Qos())  # services: ``rmw_qos_profile_services_default``
     return resolved
 
 
@@ -101,7 +101,7 @@ def _strongest(offered: Iterable[Qos]) -> Qos:
     )
 
 
-def _filled(qos: Qos, best: Qos) -> Qos:
+def _fill_open(qos: Qos, best: Qos) -> Qos:
     """Return ``qos`` with its open policies set to those of ``best``."""
     if not qos.best_available:
         return qos

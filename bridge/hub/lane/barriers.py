@@ -45,7 +45,7 @@ class LaneBarriers:
         self._key = f"@midspan/{domain}/lane/"
         self._answering = answer(session, self._key + zid, partial(_reply, renew))
 
-    def passed(self, zid: str, since: float) -> bool:
+    def has_passed(self, zid: str, since: float) -> bool:
         """Return whether a session has all declarations from this session before ``since``; query it if unknown."""
         with self._lock:
             requested, confirmed = self._times.get(zid, (0.0, 0.0))

@@ -20,7 +20,7 @@ import psutil
 from typing_extensions import override
 
 from bridge.concurrency import WorkerPool
-from bridge.hub.security.handshake import Attempt, HostPort, Identity, attempt, resolved
+from bridge.hub.security.handshake import Attempt, HostPort, Identity, attempt, resolve_only
 from bridge.hub.security.reasons import EndpointState, Reason, refusal_in_log
 from bridge.hub.security.zenoh_log import ZenohLog
 
@@ -198,7 +198,7 @@ class _Connect(_Endpoint):
         place, identity = self.place, self._identity
         assert place is not None
         if now < self._unlinked + FIRST_SECONDS or not place.can_be_tested:
-            self._test = pool.submit(lambda: resolved(place))
+            self._test = pool.submit(lambda: resolve_only(place))
         else:
             self._test = pool.submit(lambda: attempt(place, identity))
         self._due = self._unlinked + FIRST_SECONDS if now < self._unlinked + FIRST_SECONDS else now + TEST_SECONDS

@@ -122,7 +122,7 @@ def resolve(place: HostPort) -> list[HostPort]:
     return [HostPort(place.protocol, address, place.port) for address in addresses][:_MOST_ADDRESSES]
 
 
-def resolved(place: HostPort) -> Attempt:
+def resolve_only(place: HostPort) -> Attempt:
     """Return only the addresses of a place, without connecting to it."""
     try:
         places = resolve(place)
@@ -244,14 +244,14 @@ def _details(place: HostPort, identity: Identity, name: str, refusal: str) -> tu
                 theirs = _after_handshake(tls, place)
     except OSError:
         return refused_certificate(refusal), ""
-    detail, machine = _described(certificate, refusal)
+    detail, machine = _explain_refusal(certificate, refusal)
     reason = refused_certificate(refusal, detail)
     if theirs.state is EndpointState.REFUSED:
         return Reason(reason.state, f"{reason.text}; {theirs.text}", reason.cure), machine
     return reason, machine
 
 
-def _described(certificate: bytes, refusal: str) -> tuple[str, str]:
+def _explain_refusal(certificate: bytes, refusal: str) -> tuple[str, str]:
     """Return the detail of a certificate that explains its refusal, and its common name."""
     from cryptography import x509
 

@@ -73,11 +73,11 @@ def left_out(pairs: PairTable, rules: Rules) -> tuple[str, ...]:
     for pair in pairs.values():
         if rules.fields(pair.ros1.name, pair.ros2.name) is None:
             mapped = {path1[0] for path1, _ in pair.fields}
-            missing += [f"{pair.ros1.name}.{name}" for name in _named(pair.ros1) if name not in mapped]
+            missing += [f"{pair.ros1.name}.{name}" for name in _required_fields(pair.ros1) if name not in mapped]
     return tuple(missing)
 
 
-def _named(ros1: Definition) -> list[str]:
+def _required_fields(ros1: Definition) -> list[str]:
     """Return the fields that need a counterpart: all except ``seq`` of a header and actionlib's status text."""
     needless = {STATUS_TEXT, "seq"} if ros1.name == "std_msgs/Header" else {STATUS_TEXT}
     return [field.name for field in ros1.fields if field.name not in needless]
@@ -100,7 +100,7 @@ def has_equal_fields(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
     for pair in pairs.values():
         mapped = {path2 for _, path2 in pair.fields}
         if rules.fields(pair.ros1.name, pair.ros2.name) is None and not (
-            len(mapped) == len(_named(pair.ros1)) == len(pair.ros2.fields)
+            len(mapped) == len(_required_fields(pair.ros1)) == len(pair.ros2.fields)
         ):
             return False
     return True
@@ -149,7 +149,7 @@ def _by_name(ros1: Definition, ros2: Definition) -> Fields:
         else:
             taken.add(name)
             pairs.append(((field.name,), (name,)))
-    only1 = [name for name in only1 if name in _named(ros1)]
+    only1 = [name for name in only1 if name in _required_fields(ros1)]
     only2 = [field.name for field in ros2.fields if field.name not in taken]
     if only1 and only2:
         msg = (

@@ -119,7 +119,7 @@ def test_topic_with_growing_messages_returns_to_zenoh(
     reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The writer's session may see the declaration on zenoh before the match is reported."""
-    monkeypatch.setattr(_Matching, "_changed", lambda *_: None)  # as if zenoh reported the match very late
+    monkeypatch.setattr(_Matching, "_on_changed", lambda *_: None)  # as if zenoh reported the match very late
     subscriber = Subscriber(reader, "/t")
     ours = advertise(writer, "/t")
     goes_by(subscriber, "lane")
@@ -139,7 +139,7 @@ def test_messages_still_on_the_way_over_zenoh_are_received_after_the_switch_to_t
     """On a busy machine, a callback may take longer than everything else."""
     subscriber, ours, gate = Subscriber(reader, "/t"), advertise(writer, "/t"), threading.Event()
     chosen, asked = subscription(subscriber), threading.Event()
-    receive, passed = chosen._callback, chosen._lane.barriers.passed
+    receive, passed = chosen._callback, chosen._lane.barriers.has_passed
     texts = [str(number) for number in range(50)]
 
     def slow(message: HubSample) -> None:
@@ -157,7 +157,7 @@ def test_messages_still_on_the_way_over_zenoh_are_received_after_the_switch_to_t
         monkeypatch.setattr(chosen, "_callback", slow)
         for text in texts:
             ours.put(text.encode())
-        monkeypatch.setattr(chosen._lane.barriers, "passed", ask)
+        monkeypatch.setattr(chosen._lane.barriers, "has_passed", ask)
     try:
         until(asked.is_set, "the lane is joined")
         assert (chosen.way, chosen.why) == ("zenoh", "switching to the lane")
