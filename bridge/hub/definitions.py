@@ -14,7 +14,7 @@ MAX_DEFINITION = 1024 * 1024
 
 
 def definition_among(answers: Iterable[WorkerAnswer], type_hash: str = "") -> str | None:
-    """Return the first definition in the answers, None if there is none; ``type_hash``: accept only this hash."""
+    """Return the first definition with ``type_hash`` ("" for any) in the answers; None if no worker has it."""
     for answer in answers:
         value = answer.value if isinstance(answer.value, dict) else {}
         definition = value.get("definition")

@@ -234,7 +234,7 @@ def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> N
 
 
 def duplicate(descriptor: int) -> socket.socket:
-    """Return another socket for a connection of zenoh, which may close ``descriptor``, so that its number is reused.
+    """Return a socket for the same connection, because zenoh may close ``descriptor``, and its number may be reused.
 
     Raises `OSError` if ``descriptor`` is not a socket.
     """

@@ -110,7 +110,7 @@ class DaemonNames:
                 self._here.setdefault(answer.daemon, {})[answer.identity.instance] = answer.identity
 
     def _router(self, answer: WorkerAnswer) -> str:
-        """Return the answering daemon's router, if it distinguishes this daemon from those at the own router, or ""."""
+        """Return the router of the answer's daemon if several have this name and it is not the own router, else ""."""
         routers = self._routers.get(answer.daemon, {})
         if len(routers) > 1:
             for zid, sessions in routers.items():

@@ -71,10 +71,10 @@ class Backlog(Generic[Message]):
         return len(excess)
 
     def overdue(self, seconds: float) -> float:
-        """Return the time (monotonic seconds) such that messages from before it are overdue.
+        """Return the arrival time (monotonic seconds) before which messages are overdue.
 
-        They were held for ``seconds``, and already at the last call, so that a process that was suspended checks for a
-        message's publisher once more before it drops the message.
+        Overdue messages were held for ``seconds``, and already at the last call. So a process that was suspended checks
+        for a message's publisher once more before it drops the message.
         """
         now = time.monotonic()
         before, self._judged = min(now - seconds, self._judged), now

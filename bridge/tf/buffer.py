@@ -133,7 +133,7 @@ class TransformBuffer:
         """Return the pose of the source frame in the target frame, which transforms data from the source to the target.
 
         Raises:
-            LookupError_: a frame is unknown, or there is a loop.
+            LookupError_: a frame is unknown, or the frames form a loop.
             ConnectivityError: the frames are not connected.
             ExtrapolationError: the stamp is outside the known history.
             InvalidArgumentError: a name is empty.
@@ -177,8 +177,8 @@ class TransformBuffer:
         source_frame: str,  # frame that the data are in
         stamps: ArrayLike,  # (N), ns
         *,
-        # if given, the target frame is taken to stay where it was in this frame at ``target_stamp``; otherwise its
-        # pose at each stamp is used
+        # if given, the target frame's pose in this frame at ``target_stamp`` is used for all stamps; otherwise its own
+        # pose at each stamp
         fixed_frame: str = "",
         target_stamp: int = LATEST,  # ns, or `LATEST`
         extrapolate: float = 0.0,  # as in `lookup_transform`
@@ -257,7 +257,7 @@ class TransformBuffer:
         return tree.as_dot(self.frames())
 
     def yaml(self) -> str:
-        """Return all frames in the format of tf2's service ``tf2_frames``."""
+        """Return all frames in the format of the service ``tf2_frames``."""
         return tree.as_yaml(self.frames())
 
     def _pose(self, target: str, source: str, stamp: int, horizon: int) -> Transform:

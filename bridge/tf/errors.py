@@ -54,7 +54,7 @@ CURES = {
     FrameRefusal.NO_CHILD_FRAME_ID: "child_frame_id is not set",
     FrameRefusal.NO_FRAME_ID: "frame_id is not set",
     FrameRefusal.NAN_INPUT: "a value is not a number: find out where its publisher divides by zero",
-    FrameRefusal.DENORMALIZED_QUATERNION: "the rotation's length is not 1: normalize it (0, 0, 0, 1 is no rotation)",
+    FrameRefusal.DENORMALIZED_QUATERNION: "the rotation's length is not 1: normalize it (0, 0, 0, 1 means no rotation)",
     FrameRefusal.OLD_DATA: "it is older than the history: its publisher's clock is behind or was set back, or a second"
     " publisher uses another clock",
     FrameRefusal.REPEATED_DATA: "the buffer has a transform with this stamp: it was sent twice or arrives by two paths",

@@ -62,7 +62,7 @@ class FrameTable:
 
     @property
     def full(self) -> bool:
-        """Whether there is no room for two more frames, a parent and a child."""
+        """Whether two more frames, a parent and a child, would exceed the limit."""
         return len(self._frames) > MAX_FRAMES - 2
 
     def get(self, name: str) -> Frame:

@@ -1,4 +1,4 @@
-"""Joins the small messages that a thread reads before it waits again into one record for each reader of a lane.
+"""Joins the small messages that a thread reads between two waits into one record for each reader of a lane.
 
 This needs no timer, because a thread that reads connections sends the joined messages before it waits again. So a
 message waits only while other messages that have already arrived are processed, at most `MAX_JOINED` of them.

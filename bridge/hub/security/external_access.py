@@ -18,7 +18,7 @@ from bridge.status import EndpointStatus, MachineStatus, RouterStatus
 _log = logging.getLogger(__name__)
 _RETRY_SECONDS = 5.0
 _REOPEN_SECONDS = 0.3
-"""Seconds between the routers: zenoh checks for new neighbors every 0.1 s, and gives subscriptions only to these."""
+"""Pause before the next router, in seconds; a router that replaces another within 0.1 s gets no subscriptions."""
 
 
 class ExternalAccess:
