@@ -299,7 +299,7 @@ class RouterWorker(Worker):
 
 
 def _members(session: zenoh.Session, *, peers: bool = False) -> list[str]:
-    """Return the ids of the sessions that are linked to a router, with ``peers`` only those of peers."""
+    """Return the ids of the sessions that are linked to a router, or with ``peers`` only the ids of peers."""
     transports = session.info.transports()
     return [str(transport.zid) for transport in transports if not peers or transport.whatami == zenoh.WhatAmI.PEER]
 

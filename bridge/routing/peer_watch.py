@@ -51,7 +51,7 @@ FENCE = 0.7
 """Seconds for which a worker stays active after its last round; less than `bridge.routing.election.SILENCE`."""
 
 ALONE = 1.5
-"""The same if no other worker is on the network; a worker that joins meanwhile waits longer than this."""
+"""Like `FENCE`, if no other worker is on the network; a worker that joins meanwhile waits longer than this."""
 
 _ALONE_PERIOD = 0.4
 """Seconds between rounds if no other worker is known; the first worker that joins wakes the thread at once."""
@@ -64,7 +64,7 @@ _HUB_LINKED = 1.0
 """Seconds from the first link on the hub until all sessions on the hub are known."""
 
 _HUB_AGAIN = 2.5
-"""The same after a hang in which the links were lost; they are restored one after the other (`bridge.hub.links`)."""
+"""Like `_HUB_LINKED`, after a hang in which links were lost, which are restored one by one (`bridge.hub.links`)."""
 
 _LINKS_LAST = 0.75 * LEASE_MS / 1000
 """Seconds of a hang after which other sessions on the hub drop their links to this session. This is less than zenoh's

@@ -54,7 +54,7 @@ def check_name(name: str) -> str:
 
 
 MOST_SEEN = 32  # replicas listed in a version; those with the oldest changes are dropped first
-OLDEST = 1  # the stamp of imported values, which is older than that of any written value
+OLDEST = 1  # the stamp of imported values, which is older than the stamp of any written value
 LATEST = (1 << 32) * 1_000_000_000
 """Upper bound of a stamp, in nanoseconds since 1970: the limit of zenoh's 64-bit NTP time."""
 

@@ -133,7 +133,7 @@ class LaneSubscription(HubSubscription):
     """Receives one volatile topic.
 
     Locks, in the order in which a thread may acquire them: ``_delivery`` is held while messages are ordered and
-    delivered, so that those of two transports are delivered in order; ``_lock`` also guards the lanes and the
+    delivered, so that messages of two transports are delivered in order; ``_lock`` also guards the lanes and the
     sequencer. Only the lane's thread chooses the transport.
     """
 

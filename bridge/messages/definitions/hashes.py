@@ -29,7 +29,7 @@ _BOUNDED_SEQUENCE_STEP = 96
 
 
 def md5_sum(*schemas: Schema) -> str:
-    """Return the md5 of a ROS 1 type, in hex; for a request and a response, that of their service, over both texts."""
+    """Return the md5 of a ROS 1 type, in hex; or of the service with a given request and response, over both texts."""
     if len(schemas) != 1:
         return _md5("".join(_md5_text(schema) for schema in schemas))
     (schema,) = schemas

@@ -115,7 +115,7 @@ class DefinitionLibrary:
         return self._found[name]
 
     def _empty(self, name: str, fingerprint: str) -> Schema | None:
-        """Return the schema of a type without fields and constants, if ``fingerprint`` is that of such a type.
+        """Return the schema of a type without fields and constants, if ``fingerprint`` identifies such a type.
 
         ROS 1's connection headers and ROS 2's tokens carry no text for such a type; the fingerprint defines it fully.
         """

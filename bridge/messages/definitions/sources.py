@@ -86,7 +86,7 @@ class DefinitionFolder:
 
     @cached_property
     def _own_names(self) -> set[str]:
-        """The root's name, and that of the folder that it links to."""
+        """The root's name, and the name of the folder that it links to."""
         return {self.root.name, self.root.resolve().name}
 
     @cached_property
