@@ -51,7 +51,7 @@ class TypeVersions(Protocol):
         """Return the hashes of all known versions of a type."""
 
     def here(self, type_name: str, type_hash: str) -> str:
-        """Return the installed version's hash if the version with ``type_hash`` can be converted, else ``type_hash``."""
+        """Return the installed version's hash if the version ``type_hash`` can be converted, else ``type_hash``."""
 
     def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
         """Return the converter between two versions of a type, or of a service's part; None if a version is unknown."""

@@ -244,7 +244,7 @@ class ReleaseConversions:
         return parts
 
     def here(self, type_name: str, type_hash: str) -> str:
-        """Return the installed version's hash if the version with ``type_hash`` can be converted, else ``type_hash``."""
+        """Return the installed version's hash if the version ``type_hash`` can be converted, else ``type_hash``."""
         known = self._here.get((type_name, type_hash))
         if known is None:
             with self._lock:
