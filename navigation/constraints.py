@@ -19,7 +19,7 @@ _BOOLEANS = {"true": True, "false": False}
 
 @dataclass(frozen=True)
 class Constraints:
-    """Constraints for one goal; None or "" means the navigator's own. Raises `ValueError` for an invalid value."""
+    """Constraints for one goal; None or "" means the navigator's own setting. Raises `ValueError` if one is invalid."""
 
     max_lin_speed: float | None = None  #: m/s
     min_lin_speed: float | None = None  #: m/s
@@ -30,7 +30,7 @@ class Constraints:
     tolerance_lin: float | None = None  #: m
     tolerance_ang: float | None = None  #: degrees
     on_obstacle: str = ""  #: ``wait`` until the obstacle moves away, or drive ``around`` it
-    beside_keep_out: str = ""  #: the map whose keep-out cells are near; without that map, a navigator waits as well
+    beside_keep_out: str = ""  #: map whose keep-out cells are near; a navigator without that map always waits
     heading: bool = True  #: whether the goal's heading matters
     through: bool = False  #: whether the robot passes without a stop, as at a waypoint
     map: str = ""  #: the goal's map, if it is not the current one

@@ -75,7 +75,7 @@ class RobotFrames:
         """Return the pose of the odometry frame on the map; raises `FramesError` like `pose`."""
         return self._fresh(self.map_frame, self.odom_frame, self._localization_age, "localization")
 
-    def hangs(self, frame: str) -> bool:
+    def is_upside_down(self, frame: str) -> bool:
         """Whether a sensor is mounted upside down on the base; False if its mounting is unknown."""
         try:
             x, y, _, _ = self._lookup(self.base_frame, frame, LATEST, 0.0).rotation
@@ -102,7 +102,7 @@ class RobotFrames:
     def placed_at(self, frame: str, stamp: int) -> tuple[Transform, Transform]:
         """Return the transforms of a frame and of the base at a stamp (ns) or `LATEST`.
 
-        Both are in the odometry frame, or on the map without odometry. Raises `FramesError` if neither is known.
+        Both are in the odometry frame, or on the map without odometry. Raises `FramesError` if unknown.
         """
 
         def both(fixed: str) -> tuple[Transform, Transform]:
@@ -117,7 +117,7 @@ class RobotFrames:
                 raise err from None
 
     def floor(self, configured: float | None) -> float:
-        """Return the floor's height in the base frame, meters: configured, of ``base_footprint`` (REP 120), or 0."""
+        """Return the floor's height in the base frame, meters: configured, or ``base_footprint``'s (REP 120), or 0."""
         if configured is None:
             robot, slash, _ = self.base_frame.rpartition("/")
             try:

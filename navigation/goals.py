@@ -119,7 +119,7 @@ def result(fault: int, reason: str) -> dict[str, Any]:
 
 
 _EVERY = 0.25  # seconds between two checks
-_MISSES = 3  # checks in a row without a client before it counts as gone: a link may be reopened
+_MISSES = 3  # checks in a row without a client before it counts as gone, because a link may be reopened
 
 GONE = "the goal's client is unreachable, and no other client could cancel it"
 CUT_OFF = "the goal's client is unreachable: the program has exited, or the link to its machine is cut"
@@ -150,7 +150,7 @@ class Clients:
 
 @dataclass
 class _Far:
-    """A goal's client: whether it is linked directly, whether it was ever seen, and successive checks without it."""
+    """A goal's client: whether its link is direct, whether it was ever on the graph, and checks since it was there."""
 
     near: bool = False
     seen: bool = False
@@ -158,32 +158,32 @@ class _Far:
 
 
 class FarClients:
-    """Watches the clients that reach this session through a router: a client that is cut off cannot stop the robot.
+    """Watches the clients that reach this session through a router: if they are cut off, they cannot stop the robot.
 
     These are the clients on other machines, and short-lived programs on this machine such as ``midspan goto``. The goal
-    of a client with a direct link goes on when the client ends. ``gone`` is called with the goal of a missing client.
+    of a directly linked client continues when the client exits. ``gone`` is called with the goal of a missing client.
     """
 
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[Goal], None]) -> None:
         self._hub, self._server, self._gone = host.node.hub, server, gone
         self._known: dict[bytes, _Far] = {}
-        server.met = self._meet
+        server.met = self._on_goal
         self._timer = host.loop.every(_EVERY, self._check)
 
     def close(self) -> None:
         self._timer.close()
 
-    def _meet(self, goal: Goal) -> None:
+    def _on_goal(self, goal: Goal) -> None:
         """Note the client when the goal arrives, because the link may be cut before the next check."""
         if goal.client:
             self._known[goal.id] = far = _Far()
-            self._see(far, goal, self._near())
+            self._update(far, goal, self._direct_sessions())
 
-    def _near(self) -> set[str]:
+    def _direct_sessions(self) -> set[str]:
         """Return the sessions with a direct link, and this session, which the nodes of all modules share."""
         return self._hub.neighbors() | {self._hub.zid}
 
-    def _see(self, far: _Far, goal: Goal, near: Collection[str]) -> None:
+    def _update(self, far: _Far, goal: Goal, near: Collection[str]) -> None:
         session = self._hub.graph.zid_of(goal.client)
         far.near = far.near or session in near
         far.seen = far.seen or bool(session)
@@ -194,9 +194,9 @@ class FarClients:
         self._known = {goal.id: self._known.get(goal.id) or _Far() for goal in goals}
         if not goals:
             return
-        near = self._near()
+        near = self._direct_sessions()
         for goal in goals:
             far = self._known[goal.id]
-            self._see(far, goal, near)
+            self._update(far, goal, near)
             if far.seen and not far.near and far.missed >= _MISSES:
                 self._gone(goal)

@@ -40,7 +40,7 @@ class MapInUse:
             self._closing.append(lambda: host.node.release(subscription))
 
     def update(self) -> None:
-        """Use the store's current map, or the topic's again."""
+        """Use the store's current map, or the topic's newest map again."""
         self._due = False
         if self._closed:
             return

@@ -22,17 +22,17 @@ class ScanError(ValueError):
     """A scan is invalid; the text gives the reason."""
 
 
-def of_ros(message: Mapping[str, Any], time_ns: int, *, hangs: bool = False) -> LaserScan:
-    """Convert a ``LaserScan`` made at ``time_ns``; ``hangs`` if the laser is upside down. Raises `ScanError`."""
+def of_ros(message: Mapping[str, Any], time_ns: int, *, upside_down: bool = False) -> LaserScan:
+    """Convert a ``LaserScan`` made at ``time_ns``; ``upside_down``: how the laser is mounted. Raises `ScanError`."""
     laser_scan = _laser_scan(
         time_ns, message["angle_min"], message["angle_increment"], message["range_min"], message["range_max"],
         np.array(message["ranges"], np.float64),
     )  # fmt: skip
-    return laser_scan.turned_over() if hangs else laser_scan
+    return laser_scan.turned_over() if upside_down else laser_scan
 
 
 def of_yarp(scan: LaserScan2D, time_ns: int) -> LaserScan:
-    """Convert a YARP scan, whose last angle is a step beyond the last beam, in degrees; raises `ScanError`."""
+    """Convert a YARP scan (degrees; its last angle is a step beyond the last beam); raises `ScanError`."""
     ranges = np.array(scan.scans, np.float64)
     step = math.radians(scan.angle_max - scan.angle_min) / max(len(ranges), 1)
     return _laser_scan(time_ns, math.radians(scan.angle_min), step, scan.range_min, scan.range_max, ranges)
@@ -57,7 +57,7 @@ def is_blind(scan: LaserScan) -> bool:
         return not ((ranges >= scan.nearest) | (ranges == -np.inf)).any()
 
 
-def believed(scan: LaserScan) -> NDArray[np.float64]:
+def clean_ranges(scan: LaserScan) -> NDArray[np.float64]:
     """Return the ranges: NaN if unknown or below the laser's minimum, infinite from its maximum on.
 
     A range of exactly ``range_max`` is not an echo: many lasers report it if the beam hit nothing.
@@ -74,7 +74,7 @@ AT_BASE = Pose(0.0, 0.0, 0.0)
 
 def scan_points(scan: LaserScan, laser: Pose = AT_BASE) -> NDArray[np.float64]:
     """Return the echoes of a laser on the base as points in the base's frame, (n, 2) meters."""
-    ranges = believed(scan)
+    ranges = clean_ranges(scan)
     hit = np.isfinite(ranges)
     angles = scan.first + np.flatnonzero(hit) * scan.step + laser.theta
     echoes = ranges[hit]

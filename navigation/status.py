@@ -112,7 +112,7 @@ class PlanError(ValueError):
 
 
 def not_compiled() -> str:
-    """Return why goals are refused, with the cure; "" if `kernels.DRIVING` are compiled, even from other sources."""
+    """Return why goals are refused, with the cure; "" if `kernels.DRIVING` are compiled, even from older sources."""
     missing = tuple(name for name in kernels.state().missing if name in kernels.DRIVING)
     return f"goals are refused, since {kernels.KernelState(missing, ())}: {kernels.CURE}" if missing else ""
 

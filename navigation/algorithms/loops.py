@@ -25,26 +25,26 @@ from navigation.pose import Pose
 Floats = NDArray[np.float64]
 
 NEAR = 5.0
-"""Meters to the middle of a submap within which a scan is matched to it."""
+"""A scan is matched to a submap whose middle is less than this many meters away."""
 
 DRIFT = 0.02
 """Expected drift, in meters per meter of the robot's path."""
 
-_TURNING = math.radians(0.4)  # the same for the heading, radians per meter
+_TURN_DRIFT = math.radians(0.4)  # expected drift of the heading, radians per meter
 _MOST_DRIFT = 6.0, math.radians(40.0)  # the largest expected drift
 _DIRECT = 0.25  # meters of drift up to which a scan is matched without a search
-_MOST_DIRECT, _MOST_SEARCHED = 2, 2  # submaps for each scan
-_POINTS, _SEARCH_POINTS = 300, 180  # points of a scan that are used
+_MOST_DIRECT, _MOST_SEARCHED = 2, 2  # submaps that are matched directly, and search_surfels, for each scan
+_POINTS, _SEARCH_POINTS = 300, 180  # points of a scan that a direct match and a search use
 _SHARE, _SURE_SHARE = 0.5, 0.7  # least share of a scan's points on a submap's lines, after a direct match and a search
-_CLEARLY = 0.85  # share of the best candidate's score that the next one may have
+_CLEARLY = 0.85  # the best pose is ambiguous if the second one has more than this part of its share
 _OFF = 0.3, math.radians(6.0)  # largest distance of a direct match from its guess
-_AGREED = 0.3, math.radians(2.0)  # largest difference of two closures that confirm each other
+_AGREED = 0.3, math.radians(2.0)  # largest difference between two closures that confirm each other
 _PATIENCE = 4  # scans within which a closure must be confirmed
-_STEP = 0.3  # meters that each edge adds to a path's length
-_GRID = 0.1  # side of the search's cells, meters
+_STEP = 0.3  # meters that each edge adds to a path's length; a closure adds nothing else
+_GRID = 0.1  # side of a cell of the search, meters
 _SHARPNESS, _HIT = 0.1, 0.9  # of the search's likelihood field: meters, and share of points on a submap's lines
 _FLOOR = np.diag((0.004**2, 0.004**2, math.radians(0.08) ** 2))  # least covariance of a match
-_SMALL = 0.7  # standard deviations of error up to which a closure does not move the submaps
+_SMALL = 0.7  # a closure whose error is smaller (standard deviations) does not move the submaps
 _WRONG = 5.0  # a closure with a larger error after optimization (standard deviations) contradicts the others
 
 
@@ -64,7 +64,7 @@ class Closure(NamedTuple):
     correction: Pose
 
 
-class Closed(NamedTuple):
+class LoopResult(NamedTuple):
     """The result of a search that closes loops.
 
     Attributes:
@@ -77,14 +77,14 @@ class Closed(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A submap to search, within meters and radians of drift."""
+    """A submap to search, with the expected drift in meters and radians."""
 
     submap: int
     drift: float
     turn: float
 
 
-class Place(NamedTuple):
+class LaserPose(NamedTuple):
     """The laser's pose in the current submap."""
 
     submaps: Submaps
@@ -101,7 +101,7 @@ class Place(NamedTuple):
         return self.submaps.graph.poses[index].inverse @ self.on_map
 
     def closure(self, index: int, match: Match) -> Closure:
-        """Return the closure of a match with a submap."""
+        """Return the closure that a match with a submap implies."""
         before = self.on_map
         return Closure(index, match, before, self.submaps.graph.poses[index] @ match.pose @ before.inverse)
 
@@ -135,7 +135,7 @@ class LoopSearch:
         scan: Surface,
         end: int,
         unsure: tuple[float, float] | None,
-    ) -> Closed | None:
+    ) -> LoopResult | None:
         """Match a scan to older submaps, and optimize the graph; return None if no closure is accepted.
 
         Args:
@@ -145,13 +145,13 @@ class LoopSearch:
             scan: the scan's points, in the laser's frame.
             end: index of the first submap that is too new to be matched.
             unsure: meters and radians by which the pose on the map may be wrong if the current submap is not joined to
-                the older ones yet; None if it is joined.
+                older submaps yet; None if it is joined.
         """
-        place = Place(submaps, current, pose)
-        direct, far = self._candidates(place, end, unsure)
+        laser = LaserPose(submaps, current, pose)
+        direct, far = self._candidates(laser, end, unsure)
         points = scan.thinned(_POINTS)
-        closures = [closure for index in direct if (closure := _matched(place, index, points)) is not None]
-        trusted = [] if closures else self._searched(place, far, points)
+        closures = [closure for index in direct if (closure := _match_submap(laser, index, points)) is not None]
+        trusted = [] if closures else self._search(laser, far, points)
         if not closures and not trusted:
             return None
         graph = submaps.graph
@@ -161,29 +161,29 @@ class LoopSearch:
             graph.join(closure.submap, current, closure.match.pose, information, offset=pose, loop=True)
         if not trusted and graph.errors()[edges:].max() < _SMALL:
             self.closed += len(closures)
-            return Closed(graph.edges[edges:], None)
+            return LoopResult(graph.edges[edges:], None)
         graph.optimize(12 if trusted else 4, trusting=4 if trusted else 0)
         if trusted and graph.errors()[edges:].max() > _WRONG:
             self.refused += 1
             return None
         self.closed += len(closures) + len(trusted)
-        return Closed(graph.edges[edges:], graph.poses)
+        return LoopResult(graph.edges[edges:], graph.poses)
 
     def _candidates(
-        self, place: Place, end: int, unsure: tuple[float, float] | None
+        self, laser: LaserPose, end: int, unsure: tuple[float, float] | None
     ) -> tuple[list[int], list[Candidate]]:
         """Return the submaps to match directly, and those to search."""
-        here = place.on_map
-        ways = _ways(place.submaps.graph, place.current) if unsure is None else {}
+        here = laser.on_map
+        lengths = _path_lengths(laser.submaps.graph, laser.current) if unsure is None else {}
         near: list[tuple[float, int]] = []
         far: list[tuple[float, Candidate]] = []
         for index in range(end):
-            middle = place.submaps.middle(index)
+            middle = laser.submaps.middle(index)
             if middle is None:
                 continue
             if unsure is None:
-                way = ways.get(index, math.inf)
-                drift, turn = min(0.05 + DRIFT * way, _MOST_DRIFT[0]), min(0.03 + _TURNING * way, _MOST_DRIFT[1])
+                way = lengths.get(index, math.inf)
+                drift, turn = min(0.05 + DRIFT * way, _MOST_DRIFT[0]), min(0.03 + _TURN_DRIFT * way, _MOST_DRIFT[1])
             else:
                 drift, turn = unsure
             gap = middle.distance(here)
@@ -193,10 +193,10 @@ class LoopSearch:
                 far.append((gap, Candidate(index, drift, turn)))
         near.sort()
         far.sort()
-        return [index for _, index in near[:_MOST_DIRECT]], self._chosen([candidate for _, candidate in far])
+        return [index for _, index in near[:_MOST_DIRECT]], self._choose([candidate for _, candidate in far])
 
-    def _chosen(self, far: list[Candidate]) -> list[Candidate]:
-        """Return the candidates for the closure to confirm, or else the next few of all candidates in turn."""
+    def _choose(self, far: list[Candidate]) -> list[Candidate]:
+        """Return the candidates that may confirm the suspected closure; if there are none, the next few in turn."""
         suspicion = self._suspicion
         if suspicion is not None:
             again = [candidate for candidate in far if candidate.submap == suspicion.closure.submap]
@@ -205,7 +205,7 @@ class LoopSearch:
         self._turn += _MOST_SEARCHED
         return [far[(self._turn + n) % len(far)] for n in range(min(_MOST_SEARCHED, len(far)))]
 
-    def _searched(self, place: Place, far: list[Candidate], points: Surface) -> list[Closure]:
+    def _search(self, laser: LaserPose, far: list[Candidate], points: Surface) -> list[Closure]:
         """Return the closure that a search finds if it confirms an earlier one."""
         suspicion = self._suspicion
         if suspicion is not None:
@@ -213,7 +213,7 @@ class LoopSearch:
             if suspicion.age > _PATIENCE:
                 suspicion = self._suspicion = None
         for candidate in far:
-            closure = _found(place, candidate, points)
+            closure = _search_submap(laser, candidate, points)
             if closure is None:
                 continue
             if suspicion is not None and _agree(suspicion.closure, closure):
@@ -224,48 +224,48 @@ class LoopSearch:
         return []
 
 
-def _ways(graph: PoseGraph, current: int) -> dict[int, float]:
-    """Return the length of the path along the graph from a submap to each other one, meters; closures shorten it."""
+def _path_lengths(graph: PoseGraph, current: int) -> dict[int, float]:
+    """Return the length in meters of the path along the graph from a submap to each other submap."""
     neighbors: dict[int, list[tuple[int, float]]] = {}
     for edge in graph.edges:
         length = _STEP if edge.loop else math.hypot(edge.measured.x, edge.measured.y) + _STEP
         neighbors.setdefault(edge.first, []).append((edge.second, length))
         neighbors.setdefault(edge.second, []).append((edge.first, length))
-    ways: dict[int, float] = {}
+    lengths: dict[int, float] = {}
     waiting = [(0.0, current)]
     while waiting:
         way, index = heapq.heappop(waiting)
-        if index in ways:
+        if index in lengths:
             continue
-        ways[index] = way
+        lengths[index] = way
         for other, length in neighbors.get(index, ()):
-            if other not in ways:
+            if other not in lengths:
                 heapq.heappush(waiting, (way + length, other))
-    return ways
+    return lengths
 
 
-def _matched(place: Place, index: int, points: Surface) -> Closure | None:
-    """Match a scan to a submap near the pose that the graph implies; return None if the scan does not fit there."""
-    guess = place.guess(index)
-    match = place.submaps.surfels(index).match(points, guess, steps=12)
+def _match_submap(laser: LaserPose, index: int, points: Surface) -> Closure | None:
+    """Match a scan to a submap near the pose that the graph implies; return None if it does not fit."""
+    guess = laser.guess(index)
+    match = laser.submaps.surfels(index).match(points, guess, steps=12)
     if match.share < _SHARE or not _close(guess, match.pose, *_OFF):
         return None
-    return place.closure(index, match)
+    return laser.closure(index, match)
 
 
-def _found(place: Place, candidate: Candidate, points: Surface) -> Closure | None:
-    """Search for the pose of a scan on a submap; return None if no pose fits, or two poses do."""
+def _search_submap(laser: LaserPose, candidate: Candidate, points: Surface) -> Closure | None:
+    """Search for the pose of a scan on a submap; return None if no pose fits, or more than one."""
     index, drift, turn = candidate
-    guess = place.guess(index)
-    middle = place.submaps.middle(index)
+    guess = laser.guess(index)
+    middle = laser.submaps.middle(index)
     if math.isinf(drift) and middle is not None:  # the pose is unknown: the robot may be anywhere in the submap
-        guess, drift = place.submaps.graph.poses[index].inverse @ middle, NEAR
-    match = searched(place.submaps.surfels(index), points, guess, drift, turn)
-    return None if match is None else place.closure(index, match)
+        guess, drift = laser.submaps.graph.poses[index].inverse @ middle, NEAR
+    match = search_surfels(laser.submaps.surfels(index), points, guess, drift, turn)
+    return None if match is None else laser.closure(index, match)
 
 
-def searched(surfels: Surfels, points: Surface, guess: Pose, reach: float, turn: float) -> Match | None:
-    """Search for the pose of a scan on surfels within a window; return None if no pose fits, or two poses do."""
+def search_surfels(surfels: Surfels, points: Surface, guess: Pose, reach: float, turn: float) -> Match | None:
+    """Search for the pose of a scan on surfels within a window; return None if no pose fits, or more than one."""
     walls, corner = surfels.raster(_GRID)
     field = LikelihoodField(walls, np.ones(walls.shape, np.bool_), _GRID)
     table = field.table(_SHARPNESS, _HIT)
@@ -284,7 +284,7 @@ def searched(surfels: Surfels, points: Surface, guess: Pose, reach: float, turn:
 
 
 def _agree(a: Closure, b: Closure) -> bool:
-    """Whether two closures move the map in the same way, at the second one's place."""
+    """Whether two closures move the map in the same way, where the second one was found."""
     return _close(a.correction @ b.before, b.correction @ b.before, *_AGREED)
 
 

@@ -17,10 +17,10 @@ Alphas = tuple[float, float, float, float, float]
 """Noise of odometry: rotation by rotation, rotation by driving, driving by driving, driving by rotation, and sideways
 by driving; variances per square."""
 
-_STANDS = 0.01  # meters below which the direction of a motion is meaningless
+_STANDS = 0.01  # meters; a shorter motion has no meaningful direction
 _REACH = 0.75  # meters in x and y from a pose, within which particles belong to its cluster
 _TURN = math.radians(30.0)  # the same for the heading
-_TRIES = 12  # particles whose clusters are compared
+_TRIES = 12  # randomly drawn particles whose clusters are compared
 
 
 class Cluster(NamedTuple):
@@ -73,19 +73,19 @@ def drive(
     particles[:, 2] = wrapped(particles[:, 2])
 
 
-def weighed(weights: Floats, logs: Floats) -> Floats:
+def updated_weights(weights: Floats, logs: Floats) -> Floats:
     """Return the weights after a measurement with these log likelihoods; their sum is 1."""
     posterior: Floats = weights * np.exp(logs - logs.max())
     posterior /= posterior.sum()
     return posterior
 
 
-def effective(weights: Floats) -> float:
+def effective_count(weights: Floats) -> float:
     """Return the effective number of particles."""
     return float(1.0 / np.square(weights).sum())
 
 
-def drawn(weights: Floats, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def resample(weights: Floats, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
     """Resample: return the indices of particles, each about in proportion to its weight."""
     sums = np.cumsum(weights)
     places = (rng.random() + np.arange(count)) / count * sums[-1]
@@ -95,7 +95,7 @@ def drawn(weights: Floats, count: int, rng: np.random.Generator) -> NDArray[np.i
 
 def heaviest(particles: Floats, weights: Floats, rng: np.random.Generator) -> Cluster:
     """Return the heaviest cluster; the mean of all particles could be between two clusters."""
-    seeds = particles[drawn(weights, _TRIES, rng)]
+    seeds = particles[resample(weights, _TRIES, rng)]
     best = max((_around(particles, weights, seed) for seed in seeds), key=lambda near: float(weights[near].sum()))
     mean = seeds[0]
     for _ in range(2):
@@ -113,7 +113,7 @@ def wrapped(angles: Floats) -> Floats:
 
 
 def _around(particles: Floats, weights: Floats, seed: Floats) -> NDArray[np.bool_]:
-    """Return which particles are near a pose; at least the heaviest."""
+    """Return which particles are near a pose; if none with a weight is, the heaviest particle."""
     off = particles - seed
     near: NDArray[np.bool_] = (
         (np.abs(off[:, 0]) < _REACH) & (np.abs(off[:, 1]) < _REACH) & (np.abs(wrapped(off[:, 2])) < _TURN)

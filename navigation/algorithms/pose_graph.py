@@ -1,8 +1,8 @@
 """A graph of poses in the plane, and its most likely poses by least squares.
 
 The solver is Gauss-Newton (Grisetti et al., "A Tutorial on Graph-Based SLAM", ITSM 2010) with a sparse matrix. A graph
-has one node per few meters of the robot's path, so hundreds of them for a building. The 12 iterations of a searched
-closure take 0.14 s of processor time with 250 nodes, 0.4 s with 500 and 0.7 s with 800, if each node has two loops.
+has one node per few meters of the robot's path, so hundreds of nodes for a building. The 12 iterations after a
+search take 0.14 s of processor time with 250 nodes, 0.4 s with 500 and 0.7 s with 800, if each node has two loops.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from navigation.pose import Pose
 
 Floats = NDArray[np.float64]
 
-_CHANGE = 1e-4  # meters or radians; smaller changes of all poses end the iterations
+_CHANGE = 1e-4  # meters or radians; the iterations end when no pose changes by more
 _ROBUST = 3.0  # standard deviations beyond which an edge that may be wrong loses its weight
 _IDENTITY = Pose(0.0, 0.0, 0.0)
 
@@ -77,7 +77,7 @@ class PoseGraph:
 
         Args:
             steps: maximum number of iterations.
-            trusting: the number of first iterations in which loops count fully, whatever their error.
+            trusting: the number of iterations, from the first, in which loops count fully, whatever their error.
         """
         count = len(self.poses)
         if count < 2 or not self.edges:

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from navigation.algorithms.loops import Closed, LoopSearch
+from navigation.algorithms.loops import LoopResult, LoopSearch
 from navigation.algorithms.submaps import Scan, Submaps, View
 from navigation.algorithms.surfels import Surface
 from navigation.pose import Pose
@@ -28,16 +28,16 @@ MOST_SUBMAPS = 800
 ANYWHERE = math.inf, math.pi
 """Meters and radians by which a pose may be wrong if it is unknown."""
 
-Search = Callable[[], "Closed | None"]
-RunSearch = Callable[[Callable[[], Search], "Callable[[Closed | None], object]"], object]
-"""Runs a search for loops: calls the first function just before, and the second one with the result of the search.
+Search = Callable[[], "LoopResult | None"]
+RunSearch = Callable[[Callable[[], Search], "Callable[[LoopResult | None], object]"], object]
+"""Runs a search for loops: calls the first function to prepare the search, and the second one with its result.
 
 Both are called on the thread that adds the scans, but the search may run on another one. If searches are slower than
-scans, some are left out.
+scans, some searches are skipped.
 """
 
 
-def at_once(prepare: Callable[[], Search], deliver: Callable[[Closed | None], object]) -> None:
+def at_once(prepare: Callable[[], Search], deliver: Callable[[LoopResult | None], object]) -> None:
     """Run a search on the calling thread."""
     deliver(prepare()())
 
@@ -198,8 +198,8 @@ class Slam:
 
     def _add_following(self, track: Track, view: View, surface: Surface) -> None:
         """Add a view to the next submap too."""
-        place = track.begun.inverse @ view.pose
-        self.submaps.surfels(track.following).add(surface.moved(place))
+        pose = track.begun.inverse @ view.pose
+        self.submaps.surfels(track.following).add(surface.moved(pose))
 
     def _close_loops(self, track: Track, surface: Surface) -> None:
         if track.since_loop < _LOOP_EVERY and self.unsure is None:
@@ -213,8 +213,8 @@ class Slam:
         end = max(0, current - 1) if self.unsure is None else self._joined_from
         return partial(self.loops.search, self.submaps.snapshot(), current, pose, surface, end, self.unsure)
 
-    def _adopt(self, closed: Closed | None) -> None:
-        """Apply the result of a search; submaps that are newer than the search move with the last one that it knew."""
+    def _adopt(self, closed: LoopResult | None) -> None:
+        """Apply the result of a search; submaps added since it began move with the last submap that it knew."""
         if closed is None or self._moved:
             return
         graph, poses = self.submaps.graph, closed.poses

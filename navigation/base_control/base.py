@@ -16,10 +16,10 @@ from navigation.base_control.settings import limits
 from navigation.yarp import Commands
 
 MAX_STEP = 0.1  # the longest step in seconds, so that the base does not catch up on accelerations after a stall
-_PUSHED = 1.5  # factor on a wheel's maximum velocity, up to which it may turn when the base is pushed
+_PUSHED = 1.5  # a wheel of a pushed base may turn this many times faster than its maximum velocity
 SETTLED, REPEAT = 0.5, 0.04
-"""Seconds after which a stopping base counts as stopped, and seconds between two commands to it from then on: less than
-half the timeout of the wheels' driver."""
+"""Seconds of zero commands after which the base counts as stopped, and the seconds between two commands from then on,
+which are less than half the time-out of the wheels' driver."""
 
 
 class DrivenBase:

@@ -62,7 +62,7 @@ _CERTAIN = 0.5  # rad; a smaller change always counts as a motion, since a base 
 _WRAP = 2.0 * math.pi
 
 
-def turned(before: float, after: float, seconds: float, fastest: float) -> float:
+def rotation_between(before: float, after: float, seconds: float, fastest: float) -> float:
     """Return the angle, rad, by which a wheel turned between two readings of its encoder.
 
     If no wheel can make the change in that time, at ``fastest`` rad/s, an encoder that counts within one turn may have
@@ -109,21 +109,21 @@ class WheelRates:
 
         Encoders that have reported only 0 so far may not measure velocities at all, so the angles are used instead.
         """
-        self._keep(time, angles)
+        self._store(time, angles)
         usable = reported is not None and len(reported) == len(self._zero) and all(map(math.isfinite, reported))
         self._reports = self._reports or (usable and any(reported or ()))
-        if self._stand(time, angles):
+        if self._is_standing(time, angles):
             return list(self._zero)
         rates = list(reported) if usable and self._reports and reported is not None else self._slopes()
         return [0.0 if abs(rate) < _STILL_RATE else rate for rate in rates]
 
-    def _stand(self, time: float, angles: Sequence[float]) -> bool:
+    def _is_standing(self, time: float, angles: Sequence[float]) -> bool:
         changed = self._changed
         if changed is None or any(abs(a - b) > _STILL_ANGLE for a, b in zip(angles, changed[1], strict=True)):
             self._changed = changed = time, angles
         return time - changed[0] >= _STANDING
 
-    def _keep(self, time: float, angles: Sequence[float]) -> None:
+    def _store(self, time: float, angles: Sequence[float]) -> None:
         """Store a reading. Of readings that are close together only the newest is stored, which limits their number."""
         window = self._window
         if len(window) > 1 and time - window[-2][0] < WINDOW / _SAMPLES:

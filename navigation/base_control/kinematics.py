@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navigation.base_control.commands import STILL, Velocity
-from navigation.base_control.encoders import WheelRates, turned
+from navigation.base_control.encoders import WheelRates, rotation_between
 
 Array = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ class WheelOdometry:
 
     Args:
         kinematics: the kind of base.
-        fastest: rad/s that no wheel exceeds; a larger change of an angle is not a motion (`encoders.turned`).
+        fastest: rad/s that no wheel exceeds; a larger change of an angle is not a motion (`encoders.rotation_between`).
     """
 
     def __init__(self, kinematics: Kinematics, fastest: float = math.inf) -> None:
@@ -131,7 +131,7 @@ class WheelOdometry:
             if seconds <= 0.0:
                 return self.now
         before = angles if self._angles is None else self._angles
-        steps = [turned(a, b, seconds, self._fastest) for a, b in zip(before, angles, strict=True)]
+        steps = [rotation_between(a, b, seconds, self._fastest) for a, b in zip(before, angles, strict=True)]
         self._angles, self._time = tuple(angles), time
         self._total = [total + step for total, step in zip(self._total, steps, strict=True)]
         velocity = self._base(self._rates.add(time, self._total, rates))

@@ -44,7 +44,7 @@ class Limiter:
 
     def __init__(self, kinematics: Kinematics, limits: BaseLimits) -> None:
         self.kinematics, self.limits = kinematics, limits
-        self.now = STILL  # the last velocity
+        self.now = STILL  # the velocity that `step` returned last
         self._smooth = STILL
 
     def step(self, wanted: Velocity, seconds: float) -> Velocity:
@@ -54,10 +54,10 @@ class Limiter:
         if not self.kinematics.holonomic:
             wanted = Velocity(wanted.x, 0.0, wanted.turn)
         self._smooth = smoothed(self._smooth, wanted, self.limits.filter_hz, seconds)
-        target = held(self._smooth, self.kinematics, self.limits)
-        # limits may have been lowered while driving
-        start = held(self.now, self.kinematics, self.limits)
-        self.now = self._approached(start, target, seconds)
+        target = limited(self._smooth, self.kinematics, self.limits)
+        # the limits may have been lowered while the base drives
+        start = limited(self.now, self.kinematics, self.limits)
+        self.now = self._approach(start, target, seconds)
         return self.now
 
     def stop(self) -> None:
@@ -68,21 +68,21 @@ class Limiter:
         """Return the wheels' velocities for the last velocity, rad/s."""
         return self.kinematics.wheels(self.now)
 
-    def _approached(self, start: Velocity, target: Velocity, seconds: float) -> Velocity:
+    def _approach(self, start: Velocity, target: Velocity, seconds: float) -> Velocity:
         """Step toward the target for one period: each axis separately if the limits allow, else in proportion."""
-        linear, turn = self._reach(start, target, seconds)
+        linear, turn = self._allowed_shares(start, target, seconds)
         apart = Velocity(
             start.x + (target.x - start.x) * linear,
             start.y + (target.y - start.y) * linear,
             start.turn + (target.turn - start.turn) * turn,
         )
-        if _holds(apart, self.kinematics, self.limits):
+        if _is_within(apart, self.kinematics, self.limits):
             return apart
         share = min(linear, turn)
         return _between(start, target, share)
 
-    def _reach(self, start: Velocity, target: Velocity, seconds: float) -> tuple[float, float]:
-        """Return which shares of the changes in driving and turning one period allows."""
+    def _allowed_shares(self, start: Velocity, target: Velocity, seconds: float) -> tuple[float, float]:
+        """Return the shares of the wanted changes in driving and turning that one period allows."""
         limits = self.limits
         change = math.hypot(target.x - start.x, target.y - start.y)
         speeding = target.speed > start.speed
@@ -93,13 +93,13 @@ class Limiter:
         return min(1.0, linear / max(change, _NEAR)), min(1.0, angular / max(abs(turning), _NEAR))
 
 
-def held(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> Velocity:
+def limited(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> Velocity:
     """Return the velocity reduced to the limits, in the same direction."""
     share = min(1.0, limits.linear / max(velocity.speed, _NEAR))
     turn = max(-limits.angular, min(limits.angular, velocity.turn))
     cut = Velocity(velocity.x * share, velocity.y * share, turn)
     if limits.ratio is not None:
-        cut = _shared(cut, limits, limits.ratio)
+        cut = _apply_ratio(cut, limits, limits.ratio)
     fastest = kinematics.fastest(cut)
     if fastest > limits.wheel:
         share = limits.wheel / fastest
@@ -107,7 +107,7 @@ def held(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> Velo
     return cut
 
 
-def _shared(velocity: Velocity, limits: BaseLimits, ratio: float) -> Velocity:
+def _apply_ratio(velocity: Velocity, limits: BaseLimits, ratio: float) -> Velocity:
     """Reduce driving and turning so that together they are at most 100 percent of their maxima."""
     linear = velocity.speed / limits.linear if limits.linear else 0.0
     turn = abs(velocity.turn) / limits.angular if limits.angular else 0.0
@@ -119,8 +119,8 @@ def _shared(velocity: Velocity, limits: BaseLimits, ratio: float) -> Velocity:
     return Velocity(velocity.x * along, velocity.y * along, velocity.turn * around)
 
 
-def _holds(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> bool:
-    cut = held(velocity, kinematics, limits)
+def _is_within(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -> bool:
+    cut = limited(velocity, kinematics, limits)
     return abs(cut.x - velocity.x) + abs(cut.y - velocity.y) + abs(cut.turn - velocity.turn) <= 1e-9
 
 

@@ -74,7 +74,7 @@ class BaseControlSection(ModuleSection):
     )
     linear_angular_ratio: float | None = setting(
         None,
-        "Share of driving if driving and turning together exceed the wheels' maximum; empty: no sharing.",
+        "Share of driving if driving and turning together exceed 100 percent of their maxima; empty: no sharing.",
         ge=0.0,
         le=1.0,
     )

@@ -1,4 +1,4 @@
-"""The goals of one action on the hub, and those that have to end."""
+"""The goals of one action on the hub, and which of them have to end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a planner answers, because a killed program stays on the graph for its lease, 20 s with Fast DDS."""
+"""Whether a planner responds; a killed program stays on the graph for its lease, 20 s with Fast DDS."""
 
 from __future__ import annotations
 

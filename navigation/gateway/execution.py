@@ -191,7 +191,7 @@ class Execution:
             self._send(drive, None)
 
     def cancel(self, drive: ClientDrive) -> None:
-        """Cancel a goal that the planner has not released, and actions that move the base unless others have goals."""
+        """Cancel a drive's unreleased goal and, without foreign goals, the other actions that move the base."""
         if drive.released:
             return
         if drive.sent is not None:
@@ -217,7 +217,7 @@ class Execution:
         self._changed()
 
     def _give_up_waiting(self, drive: ClientDrive) -> None:
-        """End a drive if its planner was last seen, and the goal requested, too long ago."""
+        """End a drive if its planner has been unavailable, and its goal pending, for too long."""
         if self._link.reachable:
             return
         patience = self._choice.section.patience
@@ -390,7 +390,7 @@ class Execution:
     def _judge(self, drive: ClientDrive) -> None:
         """Decide how to end a drive whose goal the planner rejected, or aborted without an error code.
 
-        The planner may have aborted the goal for another client's goal, or given a reason only in words. A bridge
+        The planner may have aborted the goal because another client sent one, or given its reason in words. A bridge
         whose planner has just disappeared also rejects goals, before other programs notice that the planner is gone.
         """
         rejected = drive.sent is not None and drive.sent.accepted is False

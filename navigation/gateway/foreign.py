@@ -46,7 +46,7 @@ class ForeignEnd(NamedTuple):
 
 
 class ForeignGoals:
-    """The foreign goals in a planner's list; ``lost`` is the reason for the end of a goal that a new list lacks."""
+    """The foreign goals in a planner's list; ``lost`` is the reported reason if a new list lacks a goal."""
 
     def __init__(self, mark: GoalMark, lost: str) -> None:
         self._mark, self._lost = mark, lost

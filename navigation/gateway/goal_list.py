@@ -35,7 +35,7 @@ class GoalList:
 
     @property
     def any(self) -> bool:
-        """Whether any list has arrived, or the server needs none."""
+        """Whether any list has arrived, or has been missing for so long that the server has no goals."""
         return self._received > 0.0 or self._empty
 
     @property

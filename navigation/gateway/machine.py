@@ -109,7 +109,7 @@ class StopEvent(Enum):
 
     ASK = "a stop or pause is requested"
     RELEASED = "the planner has no goal left that has to end"
-    NOT_RELEASED = "the planner has such a goal, or it is not known whether it does"
+    NOT_RELEASED = "the planner may have a goal left that has to end"
     STANDS = "the base stands"
     MOVES = "the base is not known to stand"
     EXPIRE = "it has not been confirmed in time"

@@ -20,8 +20,8 @@ from navigation.gateway.telemetry import Telemetry
 from navigation.messages import NAVIGATE, THROUGH, Message
 
 _KEPT_IDS = 16
-"""Maximum number of stored ids of goals of several poses, whose states are in the list of another action: those of the
-current goal, and of replaced ones that may not have ended."""
+"""Maximum number of stored ids of goals with several poses, whose states are in another action's list: the current goal
+and replaced goals that may not have ended."""
 
 
 class PlannerLink:
@@ -168,7 +168,7 @@ class PlannerLink:
     def end_motion(self) -> bool:
         """Cancel the goals of the other actions that move the base, also those that are not in their lists yet.
 
-        Return whether that may end a path of the planner's goal, which Nav2 then counts as reached.
+        Return whether this may end the path of a planner's goal; Nav2 then counts that goal as reached.
         """
         for action in self._motion:
             action.end_all()

@@ -13,7 +13,7 @@ from navigation.messages import GRID, Message
 from navigation.status import STATUS, State
 
 PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
-_LOCAL = {"robot_path_planner": "robot_goto"}  # the planner that publishes the local map of another one
+_LOCAL = {"robot_path_planner": "robot_goto"}  # robot_goto publishes the local map of robot_path_planner
 
 
 def local_map_topic(section: NavigationSection, planner: str) -> str:
@@ -59,7 +59,7 @@ class Telemetry:
         self.path, self._beats = None, 0
 
     def beat(self, *, counts: bool = True) -> None:
-        """Note that the planner published something; ``counts``: not only because its goals changed."""
+        """Note that the planner published something; ``counts``: whether it must keep publishing from now on."""
         self._beat_at, self._beats = time.monotonic(), self._beats + counts
 
     def reported(self, goal: bytes) -> tuple[State, str] | None:

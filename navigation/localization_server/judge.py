@@ -10,7 +10,7 @@ from navigation.pose import Pose
 
 _MEMORY = 0.7  # weight of the previous quality in the next one
 _HABIT = 0.95  # weight of the previous usual fit in the next one
-_DROP = 0.25  # a scan whose fit is lower than the usual one by this much shows a sudden change
+_DROP = 0.25  # a scan that fits worse than usual by this much shows a sudden change
 _PROVEN = 0.85  # quality from which a new pose needs no further check
 _CHECKS = 50  # scans that check a new pose of lower quality while better poses are searched for
 _STOOD = (0.01, math.radians(0.5))  # meters and radians; a base that moved less has not moved
@@ -56,7 +56,7 @@ class Judge:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the pose is new and others might still fit better."""
+        """Whether the pose is new, and other poses might fit better."""
         return self._checks > 0
 
     @property

@@ -31,7 +31,7 @@ from navigation.localization_server.estimate import (
     plane_of,
     pose_of,
 )
-from navigation.localization_server.other_server import OtherServer
+from navigation.localization_server.other_server import YarpLocalizerClient
 from navigation.localization_server.own import OwnLocalizer
 from navigation.localization_server.ports import PosePublisher
 from navigation.localization_server.section import LocalizationServerSection
@@ -119,7 +119,7 @@ class LocalizationServer(Module):
             case "port":
                 return PortSource(*arguments)
             case "server":
-                return OtherServer(*arguments, lambda: self.map_name)
+                return YarpLocalizerClient(*arguments, lambda: self.map_name)
             case "own":
                 return OwnLocalizer(*arguments, self._publish)
             case factory:
@@ -248,7 +248,7 @@ class LocalizationServer(Module):
 
 
 class LocalizationDevice:
-    """YARP's methods, called on connections' threads and executed on the module's. Covariances as in ROS: m, rad."""
+    """YARP's methods, called on connections' threads, executed on the module's. Covariances: m, rad, as in ROS."""
 
     def __init__(self, server: LocalizationServer, calls: Calls) -> None:
         self._server, self._call = server, calls.do

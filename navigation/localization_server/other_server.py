@@ -24,8 +24,8 @@ _STATUS = "localization_status_"
 _PLANE = (3, 3)
 
 
-class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
-    """A client that forwards another server's pose, if it is on the current map."""
+class YarpLocalizerClient(PolledServer[ILocalization2DMsgs], ExternalSource):
+    """A client of another localization server, which forwards the server's pose if that is on the current map."""
 
     accepts_starts = True
 
@@ -39,14 +39,14 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
         self._post = host.loop.post
         self._pending_start: tuple[Map2DLocation, Matrix] | None = None
         self._connected = False
-        super().__init__(ILocalization2DMsgs, self.place, host.yarp.naming, "midspan-other-localizer")
+        super().__init__(ILocalization2DMsgs, self.source, host.yarp.naming, "midspan-other-localizer")
 
     @override
     def estimate(self) -> PoseEstimate:
         """Return the server's last pose, with the server's status if that is worse."""
         estimate = super().estimate()
         if estimate.status is LocalizationStatus.OK and self._server_status is not LocalizationStatus.OK:
-            reason = f"{self.place} reports {self._server_status.value}"
+            reason = f"{self.source} reports {self._server_status.value}"
             return PoseEstimate(estimate.pose, estimate.covariance, estimate.quality, self._server_status, reason)
         return estimate
 
@@ -58,12 +58,12 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
         """Have the polling thread send the start pose; raises `RuntimeError` if the server is unavailable."""
         if not self._connected:
-            raise RuntimeError(f"{self.place} is not available; start the localization server")
-        place = Map2DLocation(self._map_name(), pose.x, pose.y, math.degrees(pose.theta))
+            raise RuntimeError(f"{self.source} is not available; start the localization server")
+        location = Map2DLocation(self._map_name(), pose.x, pose.y, math.degrees(pose.theta))
         if covariance is None:
             covariance = start_covariance(self._section)
         with self._lock:
-            self._pending_start = place, Matrix(covariance)
+            self._pending_start = location, Matrix(covariance)
             self._lock.notify()
 
     @override
@@ -74,18 +74,18 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
         self._map = grid.name
         PoseSource.use_map(self, grid, start)
 
-    def _place(self, location: Map2DLocation, covariance: Floats | None) -> None:
+    def _accept(self, location: Map2DLocation, covariance: Floats | None) -> None:
         """Accept a pose if it is on the current map; otherwise report the mismatch."""
         if self._is_on_another_map(location):
             self.drop()
             self.refuse(
-                f"{self.place} localizes the robot on the map {location.map_id!r}, not on {self._map_name()!r},"
+                f"{self.source} localizes the robot on the map {location.map_id!r}, not on {self._map_name()!r},"
                 " the current map; change one of them (/change_map, setInitialPose)"
             )
             return
         self.set_pose(Pose(location.x, location.y, math.radians(location.theta)), covariance)
 
-    def _scatter(self, locations: list[Map2DLocation]) -> None:
+    def _set_cloud(self, locations: list[Map2DLocation]) -> None:
         poses = [
             (location.x, location.y, math.radians(location.theta))
             for location in locations
@@ -102,7 +102,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
 
     @override
     def _on_unreachable(self, reason: str) -> None:
-        self._report(f"{self.place}: {reason}")
+        self._report(f"{self.source}: {reason}")
         with self._lock:
             # an old start pose would be wrong when the server is back
             self._connected, self._pending_start = False, None
@@ -119,7 +119,7 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
             with self._lock:
                 start, self._pending_start = self._pending_start, None
             if start is not None and not remote.set_initial_pose2_RPC(*start):
-                self._report(f"{self.place} refused the start pose; check that it is on the server's map")
+                self._report(f"{self.source} refused the start pose; check that it is on the server's map")
             self._poll_pose(remote, cloud=polls % cloud_interval == 0)
             polls += 1
             with self._lock:
@@ -131,12 +131,12 @@ class OtherServer(PolledServer[ILocalization2DMsgs], ExternalSource):
         self._post(lambda: setattr(self, "_server_status", server_status))
         outcome, location, covariance = remote.get_current_position2_RPC()
         matrix = covariance.numpy() if outcome else np.zeros((0, 0))
-        if not matrix.size:  # servers of YARP up to 4.0 leave out the location too, even if they know it
+        if not matrix.size:  # without a covariance, servers of YARP up to 4.0 omit the location as well
             outcome, location = remote.get_current_position1_RPC()
         if outcome and math.isfinite(location.x + location.y + location.theta):
             usable = matrix.shape == _PLANE and np.isfinite(matrix).all() and matrix.any()
-            self._post(lambda: self._place(location, matrix if usable else None))
+            self._post(lambda: self._accept(location, matrix if usable else None))
         if cloud:
             outcome, locations = remote.get_estimated_poses_RPC()
             if outcome:
-                self._post(lambda: self._scatter(locations))
+                self._post(lambda: self._set_cloud(locations))

@@ -171,7 +171,7 @@ class OwnLocalizer(PoseSource):
     def _points(self, message: dict[str, Any], stamp: int) -> Floats:
         """Return a scan's points in the base frame."""
         frame = message["header"]["frame_id"] or self._frames.base_frame
-        turn = of_ros(message, stamp, hangs=self._frames.hangs(frame))
+        turn = of_ros(message, stamp, upside_down=self._frames.is_upside_down(frame))
         return scan_points(turn, self._frames.transform(self._frames.base_frame, frame))
 
 

@@ -57,23 +57,23 @@ class ParticleSet:
             self.poses += particle_filter.spread(np.zeros(3), _JITTER, len(self.poses), self._rng)
         logs = self._field.score(self._table, self._worst, self.poses, points)
         logs *= min(1.0, _INDEPENDENT / len(points))
-        self._weights = particle_filter.weighed(self._weights, logs)
+        self._weights = particle_filter.updated_weights(self._weights, logs)
         mode = particle_filter.heaviest(self.poses, self._weights, self._rng)
-        if particle_filter.effective(self._weights) < len(self._weights) / 2:
-            self.poses = self.poses[particle_filter.drawn(self._weights, self._settings.particles, self._rng)]
+        if particle_filter.effective_count(self._weights) < len(self._weights) / 2:
+            self.poses = self.poses[particle_filter.resample(self._weights, self._settings.particles, self._rng)]
             self._level()
         return mode
 
     def scatter(self, poses: Floats, scores: Floats, points: int, step: Step) -> None:
-        """Move some particles to other poses, scored with a number of points; the others make the base's motion."""
+        """Move some particles to poses with these scores, from a number of points; the rest make the base's motion."""
         count = round(_AFRESH * self._settings.particles)
-        kept = particle_filter.drawn(self._weights, self._settings.particles - count, self._rng)
+        kept = particle_filter.resample(self._weights, self._settings.particles - count, self._rng)
         particles = self.poses[kept]
         self._drive(particles, step)
         logs = scores * min(1.0, _INDEPENDENT / points)
-        share = particle_filter.weighed(np.full(len(poses), 1.0 / len(poses)), logs)
+        share = particle_filter.updated_weights(np.full(len(poses), 1.0 / len(poses)), logs)
         share = 0.5 * share + 0.5 / len(poses)
-        which = particle_filter.drawn(share, count, self._rng)
+        which = particle_filter.resample(share, count, self._rng)
         fresh = poses[which] + particle_filter.spread(np.zeros(3), _SCATTER, count, self._rng)
         self.poses = np.concatenate([particles, fresh])
         self.poses[:, 2] = particle_filter.wrapped(self.poses[:, 2])

@@ -17,16 +17,16 @@ Floats = NDArray[np.float64]
 
 _EXPLAINED_WITHIN = 0.15  # meters from a wall within which the map explains a beam's end
 _SURE, _BETTER = 0.9, 0.1
-"""The explained share from which no search runs, and how much more another pose must explain: twice as much unless the
+"""No search runs from this explained share on. Another pose must explain this much more, or twice as much unless the
 robot is lost."""
 
 _SEARCH_EVERY, _LOST_SEARCH_EVERY = 3.0, 1.0
-"""Minimum seconds between searches, the second value if the robot is lost; both grow if searches find nothing."""
+"""Minimum seconds between searches, normally and if the robot is lost; both grow if searches find nothing."""
 
 _SEARCH_TURN, _LOST_REACH = 0.79, 12.0
-"""The search range: radians to each side; meters in all directions if the robot is lost."""
+"""The search range around the estimate: radians to each side; if the robot is lost, meters, and any heading."""
 
-_PATIENCE = 4  # fruitless searches after which that time grows, and the largest factor by which it does
+_PATIENCE = 4  # after so many fruitless searches the minimum time grows, by at most this factor
 _NEVER = -(1 << 62)
 
 

@@ -221,12 +221,12 @@ class AmclSource(FrameSource):
 
 
 class ExternalSource(PoseSource):
-    """The newest pose from a topic or port, updated by odometry if available; ``place`` is the topic or port."""
+    """The newest pose from a topic or port, updated by odometry if available; ``source`` is its name."""
 
     corrects = True
 
-    def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames, place: str) -> None:
-        self._host, self._section, self._frames, self.place = host, section, frames, place
+    def __init__(self, host: Host, section: LocalizationServerSection, frames: RobotFrames, source: str) -> None:
+        self._host, self._section, self._frames, self.source = host, section, frames, source
         self._usual = estimates.covariance_of(section.usual_spread[0], math.radians(section.usual_spread[1]))
         self._covariance = self._usual
         self._pose: Pose | None = None
@@ -255,16 +255,16 @@ class ExternalSource(PoseSource):
     def refuse(self, reason: str) -> None:
         """Report an invalid pose."""
         if reason != self._trouble:
-            self._host.log.warning("%s: %s", self.place, reason)
+            self._host.log.warning("%s: %s", self.source, reason)
         self._trouble = reason
 
     @override
     def estimate(self) -> PoseEstimate:
         if self._pose is None:
-            return unknown(self._trouble or f"waiting for a pose on {self.place}")
+            return unknown(self._trouble or f"waiting for a pose on {self.source}")
         age = (self._host.clock.elapsed_ns() - self._received_ns) / 1e9
         if age > self._section.pose_age:
-            return unknown(self._trouble or f"{self.place} has been silent for {age:.1f} s", LocalizationStatus.ERROR)
+            return unknown(self._trouble or f"{self.source} has been silent for {age:.1f} s", LocalizationStatus.ERROR)
         if self._correction is None:  # odometry may have arrived since
             self._correction = self._corrected(self._pose)
         return PoseEstimate(self._now(self._pose), self._covariance, 1.0, LocalizationStatus.OK, "")
@@ -284,7 +284,7 @@ class ExternalSource(PoseSource):
     @override
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
         """Raise `RuntimeError`, because the pose's publisher sets the start."""
-        raise RuntimeError(f"poses come from {self.place}; set the start pose at its publisher")
+        raise RuntimeError(f"poses come from {self.source}; set the start pose at its publisher")
 
     @override
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:

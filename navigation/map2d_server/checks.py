@@ -13,9 +13,9 @@ _TWICE = "already"
 
 
 def accepts(context: CheckContext, side: StatusDocument, route: RefusedRoute) -> str:
-    """Return why a side may refuse a service that a Map2DServer serves too, if that one takes the side's map; else "".
+    """Return why a service is rightly refused: a Map2DServer that imports the side's map serves it too; else "".
 
-    Each answers on its own side, with the same map, and neither needs another name.
+    Both serve the same map, the side's own server on its side, so neither needs another name.
     """
     servers = [document for document in context.hub.documents if document.worker == MODULE.name]
     takers = {server.zid for server in servers if server.other(MapServerKeys).taken}
@@ -23,5 +23,5 @@ def accepts(context: CheckContext, side: StatusDocument, route: RefusedRoute) ->
     both = twice and any(
         e.kind is EndpointKind.SERVER and e.topic == route.hub_topic and e.zid in takers for e in context.hub.endpoints
     )
-    answers = f"the map server there answers on {side.side}, Map2DServer, which takes its map, everywhere else"
+    answers = f"the map server there answers on {side.side}; Map2DServer imports its map, and answers everywhere else"
     return answers if both else ""

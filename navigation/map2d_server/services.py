@@ -152,7 +152,7 @@ class MapAnswers(IMap2DMsgs):
     def reload_locations_and_extras_RPC(self) -> ReturnValue:
         return self._change(self._files.reload_places)
 
-    # -- all of these -------------------------------------------------------------------------------------------------
+    # -- shared parts ------------------------------------------------------------------------------------------------
 
     def _get(self, kind: ValueKind[T], name: str) -> tuple[ReturnValue, T]:
         with self._refusing():

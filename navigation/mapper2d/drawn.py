@@ -118,7 +118,7 @@ class DrawnMap:
         self._reset(Slam(start, self.run))
 
     def locate(self, laser: Pose) -> None:
-        """Set the laser's current pose: roughly on a loaded map; otherwise exactly, which moves the map."""
+        """Set the laser's current pose. On a loaded map it is approximate; else it is exact, and moves the map."""
         self.slam.move(laser, ROUGHLY)
         if self.slam.track is not None and self.slam.unsure is None:
             self.draw_again()

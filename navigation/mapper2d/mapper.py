@@ -224,12 +224,12 @@ class Mapper:
         self._paint = np.pad(self._paint, ((below, above), (left, right)), constant_values=_BARE)
         return True
 
-    def _cell(self, place: tuple[float, float]) -> tuple[int, int]:
+    def _cell(self, point: tuple[float, float]) -> tuple[int, int]:
         """Return the column and row of a point; raises `ValueError` outside the map."""
         rows, columns = self._map.odds.shape
         at = [
-            (value - origin) / self.settings.resolution for value, origin in zip(place, self._map.origin, strict=True)
+            (value - origin) / self.settings.resolution for value, origin in zip(point, self._map.origin, strict=True)
         ]
         if not (0.0 <= at[0] < columns and 0.0 <= at[1] < rows):
-            raise ValueError(f"{place[0]:g}, {place[1]:g} m is outside the map")
+            raise ValueError(f"{point[0]:g}, {point[1]:g} m is outside the map")
         return int(at[0]), int(at[1])

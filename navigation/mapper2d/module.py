@@ -138,7 +138,7 @@ class Mapper2D(Module):
     def _map_scan(self, scan: _Scan) -> None:
         """Add a scan to the map; raises `FramesError` while its pose is not known."""
         laser_scan = scan.laser_scan
-        if self._poses.hangs(scan.frame):
+        if self._poses.is_upside_down(scan.frame):
             laser_scan = laser_scan.turned_over()
         self._changed |= self.source.add(scan.frame, laser_scan)
 

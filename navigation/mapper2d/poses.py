@@ -106,7 +106,7 @@ class Poses:
         return self.robot(stamp) @ self.mount(frame)
 
     def mount(self, frame: str) -> Pose:
-        """Return the laser's pose on the robot: configured, of its frame, or without both, the robot's center.
+        """Return the laser's pose on the robot: as configured, else of its frame; without a frame, the robot's center.
 
         Raises `FramesError` if the frame's pose is unknown.
         """
@@ -127,9 +127,9 @@ class Poses:
         """Return the robot's pose in the odometry frame at a time, ns, with the stamp; raises `FramesError`."""
         return self._frames.transform(self._frames.odom_frame, self._frames.base_frame, stamp)
 
-    def hangs(self, frame: str) -> bool:
+    def is_upside_down(self, frame: str) -> bool:
         """Whether the laser is mounted upside down; False if the section configures its pose."""
-        return self._mount is None and self._frames.hangs(frame)
+        return self._mount is None and self._frames.is_upside_down(frame)
 
     def robot(self, stamp: int = LATEST) -> Pose:
         """Return the robot's pose on the map; raises `FramesError`."""

@@ -36,8 +36,8 @@ class Mapper2DSection(ModuleSection):
     )
     pose: Literal["slam", "tf", "topic", "port"] = setting(
         "slam",
-        "Source of the pose: `slam`: the scans, with the odometry on `/tf` as a first guess; or a given pose: `tf`: the"
-        " frames of all sides; `topic`: `pose_topic`; `port`: `odometry:i` on YARP. With `map_frame` equal to"
+        "Source of the pose: `slam` (the scans, with the odometry on `/tf` as a first guess), `tf` (the frames of all"
+        " sides), `topic` (`pose_topic`) or `port` (`odometry:i` on YARP). With `map_frame` equal to"
         " `odom_frame`, `slam` means `tf`.",
     )
     publish_tf: bool = setting(

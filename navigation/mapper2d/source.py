@@ -22,10 +22,10 @@ from navigation.mapper2d.poses import Poses
 from navigation.mapper2d.section import Mapper2DSection
 from navigation.messages import STRING
 from navigation.pose import Pose
-from navigation.scan import believed
+from navigation.scan import clean_ranges
 from yarp_compat.dev.mapgrid import MapGrid2D
 
-_LOST = 10  # scans in a row without a match, from which on the pose counts as lost
+_LOST = 10  # after so many scans in a row without a match, the pose counts as lost
 
 
 class PoseSource(ABC):
@@ -85,7 +85,7 @@ class GivenPoses(PoseSource):
     @override
     def add(self, frame: str, laser_scan: LaserScan) -> bool:
         pose = self._poses.laser(frame, laser_scan.time_ns)
-        return self._mapper.scan(pose, believed(laser_scan), laser_scan.first, laser_scan.step, laser_scan.farthest)
+        return self._mapper.scan(pose, clean_ranges(laser_scan), laser_scan.first, laser_scan.step, laser_scan.farthest)
 
     @override
     def robot(self) -> Pose:
@@ -135,7 +135,7 @@ class MatchedPoses(PoseSource):
         if self.drawn.slam.track is None:
             self._begin(odometry)
         farthest = min(laser_scan.farthest, self._section.farthest)
-        scan = Scan(believed(laser_scan), laser_scan.first, laser_scan.step, farthest)
+        scan = Scan(clean_ranges(laser_scan), laser_scan.first, laser_scan.step, farthest)
         return self.drawn.scan(odometry._replace(stamp_ns=laser_scan.time_ns), scan)
 
     def _begin(self, odometry: Pose) -> None:

@@ -141,7 +141,7 @@ class Space:
             values[((middles >= low) & (middles <= high)).all(-1) & ~np.isnan(values)] = LEAST
 
     def layer(self, base: Place) -> LayerColumns:
-        """Return the obstacles that the robot would touch, followed from its base on the floor (meters).
+        """Return the obstacles that the robot would touch; the floor is followed from the base's position (meters).
 
         Raises `ValueError` if the base's position is not finite.
         """

@@ -59,7 +59,7 @@ def data_of(values: NDArray[np.int8]) -> NDArray[np.int8]:
 
 
 def occupied(grid: MapGrid2D) -> NDArray[np.int8]:
-    """Join occupancy and flags, see :func:`to_grid`: 0 to 100, or -1, (height * width,) from the bottom up."""
+    """Return occupancy with flags applied, as in `to_grid`: 0 to 100 or -1, (height * width,) from the bottom up."""
     values = np.empty((grid.m_height, grid.m_width), np.uint8)
     join(np.ascontiguousarray(grid.occupancy).data, np.ascontiguousarray(grid.flags).data, values.data)
     return values.view(np.int8).reshape(-1)
@@ -142,7 +142,7 @@ def turned(grid: MapGrid2D) -> MapGrid2D:
     ranks, cells = lookup(grid.flags, order).reshape(-1), np.ascontiguousarray(grid.occupancy).reshape(-1)
     for top in range(0, height, _ROWS):
         rows = slice(top, min(top + _ROWS, height))
-        worst, occupancy = _sampled(grid, ranks, cells, straight, rows)
+        worst, occupancy = _highest_ranks(grid, ranks, cells, straight, rows)
         straight.flags[rows], straight.occupancy[rows] = _RANK[worst], occupancy
     return straight
 
@@ -159,10 +159,10 @@ def _bounds(grid: MapGrid2D) -> tuple[float, float, int, int]:
     return float(x.min()), float(y.min()), width, height
 
 
-def _sampled(
+def _highest_ranks(
     grid: MapGrid2D, ranks: NDArray[np.uint8], cells: NDArray[np.uint8], straight: MapGrid2D, rows: slice
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the highest rank, and its occupancy, for some rows of the aligned map."""
+    """Return each cell's highest rank, and its occupancy, for some rows of the aligned map."""
     start, right, down = grid.in_cells(straight.centers_of([(0, rows.start), (1, rows.start), (0, rows.start + 1)]))
     columns, lines = np.arange(straight.m_width), np.arange(rows.stop - rows.start)[:, None]
     middles = [start[axis] + columns * (right - start)[axis] + lines * (down - start)[axis] for axis in (0, 1)]

@@ -18,7 +18,7 @@ from navigation.maps.grid import yaw_of
 
 GRID_MAP = "grid_map_msgs/msg/GridMap"
 HEIGHTS = "_heights"
-"""The suffix of the topic with the heights of a layer's obstacles."""
+"""Appended to the topic of Mapper3D's layer, an OccupancyGrid, this gives the topic with its obstacles' heights."""
 
 LOWEST, HIGHEST = "lowest", "highest"
 """Layers with the lowest and highest point that the robot would touch, meters above the floor."""
@@ -35,7 +35,7 @@ def to_grid_map(
     """Return a GridMap of layers.
 
     Args:
-        layers: by name, each (rows, columns): rows along y, columns along x, the first cell at the corner.
+        layers: arrays (rows, columns) by name; rows follow y, columns follow x, and the first cell is at the corner.
         corner: x and y of the first cell's outer corner, meters.
         resolution: the side of a cell, meters.
         header: the message's header, with the frame of the corner.
@@ -59,26 +59,26 @@ def to_grid_map(
     return {"header": header, "info": info, "layers": list(layers), "basic_layers": [next(iter(layers))], "data": data}
 
 
-def values_at(message: Mapping[str, Any], layer: str, places: NDArray[np.float64]) -> NDArray[np.float32]:
+def values_at(message: Mapping[str, Any], layer: str, points: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return a layer's values at points (n, 2) in the map's frame; NaN outside. Raises `ValueError` with the reason."""
     if layer not in message["layers"]:
-        raise ValueError(f"layers: no {layer!r} among {', '.join(message['layers'][:10]) or 'none'}")
+        raise ValueError(f"layers: no {layer!r}; the message has {', '.join(message['layers'][:10]) or 'none'}")
     number = list(message["layers"]).index(layer)
     if number >= len(message["data"]):
         raise ValueError(f"data: {len(message['data'])} arrays for {len(message['layers'])} layers")
     info = message["info"]
     size = float(info["resolution"])
     if not (math.isfinite(size) and size > 0.0):
-        raise ValueError(f"info.resolution: invalid size {size} m of a cell")
+        raise ValueError(f"info.resolution: invalid cell size {size} m")
     cells = _cells(message["data"][number], message)
-    place = info["pose"]["position"]
+    center = info["pose"]["position"]
     yaw = yaw_of(info["pose"]["orientation"])
     cos, sin = math.cos(yaw), math.sin(yaw)
-    apart = places - (float(place["x"]), float(place["y"]))
-    rotated = apart @ np.array([[cos, -sin], [sin, cos]])
+    offsets = points - (float(center["x"]), float(center["y"]))
+    rotated = offsets @ np.array([[cos, -sin], [sin, cos]])
     # indices are counted from the corner with the largest x and y
     indices = np.floor(np.array(cells.shape)[::-1] / 2.0 - rotated / size)
-    values = np.full(len(places), np.nan, np.float32)
+    values = np.full(len(points), np.nan, np.float32)
     inside = ((indices >= 0) & (indices < np.array(cells.shape)[::-1])).all(-1)
     at = indices[inside].astype(np.int64)
     values[inside] = cells[at[:, 1], at[:, 0]]
@@ -94,9 +94,9 @@ def _cells(array: Mapping[str, Any], message: Mapping[str, Any]) -> NDArray[np.f
     shape = tuple(int(dim["size"]) for dim in dims)
     values = np.asarray(array["data"], np.float32)
     if shape[0] * shape[1] > MOST_CELLS:
-        raise ValueError(f"data: {shape[0]} x {shape[1]} cells are more than {MOST_CELLS}")
+        raise ValueError(f"data: {shape[0]} x {shape[1]} cells exceed the limit of {MOST_CELLS}")
     if values.size != shape[0] * shape[1]:
-        raise ValueError(f"data: {values.size} values are not {shape[0]} x {shape[1]}")
+        raise ValueError(f"data: {values.size} values instead of {shape[0]} x {shape[1]}")
     cells = values.reshape(shape) if labels[0] == _COLUMNS else values.reshape(shape).T
     first = (int(message["inner_start_index"]), int(message["outer_start_index"]))
     return np.roll(cells, (-first[0], -first[1]), (0, 1)) if any(first) else cells

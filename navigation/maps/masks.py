@@ -22,7 +22,7 @@ def cells_of(info: MapGrid2DInfo, points: Sequence[Vec2D]) -> tuple[Part, NDArra
     """Return the part of a map (rows and columns) around a polygon, and which of its cells the polygon touches.
 
     A polygon touches the cells whose center is inside, and those that its border crosses, so that even a polygon
-    thinner than a cell leaves no gap. Corners are in meters: two make a line, one a point, and none touch no cell.
+    thinner than a cell leaves no gap. Corners are in meters; two make a line, one makes a point, none touch no cell.
     """
     corners = info.in_cells(np.array([(point.x, point.y) for point in points], float).reshape(-1, 2))
     low = np.clip(np.floor(np.min(corners, axis=0, initial=np.inf)), 0, None)

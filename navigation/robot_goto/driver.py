@@ -39,9 +39,9 @@ class Step(NamedTuple):
     """One step of the driver."""
 
     now: float  #: seconds of the scans' clock
-    passed: float  #: since the step before, seconds
-    pose: Pose  #: the robot's on the map
-    moved: Pose  #: the same in the frame of the observations
+    passed: float  #: seconds since the previous step
+    pose: Pose  #: the robot's pose on the map
+    moved: Pose  #: its pose in the frame of the observations
 
 
 class Driver:
@@ -50,11 +50,11 @@ class Driver:
     Attributes:
         settings: may be replaced at any time.
         machine: the state.
-        command: the last one.
+        command: the last command.
         spoken: phrases for people nearby, oldest first; the speaker removes them.
         target: the active goal.
-        bearing: of the goal, from the robot's front, radians.
-        unplaced: why scans cannot be used: a transform is missing; set by the source of the scans.
+        bearing: the direction of the goal from the robot's front, radians.
+        unplaced: why the laser's pose is unknown, so that scans cannot be used; set by the source of the scans.
     """
 
     def __init__(self, settings: RobotGotoSection | None = None) -> None:
@@ -199,8 +199,8 @@ class Driver:
     def step(self, now: float, pose: Pose | None, moved: Pose | None = None, lost: str = "") -> DriveCommand:
         """Return the command for the time ``now``, in seconds of the scans' clock.
 
-        ``pose`` is the robot's on the map, or None for the reason ``lost``. ``moved`` is its pose in the odometry
-        frame, in which observations are stored, or on the map without odometry.
+        ``pose`` is the robot's pose on the map; if it is None, ``lost`` is the reason. ``moved`` is the pose in the
+        odometry frame, in which observations are stored, or on the map without odometry.
         """
         passed = 0.0 if self._now is None else min(max(0.0, now - self._now), 1.0)
         self._now = now
@@ -303,7 +303,7 @@ class Driver:
 
     def _comes_to_rest(self, task: GotoTask, turn: float, tolerance: float) -> bool:
         """Whether a robot that brakes now stops within the tolerance of a heading, ``turn`` radians away."""
-        omega = float(self._surroundings.guard.has[2])
+        omega = float(self._surroundings.guard.velocity[2])
         braking = omega * abs(omega) / (2.0 * math.radians(self.settings.max_ang_acc))
         return not task.heading or abs(turn - braking) <= tolerance
 

@@ -16,7 +16,7 @@ from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.steering import STILL, DriveCommand
 
 CREEP_ROOM, FAST_ROOM = 0.01, 0.05  # meters beyond the radius, when creeping and at full speed
-_BARELY, _LEAST = 0.1, 0.002  # share of a command that counts as almost nothing; m/s below which the robot stands
+_BARELY, _LEAST = 0.1, 0.002  # a smaller share of a command is almost nothing; a slower robot (m/s) stands
 _BASELINE, _KEPT = 0.15, 0.3  # seconds: the shortest time over which a velocity is measured, and the longest
 _FASTER, _ABSURD = 0.1, 5.0  # m/s: how much faster than commanded the odometry must be to count, and its largest speed
 
@@ -30,7 +30,7 @@ class Guard:
         self._wanted = np.zeros(3)
         self._places: deque[tuple[float, Pose]] = deque()
         self._scale = 1.0
-        self.has: NDArray[np.float64] = np.zeros(3)  # the current velocity: m/s, m/s, rad/s
+        self.velocity: NDArray[np.float64] = np.zeros(3)  # the current velocity: m/s, m/s, rad/s
         # the point that limited the last command; its third value is -1 for none
         self.blocker: NDArray[np.float64] = np.zeros(3)
         # see `navigation.algorithms.stopping.ahead`
@@ -38,13 +38,13 @@ class Guard:
 
     def follow(self, settings: RobotGotoSection, command: DriveCommand, seconds: float) -> None:
         """Estimate the base's velocity from its commands."""
-        dx, dy = command.vx - self.has[0], command.vy - self.has[1]
+        dx, dy = command.vx - self.velocity[0], command.vy - self.velocity[1]
         change, most = math.hypot(dx, dy), settings.max_lin_acc * seconds
         share = min(1.0, most / change) if change else 1.0
-        self.has[0] += dx * share
-        self.has[1] += dy * share
+        self.velocity[0] += dx * share
+        self.velocity[1] += dy * share
         most = math.radians(settings.max_ang_acc) * seconds
-        self.has[2] += min(most, max(-most, command.omega - self.has[2]))
+        self.velocity[2] += min(most, max(-most, command.omega - self.velocity[2]))
 
     def measure(self, settings: RobotGotoSection, now: float, moved: Pose) -> None:
         """Use the odometry's velocity if it exceeds the commands: another program or a person moves the base."""
@@ -60,9 +60,9 @@ class Guard:
         dx, dy = (moved.x - place.x) / passed, (moved.y - place.y) / passed
         speed = math.hypot(dx, dy)
         late = settings.max_lin_acc * passed
-        if math.hypot(self.has[0], self.has[1]) + _FASTER + late < speed < _ABSURD:
+        if math.hypot(self.velocity[0], self.velocity[1]) + _FASTER + late < speed < _ABSURD:
             c, s = math.cos(moved.theta), math.sin(moved.theta)
-            self.has[0], self.has[1] = c * dx + s * dy, c * dy - s * dx
+            self.velocity[0], self.velocity[1] = c * dx + s * dy, c * dy - s * dx
 
     def clear(self) -> None:
         """Drop past poses, after the odometry has jumped."""
@@ -89,7 +89,7 @@ class Guard:
         self._points[known:count] = cells[:unsure]
         self._wanted[:] = wanted
         scale = slowed(
-            self._points, count, moved.x, moved.y, moved.theta, self.has, self._wanted, settings.reaction,
+            self._points, count, moved.x, moved.y, moved.theta, self.velocity, self._wanted, settings.reaction,
             settings.max_lin_acc, math.radians(settings.max_ang_acc), settings.robot_radius,
             CREEP_ROOM, FAST_ROOM, settings.max_lin_speed, self.blocker,
         )  # fmt: skip
@@ -118,7 +118,7 @@ class FollowCheck:
     def clear(self) -> None:
         self.since: float | None = None  # since when the base does not follow, seconds; None while it does
         self._again = -math.inf
-        self._wanted = np.zeros(3)  # with signs: motions to both sides lead back to the same pose
+        self._wanted = np.zeros(3)  # signed, because motions to both sides lead back to the same pose
         self._from: Pose | None = None
 
     def add(self, now: float, passed: float, velocity: NDArray[np.float64], moved: Pose) -> None:

@@ -112,8 +112,9 @@ class RobotGoto(PlannerModule):
         age = max(self._host.clock.now_ns() - stamp, 0) if stamp else 0
 
         def read_scan() -> tuple[LaserScan, Pose]:
-            hangs = frames.hangs(header["frame_id"])
-            return of_ros(message, round(self.now() * 1e9) - age, hangs=hangs), laser_pose(frames, header["frame_id"])
+            frame = header["frame_id"]
+            scan = of_ros(message, round(self.now() * 1e9) - age, upside_down=frames.is_upside_down(frame))
+            return scan, laser_pose(frames, frame)
 
         self._see(read_scan, stamp)
 

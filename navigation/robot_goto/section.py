@@ -40,7 +40,7 @@ class RobotGotoSection(ModuleSection):
     keep_out_map: MapSource | None = setting(
         None,
         "The map whose keep-out cells and areas the robot does not enter: `store` (its current map), or a topic"
-        " (`nav_msgs/msg/OccupancyGrid`); empty: none, and it waits for obstacles beside such cells.",
+        " (`nav_msgs/msg/OccupancyGrid`); empty: none, and the robot waits for obstacles beside keep-out cells.",
     )
     scan: str = setting("/scan", 'The laser (`sensor_msgs/msg/LaserScan`); "": none.')
     laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)

@@ -26,7 +26,7 @@ _STOP = (
 _AVOIDANCE = (("frontal_blind_angle", 25.0, 0.0, 180.0, "deg"),)
 
 OTHERS = frozenset({"localizationServer_name", "localization_server_name"})
-"""Keys with the names of YARP's servers: the hub has them."""
+"""Keys that name YARP's servers, instead of which Midspan uses the hub."""
 
 STALE = {
     ("ROBOT_TRAJECTORY", "max_gamma_angle"): "upstream ignores it, too; use goal_tolerance_ang",

@@ -45,7 +45,7 @@ INFLUENCE = 0.8  # meters beyond which obstacles do not repel (upstream's ``max_
 _SPARE = 0.05
 _AWAY = 1.0  # meters by which a path out of the window may lead away from the goal; else the robot waits
 _WORTH = 0.5
-"""Meters of progress per meter of a blocked path: with less, the robot waits where it is."""
+"""Meters of progress per meter of a blocked path; with less progress, the robot waits where it is."""
 
 _AROUND, _ROOM = 1.0, 0.06
 """Within this distance of a place where the robot was held, paths keep this much more room; meters."""

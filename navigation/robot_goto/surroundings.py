@@ -59,8 +59,8 @@ class Surroundings:
         now: float,  # seconds
         passed: float,  # since the last step, seconds
         command: DriveCommand,  # of the last step
-        pose: Pose | None,  # the robot's on the map, if known
-        moved: Pose | None,  # the same in the odometry frame; None without odometry
+        pose: Pose | None,  # the robot's pose on the map, if known
+        moved: Pose | None,  # its pose in the odometry frame; None without odometry
     ) -> Pose | None:
         """Update the base's motion; return its pose in the frame of the observations, None if unknown."""
         self.guard.follow(settings, command, passed)
@@ -75,7 +75,7 @@ class Surroundings:
             self.guard.clear()
             self.follow.clear()
         self._moved = moved
-        self.follow.add(now, passed, self.guard.has, moved)
+        self.follow.add(now, passed, self.guard.velocity, moved)
         others = self.obstacles.places(now, pose, moved) if settings.obstacles else _NOWHERE
         self.grid.set_others(others, self.keep_out.near(settings.robot_radius, pose, moved))
         return moved

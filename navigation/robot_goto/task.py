@@ -93,7 +93,7 @@ class Obstruction:
 
     Attributes:
         seen_at: when the path was last obstructed, seconds; -inf if it is free.
-        removed_at: when it became free, or the base did not follow, seconds; the robot then accelerates slowly.
+        removed_at: when the path became free, or the base did not follow, seconds; the robot then accelerates slowly.
     """
 
     def __init__(self) -> None:
@@ -115,7 +115,8 @@ class Obstruction:
         """Return why the robot must not drive now; "" if the path is free."""
         length = settings.max_detection_distance
         if settings.enable_dynamic_max_distance:
-            length *= min(1.0, float(np.hypot(guard.has[0], guard.has[1])) / max(settings.max_lin_speed, 1e-3))
+            speed = float(np.hypot(guard.velocity[0], guard.velocity[1]))
+            length *= min(1.0, speed / max(settings.max_lin_speed, 1e-3))
         length = max(length, settings.min_detection_distance)
         if waiting:
             length = max(length, self._length)  # an obstacle that stopped the robot early still counts when it stands
@@ -198,7 +199,7 @@ class SearchTurn:
             self._sign = math.copysign(1.0, wrapped(bearing))
             self._left = _SCAN_TURN
             self._turns += 1
-        self._left -= abs(guard.has[2]) * seconds
+        self._left -= abs(guard.velocity[2]) * seconds
         return DriveCommand(omega=self._sign * speed)
 
 

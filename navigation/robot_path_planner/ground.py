@@ -63,11 +63,11 @@ class Ground:
         self.kept = keep_out_cells(grid, [zone.area for zone in on_map if zone.behavior.keep_out])
         # meters from a cell's center to the nearest border of a solid or keep-out cell, else infinite
         self.room = (distance_transform(self.solid | self.kept) - 0.5) * np.float32(grid.resolution)
-        self.weights = self._weighed(clearance)  # cost of entering a cell; 0 if the robot does not fit
+        self.weights = self._cell_weights(clearance)  # cost of entering a cell; 0 if the robot does not fit
         # 1: the robot fits with a cell to spare, so that the cells' size does not matter on a line between two points
         self.spare = (self.room >= radius + grid.resolution - 1e-6).astype(np.uint8)
         self.open = (self.room > radius / 2).astype(np.uint8)  # 1: a robot may be here while it avoids an obstacle
-        self.labels, self.behaviors = _labeled(grid, on_map)  # the index of each cell's behavior
+        self.labels, self.behaviors = _label_cells(grid, on_map)  # the index of each cell's behavior
         # close to keep-out cells, which a laser does not show: a local navigator must not go around obstacles here
         self.beside = distance_transform(self.kept) < _BESIDE / grid.resolution
 
@@ -103,7 +103,7 @@ class Ground:
             return "in a wall or obstacle"
         return f"closer than the robot's radius ({self.radius:g} m) to a wall, an obstacle or a keep-out cell"
 
-    def _weighed(self, clearance: float) -> Weights:
+    def _cell_weights(self, clearance: float) -> Weights:
         cost = np.ones(self.room.shape, np.float32)
         occupancy = self.grid.occupancy
         unsure = occupancy <= 100
@@ -116,7 +116,7 @@ class Ground:
         return np.minimum(cost, _MOST).astype(np.uint8)
 
 
-def _labeled(grid: MapGrid2D, zones: Sequence[Zone]) -> tuple[NDArray[np.uint16], list[AreaBehavior]]:
+def _label_cells(grid: MapGrid2D, zones: Sequence[Zone]) -> tuple[NDArray[np.uint16], list[AreaBehavior]]:
     """Return the index of each cell's behavior, and the behaviors; index 0 means none."""
     labels = np.zeros(grid.flags.shape, np.uint16)
     behaviors = [_NOTHING]
@@ -126,14 +126,14 @@ def _labeled(grid: MapGrid2D, zones: Sequence[Zone]) -> tuple[NDArray[np.uint16]
         part, inside = cells_of(grid, zone.area.points)
         part_labels = labels[part]
         for label in np.unique(part_labels[inside]):
-            both = combined(behaviors[label], zone.behavior)
+            both = combine(behaviors[label], zone.behavior)
             if both not in behaviors:
                 behaviors.append(both)
             part_labels[inside & (part_labels == label)] = behaviors.index(both)
     return labels, behaviors
 
 
-def combined(one: AreaBehavior, other: AreaBehavior) -> AreaBehavior:
+def combine(one: AreaBehavior, other: AreaBehavior) -> AreaBehavior:
     """Return the behavior where two areas overlap: the lower speed, and waiting rather than going around."""
     speeds = [speed for speed in (one.max_speed, other.max_speed) if speed is not None]
     requests = {one.on_obstacle, other.on_obstacle}

@@ -66,7 +66,7 @@ class ObstacleScans:
         header = message["header"]
         stamp = stamp_ns(header)
         try:
-            turn = of_ros(message, stamp, hangs=self._frames.hangs(header["frame_id"]))
+            turn = of_ros(message, stamp, upside_down=self._frames.is_upside_down(header["frame_id"]))
             if not is_blind(turn):
                 self._seen = now
             pose = self._frames.transform(self._frames.map_frame, header["frame_id"], stamp, extrapolate=LATE)

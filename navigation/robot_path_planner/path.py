@@ -26,7 +26,7 @@ Places = NDArray[np.float64]  # (n, 2) x and y, meters
 
 def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places, *, inside: bool = False) -> bool:
     """Whether a line through points, (n, 2) meters, enters closed cells or, with ``inside``, begins in them."""
-    columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
+    columns, rows = ground.grid.cells_at(sample_line(places, ground.grid.resolution / 2)).T
     fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
     on_line = closed[rows[fits], columns[fits]]
     if inside:
@@ -35,7 +35,7 @@ def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places, *, inside
     return bool(len(free)) and bool(on_line[free[0] :].any())
 
 
-def sampled(places: Places, step: float) -> Places:
+def sample_line(places: Places, step: float) -> Places:
     """Return points along a line, at most one step apart."""
     parts = [places[:1]]
     for start, end in pairwise(places):
@@ -179,7 +179,7 @@ def plan_path(
         cells = _path_on_map(ground, start, goal, weights)
     assert weights is not None
     exit_cells, path_cells = cells
-    places = np.concatenate((_exit_start(ground, exit_cells), _simplified(ground, weights, path_cells, settings)))
+    places = np.concatenate((_exit_start(ground, exit_cells), _simplify(ground, weights, path_cells, settings)))
     note = ""
     if len(exit_cells):
         reason = ground.reason(start_cell) or "too close to the laser's obstacles"
@@ -244,7 +244,7 @@ def _exit_start(ground: Ground, cells: Cells) -> Places:
     return ground.places(cells[:1]) if len(cells) else np.empty((0, 2))
 
 
-def _simplified(ground: Ground, weights: Weights, cells: Cells, settings: RobotPathPlannerSection) -> Places:
+def _simplify(ground: Ground, weights: Weights, cells: Cells, settings: RobotPathPlannerSection) -> Places:
     """Return the points of a path with few corners."""
     if settings.use_optimized_path:
         cells = shortcut(weights, cells)
@@ -270,9 +270,9 @@ def _waypoints(
         theta = math.atan2(end[1] - begin[1], end[0] - begin[0])
         for (x, y), behavior, near in _parts(ground, begin, end):
             beside = (ground.name or "?") if near else ""
-            constraints = _merged(to_waypoint, through, behavior, beside=beside)
+            constraints = _merge(to_waypoint, through, behavior, beside=beside)
             waypoints.append(Waypoint(Pose(float(x), float(y), theta), constraints, behavior.on_obstacle == "wait"))
-    constraints = _merged(Constraints(**settings.goal.model_dump()), wanted, behavior, beside=beside)
+    constraints = _merge(Constraints(**settings.goal.model_dump()), wanted, behavior, beside=beside)
     if not math.isfinite(goal.theta):
         goal, constraints = goal._replace(theta=theta), replace(constraints, heading=False)
     waypoints[-1] = Waypoint(goal, constraints, behavior.on_obstacle == "wait")
@@ -281,7 +281,7 @@ def _waypoints(
 
 def _parts(ground: Ground, begin: Places, far_end: Places) -> list[tuple[Places, AreaBehavior, bool]]:
     """Split a line at the borders of areas: each part's end, behavior, and whether the end is near a keep-out area."""
-    along = sampled(np.stack((begin, far_end)), ground.grid.resolution / 2)
+    along = sample_line(np.stack((begin, far_end)), ground.grid.resolution / 2)
     columns, rows = ground.grid.cells_at(along).T
     high, wide = ground.labels.shape
     at = np.clip(rows, 0, high - 1), np.clip(columns, 0, wide - 1)
@@ -291,7 +291,7 @@ def _parts(ground: Ground, begin: Places, far_end: Places) -> list[tuple[Places,
     return [(along[end], ground.behaviors[labels[end]], bool(beside[end])) for end in ends]
 
 
-def _merged(defaults: Constraints, wanted: Constraints, behavior: AreaBehavior, *, beside: str) -> Constraints:
+def _merge(defaults: Constraints, wanted: Constraints, behavior: AreaBehavior, *, beside: str) -> Constraints:
     """Return the settings, overridden by the goal's constraints, and limited by areas.
 
     ``beside`` is the map's name if its keep-out cells are near.

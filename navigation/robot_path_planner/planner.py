@@ -31,7 +31,7 @@ from navigation.robot_path_planner.path import (
     plan_path,
 )
 from navigation.robot_path_planner.section import RobotPathPlannerSection
-from navigation.scan import believed
+from navigation.scan import clean_ranges
 from navigation.status import Fault, PlanError, PlannerStatus, State
 
 _JUMP = 0.5  # meters; if localization moves the robot by more than this or 30 degrees at once, a new path is planned
@@ -41,7 +41,7 @@ _AGAIN = 2.0  # seconds until planning is tried again if no path was found
 _GLITCH = 0.3  # seconds for which a missing pose does not matter
 _NEARER = 0.5  # meters of progress toward the goal that reset the count of attempts
 _PATIENCE_PER_METER, _LONGEST_PATIENCE = 2.0, 20.0
-"""Seconds to wait for a blocked path to clear, per meter by which the alternative is longer, and the most in all."""
+"""Seconds to wait for a blocked path to clear, per meter by which the alternative is longer, and their maximum."""
 _DETOUR = 3.0
 """Meters by which a path around the laser's obstacles may be longer and still be preferred at the start."""
 _AT_LINK = 3.0  # meters from a link's end within which the pose of a robot that has changed maps is accepted
@@ -175,7 +175,7 @@ class PathPlanner:
         """Add a laser scan to the obstacles; `laser` is the laser's pose on the map, `now` in seconds."""
         if self.clutter is not None and self.task is not None:
             farthest = min(self.settings.obstacle_distance, scan.farthest)
-            self.clutter.see(laser, believed(scan), scan.first, scan.step, farthest)
+            self.clutter.see(laser, clean_ranges(scan), scan.first, scan.step, farthest)
             self.clutter.fade(now)
 
     def layer(self, topic: str, places: Places) -> None:
@@ -197,7 +197,7 @@ class PathPlanner:
     def step(self, now: float, pose: Pose | None, local: LocalNavigator, lost: str = "") -> PlannerStatus:
         """Run one step of the planner; `now` in seconds never decreases.
 
-        `pose` is the robot's on the map, or None if it is unknown for the reason ``lost``.
+        ``pose`` is the robot's pose on the map; if it is None, ``lost`` is the reason.
         """
         if self._halting:
             self._halting = False

@@ -25,7 +25,7 @@ OTHERS = frozenset({
     "laser_port", "laser_pos_x", "laser_pos_y", "laser_pos_theta", "localizationServer_name", "mapServer_name",
     "localization_server_name", "map_server_name",
 })  # fmt: skip
-"""Keys with the names of YARP's servers and the laser's pose: the hub has both."""
+"""Keys with the names of YARP's servers and the laser's pose, for which Midspan uses the hub."""
 
 STALE = {
     ("RECOVERY", key): "a blocked robot takes another path; it does not try to turn in place"

@@ -15,7 +15,7 @@ from navigation.mapper2d.mapper import Mapper
 from navigation.mapper2d.section import Mapper2DSection
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground
-from navigation.scan import believed
+from navigation.scan import clean_ranges
 from navigation.status import State
 from sim import export
 from sim.plan import Plan
@@ -104,7 +104,7 @@ class Mapping:
             if scan.time_ns != self._scanned:
                 self._scanned = scan.time_ns
                 odometry = self.robot.odometry._replace(stamp_ns=scan.time_ns)
-                self.drawn.scan(odometry, Scan(believed(scan), scan.first, scan.step, 8.0))
+                self.drawn.scan(odometry, Scan(clean_ranges(scan), scan.first, scan.step, 8.0))
                 self.drawn.work()
 
     def drive(self, goal: FrontierGoal) -> State:

@@ -129,11 +129,8 @@ def test_scans_of_a_laser_that_is_mounted_upside_down_are_mirrored() -> None:
     mounting = Stamped("base_link", "laser", 0, (0.0, 0.0, 0.5), (math.cos(0.25), math.sin(0.25), 0.0, 0.0))
     publisher.publish("base_link", "upright", Pose(0.0, 0.0, 0.5))
     publisher.subscribers[TF_STATIC](write([mounting]))
-    assert (publisher.frames.hangs("laser"), publisher.frames.hangs("upright"), publisher.frames.hangs("nowhere")) == (
-        True,
-        False,
-        False,
-    )
+    answers = {frame: publisher.frames.is_upside_down(frame) for frame in ("laser", "upright", "nowhere")}
+    assert answers == {"laser": True, "upright": False, "nowhere": False}
     stamp = {"sec": publisher.now // S, "nanosec": publisher.now % S}
     scan = {"range_min": 0.1, "range_max": 9.0, "angle_min": 0.2, "angle_increment": 0.1, "ranges": [1.0, 2.0]}
     message = {"header": {"stamp": stamp, "frame_id": "laser"}, **scan}

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from navigation.scan import ScanError, believed, is_blind, of_ros, of_yarp
+from navigation.scan import ScanError, clean_ranges, is_blind, of_ros, of_yarp
 from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.sig.vector import Vector
 
@@ -31,7 +31,7 @@ def test_ranges_below_the_minimum_are_unknown_and_the_maximum_is_not_an_echo():
         "ranges": [0.0, 0.1, 0.2, 4.9, 5.0, 6.0, math.inf, math.nan, -math.inf],
     }  # fmt: skip
     nan, inf = math.nan, math.inf
-    ranges = believed(of_ros(message, 7))
+    ranges = clean_ranges(of_ros(message, 7))
     np.testing.assert_equal(ranges, np.array([nan, nan, 0.2, 4.9, inf, inf, inf, nan, nan]))
 
 

@@ -78,7 +78,7 @@ def test_an_invalid_layer_is_reported_with_its_field(changed: dict[str, Any], me
 
 
 def test_invalid_heights_are_reported() -> None:
-    with pytest.raises(ValueError, match="heights: layers: no 'lowest' among x"):
+    with pytest.raises(ValueError, match="heights: layers: no 'lowest'; the message has x"):
         tint(GRID, {**heights(), "layers": ["x"]}, HERE)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from navigation.algorithms.loops import Closed, searched
+from navigation.algorithms.loops import LoopResult, search_surfels
 from navigation.algorithms.pose_graph import PoseGraph
 from navigation.algorithms.slam import Search, Slam
 from navigation.algorithms.surfels import Surfels
@@ -54,10 +54,10 @@ class Later:
     """Runs searches when they are submitted, and delivers their results later, as a slow thread does."""
 
     def __init__(self) -> None:
-        self.found: Closed | None = None
-        self._deliver: Callable[[Closed | None], object] | None = None
+        self.found: LoopResult | None = None
+        self._deliver: Callable[[LoopResult | None], object] | None = None
 
-    def run(self, prepare: Callable[[], Search], deliver: Callable[[Closed | None], object]) -> None:
+    def run(self, prepare: Callable[[], Search], deliver: Callable[[LoopResult | None], object]) -> None:
         if self._deliver is None:
             self.found, self._deliver = prepare()(), deliver
 
@@ -125,7 +125,7 @@ def test_a_scan_is_found_far_from_its_guess(driven: list[Seen]) -> None:
     for seen in driven[:25]:
         surfels.add(seen.scan.surface().moved(seen.truth))
     truth = driven[12].truth
-    match = searched(surfels, driven[12].scan.surface(), truth @ Pose(1.5, 0.6, 0.5), 2.5, 0.7)
+    match = search_surfels(surfels, driven[12].scan.surface(), truth @ Pose(1.5, 0.6, 0.5), 2.5, 0.7)
     assert match is not None
     assert off(match.pose, truth)[0] < 0.02
 

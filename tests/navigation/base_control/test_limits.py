@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from navigation.base_control.commands import STILL, Velocity
 from navigation.base_control.kinematics import Array, Kinematics, kinematics
-from navigation.base_control.limits import BaseLimits, Limiter, held
+from navigation.base_control.limits import BaseLimits, Limiter, limited
 
 PERIOD = 0.02
 BASES = {"cer": kinematics("cer", 0.16416, 0.338), "ikart_V1": kinematics("ikart_V1", 0.075, 0.276)}
@@ -104,7 +104,7 @@ def test_a_differential_base_ignores_sideways_motion() -> None:
 
 
 def test_slowing_too_fast_wheels_keeps_the_path() -> None:
-    fast = held(Velocity(0.3, 0.0, 0.5), BASES["cer"], BaseLimits())
+    fast = limited(Velocity(0.3, 0.0, 0.5), BASES["cer"], BaseLimits())
     assert float(np.abs(BASES["cer"].wheels(fast)).max()) == pytest.approx(math.radians(100.0))
     assert fast.x / fast.turn == pytest.approx(0.3 / 0.5)
 
@@ -115,7 +115,7 @@ def test_slowing_too_fast_wheels_keeps_the_path() -> None:
 )
 def test_driving_and_turning_share_100_percent(percent: tuple[int, int], left: tuple[int, int]) -> None:
     limits = BaseLimits(linear=1.0, angular=1.0, wheel=1000.0, ratio=0.7)
-    cut = held(Velocity(percent[0] / 100, 0.0, -percent[1] / 100), BASES["cer"], limits)
+    cut = limited(Velocity(percent[0] / 100, 0.0, -percent[1] / 100), BASES["cer"], limits)
     assert cut == pytest.approx((left[0] / 100, 0.0, -left[1] / 100))
 
 

@@ -51,10 +51,10 @@ def test_a_rotated_map_and_one_with_a_start_index_are_read() -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"layers": ["one", "three"]}, "no 'two' among one, three"),
+        ({"layers": ["one", "three"]}, "no 'two'; the message has one, three"),
         ({"data": []}, "data: 0 arrays for 2 layers"),
         ({"data": [{}, {"layout": {"dim": []}, "data": []}]}, r"data.layout.dim: labels must be .*, not \[\]"),
-        ({"info": {"resolution": 0.0}}, "info.resolution: invalid size 0"),
+        ({"info": {"resolution": 0.0}}, "info.resolution: invalid cell size 0"),
     ],
 )
 def test_an_invalid_map_is_rejected_with_the_field_name(changed: dict[str, Any], words: str) -> None:
@@ -63,7 +63,7 @@ def test_an_invalid_map_is_rejected_with_the_field_name(changed: dict[str, Any],
 
 
 @pytest.mark.parametrize(
-    ("sizes", "words"), [((3, 3), "6 values are not 3 x 3"), ((1 << 16, 1 << 16), "65536 x 65536 cells are more than")]
+    ("sizes", "words"), [((3, 3), "6 values instead of 3 x 3"), ((1 << 16, 1 << 16), "65536 x 65536 cells exceed")]
 )
 def test_wrong_declared_sizes_are_rejected(sizes: tuple[int, int], words: str) -> None:
     grid_map = message()

@@ -27,7 +27,7 @@ def guard():
 def test_the_velocity_estimate_follows_commands_within_the_acceleration_limits(guard):
     for _ in range(50):
         guard.follow(SETTINGS, DriveCommand(0.3, 0.0, 1.0), 0.01)
-    assert guard.has == pytest.approx([0.15, 0.0, 0.5 * math.radians(SETTINGS.max_ang_acc)], abs=0.01)
+    assert guard.velocity == pytest.approx([0.15, 0.0, 0.5 * math.radians(SETTINGS.max_ang_acc)], abs=0.01)
 
 
 def test_the_allowed_speed_depends_on_the_current_speed(guard):
@@ -35,7 +35,7 @@ def test_the_allowed_speed_depends_on_the_current_speed(guard):
     assert not guard.unseen
     for tick in range(30):  # another program drives the base at 0.6 m/s
         guard.measure(SETTINGS, 1.0 + 0.01 * tick, Pose(0.006 * tick, 0.0, 0.0))
-    assert guard.has[:2] == pytest.approx([0.6, 0.0])
+    assert guard.velocity[:2] == pytest.approx([0.6, 0.0])
     assert guard.allowed(SETTINGS, 1.0, ORIGIN, FORWARD).vx == 0.0
 
 
@@ -45,7 +45,7 @@ def test_odometry_noise_and_jumps_do_not_count_as_speed(guard):
         x, y = rng.normal(0.0, 0.003, 2)
         guard.measure(SETTINGS, 1.0 + 0.01 * tick, Pose(x, y, 0.0))
     guard.measure(SETTINGS, 2.0, Pose(3.0, 0.0, 0.0))
-    assert not guard.has.any()
+    assert not guard.velocity.any()
 
 
 def test_turning_and_stopping_are_always_allowed(guard):

@@ -14,7 +14,7 @@ from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import Leg, LinkedPlaces, leg
 from navigation.robot_path_planner.ground import Clutter, Ground, Zone
-from navigation.robot_path_planner.path import PlannedPath, blocked, plan_path, sampled
+from navigation.robot_path_planner.path import PlannedPath, blocked, plan_path, sample_line
 from navigation.robot_path_planner.section import RobotPathPlannerSection, WaypointSection
 from navigation.status import Fault, PlanError
 from tests.peers.navigation.floors import ROOMS, SETTINGS, floor, paint
@@ -60,7 +60,7 @@ def test_upstreams_recorded_path_is_matched_to_within_a_cell() -> None:
 def test_every_segment_keeps_the_radius_and_the_goal_is_exact() -> None:
     ground = Ground(floor(*ROOMS), SETTINGS.robot_radius, SETTINGS.clearance)
     path = plan_path(ground, Pose(1.0, 2.5, 0.0), Pose(4.01, 2.52, 1.0), SETTINGS)
-    line = sampled(places(path, Pose(1.0, 2.5, 0.0)), 0.01)
+    line = sample_line(places(path, Pose(1.0, 2.5, 0.0)), 0.01)
     columns, rows = ground.grid.cells_at(line).T
     assert (ground.weights[rows, columns] > 0).all()
     assert path.waypoints[-1].pose == Pose(4.01, 2.52, 1.0)
@@ -71,7 +71,7 @@ def test_every_segment_keeps_the_radius_and_the_goal_is_exact() -> None:
 def test_the_clearance_keeps_paths_away_from_walls() -> None:
     def nearest(clearance: float) -> float:
         ground = Ground(floor((1.5, 0.0, 2.0, 3.0)), 0.2, clearance)
-        line = sampled(places(plan_path(ground, WEST, Pose(3.0, 1.0, 0.0), SETTINGS), WEST), 0.02)
+        line = sample_line(places(plan_path(ground, WEST, Pose(3.0, 1.0, 0.0), SETTINGS), WEST), 0.02)
         columns, rows = ground.grid.cells_at(line).T
         return float(ground.room[rows, columns].min())
 
@@ -112,7 +112,7 @@ def test_keep_out_areas_are_avoided_and_left_by_the_shortest_path() -> None:
     zone = Zone(area(2.8, 2.0, 3.3, 4.9), AreaBehavior(keep_out=True))
     ground = Ground(grid, 0.2, zones=[zone])
     goal = Pose(4.2, 3.5, 0.0)
-    line = sampled(places(plan_path(ground, WEST, goal, SETTINGS), WEST), 0.02)
+    line = sample_line(places(plan_path(ground, WEST, goal, SETTINGS), WEST), 0.02)
     columns, rows = ground.grid.cells_at(line).T
     assert (ground.room[rows, columns] >= 0.2 - 0.05).all()
     inside = Pose(2.9, 3.0, 0.0)
@@ -121,7 +121,7 @@ def test_keep_out_areas_are_avoided_and_left_by_the_shortest_path() -> None:
     outside = path.waypoints[0].pose
     assert outside.x < 2.8 - 0.19  # west is nearer than east
     assert inside.distance(outside) < 0.5
-    line = sampled(places(path, inside)[1:], 0.02)
+    line = sample_line(places(path, inside)[1:], 0.02)
     columns, rows = ground.grid.cells_at(line).T
     assert not ground.kept[rows, columns].any()
 
