@@ -27,7 +27,7 @@ _REAL = (
 """Folders with files that start many programs and take up to a minute: they run first."""
 
 _LONG = len(_REAL) + 1
-"""Place of the files with `long` tests: the processes that run files from the end of the list start with them."""
+"""Position of the files with `long` tests, at the end of the list: the processes that begin there start with them."""
 
 _LEFTOVERS = 10
 """Exit code of a run with leftovers, after which no test is repeated; see scripts/unsteady.py."""
@@ -94,7 +94,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         cache.set("midspan/seed", session.config.getoption("randomly_seed", None))  # for scripts/unsteady.py
     os.environ[_MARK] = _run
     _at_start.update(_threads())
-    # a shell ignores Ctrl-C in background jobs, nohup SIGHUP; every program that a test starts would inherit that
+    # background jobs of a shell ignore Ctrl-C, and nohup's SIGHUP; every program of a test would inherit that
     signal.signal(signal.SIGINT, signal.default_int_handler)
     hangup = getattr(signal, "SIGHUP", None)
     if hangup is not None and signal.getsignal(hangup) is signal.SIG_IGN:

@@ -1,4 +1,4 @@
-"""Data of other machines has the byte order of its protocol, and not that of this machine."""
+"""Data from other machines is read in the byte order of its protocol, not in that of this machine."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def calls(*names: str) -> Iterator[tuple[str, ast.Call]]:
 
 
 def names_order(layout: ast.expr) -> bool:
-    """Return whether a format for struct begins with a byte order, or needs none; True if only its variable does."""
+    """Return whether a format for struct begins with a byte order, or needs none; True for a variable."""
     if isinstance(layout, ast.JoinedStr):
         layout = layout.values[0]
     text = layout.value if isinstance(layout, ast.Constant) else "="
@@ -48,7 +48,7 @@ def test_each_binary_layout_names_its_byte_order() -> None:
 
 
 def test_numbers_in_received_bytes_have_a_fixed_byte_order() -> None:
-    """Such as ``np.frombuffer(data, "<f4")``, and not ``np.frombuffer(data, np.float32)``."""
+    """For example ``np.frombuffer(data, "<f4")``, but not ``np.frombuffer(data, np.float32)``."""
     types = [(place, call.args[1]) for place, call in calls("frombuffer") if len(call.args) > 1]
     assert len(types) > 20
     native = [place for place, kind in types if isinstance(kind, ast.Attribute) and kind.attr not in ONE_BYTE]

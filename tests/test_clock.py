@@ -58,7 +58,7 @@ def test_a_clock_that_is_set_is_reported_once(watched: Clocks, jump: int, passed
     assert watched.jumps == 1
 
 
-def test_several_jumps_are_reported_each(watched: Clocks, caplog: pytest.LogCaptureFixture) -> None:
+def test_each_of_several_jumps_is_reported(watched: Clocks, caplog: pytest.LogCaptureFixture) -> None:
     for jump in (-S, 3600 * S, -3600 * S):
         watched.advance(S // 5)
         watched.wall += jump
@@ -77,7 +77,7 @@ def test_slewing_is_not_a_jump(watched: Clocks, slewed: float, period: int) -> N
     assert not watched.jumps
 
 
-def test_a_suspended_machine_and_a_busy_one_are_no_jumps(watched: Clocks) -> None:
+def test_suspension_and_load_do_not_count_as_jumps(watched: Clocks) -> None:
     watched.advance(8 * 3600 * S)
     assert watched.system.check() == 0
     watched.pauses = [3 * S] * 20  # every reading is interrupted

@@ -41,7 +41,7 @@ def test_a_bounded_queue_keeps_the_order_and_drops_the_oldest() -> None:
         queue.close()
 
 
-def test_closing_a_bounded_queue_drops_what_waits() -> None:
+def test_closing_a_bounded_queue_drops_waiting_messages() -> None:
     inside, go_on, taken = threading.Event(), threading.Event(), list[int]()
 
     def take(message: int) -> None:
@@ -110,7 +110,7 @@ def test_few_jobs_run_at_a_time_and_each_reports_its_end() -> None:
     assert not [t for t in threading.enumerate() if t.name.startswith("pool")]
 
 
-def test_a_job_that_hangs_does_not_delay_the_end() -> None:
+def test_a_job_that_hangs_does_not_delay_closing_the_pool() -> None:
     pool, gate, begun = WorkerPool(1, "pool"), threading.Event(), threading.Event()
     hanging = pool.submit(lambda: (begun.set(), gate.wait(20)))
     assert begun.wait(20)
@@ -124,7 +124,7 @@ def test_a_job_that_hangs_does_not_delay_the_end() -> None:
     until(lambda: not [t for t in threading.enumerate() if t.name.startswith("pool")], "the executor's threads end")
 
 
-def test_a_call_that_is_requested_once_is_made_once() -> None:
+def test_a_call_requested_twice_with_once_runs_once() -> None:
     calls, executed = DelayedCalls("delayed"), list[str]()
 
     def once() -> None:

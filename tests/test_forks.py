@@ -53,7 +53,7 @@ def test_exceptions_are_reported(start: Start) -> None:
     assert "No module named 'no_such_module_anywhere'" in program.output()
 
 
-def test_a_signal_is_its_exit_code(start: Start) -> None:
+def test_the_exit_code_of_a_killed_program_is_its_signal(start: Start) -> None:
     program = start("import time\nprint('on', flush=True)\ntime.sleep(60)")
     until(program.output, "the program runs")
     assert program.popen.poll() is None
@@ -64,7 +64,7 @@ def test_a_signal_is_its_exit_code(start: Start) -> None:
     assert program.popen.poll() == -signal.SIGTERM
 
 
-def test_pipes_and_their_ends(start: Start) -> None:
+def test_a_piped_program_answers_lines_and_reads_the_end_of_its_input(start: Start) -> None:
     program = start(
         "import sys\nfor line in sys.stdin: print(line.strip()[::-1], flush=True)\nprint('end')", pipes=True
     )

@@ -1,4 +1,4 @@
-"""What scripts/house.py finds: cycles, names of classes, large files. `make lint` checks the tree itself."""
+"""What scripts/house.py finds: cycles, duplicate class names, large files. `make lint` checks the tree itself."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def test_a_reexported_name_counts_for_the_file_that_defines_it(tmp_path: Path) -
     assert house.package_cycles(files, graph) == [["bridge.hub", "bridge.routing"]]
 
 
-def test_classes_of_one_name_are_found(tmp_path: Path) -> None:
+def test_classes_with_the_same_name_are_found(tmp_path: Path) -> None:
     files = write(tmp_path, {"sim/a.py": "class One: ...\n", "sim/b.py": "class One: ...\nclass _Two: ...\n"})
     assert house.shared_classes(files) == {"One": ["sim.a", "sim.b"]}
 
 
-def test_what_tests_reach_into_and_what_asserts_nothing(tmp_path: Path) -> None:
+def test_private_access_and_tests_without_an_assertion_are_found(tmp_path: Path) -> None:
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests" / "test_a.py").write_text(
         "from a import _b\n"
@@ -64,7 +64,7 @@ def test_what_tests_reach_into_and_what_asserts_nothing(tmp_path: Path) -> None:
     assert house.assertless(tmp_path) == ["tests/test_a.py:6 test_c"]
 
 
-def test_a_large_file_is_found_and_one_that_is_known_for_it_must_be(tmp_path: Path) -> None:
+def test_large_files_and_stale_exceptions_for_them_are_reported(tmp_path: Path) -> None:
     files = write(tmp_path, {"sim/a.py": "x = 1\n" * (house.LARGE + 1)})
     assert house.wrong(files, known_large={"sim.b"}) == [
         f"{tmp_path}/sim/a.py: {house.LARGE + 1} lines, at most {house.LARGE}",

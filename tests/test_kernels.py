@@ -1,4 +1,4 @@
-"""Kernels are compiled from this tree's sources; a missing build, or one of other sources, is reported."""
+"""Kernels are compiled from this tree's sources; a missing build, or a build of other sources, is reported."""
 
 from __future__ import annotations
 
@@ -163,13 +163,13 @@ def test_a_build_by_another_cython_is_reported(tree: Path, monkeypatch: pytest.M
     assert kernels.state().stale == ("bridge.one", kernels.SHARED)
 
 
-def test_a_machine_without_cython_believes_the_record(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_machine_without_cython_trusts_the_record(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernels, "compiler_version", lambda: "")
     assert kernels.state().ok
 
 
 @pytest.mark.parametrize("record", ["", "[]", "{", '{"bridge.one": 1}'])
-def test_a_record_that_says_nothing_means_a_stale_build(tree: Path, record: str) -> None:
+def test_a_record_without_digests_means_a_stale_build(tree: Path, record: str) -> None:
     (tree / kernels.RECORD).write_text(record, encoding="utf-8")
     assert kernels.state().stale == ("bridge.one", kernels.SHARED)
 

@@ -109,7 +109,7 @@ def test_a_folder_above_a_limit_is_listed_with_its_worst_file(tmp_path: Path) ->
     assert all("first in sim/bad.py, sim/good.py" in line for line in wrong)
 
 
-def test_one_phrase_in_a_small_folder_exceeds_nothing(tmp_path: Path) -> None:
+def test_one_phrase_in_a_small_folder_exceeds_no_limit(tmp_path: Path) -> None:
     (tmp_path / "sim").mkdir()
     (tmp_path / "sim" / "a.py").write_text("# nobody tells\nfound = 1\n")
     assert language.wrong(language.measure(tmp_path), tmp_path) == []

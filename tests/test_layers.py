@@ -390,7 +390,7 @@ _ROS1_PROGRAMS = {ROOT / "bridge" / "demo" / "topics_demo" / "robot.py"}
 """The demo's robot is a ROS 1 program."""
 
 
-def test_midspan_speaks_ros1_without_its_packages() -> None:
+def test_only_the_demos_robot_imports_packages_of_ros1() -> None:
     files = {file for part in ("bridge", "navigation", "yarp_compat", "sim") for file in (ROOT / part).rglob("*.py")}
     wrong = {
         f"{file.relative_to(ROOT)} imports {name}"

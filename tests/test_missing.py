@@ -24,28 +24,28 @@ def no_module(name: str) -> ModuleNotFoundError:
     return ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
-def test_a_test_that_needs_what_is_not_here_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_test_that_needs_a_missing_part_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(missing, "lacking", lambda: {ROS1})
     need(ROS2)
     with pytest.raises(pytest.skip.Exception, match="ROS 1"):
         need(ROS1)
 
 
-def test_an_import_of_what_is_not_here_is_a_skip() -> None:
+def test_a_failed_import_of_a_missing_part_is_a_skip() -> None:
     failed = report("failed", "a traceback")
     assert missing.judge(failed, no_module("rclpy.node")) == ROS2
     assert failed.skipped
     assert failed.longrepr[2] == f"Skipped: {ROS2}"
 
 
-def test_the_cause_of_an_error_is_looked_for() -> None:
+def test_a_missing_part_is_found_in_the_causes_of_an_error() -> None:
     error = RuntimeError()
     error.__cause__ = ImportError()
     error.__cause__.__cause__ = no_module("dartpy")
     assert missing.cause(error) == DART
 
 
-def test_what_cannot_be_built_without_a_compiler_is_a_skip(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_build_error_without_a_compiler_is_a_skip(monkeypatch: pytest.MonkeyPatch) -> None:
     error = BuildError("no compiler: 'g++' is not on the PATH", cure="")
     monkeypatch.setattr(missing, "lacking", frozenset)
     assert not missing.cause(error)
@@ -54,7 +54,7 @@ def test_what_cannot_be_built_without_a_compiler_is_a_skip(monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("error", [no_module("bridge.hub.sesion"), AssertionError("1 == 2"), None])
-def test_a_mistake_stays_a_failure(error: BaseException | None) -> None:
+def test_other_errors_stay_failures(error: BaseException | None) -> None:
     failed = report("failed", "a traceback")
     assert not missing.judge(failed, error)
     assert failed.failed
@@ -62,7 +62,7 @@ def test_a_mistake_stays_a_failure(error: BaseException | None) -> None:
 
 
 @pytest.mark.parametrize("error", [None, no_module("rclpy")])
-def test_in_ci_it_fails(monkeypatch: pytest.MonkeyPatch, error: BaseException | None) -> None:
+def test_a_missing_part_is_a_failure_in_ci(monkeypatch: pytest.MonkeyPatch, error: BaseException | None) -> None:
     monkeypatch.setenv("CI", "true")
     skipped = report("skipped", ("tests/a.py", 1, f"Skipped: {ROS2}")) if error is None else report("failed", "a text")
     assert missing.judge(skipped, error) == ROS2
@@ -92,7 +92,7 @@ def test_other_skips_stay_skips_in_ci(monkeypatch: pytest.MonkeyPatch) -> None:
     assert skipped.skipped
 
 
-def test_the_summary_is_by_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_summary_groups_tests_by_missing_part(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(missing, "_not_read", {ROS1: ["tests/b.py"], ROS2: ["tests/d.py", "tests/c"]})
     lines = missing.summary([f"Skipped: {ROS1}"] * 3 + ["Skipped: only root can"])
     assert [line[:5] for line in lines] == ["ROS 1", "ROS 2"]

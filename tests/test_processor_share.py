@@ -26,7 +26,7 @@ def test_share_is_what_other_programs_left(monkeypatch: pytest.MonkeyPatch, othe
 
 
 def test_own_programs_are_not_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither while they run nor after they have ended."""
+    """They do not count, neither while they run nor after they have ended."""
     times = psutil.cpu_times()
     monkeypatch.setattr(psutil, "cpu_times", lambda: times)
     before = processor_share._others()

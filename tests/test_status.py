@@ -120,7 +120,7 @@ def test_values_of_the_wrong_type_are_omitted_and_named() -> None:
     assert "text" not in status.error, "null counts as missing"
 
 
-def test_an_answer_that_is_no_document_is_a_failed_worker() -> None:
+def test_an_answer_that_is_not_a_document_counts_as_a_failed_worker() -> None:
     for value, error in ((None, "it hangs"), ([], ""), ("x", "")):
         status = read_status(value, "robot", "ros1", error)
         assert status.state == "failed"

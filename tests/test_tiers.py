@@ -36,7 +36,7 @@ from pathlib import Path
 def test_{0}():
     end = time.monotonic() + 40
     while "begin test_{1}\\n" not in Path("log").read_text():
-        assert time.monotonic() < end, "the other one does not run at the same time"
+        assert time.monotonic() < end, "the other test does not run at the same time"
         time.sleep(0.01)
 
 def test_last_{0}(): ...  # which waits until it is known what comes next
@@ -53,7 +53,7 @@ def test_{0}_alone(number): ...
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("processes", ["2", "4"])
-def test_what_is_alone_runs_last_with_few_others(tmp_path: Path, processes: str) -> None:
+def test_tests_marked_alone_run_last_a_few_at_a_time(tmp_path: Path, processes: str) -> None:
     """The other tests do run concurrently."""
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = alone")
     (tmp_path / "conftest.py").write_text(CONFTEST)

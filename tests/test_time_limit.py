@@ -1,4 +1,4 @@
-"""Time limits: one that ends while a failure is being reported does not end the run; a slow machine has longer ones."""
+"""Time limits: one that expires during the report of a failure does not abort the run; a slow machine extends all."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def run_limited(folder: Path, **environ: str) -> subprocess.CompletedProcess[str
     return run_tests(folder, "-p", "tests.support.time_limit", **environ)
 
 
-def test_time_limit_that_ends_during_a_report(tmp_path: Path) -> None:
+def test_a_limit_that_expires_during_a_report_does_not_abort_the_run(tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text(CONFTEST)
     (tmp_path / "test_it.py").write_text(TESTS)
     run = run_limited(tmp_path)

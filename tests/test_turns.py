@@ -123,7 +123,7 @@ def test_ready_threads_are_counted() -> None:
         until(lambda: ready() >= 0.5, "the program is ready to run all the time")
 
 
-def test_a_run_on_a_busy_machine(tmp_path: Path) -> None:
+def test_the_processes_of_a_run_take_turns_on_a_busy_machine(tmp_path: Path) -> None:
     """The processes wait for each other, and no time limit of a test runs meanwhile."""
     (tmp_path / "pytest.ini").write_text("[pytest]\ntimeout = 60")
     (tmp_path / "conftest.py").write_text(CONFTEST)

@@ -1,4 +1,4 @@
-"""`scripts/unsteady.py`: failed tests run once more; the run fails if there are many, or if one fails again."""
+"""`scripts/unsteady.py`: failed tests run once more; the run fails if many tests failed, or if one fails again."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def run(tmp_path: Path, *failed: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
 
 
-def test_a_run_that_failed_without_a_test_is_red(tmp_path: Path) -> None:
+def test_a_run_that_failed_without_a_failed_test_stays_failed(tmp_path: Path) -> None:
     assert run(tmp_path).returncode == 1
     assert unsteady.main(["--kept", str(tmp_path / "none")]) == 1
 
 
-def test_one_that_passes_by_itself_is_named(tmp_path: Path) -> None:
+def test_a_test_that_passes_by_itself_is_named(tmp_path: Path) -> None:
     test = tmp_path / "test_now.py"
     test.write_text("def test_it():\n    assert True\n")
     done = run(tmp_path, f"{test}::test_it")
@@ -42,7 +42,7 @@ def test_one_that_passes_by_itself_is_named(tmp_path: Path) -> None:
     ]
 
 
-def test_one_that_fails_again_is_red(tmp_path: Path) -> None:
+def test_a_test_that_fails_again_fails_the_run(tmp_path: Path) -> None:
     test = tmp_path / "test_now.py"
     test.write_text("def test_it():\n    assert False\n\n\ndef test_other():\n    assert True\n")
     done = run(tmp_path, f"{test}::test_it", f"{test}::test_other")
@@ -50,11 +50,11 @@ def test_one_that_fails_again_is_red(tmp_path: Path) -> None:
     assert "UNSTEADY" not in done.stdout
 
 
-def test_one_that_is_gone_is_red(tmp_path: Path) -> None:
+def test_a_test_that_is_gone_fails_the_run(tmp_path: Path) -> None:
     assert run(tmp_path, f"{tmp_path}/test_gone.py::test_it").returncode == 1
 
 
-def test_many_are_red_at_once(tmp_path: Path) -> None:
+def test_many_failed_tests_fail_the_run_without_another_try(tmp_path: Path) -> None:
     done = run(tmp_path, *(f"tests/test_a.py::test_{n}" for n in range(unsteady.MOST + 1)))
     assert done.returncode == 1
     assert "6 tests failed" in done.stdout

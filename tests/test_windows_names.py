@@ -63,7 +63,7 @@ def test_maps_whose_names_differ_only_in_case_are_not_saved(tmp_path: Path) -> N
         save_maps({"lab": grid, "Lab": grid}, tmp_path / "maps.ini")
 
 
-def test_a_file_that_a_page_sends() -> None:
+def test_a_file_from_the_page_with_an_invalid_name_is_refused() -> None:
     assert file_of("house.map") == "house.map"
     with pytest.raises(ValueError, match="is not a file name on Windows"):
         file_of("aux.map")

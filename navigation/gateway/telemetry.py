@@ -59,7 +59,7 @@ class Telemetry:
         self.path, self._beats = None, 0
 
     def beat(self, *, counts: bool = True) -> None:
-        """Note that the planner published something; ``counts``: whether it must keep publishing from now on."""
+        """Note that the planner published something; ``counts``: whether that shows that it publishes regularly."""
         self._beat_at, self._beats = time.monotonic(), self._beats + counts
 
     def reported(self, goal: bytes) -> tuple[State, str] | None:

@@ -18,7 +18,7 @@ ROUGHLY = 1.0, math.radians(30.0)
 """Meters and radians by which a pose that a person gives may be wrong."""
 
 _MOVED, _TURNED = 0.02, math.radians(0.1)  # motion of a submap after which the map is drawn again
-_PATIENCE = 20  # views per scan that has to pass between two drawings
+_PATIENCE = 20  # the map is drawn again after at least one scan for this many views on it
 _SLICE = 100  # views that are drawn at a time
 _EVERY_NS = 500_000_000  # time between scans that are drawn without becoming part of the map
 

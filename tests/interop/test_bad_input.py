@@ -38,20 +38,20 @@ class Siege:
         self.deployment, self.stack = deployment, stack
         self.ros1, self.ros2, self.zenoh = deployment.ros1(), deployment.ros2(), deployment.zenoh()
         self._out = {"ros1": self.ros1.advertise("/good1", STRING), "ros2": self.ros2.advertise("/good2", STRING)}
-        self._heard = {"ros1": self.ros2.subscribe("/good1", STRING), "ros2": self.ros1.subscribe("/good2", STRING)}
+        self._in = {"ros1": self.ros2.subscribe("/good1", STRING), "ros2": self.ros1.subscribe("/good2", STRING)}
         self._number = 0
         self._names = 0
-        self.still_flows()
+        self.check_flow()
 
-    def still_flows(self) -> None:
+    def check_flow(self) -> None:
         """Check that a message crosses in each direction between ROS 1 and ROS 2."""
-        for side, sender, hearer in (("ros1", self.ros1, self.ros2), ("ros2", self.ros2, self.ros1)):
+        for side, sender, receiver in (("ros1", self.ros1, self.ros2), ("ros2", self.ros2, self.ros1)):
             self._number += 1
             message = {"data": f"good {self._number}"}
 
-            def crosses(sender: Any = sender, hearer: Any = hearer, side: str = side, message: Any = message) -> bool:
+            def crosses(sender: Any = sender, sink: Any = receiver, side: str = side, message: Any = message) -> bool:
                 sender.publish(self._out[side], message)
-                return message in hearer.wait(self._heard[side], 100_000, 0.1)
+                return message in sink.wait(self._in[side], 100_000, 0.1)
 
             until(crosses, f"{message} crosses from {side}", 30)
 
@@ -81,7 +81,7 @@ class Siege:
         reported = lambda: [w for w in self.deployment.worker("ros1").get("warnings", []) if w.startswith(f"{topic}:")]  # noqa: E731
         return str(until(reported, f"a warning about {topic}", 30, every=0.1)[0])
 
-    def hostile(self, topic: str, serve: Callable[[socket.socket], None], type_: str = STRING) -> None:
+    def add_hostile_publisher(self, topic: str, serve: Callable[[socket.socket], None], type_: str = STRING) -> None:
         """Register a ROS 1 publisher of a topic with the real master; ``serve`` handles its connections."""
         uri = self.stack.enter_context(publisher(serve))
         self._names += 1
@@ -113,7 +113,7 @@ def besieged(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Siege]:
 def siege(besieged: Siege) -> Iterator[Siege]:
     """The deployment; after each test, messages of the two valid topics must still cross."""
     yield besieged
-    besieged.still_flows()
+    besieged.check_flow()
 
 
 def header(**fields: str) -> bytes:
@@ -121,8 +121,8 @@ def header(**fields: str) -> bytes:
     return encode({**reported, **fields})
 
 
-def says(*parts: bytes) -> Callable[[socket.socket], None]:
-    """Return a ``serve`` for `Siege.hostile` that sends these bytes to each subscriber, and then nothing."""
+def sends(*parts: bytes) -> Callable[[socket.socket], None]:
+    """Return a ``serve`` for `Siege.add_hostile_publisher`: it sends these bytes to each subscriber, then nothing."""
 
     def serve(sock: socket.socket) -> None:
         sock.recv(65536)
@@ -145,7 +145,7 @@ def text(data: str) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("said", "why"),
+    ("payload", "why"),
     [
         (b"\xff\xff\xff\xff", "announces 4294967295 bytes"),
         (struct.pack("<I", 8) + struct.pack("<I", 1000) + b"type", "truncated"),
@@ -155,9 +155,9 @@ def text(data: str) -> bytes:
     ],
     ids=["huge", "field too long", "no equals", "no type", "error"],
 )
-def test_invalid_ros1_headers_are_reported_with_the_reason(siege: Siege, said: bytes, why: str) -> None:
+def test_invalid_ros1_headers_are_reported_with_the_reason(siege: Siege, payload: bytes, why: str) -> None:
     topic = siege.name("header")
-    siege.hostile(topic, says(said))
+    siege.add_hostile_publisher(topic, sends(payload))
     assert why in siege.warning(topic)
 
 
@@ -165,8 +165,8 @@ def test_invalid_ros1_messages_are_dropped_and_valid_ones_bridged(siege: Siege) 
     """The messages end before their string does, are empty, or have trailing bytes."""
     topic = siege.name("lying")
     good = frame(text("good"))
-    siege.hostile(
-        topic, says(header(latching="1"), frame(b"\xff\xff\xff\x7fabc"), frame(b""), frame(text("x") + b"!"), good)
+    siege.add_hostile_publisher(
+        topic, sends(header(latching="1"), frame(b"\xff\xff\xff\x7fabc"), frame(b""), frame(text("x") + b"!"), good)
     )
     route = siege.route("ros1", topic, "in", bad=3)
     assert "std_msgs/String" in route["error"]
@@ -175,13 +175,13 @@ def test_invalid_ros1_messages_are_dropped_and_valid_ones_bridged(siege: Siege) 
 
 def test_an_impossible_ros1_length_is_reported(siege: Siege) -> None:
     topic = siege.name("endless")
-    siege.hostile(topic, says(header(), struct.pack("<I", 0xFFFFFFF0) + b"x"))
+    siege.add_hostile_publisher(topic, sends(header(), struct.pack("<I", 0xFFFFFFF0) + b"x"))
     assert "4294967280 bytes" in siege.route("ros1", topic, "in", bad=1)["error"]
 
 
 def test_ros1_messages_above_the_limit_are_dropped_and_small_ones_bridged(siege: Siege) -> None:
     topic = siege.name("huge")
-    siege.hostile(topic, says(header(), frame(bytes(64 * MEGABYTE)), frame(text("small"))))
+    siege.add_hostile_publisher(topic, sends(header(), frame(bytes(64 * MEGABYTE)), frame(text("small"))))
     route = siege.route("ros1", topic, "in", large=1)
     assert f"{64 * MEGABYTE} bytes, limits.message allows {LIMIT * MEGABYTE}" in route["error"]
     until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the small message after it crosses")
@@ -215,7 +215,7 @@ def test_topics_with_invalid_ros1_types_are_refused_with_the_reason(
     siege: Siege, fields: dict[str, str], why: str
 ) -> None:
     topic = siege.name("type")
-    siege.hostile(topic, says(header(**fields)))
+    siege.add_hostile_publisher(topic, sends(header(**fields)))
     line = siege.refusal(topic)
     assert why in line["why"]
     assert why in siege.deployment.command("explain", topic).stdout.replace("\n", " ")
@@ -223,7 +223,7 @@ def test_topics_with_invalid_ros1_types_are_refused_with_the_reason(
 
 def test_ros1_names_with_illegal_characters_get_legal_hub_names(siege: Siege) -> None:
     topic = siege.name("1-a/*/é%?")
-    siege.hostile(topic, says(header(), frame(text("x"))))
+    siege.add_hostile_publisher(topic, sends(header(), frame(text("x"))))
     route = siege.route("ros1", topic, "in")
     assert re.fullmatch(r"/n1_a/_/___\d+", route["hub_topic"])
 

@@ -28,7 +28,7 @@ SIDE = 0.4
 TICK = 0.08
 SCALE = 0.03
 NO_LASER = {"beams": 4, "rate": 1.0}
-"""The smallest load of the laser, which these tests do not use."""
+"""The laser with the least load, because these tests do not use it."""
 
 
 class RosLike:
@@ -154,7 +154,7 @@ class Paced:
         self.pose = program.pose
 
     def command(self, x: float, turn: float) -> None:
-        """Send a command every 2 s until BaseControl receives one; it drops those that a stalled process delays."""
+        """Send a command every 2 s until BaseControl receives one; it drops commands that a stalled process delays."""
         accepted, again = self._received, -math.inf
 
         def received() -> bool:

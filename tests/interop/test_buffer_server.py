@@ -128,7 +128,7 @@ def buffer_says(buffer: TransformBuffer) -> Any:
     return text
 
 
-def test_buffer_clients_of_both_look_up_frames(running: Deployment, buffer: TransformBuffer) -> None:
+def test_buffer_clients_of_ros1_and_ros2_look_up_frames(running: Deployment, buffer: TransformBuffer) -> None:
     buffer.set_transform("moon", "crater", 0, (0, 0, 0), (0.0, 0.0, 0.0, 1.0), static=True)
     for client in (Ros1(running), Ros2(running)):
         assert_answers(client, buffer)

@@ -43,9 +43,9 @@ SECONDS = 90.0
 """Seconds within which everything arrives, even if the machine is so busy that links have to be restored."""
 
 PAUSE = 1.0
-"""Seconds that /tf may pause between two sides, in addition to the pause of another program beside Midspan.
+"""Seconds that /tf may pause longer between two sides than within ROS 1, without Midspan.
 
-This limit and `JOIN` are for a machine of one's own: both are divided by the share of the processors that is left.
+This limit and `JOIN` are for an otherwise idle machine; both are divided by the share of the processors that is left.
 """
 
 FLOOD, ROUNDS = 1000, 4
@@ -207,7 +207,7 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
 
 
 def test_tf_continues_after_the_queue_of_a_ros2_program_was_full(site: tuple[Deployment, Address]) -> None:
-    """A ROS 2 program's shared memory holds 512 messages by default, and a reader waits for those that are lost."""
+    """A ROS 2 program's shared memory holds 512 messages by default, and a reader waits for lost messages."""
     deployment, _ = site
     try:
         transforms, sender, other = Transforms(deployment), deployment.ros1(), deployment.ros2()

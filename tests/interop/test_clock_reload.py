@@ -1,4 +1,4 @@
-"""A reload changes `clock.source`, with a real master; and simulated time has no publisher of `/clock`."""
+"""A reload changes `clock.source`, with a real master; simulated time without a publisher of `/clock` is reported."""
 
 from __future__ import annotations
 

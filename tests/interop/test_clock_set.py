@@ -47,7 +47,7 @@ class ShiftedChain(Chain):
         pytest.param((4200, 4198), id="10 min forward, 2 s back", marks=pytest.mark.thorough),
     ],
 )
-def test_the_robot_keeps_driving(tmp_path: Path, shifts: tuple[int, ...]) -> None:
+def test_the_robot_keeps_driving_after_the_system_clock_was_set(tmp_path: Path, shifts: tuple[int, ...]) -> None:
     with ShiftedChain(tmp_path, sim={"people": False}) as chain:
         chain.start()
         request = chain.goto("kitchen")

@@ -74,7 +74,7 @@ def session_config(deployment: Deployment) -> zenoh.Config:
 
 
 def until_explained(deployment: Deployment, name: str, decision: str, direction: str = "in") -> dict[str, Any]:
-    """Return the line of ``explain`` about a name, once the decision is this one."""
+    """Return the line of ``explain`` about a name, once it shows this decision."""
 
     def explained() -> dict[str, Any] | None:
         lines = [line for line in deployment.explain(name) if (line["topic"], line["direction"]) == (name, direction)]
@@ -151,7 +151,7 @@ def test_a_name_served_on_two_kinds_of_dds_is_called_on_fast_dds(shared: Deploym
 
 
 def test_goals_reach_a_server_on_cyclone_dds(shared: Deployment) -> None:
-    """The goals of a client on the hub and of one on ROS 1 are accepted and end, at the same server."""
+    """One server accepts the goals of a client on the hub and of a client on ROS 1, and ends them."""
     native = cyclone(shared)
     service = Service(Registry(), f"{ACTION}_GetResult")
     servers = native.act("/cyclone_go", ACTION, result=service.response(status=4))

@@ -33,7 +33,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
 
 
 def test_programs_of_a_discovery_server_are_bridged(deployment: Deployment, server: Server) -> None:
-    """Programs that start later, or that were bridged before the worker was killed, are included."""
+    """This includes programs that start later, and programs that were bridged before the worker was killed."""
     server()
     deployment.start()
     ros1, ros2 = deployment.ros1(), deployment.ros2()
@@ -58,11 +58,11 @@ def test_programs_of_a_discovery_server_are_bridged(deployment: Deployment, serv
     late = deployment.ros2("late")
     published, received = late.advertise("/late", KIND), ros1.subscribe("/late", KIND)
 
-    def heard() -> bool:
+    def received_later() -> bool:
         late.publish(published, {"data": "late"})
         return bool(ros1.wait(received, 1, 0.2))
 
-    until(heard, "a program that starts later is bridged", 40)
+    until(received_later, "a program that starts later is bridged", 40)
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])

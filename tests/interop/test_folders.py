@@ -123,7 +123,7 @@ WAYS = [("ros1", "ros2"), ("ros2", "ros1")]
 
 
 @pytest.mark.parametrize(("from_", "to"), WAYS)
-def test_a_topic_crosses(sides: Sides, from_: str, to: str) -> None:
+def test_topics_with_types_of_the_folder_are_bridged(sides: Sides, from_: str, to: str) -> None:
     (sender, sent), (receiver, expected) = sides[from_], sides[to]
     arrived = receiver.subscribe(f"/outer_to_{to}", "mixed_msgs/Outer")
     out = sender.advertise(f"/outer_to_{to}", "mixed_msgs/Outer")
@@ -131,7 +131,7 @@ def test_a_topic_crosses(sides: Sides, from_: str, to: str) -> None:
 
 
 @pytest.mark.parametrize(("from_", "to"), WAYS)
-def test_a_service_crosses(sides: Sides, from_: str, to: str) -> None:
+def test_services_with_types_of_the_folder_are_bridged(sides: Sides, from_: str, to: str) -> None:
     (client, request), (server, replied) = sides[from_], sides[to]
     service = f"/ask_{to}"
     reply = {"notes": [replied.note("c")], "last": replied.inner(3)}
@@ -145,7 +145,7 @@ def test_a_service_crosses(sides: Sides, from_: str, to: str) -> None:
 
 
 @pytest.mark.parametrize(("from_", "to"), WAYS)
-def test_an_action_crosses(sides: Sides, from_: str, to: str) -> None:
+def test_actions_with_types_of_the_folder_are_bridged(sides: Sides, from_: str, to: str) -> None:
     (client, request), (server, replied) = sides[from_], sides[to]
     action, kind = f"/go_{to}", "mixed_msgs/Go"
     acting = server.ask(

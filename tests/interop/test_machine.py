@@ -200,7 +200,7 @@ def test_the_daemon_starts_and_bridges_on_a_full_disk(deployment: Deployment) ->
 
 
 @needs_root
-def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment) -> None:
+def test_bridging_continues_while_the_disk_is_full_or_read_only(deployment: Deployment) -> None:
     with small_disk() as disk:
         deployment.start(state=str(disk / "state"))
         assert deployment.daemon is not None
@@ -211,8 +211,8 @@ def test_a_disk_that_fills_up_and_turns_read_only(deployment: Deployment) -> Non
         kill_each_worker(deployment, flow)
         flow.check()
         litter.unlink()
-        # While files are open for writing, the file system itself cannot become read-only, as that of a failing disk
-        # does; a bind mount of it can.
+        # While files are open for writing, the file system itself cannot become read-only, as a failing disk's does;
+        # a bind mount of it can.
         subprocess.run(["mount", "--bind", str(disk), str(disk)], check=True)
         subprocess.run(["mount", "-o", "remount,bind,ro", str(disk)], check=True)
         until(

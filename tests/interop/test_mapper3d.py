@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from navigation.mapper3d.octomaps import cloud_message
-from tests.interop.test_maps import asked
+from tests.interop.test_maps import call
 from tests.peers.daemon.deployment import Deployment
 from tests.support.wait import until
 from yarp_compat.octree import OcTree
@@ -41,8 +41,8 @@ def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
 
     until(layer, "the table is in the layer", 60, 0.1)
     saved = "3D map map and layer layer saved into the store."
-    assert asked(ros1, "/mapper3d/save", "std_srvs/Trigger")["message"] == saved
-    got = asked(ros2, "/maps3d/map/octomap_full", "octomap_msgs/GetOctomap", waits=False)["map"]
+    assert call(ros1, "/mapper3d/save", "std_srvs/Trigger")["message"] == saved
+    got = call(ros2, "/maps3d/map/octomap_full", "octomap_msgs/GetOctomap", waits=False)["map"]
     tree = OcTree.from_full(np.array(got["data"], np.int8).tobytes(), got["resolution"])
     assert (got["header"]["frame_id"], tree.search(2.0, 0.0, 0.74) > 0) == ("map", True)
     scans = ros2.advertise("/scan", "sensor_msgs/LaserScan")
@@ -51,7 +51,7 @@ def test_a_cloud_of_ros2_is_a_layer_on_ros1(deployment: Deployment) -> None:
     def saves() -> bool:
         ros2.publish(scans, {"header": {"frame_id": "laser"}, **fan})
         request = {"name": {"data": "floor"}}
-        reply = asked(ros2, "/slam_toolbox/save_map", "slam_toolbox/SaveMap", waits=False, **request)
+        reply = call(ros2, "/slam_toolbox/save_map", "slam_toolbox/SaveMap", waits=False, **request)
         return bool(reply["result"] == 0)
 
     until(saves, "the map is saved", 60, 0.1)

@@ -45,27 +45,27 @@ def test_changes_of_one_side_reach_all_others_at_once(deployment: Deployment) ->
         maps.maps["office"] = office
         assert texts.ask(["use", "office"], timeout=30) == ["ok"]
         for peer, subscription in ((ros1, on_ros1), (ros2, on_ros2)):
-            until_heard(peer, subscription, office)
+            until_received(peer, subscription, office)
         until(lambda: 100 in newest(ros2, mask)["data"], "the mask is received", 30, 0.1)
         assert np.argmax(newest(ros2, mask)["data"]) == 11 * 20 + 5
         office.occupancy[5, 5] = 100
         maps.maps["office"] = office
         for peer, subscription in ((ros1, on_ros1), (ros2, on_ros2)):
-            until_heard(peer, subscription, office)
+            until_received(peer, subscription, office)
         assert np.array_equal(
-            asked(ros1, "/static_map", "nav_msgs/GetMap")["map"]["data"], newest(ros1, on_ros1)["data"]
+            call(ros1, "/static_map", "nav_msgs/GetMap")["map"]["data"], newest(ros1, on_ros1)["data"]
         )
 
         # ROS 2 selects another map, then ROS 1 the first one again
         hall = maps.maps["hall"] = grid("hall", wall=7)
-        assert asked(ros2, "/map_server/load_map", "nav2_msgs/LoadMap", waits=False, map_url="hall")["result"] == 0
-        until_heard(ros1, on_ros1, hall)
-        until_heard(ros2, on_ros2, hall)
+        assert call(ros2, "/map_server/load_map", "nav2_msgs/LoadMap", waits=False, map_url="hall")["result"] == 0
+        until_received(ros1, on_ros1, hall)
+        until_received(ros2, on_ros2, hall)
         assert current() == "hall"
-        assert asked(ros1, "/change_map", "nav_msgs/LoadMap", map_url="office")["result"] == 0
-        until_heard(ros2, on_ros2, office)
+        assert call(ros1, "/change_map", "nav_msgs/LoadMap", map_url="office")["result"] == 0
+        until_received(ros2, on_ros2, office)
         assert current() == "office"
-        assert asked(ros1, "/change_map", "nav_msgs/LoadMap", map_url="../office.yaml")["result"] != 0
+        assert call(ros1, "/change_map", "nav_msgs/LoadMap", map_url="../office.yaml")["result"] != 0
         assert current() == "office"
 
         # a mapper on ROS 1 publishes a map: the store gets it, and nobody else publishes on the mapper's topic
@@ -75,7 +75,7 @@ def test_changes_of_one_side_reach_all_others_at_once(deployment: Deployment) ->
         mapper.publish(out, message(slam))
         until(lambda: "slam" in maps.maps, "the mapper's map is in the store", 30, 0.1)
         assert maps.maps["slam"] == slam
-        until_heard(ros2, on_ros2, slam)
+        until_received(ros2, on_ros2, slam)
         until(lambda: current() == "slam", "the mapper's map is the current one", 30, 0.1)
         until(lambda: not deployment.route("ros1", "/map", "out"), "nothing is echoed", 30, 0.1)
 
@@ -93,22 +93,22 @@ def message(of: MapGrid2D) -> dict[str, Any]:
     return {"header": {"frame_id": "map"}, "info": info, "data": of.occupancy[::-1].reshape(-1).tolist()}
 
 
-def newest(peer: Peer, heard: int) -> dict[str, Any]:
-    messages = peer.wait(heard, 0, 0)
+def newest(peer: Peer, subscription: int) -> dict[str, Any]:
+    messages = peer.wait(subscription, 0, 0)
     return messages[-1] if messages else {"data": []}
 
 
-def until_heard(peer: Peer, heard: int, wanted: MapGrid2D) -> None:
+def until_received(peer: Peer, subscription: int, wanted: MapGrid2D) -> None:
     """Wait until a program's newest received map is this one."""
 
     def same() -> bool:
-        result = newest(peer, heard)
+        result = newest(peer, subscription)
         return bool(result["data"]) and np.array_equal(from_grid(result, "").occupancy, wanted.occupancy)
 
     until(same, f"{wanted.name} arrives", 30, 0.1)
 
 
-def asked(peer: Peer, service: str, type_: str, *, waits: bool = True, **request: Any) -> dict[str, Any]:
+def call(peer: Peer, service: str, type_: str, *, waits: bool = True, **request: Any) -> dict[str, Any]:
     """Call a service once it exists, and return the reply. The ROS 2 program waits for the service by itself."""
     if waits:
         peer.ask("await_service", service=service, seconds=30.0)

@@ -58,7 +58,7 @@ class HubProgram(HubNode):
         assert all(listed.get(goal) is GoalState.EXECUTING for listed in self.lists[lists:])
 
     @property
-    def there(self) -> bool:
+    def is_on_hub(self) -> bool:
         graph = self.hub.graph
         return any(graph.servers(name) for name in names(ACTION)[:3]) or bool(graph.publishers(names(ACTION).status))
 
@@ -136,5 +136,5 @@ def test_the_goal_of_a_hub_client_continues_and_a_killed_planner_is_lost(
     # zenoh may deliver the loss of the action's services before the reply that names the cause
     lost, left = "lost sight of the goal: its action server /move_base left", "left before it answered"
     assert reason == lost or reason.endswith(left)
-    until(lambda: not program.there, "the planner leaves the hub", SECONDS)
+    until(lambda: not program.is_on_hub, "the planner leaves the hub", SECONDS)
     assert program.lists[-1][sent.id] is GoalState.EXECUTING, "no list contains the goal's end"

@@ -11,7 +11,7 @@ from tests.peers.navigation import mix_table
 
 
 @pytest.mark.timeout(300)  # 55 to 95 s on an idle machine, with a fault of each kind
-def test_every_client_drives_by_every_planner(
+def test_every_client_drives_with_every_planner(
     deployment: Deployment, record_property: Callable[[str, object], None]
 ) -> None:
     cells: list[mix_table.Cell] = []

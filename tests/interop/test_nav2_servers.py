@@ -99,7 +99,7 @@ def add(midspan: Midspan, name: str, x: float, *options: str) -> None:
     assert outcome.code == 0, outcome
 
 
-def test_the_robot_docks_at_stored_docks_and_at_those_of_nav2(rig: Nav2Rig, midspan: Midspan) -> None:
+def test_the_robot_docks_at_stored_docks_and_at_nav2s_docks(rig: Nav2Rig, midspan: Midspan) -> None:
     add(midspan, "kitchen", 1.0)
     assert "which dock? none is stored" in midspan("dock").err
     assert "the location kitchen is not a dock" in midspan("dock", "kitchen").err

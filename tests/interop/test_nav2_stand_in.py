@@ -145,7 +145,7 @@ def test_assisted_teleop_drives_until_it_is_canceled(direct: Direct) -> None:
     direct.stands()
 
 
-def test_a_controller_that_brakes() -> None:
+def test_the_tree_reports_the_end_before_a_braking_controller_stands() -> None:
     direct = Direct(controller=("--braking", "1.0"))
     goal = direct.goto(FAR)
     direct.moves()

@@ -46,7 +46,7 @@ def stops_and_reports(chain: Chain, fault: str, word: str) -> None:
 
 
 @pytest.mark.thorough
-def test_faults_during_a_drive(tmp_path: Path) -> None:
+def test_faults_during_a_drive_stop_the_robot_and_are_reported(tmp_path: Path) -> None:
     with Chain(tmp_path) as chain:
         chain.start()
         request = chain.goto("kitchen")

@@ -182,7 +182,7 @@ def stream(topic: BridgedTopic, seconds: float, stop: Callable[[], bool] = lambd
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("seconds", [1.5, 4.0], ids=["shorter than the lease", "longer"])
-def test_a_link_is_cut_and_restored(pair: Pair, seconds: float) -> None:
+def test_a_restored_link_carries_new_messages_and_no_stale_commands(pair: Pair, seconds: float) -> None:
     ros1, ros2 = pair.ros1, pair.ros2
     name = f"/cut_{int(seconds)}"
     drive = BridgedTopic(ros2, ros1, "/cmd_vel", TWIST)

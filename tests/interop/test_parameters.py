@@ -98,7 +98,7 @@ def assert_node_parameters_appear_in_ros1(ros1: Peer, ros2: Peer) -> None:
 
 
 def _unusual_names_are_reported(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
-    """ROS 1 sets a parameter without a value and one that the node lacks; one of the node is below another's name."""
+    """ROS 1 sets a parameter without a value and one that the node lacks; a node's parameter is named below another."""
     namespace = "/nav/controller"
     assert ros1.ask("get_param", name=f"{namespace}/exposure")["value"] == 7500
     ros1.ask("set_param", name=f"{namespace}/late", value=3)
@@ -123,7 +123,7 @@ def _a_reload_applies_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer
 
 @pytest.mark.parametrize("owner", ["ros2", "ros1"])
 def test_parameters_of_a_hub_node_are_shared_only_by_a_rule(deployment: Deployment, owner: str) -> None:
-    """One native hub node, declared as rmw_zenoh does, has a rule; another one has none."""
+    """Of two native hub nodes, declared as rmw_zenoh does, one has a rule, and the other has none."""
     deployment.master.start()
     deployment.configure(routing={"parameters": [{"ros1": "/copy", "node": "/ns/named", "owner": owner}]})
     ros1 = deployment.ros1()

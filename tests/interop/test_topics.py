@@ -20,12 +20,12 @@ from tests.support.wait import until
 STRING = "std_msgs/String"
 
 
-def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict) -> dict:
+def cross(sender: Any, out: int, receiver: Any, subscription: int, message: dict) -> dict:
     """Publish until a message arrives; return the first one."""
 
     def once() -> list[dict]:
         sender.publish(out, message)
-        return hearer.wait(heard, 1, 0.2)
+        return receiver.wait(subscription, 1, 0.2)
 
     first: dict = until(once, "a message crosses", 30)[0]
     return first
@@ -33,11 +33,11 @@ def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict) -> dict
 
 def test_messages_are_bridged_in_every_direction_between_ros1_ros2_and_zenoh(shared: Deployment) -> None:
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2(), "sdk": shared.sdk()}
-    for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
+    for (from_, sender), (to, receiver) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}"
-        subscription = hearer.subscribe(topic, STRING)
+        subscription = receiver.subscribe(topic, STRING)
         out = sender.advertise(topic, STRING)
-        assert cross(sender, out, hearer, subscription, {"data": topic}) == {"data": topic}
+        assert cross(sender, out, receiver, subscription, {"data": topic}) == {"data": topic}
         if "sdk" not in (from_, to):
             shared.until_route(from_, topic, "in", way="lane" if LANE else "zenoh")
             shared.until_route(to, topic, "out", way="lane" if LANE else "zenoh")
@@ -78,11 +78,11 @@ def test_clouds_depth_and_markers_cross_in_every_direction(
     shared: Deployment, kind: str, message: dict[str, Any]
 ) -> None:
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2(), "sdk": shared.sdk()}
-    for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
+    for (from_, sender), (to, receiver) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}/{kind.partition('/')[2].lower()}"
-        subscription = hearer.subscribe(topic, kind)
+        subscription = receiver.subscribe(topic, kind)
         out = sender.advertise(topic, kind)
-        assert within(message, cross(sender, out, hearer, subscription, message)), (from_, to)
+        assert within(message, cross(sender, out, receiver, subscription, message)), (from_, to)
 
 
 POSE = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
@@ -148,11 +148,11 @@ def called(side: str, program: Any, service: str) -> dict[str, Any]:
 def test_messages_are_bridged_in_every_direction_without_the_lane(deployment: Deployment) -> None:
     deployment.start(hub={"listen": f"tcp/127.0.0.1:{deployment.port}", "lane": False})
     programs = {"ros1": deployment.ros1(), "ros2": deployment.ros2()}
-    for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
+    for (from_, sender), (to, receiver) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}_to_{to}"
-        subscription = hearer.subscribe(topic, STRING)
+        subscription = receiver.subscribe(topic, STRING)
         out = sender.advertise(topic, STRING)
-        assert cross(sender, out, hearer, subscription, {"data": topic}) == {"data": topic}
+        assert cross(sender, out, receiver, subscription, {"data": topic}) == {"data": topic}
         assert deployment.until_route(to, topic, "out", way="zenoh")["why"] == "this worker has no lane"
         assert deployment.command("explain", topic).stdout.count("over zenoh, as this worker has no lane") == 2
 
@@ -179,11 +179,11 @@ def test_a_start_pose_without_covariance_reaches_a_localizer_with_one(shared: De
     """Real amcl (1.17.3) uses zero covariances literally, and puts all particles at one point."""
     start = {"pose": {"pose": {"orientation": {"w": 1.0}}, "covariance": [0.0] * 36}}
     programs = {"ros1": shared.ros1(), "ros2": shared.ros2()}
-    for (from_, sender), (_, hearer) in itertools.permutations(programs.items(), 2):
+    for (from_, sender), (_, receiver) in itertools.permutations(programs.items(), 2):
         topic = f"/{from_}/initialpose"
-        subscription = hearer.subscribe(topic, "geometry_msgs/PoseWithCovarianceStamped")
+        subscription = receiver.subscribe(topic, "geometry_msgs/PoseWithCovarianceStamped")
         out = sender.advertise(topic, "geometry_msgs/PoseWithCovarianceStamped")
-        got = cross(sender, out, hearer, subscription, start)["pose"]["covariance"]
+        got = cross(sender, out, receiver, subscription, start)["pose"]["covariance"]
         assert [got[0], got[7], got[35]] == [0.25, 0.25, math.radians(15.0) ** 2]
 
 
@@ -221,20 +221,20 @@ for _ in range(20):
 message."""
 
 
-def from_the_first_on(shared: Deployment, topic: str, kind: str, *said: dict[str, Any]) -> list[dict[str, Any]]:
+def from_the_first_on(shared: Deployment, topic: str, kind: str, *messages: dict[str, Any]) -> list[dict[str, Any]]:
     """Return what a ROS 2 program receives from a publisher, then from a program that waits for a subscriber."""
-    hearer, other = shared.ros2(), shared.ros1()
-    subscription = hearer.subscribe(topic, kind)
+    receiver, other = shared.ros2(), shared.ros1()
+    subscription = receiver.subscribe(topic, kind)
     out = other.advertise(topic, kind)
-    before, first, later = said
-    cross(other, out, hearer, subscription, before)  # so that all endpoints exist
+    before, first, later = messages
+    cross(other, out, receiver, subscription, before)  # so that all endpoints exist
     program = json.dumps([topic, kind, first, later])
     subprocess.run([ROS1_PYTHON, "-c", FIRST, program], env=shared.master.env, check=True, timeout=60)
-    until(lambda: len(hearer.wait(subscription, 10, 0.1)) >= 10, "later messages arrive")
-    return hearer.wait(subscription, 10)
+    until(lambda: len(receiver.wait(subscription, 10, 0.1)) >= 10, "later messages arrive")
+    return receiver.wait(subscription, 10)
 
 
-def test_a_program_that_waits_for_a_subscriber_is_received(shared: Deployment) -> None:
+def test_the_only_message_of_a_program_that_waits_for_a_subscriber_is_received(shared: Deployment) -> None:
     """The probe of such a program is its first subscriber, and the program's only message may go to the probe."""
     sent = [{"data": text} for text in ("before", "first", "later")]
     received = from_the_first_on(shared, "/once", STRING, *sent)
@@ -242,7 +242,7 @@ def test_a_program_that_waits_for_a_subscriber_is_received(shared: Deployment) -
 
 
 def test_a_command_to_the_probe_is_not_delivered_late(shared: Deployment) -> None:
-    """Messages to the probe wait until the route exists. Velocities must not: their sender may have stopped by then."""
+    """Messages to the probe wait until the route exists. Velocities must not wait, as their sender may have stopped."""
     sent = [{"linear": {"x": speed}} for speed in (3.0, 1.0, 2.0)]
     received = from_the_first_on(shared, "/cmd_vel_once", "geometry_msgs/Twist", *sent)
     assert {message["linear"]["x"] for message in received} == {3.0, 2.0}
@@ -254,9 +254,9 @@ def test_messages_do_not_loop_whatever_the_names_of_nodes(shared: Deployment) ->
     programs: dict[str, Any] = {"ros1": ros1, "ros2": ros2, "zenoh": zenoh}
     subscriptions = {name: program.subscribe("/all", STRING, depth=200) for name, program in programs.items()}
     out = {name: program.advertise("/all", STRING, depth=200) for name, program in programs.items()}
-    for sender, hearer in itertools.permutations(programs, 2):
-        probe = {"data": f"probe {sender} to {hearer}"}
-        _until_has(programs[sender], out[sender], programs[hearer], subscriptions[hearer], probe)
+    for sender, receiver in itertools.permutations(programs, 2):
+        probe = {"data": f"probe {sender} to {receiver}"}
+        _until_has(programs[sender], out[sender], programs[receiver], subscriptions[receiver], probe)
     for number in range(20):
         for name, program in programs.items():
             program.publish(out[name], {"data": f"{name} {number}"})
@@ -281,15 +281,15 @@ def test_custom_types_are_bridged_between_ros1_and_ros2(shared: Deployment) -> N
         "done": True,
     }
     ros1, ros2 = shared.ros1(), shared.ros2()
-    for sender, hearer, topic in ((ros1, ros2, "/things_a"), (ros2, ros1, "/things_b")):
-        subscription = hearer.subscribe(topic, "contract_msgs/Thing")
+    for sender, receiver, topic in ((ros1, ros2, "/things_a"), (ros2, ros1, "/things_b")):
+        subscription = receiver.subscribe(topic, "contract_msgs/Thing")
         out = sender.advertise(topic, "contract_msgs/Thing")
-        got = cross(sender, out, hearer, subscription, thing)
+        got = cross(sender, out, receiver, subscription, thing)
         got["header"] = {"frame_id": got["header"]["frame_id"]}
         assert got == thing
 
 
-def test_a_type_that_only_a_connection_header_defines(shared: Deployment) -> None:
+def test_a_type_that_only_a_connection_header_defines_is_bridged(shared: Deployment) -> None:
     """The definition comes from rospy's connection header, because no package has it; the ROS 2 package is built."""
     ros1, far = shared.ros1(), shared.zenoh()
     point = "=" * 80 + "\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
@@ -316,14 +316,14 @@ def test_a_best_effort_sensor_is_received(shared: Deployment) -> None:
 
 def test_a_burst_of_a_thousand_messages_crosses_completely(shared: Deployment) -> None:
     ros1, ros2 = shared.ros1(), shared.ros2()
-    for sender, hearer, topic in ((ros1, ros2, "/burst_a"), (ros2, ros1, "/burst_b")):
-        subscription = hearer.subscribe(topic, STRING, depth=2000)
+    for sender, receiver, topic in ((ros1, ros2, "/burst_a"), (ros2, ros1, "/burst_b")):
+        subscription = receiver.subscribe(topic, STRING, depth=2000)
         out = sender.advertise(topic, STRING, depth=2000, **({"queue": 2000} if sender is ros1 else {}))
-        cross(sender, out, hearer, subscription, {"data": "first"})
+        cross(sender, out, receiver, subscription, {"data": "first"})
         sender.publish(out, {"data": "burst"}, times=1000)
         until(
-            lambda hearer=hearer, subscription=subscription: (
-                hearer.wait(subscription, 1001, 0.5).count({"data": "burst"}) == 1000
+            lambda receiver=receiver, subscription=subscription: (
+                receiver.wait(subscription, 1001, 0.5).count({"data": "burst"}) == 1000
             ),
             f"the burst on {topic}",
             20,
@@ -353,14 +353,14 @@ def test_diagnostics_on_both_ros_sides_name_the_routes(shared: Deployment) -> No
         until(named, f"diagnostics of {side} name the route", 20)
 
 
-def _texts(program: Any, heard: int) -> set[str]:
-    return {m["data"] for m in program.wait(heard, 10_000, 0.1)}
+def _texts(program: Any, subscription: int) -> set[str]:
+    return {m["data"] for m in program.wait(subscription, 10_000, 0.1)}
 
 
-def _until_has(sender: Any, out: int, hearer: Any, heard: int, probe: dict) -> None:
+def _until_has(sender: Any, out: int, receiver: Any, subscription: int, probe: dict) -> None:
     def once() -> bool:
         sender.publish(out, probe)
-        return probe["data"] in _texts(hearer, heard)
+        return probe["data"] in _texts(receiver, subscription)
 
     until(once, probe["data"], 30)
 

@@ -117,7 +117,7 @@ def call(peer: Peer, service: str, **request: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("first", [FAST, CYCLONE])
 def test_the_second_of_two_daemons_on_one_hub_stands_by(site: Site, first: str) -> None:
-    """The second one recognizes the network of the first, and stands by: nothing crosses twice."""
+    """The second daemon recognizes the network of the first, and stands by, so that nothing crosses twice."""
     hub = site.hub()
     far, native = site.far(hub), site.program(CYCLONE, "native")
     site.worker(hub, first)
@@ -133,11 +133,12 @@ def crosses_once(far: RmwSide, native: Peer) -> None:
     for number in range(COUNT):
         native.publish(out, {"data": f"n{number}"})
     until(lambda: f"n{COUNT - 1}" in data(far.wait(received, 0), "n"), "the last message arrives")
-    heard, publisher = native.subscribe("/to_ros", STRING, depth=1000), far.advertise("/to_ros", STRING, depth=1000)
-    far.hub_publish_until(publisher, {"data": "first"}, lambda: native.wait(heard, 1, 0.1))
+    subscription = native.subscribe("/to_ros", STRING, depth=1000)
+    publisher = far.advertise("/to_ros", STRING, depth=1000)
+    far.hub_publish_until(publisher, {"data": "first"}, lambda: native.wait(subscription, 1, 0.1))
     for number in range(COUNT):
         far.publish(publisher, {"data": f"h{number}"})
-    until(lambda: f"h{COUNT - 1}" in data(native.wait(heard, 0), "h"), "the last message of the hub arrives")
+    until(lambda: f"h{COUNT - 1}" in data(native.wait(subscription, 0), "h"), "the last message of the hub arrives")
 
     server = native.ask("serve", service="/native", type=SET, reply=YES)["id"]
     assert [far.call("/native", SET, data=number == 1).result()["reply"] for number in range(3)] == [YES] * 3
@@ -147,7 +148,7 @@ def crosses_once(far: RmwSide, native: Peer) -> None:
     assert [request["data"] for request in requests] == [False, True, False]
     assert [request["data"] for request in serving.requests(3)] == [False, True, False]
     assert data(far.wait(received, 0), "n") == [f"n{number}" for number in range(COUNT)]
-    assert data(native.wait(heard, 0), "h") == [f"h{number}" for number in range(COUNT)]
+    assert data(native.wait(subscription, 0), "h") == [f"h{number}" for number in range(COUNT)]
 
 
 def test_two_daemons_on_two_hubs_are_both_active_without_duplicates(site: Site) -> None:
@@ -161,10 +162,10 @@ def test_two_daemons_on_two_hubs_are_both_active_without_duplicates(site: Site) 
 
     received = [far.subscribe("/all", STRING, depth=1000) for far in fars]
     publishers = [far.advertise("/all", STRING, depth=1000) for far in fars]
-    heard, out = native.subscribe("/all", STRING, depth=1000), native.advertise("/all", STRING, depth=1000)
+    subscription, out = native.subscribe("/all", STRING, depth=1000), native.advertise("/all", STRING, depth=1000)
     for number, (far, publisher) in enumerate(zip(fars, publishers, strict=True)):
         far.hub_publish_until(
-            publisher, {"data": f"hub{number}"}, lambda n=number: data(native.wait(heard, 0), f"hub{n}")
+            publisher, {"data": f"hub{number}"}, lambda n=number: data(native.wait(subscription, 0), f"hub{n}")
         )
     for far, end in zip(fars, received, strict=True):
         far.publish_until(native, out, {"data": "first"}, lambda far=far, end=end: data(far.wait(end, 0), "first"))
@@ -179,8 +180,8 @@ def test_two_daemons_on_two_hubs_are_both_active_without_duplicates(site: Site) 
         assert not data(far.wait(end, 0), f"hub{1 - index}")
     for index in range(2):
         last = f"hub{index}-{COUNT - 1}"
-        until(lambda last=last: last in data(native.wait(heard, 0), "hub"), "the last message of the hub arrives")
-        assert data(native.wait(heard, 0), f"hub{index}-") == [f"hub{index}-{number}" for number in range(COUNT)]
+        until(lambda last=last: last in data(native.wait(subscription, 0), "hub"), "the hub's last message arrives")
+        assert data(native.wait(subscription, 0), f"hub{index}-") == [f"hub{index}-{number}" for number in range(COUNT)]
 
     server = native.ask("serve", service="/native", type=SET, reply=YES)["id"]
     for far in fars:

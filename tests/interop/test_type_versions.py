@@ -97,7 +97,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FleetPrograms
 
 
 def numbered(messages: list[dict[str, Any]]) -> list[tuple[int, float]]:
-    """Return the number and speed of each message with a name; those without one only show that endpoints match."""
+    """Return the number and speed of each message with a name; those without a name only show that endpoints match."""
     return [(m["load"], m["rpm"] if "rpm" in m else m["speed"]) for m in messages if m["name"]]
 
 
@@ -260,7 +260,7 @@ def test_goals_and_feedback_of_an_action_are_converted_between_versions(programs
     assert server.ask("goals", id=served, count=1, seconds=20)["goals"] == [{received: 1.5}]
 
 
-def test_of_servers_of_two_versions_the_one_of_this_machine_is_called_first(programs: FleetPrograms) -> None:
+def test_of_two_servers_the_one_with_this_machines_version_is_called_first(programs: FleetPrograms) -> None:
     """The server with this machine's version is called until it leaves, and then the other one, in its own version."""
     newer = programs.kilted.ask("serve", service="/twice", type=SERVICE, reply={"offset": 0.5})["id"]
     programs.deployment.until_route("ros1", "/twice", "out", state="active")

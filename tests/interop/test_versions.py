@@ -115,7 +115,7 @@ def test_topics_and_services_cross(deployment: Deployment, old: Path, carrier: s
 
 
 @pytest.mark.parametrize("first", ["old", "new"])
-def test_one_of_them_is_active_and_the_other_takes_over(deployment: Deployment, old: Path, first: str) -> None:
+def test_one_release_is_active_and_the_other_takes_over(deployment: Deployment, old: Path, first: str) -> None:
     trees = {"old": old, "new": ROOT}
     second = next(name for name in trees if name != first)
     active = deployment.worker(trees[first], first)
@@ -135,7 +135,7 @@ def test_one_of_them_is_active_and_the_other_takes_over(deployment: Deployment, 
     far.publish_until(program, out, {"data": "after"}, lambda: {"data": "after"} in far.wait(subscription, 1, 0.2))
 
 
-def test_both_share_one_store(old: Path, tmp_path: Path) -> None:
+def test_both_releases_share_one_store(old: Path, tmp_path: Path) -> None:
     with QuickHub() as hubs, ExitStack() as ends:
         stores: dict[str, OtherStore] = {}
         for name, tree in (("old", old), ("new", ROOT)):
@@ -164,6 +164,6 @@ def test_both_share_one_store(old: Path, tmp_path: Path) -> None:
 
 
 def test_the_older_release_announces_no_version(old: Path) -> None:
-    """If it did, these tests would not show differences between releases."""
+    """If it announced one, these tests would not show differences between releases."""
     result = subprocess.run(["grep", "-rl", "hub.wire.version", old / "bridge"], capture_output=True, check=False)
     assert result.stdout == b""

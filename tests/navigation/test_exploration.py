@@ -64,7 +64,7 @@ def test_a_frontier_without_a_path_is_left_out() -> None:
 
 
 @pytest.mark.parametrize(("x", "reason"), [(-3.0, "outside the map"), (4.0, "in an unknown part of the map")])
-def test_a_robot_that_paths_cannot_begin_at_has_not_explored_all(x: float, reason: str) -> None:
+def test_a_robot_at_which_no_path_can_begin_is_an_error_and_not_the_end(x: float, reason: str) -> None:
     with pytest.raises(NoRoomError, match=reason):
         Exploration(radius=0.25).choose(explored(), Pose(x, 2.5, 0.0))
 

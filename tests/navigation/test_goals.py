@@ -1,4 +1,4 @@
-"""Goals of clients on other machines end when the link is cut; those of this machine's clients do not."""
+"""Goals of clients on other machines end when the link is cut; goals of this machine's clients continue."""
 
 from __future__ import annotations
 

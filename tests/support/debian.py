@@ -19,7 +19,7 @@ from tests.support.process import Process
 from tests.support.wait import until
 
 CACHE = Path(__file__).resolve().parents[2] / ".cache" / "debootstrap"
-"""Cache of debootstrap's packages and, for a day, of the created systems, because several tests use the same one."""
+"""Cache of debootstrap's packages and, for a day, of the created systems, which several tests use."""
 
 DAY = 24 * 3600  # seconds
 

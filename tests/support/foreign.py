@@ -119,7 +119,7 @@ class ForeignTree:
         for name in ("passwd", "group"):
             shutil.copy(new.folder / f"usr/share/base-passwd/{name}.master", new.folder / f"etc/{name}")
         proc = new.folder / "proc"
-        if proc.is_symlink():  # debootstrap creates a link to /proc in some containers, over which none can be mounted
+        if proc.is_symlink():  # debootstrap links to /proc in some containers; nothing can be mounted over a link
             proc.unlink()
             proc.mkdir()
         (new.folder / "etc/hosts").write_text("127.0.0.1 localhost\n::1 localhost\n", encoding="ascii")

@@ -115,8 +115,8 @@ def server_for(python: str, env: Mapping[str, str], *, workers: bool = False) ->
         if server is None or server.ended:
             if server is not None:
                 server.close()
-            # other variables keep the test process's values, except ROS's: an edge in that process has set its own rmw,
-            # which rcl checks when it is imported
+            # other variables keep the test process's values, except ROS's, because an edge in that process has set its
+            # own rmw, which rcl checks when it is imported
             foreign = (*_AT_START, "ROS_", "RMW_")
             others = {name: value for name, value in os.environ.items() if not name.startswith(foreign)}
             server = _servers[key] = Server(python, {**others, **early})

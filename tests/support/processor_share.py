@@ -10,7 +10,7 @@ import psutil
 CPUS = psutil.cpu_count() or 1
 
 _LEAST = 0.25
-"""The smallest share that counts, so that a limit that is divided by it stays a limit."""
+"""A smaller share counts as this one, so that a limit divided by it does not become too long to detect anything."""
 
 
 class ProcessorShare:
@@ -23,7 +23,7 @@ class ProcessorShare:
         self._begun, self._others = time.monotonic(), _others()
 
     def least(self) -> float:
-        """Return the share (0 to 1) that the test had if it could have used all the time that others left."""
+        """Return the share of the processors' time (`_LEAST` to 1) that other programs left to the test."""
         elapsed = time.monotonic() - self._begun
         return max(_LEAST, 1.0 - max(0.0, _others() - self._others) / (CPUS * elapsed))
 

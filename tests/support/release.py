@@ -1,4 +1,4 @@
-"""Frees what a failed test left open, so that no later test fails for it.
+"""Frees what a failed test left open, so that no later test fails because of it.
 
 The traceback of a failed test keeps its files, sockets and sessions until another test fails. When they are collected,
 their warnings are errors of the test that runs at that moment.

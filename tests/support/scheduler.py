@@ -24,14 +24,14 @@ TOGETHER = min(3, CORES + 1)
 for programs."""
 
 _FRONT, _LONG = frozenset({"gw0", "gw1"}), frozenset({"gw2", "gw3"})
-"""Processes that take files from the front, and processes that start with the files of `long` tests, at the end."""
+"""Processes that take files from the front, and processes that start at the end, with the files of `long` tests."""
 
 
 class Scheduler(LoadFileScheduling):
     """Assigns files to the processes from both ends; the last busy processes continue with the `alone` tests.
 
     At most two processes receive files from the front, which start programs, because there are two cores. At most two
-    receive files with `long` tests while there are others, because these use a whole core for minutes.
+    receive files with `long` tests while other files are left, because `long` tests use a whole core for minutes.
     """
 
     def _split_scope(self, nodeid: str) -> str:
@@ -48,7 +48,7 @@ class Scheduler(LoadFileScheduling):
         front = node.gateway.id in (_FRONT if self.numnodes > 2 else {"gw0"})
         if not waiting:
             if len(self.assigned_work) > TOGETHER:
-                return  # others are still busy; `remove_node` checks again
+                return  # other processes are still busy; `remove_node` checks again
             waiting, front = sorted(self.workqueue, key=self._is_long), False  # the long ones first
         if not front and self.numnodes > 2 and node.gateway.id not in _LONG:
             waiting = [unit for unit in waiting if not self._is_long(unit)] or waiting

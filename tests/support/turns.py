@@ -39,7 +39,7 @@ def ready() -> float:
 
 
 class Turns:
-    """The turns of the processes of one run.
+    """Has the processes of one run take turns.
 
     The process that decides locks the first byte of a common file. A process that runs a file locks another byte. The
     system releases the locks of a process that ends.
@@ -51,7 +51,7 @@ class Turns:
         self._file, self._place = file, self._RUNNING + place
 
     def take(self) -> None:
-        """Wait until another file may start. Processes decide one by one, so that each sees the last one's load."""
+        """Wait until another file may start. Processes decide one by one, so that each sees the load of the others."""
         self._lock(self._GATE)
         while self._others_run() and ready() > READY * CORES:
             pass

@@ -111,7 +111,7 @@ class TestNotFinite:
             assert slowed([], (0.1, 0.0, 0.0), velocity, module)[0] == 0.0
 
     @pytest.mark.timeout(30)
-    def test_a_speed_whose_square_is_infinite(self, module):
+    def test_a_speed_whose_square_is_infinite_permits_no_motion(self, module):
         """The base's deceleration is as extreme: without a check, the simulated path to a stop would not end."""
         has, still = (6e153, 0.0, 0.0), (0.0, 0.0, 0.0)
         assert slowed([], has, (-6e153, 0.0, 0.0), module, braking=1e153)[0] == 0.0
@@ -142,12 +142,12 @@ class TestNotFinite:
             module.ahead(np.array(points), 2, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, 0.4, surroundings)
         assert tuple(surroundings) == (0.0, 0.0, math.inf, math.inf, 0.0, math.inf)
 
-    def test_a_robot_that_cannot_brake_or_has_no_top_speed(self, module):
+    def test_without_braking_no_motion_is_permitted_and_without_a_top_speed_any(self, module):
         assert slowed([], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, braking=0.0)[0] == 0.0
         assert slowed([], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, braking=1e-9)[0] == 0.0
         assert slowed([(2.0, 0.0, 0.0)], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, top=0.0)[0] == 1.0
 
-    def test_arrays_that_do_not_fit(self, module):
+    def test_arrays_of_wrong_shapes_are_rejected(self, module):
         three = np.zeros(3)
         for points, count in ((np.zeros((2, 3)), 3), (np.zeros((2, 3)), -1), (np.zeros((2, 2)), 2)):
             with pytest.raises(ValueError, match="points"):

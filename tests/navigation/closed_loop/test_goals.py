@@ -1,6 +1,6 @@
 """Random goals with Midspan's planner and localizer are reached without contact and without entering keep-out cells.
 
-Each world gets two goals; benchmarks/goals.py drives both bases to hundreds.
+Each world gets two goals; benchmarks/goals.py drives both bases to hundreds of goals.
 """
 
 from __future__ import annotations

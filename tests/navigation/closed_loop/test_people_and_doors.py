@@ -92,5 +92,5 @@ def test_a_person_who_crosses_the_path_is_not_touched() -> None:
         return loop.stack.status[0].ended
 
     loop.run(60, ended)
-    assert nearest < 1.5  # the robot and Bob did meet
+    assert nearest < 1.5  # the person came near the robot
     arrive(loop, 1)

@@ -231,7 +231,7 @@ def test_another_gateway_may_become_known_in_two_steps(rig: Rig, monkeypatch: py
     assert rig.module.status().served_by == ""
 
 
-def test_a_gateway_that_starts_beside_a_server_names_it_only_once_it_is_known_to_be_no_gateway(
+def test_a_starting_gateway_names_another_server_once_that_is_known_not_to_be_a_gateway(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     host: Any = SimpleNamespace(loop=SimpleNamespace(every=lambda *_arguments: None), log=logging.getLogger("test"))

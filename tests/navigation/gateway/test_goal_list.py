@@ -68,7 +68,7 @@ def test_a_server_of_rcl_without_a_list_has_no_goals(clock: Clock) -> None:
     assert goals.active == ()
 
 
-def test_a_new_server_of_rcl_has_its_own_time_for_a_list(clock: Clock) -> None:
+def test_a_new_server_of_rcl_gets_its_own_time_to_publish_a_list(clock: Clock) -> None:
     """The list of the previous server does not apply to the new one, and is dropped after a while."""
     goals = GoalList(always=False)
     goals.receive(SERVER, DRIVING)
@@ -98,7 +98,7 @@ def test_the_list_of_a_dead_publisher_is_invalid(clock: Clock, always: bool) -> 
     assert goals.known, "the publisher's token was lost for a moment, but the list was not"
 
 
-def test_another_publisher_does_not_make_a_dead_one_valid(clock: Clock) -> None:
+def test_another_publisher_does_not_make_the_list_of_a_dead_publisher_valid(clock: Clock) -> None:
     goals = GoalList(always=True)
     goals.receive(SERVER, {})
     later(clock, goals, 5.0, SERVER, OTHER)
@@ -137,7 +137,7 @@ def test_a_list_from_a_publisher_that_has_just_left_is_not_ahead_of_the_graph(cl
     assert not goals.known
 
 
-def test_a_new_server_has_its_own_time_also_while_the_graph_still_shows_the_one_before_it(clock: Clock) -> None:
+def test_a_new_server_gets_its_own_time_even_while_the_graph_still_shows_its_predecessor(clock: Clock) -> None:
     """A frozen worker's tokens remain until its lease expires; its successor has not published a list yet."""
     goals = GoalList(always=False)
     goals.receive(SERVER, DRIVING)

@@ -33,7 +33,7 @@ PAIRS = [(state, event) for states, (_table, events, _first) in TABLES.items() f
 
 
 @pytest.mark.parametrize(("state", "event"), PAIRS, ids=lambda value: value.name.lower())
-def test_each_event_leads_from_each_state_to_that_of_the_table(state: Enum, event: Enum) -> None:
+def test_each_event_leads_to_the_state_given_by_the_table(state: Enum, event: Enum) -> None:
     table = TABLES[type(state)][0]
     machine: Machine[Any, Any] = Machine(table, state)
     since = machine.since
@@ -44,7 +44,7 @@ def test_each_event_leads_from_each_state_to_that_of_the_table(state: Enum, even
 
 
 @pytest.mark.parametrize("states", TABLES, ids=lambda states: states.__name__)
-def test_each_state_is_reached(states: type[Enum]) -> None:
+def test_each_state_is_reachable(states: type[Enum]) -> None:
     table, _events, first = TABLES[states]
     reached, pending = {first}, [first]
     while pending:
@@ -112,7 +112,7 @@ def test_no_report_claims_a_standing_robot_while_its_base_moves() -> None:
     assert checked > 1000
 
 
-def test_a_goal_that_is_not_released_is_not_an_end() -> None:
+def test_no_end_is_reported_while_the_goal_is_not_released() -> None:
     for now in SITUATIONS:
         if now.drive in (DriveState.PAUSING, DriveState.STOPPING, DriveState.LOST, DriveState.JUDGING):
             assert derive(now).state not in ENDED, now

@@ -64,7 +64,7 @@ def test_an_abort_comes_with_its_reason(rig: Rig) -> None:
     assert rig.state(State.ABORTED, "no path to the goal")["error_code"] == 20006
 
 
-def test_a_reason_without_a_code_is_believed_of_a_reachable_planner(rig: Rig) -> None:
+def test_a_reachable_planner_ends_a_goal_with_a_reason_without_a_code(rig: Rig) -> None:
     """Neither move_base nor a bridge that has lost its planner gives a code; but a lost planner is unreachable."""
     client_goal = ClientGoal(rig.client, pose(3.0))
     rig.planner.give_up(rig.planner.until(1), "Failed to find a valid plan.", 0)
@@ -181,7 +181,7 @@ def test_a_planner_that_stays_unreachable_ends_the_goal_with_the_reason(rig: Rig
         rig.planner = rig.have("robot_goto")
 
 
-def test_a_rejection_is_believed_of_a_planner_that_has_been_reachable_for_a_while(rig: Rig) -> None:
+def test_a_rejection_ends_the_goal_if_the_planner_has_been_reachable_for_a_while(rig: Rig) -> None:
     rig.planner.rejects = 1
     rig.gateway.link.presence.unreachable_at = math.inf  # as if it had just appeared, unknown to its own bridge
     client_goal = ClientGoal(rig.client, pose(1.0))

@@ -196,7 +196,7 @@ def test_a_goal_that_nav2_counts_as_reached_when_its_path_is_canceled_ends_cance
 def test_a_goal_that_nav2_counts_as_reached_ends_canceled_although_its_path_is_not_listed_yet(
     robot: Scene, controller: Controller
 ) -> None:
-    """The cancel request for all paths also ends one that controller_server has just accepted."""
+    """The cancel request for all paths also ends a path that controller_server has just accepted."""
     controller.end()
     until(lambda: not robot.rig.gateway.link.may_move, "the list has no path")
     robot.planner.cancels = False

@@ -33,14 +33,14 @@ def test_the_frame_of_a_place_depends_on_the_map_in_use(current: str, waits: boo
     assert places(current, waits=waits).target(place).frame == frame
 
 
-def test_a_place_on_a_map_that_the_store_does_not_have() -> None:
+def test_a_place_on_a_map_that_is_not_stored_is_rejected_if_a_map_is_in_use() -> None:
     assert places("", waits=True).target(Map2DLocation("elsewhere", 1.0, 2.0, 0.0)).frame == "map"
     with pytest.raises(LookupError, match="is on map 'elsewhere', which is not stored; stored maps: house, shed"):
         places("house", waits=True).known(Map2DLocation("elsewhere", 1.0, 2.0, 0.0))
 
 
 @pytest.mark.parametrize("reason", ["the store is disabled (store.enabled)", "store.sqlite is in use"])
-def test_the_reason_why_the_store_is_unavailable(reason: str) -> None:
+def test_the_reason_why_the_store_is_unavailable_is_reported(reason: str) -> None:
     class Storeless:
         @property
         def store(self) -> None:

@@ -21,7 +21,7 @@ PASSING = {"name": "passing"}
 
 
 class PassingPlanner(Planner):
-    """A planner with both actions, which rejects a goal while one of the other action is active, as Nav2 does."""
+    """A planner with both actions, which rejects a goal while a goal of the other action is active, as Nav2 does."""
 
     def __init__(self, settings: Any, name: str) -> None:
         self.rejected = 0
@@ -117,7 +117,7 @@ def test_a_stop_ends_the_planners_goal_of_several_poses(rig: Rig, passing: Passi
     assert client_goal.end()[0] == "CANCELED"
 
 
-def test_a_goal_of_the_other_action_is_sent_when_the_one_before_has_ended(rig: Rig, passing: PassingPlanner) -> None:
+def test_a_goal_of_the_other_action_is_sent_when_the_previous_goal_has_ended(rig: Rig, passing: PassingPlanner) -> None:
     first = send(rig)
     passing.until(1)
     second = ClientGoal(rig.client, pose(9.0))

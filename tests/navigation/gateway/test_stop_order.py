@@ -240,7 +240,7 @@ def test_without_odometry_zero_velocities_confirm_the_stop_once_the_planner_has_
     assert not blind.subscribed, "the velocities are no longer read"
 
 
-def test_without_odometry_silence_takes_longer_to_confirm_it(blind: Base) -> None:
+def test_without_odometry_silence_takes_longer_than_zeros_to_confirm_a_stop(blind: Base) -> None:
     blind.order.ask("it was stopped")
     blind.run(5.0)
     blind.released = True
@@ -248,7 +248,7 @@ def test_without_odometry_silence_takes_longer_to_confirm_it(blind: Base) -> Non
 
 
 @pytest.mark.parametrize("kind", [TWIST, TWIST_STAMPED])
-def test_without_odometry_velocities_other_than_zero_keep_it_open(blind: Base, kind: str) -> None:
+def test_without_odometry_velocities_other_than_zero_keep_a_stop_open(blind: Base, kind: str) -> None:
     blind.order.ask("it was stopped")
     blind.kind = kind
     blind.released, blind.commands = True, (0.5,)
@@ -278,7 +278,7 @@ def test_without_odometry_a_base_behind_a_route_of_the_other_form_is_not_known_t
     assert soonest <= blind.until(StopState.CONFIRMED, 2.0) < soonest + 0.5
 
 
-def test_without_odometry_a_second_commander_that_drives_keeps_it_open_despite_zeros(blind: Base) -> None:
+def test_without_odometry_a_second_commander_that_drives_keeps_a_stop_open_despite_zeros(blind: Base) -> None:
     blind.order.ask("it was stopped")
     blind.released, blind.commands = True, (0.5, 0.0)
     assert blind.run(3.0) is StopState.SETTLING
@@ -353,7 +353,7 @@ def test_velocities_are_held_until_the_planner_has_released_its_goals(base: Base
     assert not base.run(2.0).held
 
 
-def test_a_second_stop_keeps_the_time_of_one_that_is_open_and_begins_a_new_one_after_it(base: Base) -> None:
+def test_a_second_request_joins_an_open_stop_and_begins_another_after_its_end(base: Base) -> None:
     base.order.ask("it was paused")
     base.run(3.0)
     base.order.ask("it was stopped")
@@ -378,7 +378,7 @@ def test_a_second_stop_without_odometry_needs_its_own_zeros(blind: Base) -> None
     assert blind.until(StopState.CONFIRMED, 3.0) >= SILENCE_SECONDS - TICK
 
 
-def test_a_dropped_stop_is_none(blind: Base) -> None:
+def test_a_dropped_stop_answers_its_client_and_is_not_confirmed_later(blind: Base) -> None:
     answers: list[str] = []
     blind.order.ask("it was stopped")
     blind.order.waiters.add(answers.append, LONG)
@@ -439,7 +439,7 @@ def test_a_new_goal_fails_the_clients_that_wait(monkeypatch: pytest.MonkeyPatch)
     assert answers == ["a client gave another goal"]
 
 
-def test_an_answer_that_asks_again_is_not_answered_in_the_same_step(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_request_from_the_callback_of_an_answer_is_answered_in_the_next_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client may send its next request from the callback of its last one."""
     waiting, _clock = waiters(monkeypatch)
     answers: list[str] = []

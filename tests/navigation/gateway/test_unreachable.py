@@ -105,7 +105,7 @@ def test_a_goal_of_the_planners_own_client_is_never_idle_while_the_base_moves(ro
     assert robot.states(begin - 1) == {State.MOVING}
 
 
-def test_a_new_goal_while_the_old_one_may_still_drive_is_not_a_preparation(unreachable: Scene) -> None:
+def test_a_new_goal_while_the_old_one_may_still_drive_is_reported_as_moving(unreachable: Scene) -> None:
     robot, rig = unreachable, unreachable.rig
     begin = len(rig.statuses)
     client_goal = ClientGoal(rig.client, pose(9.0))

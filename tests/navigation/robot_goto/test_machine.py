@@ -1,4 +1,4 @@
-"""Every transition of RobotGoto's table, by itself and by the driver in a scene without a simulator."""
+"""Every transition of RobotGoto: in the table, and made by the driver in a scene without a simulator."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def ids(value: DriverState | DriverEvent) -> str:
 
 
 @pytest.mark.parametrize(("state", "event"), PAIRS, ids=ids)
-def test_each_event_leads_from_each_state_to_that_of_the_table(state: DriverState, event: DriverEvent) -> None:
+def test_each_event_leads_to_the_state_given_by_the_table(state: DriverState, event: DriverEvent) -> None:
     machine: Machine[DriverState, DriverEvent] = Machine(DRIVER, state)
     following = DRIVER[state].get(event, state)
     assert machine.on(event) == (following is not state)
     assert machine.state is following
 
 
-def test_each_state_is_reached() -> None:
+def test_each_state_is_reachable() -> None:
     reached, pending = {S.IDLE}, [S.IDLE]
     while pending:
         following = set(DRIVER[pending.pop()].values()) - reached
@@ -51,17 +51,17 @@ def test_a_robot_with_a_goal_is_never_published_as_ended() -> None:
     assert {state for state in S if E.PAUSE in DRIVER[state]} == with_goal
 
 
-class Walk(Machine[DriverState, DriverEvent]):
+class RecordingMachine(Machine[DriverState, DriverEvent]):
     """The driver's machine, which records its transitions: state, event, next state."""
 
     def __init__(self) -> None:
         super().__init__(DRIVER, S.IDLE)
-        self.steps: list[tuple[DriverState, DriverEvent, DriverState]] = []
+        self.transitions: list[tuple[DriverState, DriverEvent, DriverState]] = []
 
     def on(self, event: DriverEvent) -> bool:
         before = self.state
         changed = super().on(event)
-        self.steps.append((before, event, self.state))
+        self.transitions.append((before, event, self.state))
         return changed
 
 
@@ -71,29 +71,29 @@ class Robot:
     Attributes:
         known: whether the pose on the map is known.
         follows: whether the base moves.
-        slips: whether the odometry moves and the robot does not.
+        slips: whether only the odometry moves, not the robot.
         offset: the odometry frame's pose on the map.
         wall: meters to a wall in front of the robot.
-        lit: whether the laser sends scans.
+        laser_on: whether the laser sends scans.
     """
 
     def __init__(self, **settings: Any) -> None:
         section = {"max_waiting_time": 2.5, "deadlock_time": 3.0, "laser_timeout": 0.5, **settings}
         self.driver = Driver(RobotGotoSection().model_copy(update=section))
-        self.walk = self.driver.machine = Walk()
+        self.machine = self.driver.machine = RecordingMachine()
         self.known = self.follows = True
         self.slips = False
         self.offset = self.odometry = Pose(0.0, 0.0, 0.0)
         self.wall = math.inf
         self.now = 1.0
-        self.lit = True
+        self.laser_on = True
 
     def step(self, seconds: float = 0.1) -> None:
         for _ in range(round(seconds / 0.1)):
             self.now += 0.1
             ranges = np.full(360, 4.0)
             ranges[170:190] = min(4.0, self.wall)
-            if self.lit:
+            if self.laser_on:
                 scan = LaserScan(round(self.now * 1e9), -math.pi, math.tau / 360, 0.1, 20.0, ranges)
                 self.driver.scan(scan, self.odometry)
             pose = self.offset @ self.odometry
@@ -112,7 +112,7 @@ class Robot:
 
 
 def idle(robot: Robot) -> None:
-    assert robot.walk.state is S.IDLE
+    assert robot.machine.state is S.IDLE
 
 
 def approaching(robot: Robot) -> None:
@@ -152,10 +152,10 @@ def reached(robot: Robot) -> None:
 
 
 def aborted(robot: Robot) -> None:
-    robot.lit = False
+    robot.laser_on = False
     approaching(robot)
     robot.step()
-    robot.lit = True
+    robot.laser_on = True
 
 
 def failed(robot: Robot) -> None:
@@ -176,7 +176,7 @@ STATES: dict[DriverState, Callable[[Robot], None]] = {
     S.ABORTED: aborted,
     S.FAILED: failed,
 }
-"""What leads to each state."""
+"""How to bring the robot into each state."""
 
 
 def back_off(robot: Robot) -> None:
@@ -242,7 +242,7 @@ def slip(robot: Robot) -> None:
 
 
 def lose_laser(robot: Robot) -> None:
-    robot.lit = False
+    robot.laser_on = False
     robot.step()
 
 
@@ -262,7 +262,7 @@ EVENTS: dict[DriverEvent, Callable[[Robot], Any]] = {
     E.ABORT: slip,
     E.GIVE_UP: wait_long,
 }
-"""What causes each event."""
+"""How to cause each event."""
 
 SPECIAL: dict[tuple[DriverState, DriverEvent], Callable[[Robot], None]] = {
     (S.PREPARING, E.WAIT): meet_wall,
@@ -272,28 +272,28 @@ SPECIAL: dict[tuple[DriverState, DriverEvent], Callable[[Robot], None]] = {
     (S.DRIVING, E.GIVE_UP): stop_following,
     (S.APPROACHING, E.ABORT): lose_laser,
 }
-"""The same for single transitions."""
+"""The same for transitions whose cause in `EVENTS` does not work."""
 
 
 @pytest.mark.parametrize(("state", "event"), ROWS, ids=ids)
-def test_the_driver_walks_each_transition(state: DriverState, event: DriverEvent) -> None:
+def test_the_driver_makes_each_transition(state: DriverState, event: DriverEvent) -> None:
     robot = Robot()
     STATES[state](robot)
-    assert robot.walk.state is state
+    assert robot.machine.state is state
     SPECIAL.get((state, event), EVENTS[event])(robot)
-    assert (state, event, DRIVER[state][event]) in robot.walk.steps
-    assert all(event in DRIVER[state] for state, event, _ in robot.walk.steps)
-    assert robot.driver.status.state is robot.walk.state.published
+    assert (state, event, DRIVER[state][event]) in robot.machine.transitions
+    assert all(event in DRIVER[state] for state, event, _ in robot.machine.transitions)
+    assert robot.driver.status.state is robot.machine.state.published
 
 
 @pytest.mark.parametrize("state", [state for state in S if E.PAUSE not in DRIVER[state]], ids=ids)
 def test_a_pause_or_resume_without_a_goal_changes_nothing(state: DriverState) -> None:
     robot = Robot()
     STATES[state](robot)
-    status, steps = robot.driver.status, len(robot.walk.steps)
+    status, transitions = robot.driver.status, len(robot.machine.transitions)
     assert not robot.driver.pause(1.0)
     assert not robot.driver.resume()
-    assert (robot.driver.status, len(robot.walk.steps)) == (status, steps)
+    assert (robot.driver.status, len(robot.machine.transitions)) == (status, transitions)
 
 
 @pytest.mark.parametrize("state", [S.PREPARING, S.DRIVING, S.WAITING], ids=ids)
@@ -301,7 +301,7 @@ def test_only_a_pause_is_resumed(state: DriverState) -> None:
     robot = Robot()
     STATES[state](robot)
     assert not robot.driver.resume()
-    assert robot.walk.state is state
+    assert robot.machine.state is state
 
 
 @pytest.mark.parametrize("cause", [lose_pose, lose_laser, meet_wall], ids=lambda cause: str(cause.__name__))

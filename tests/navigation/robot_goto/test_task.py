@@ -1,4 +1,4 @@
-"""What RobotGoto keeps for one goal."""
+"""The state of one goal of RobotGoto: its progress, and a robot that is held."""
 
 import math
 
@@ -28,7 +28,7 @@ def test_a_robot_makes_progress_if_its_path_or_its_distance_shrinks(steps, missi
     assert since == missing
 
 
-def test_progress_counts_anew_after_a_pause():
+def test_progress_is_measured_again_after_a_pause():
     progress = GoalProgress()
     progress.missing(0.0, 1.0, 1.0, math.inf)
     progress.since = None

@@ -140,7 +140,7 @@ def test_areas_split_the_path_and_set_its_constraints() -> None:
     assert path.waypoints[1].constraints.min_lin_speed == 0.15
 
 
-def test_waypoints_say_whether_keep_out_cells_are_near() -> None:
+def test_waypoints_report_whether_keep_out_cells_are_near() -> None:
     grid = floor(size=10.0)
     paint(grid, (8.0, 0.5, 9.5, 1.5), MapFlag.KEEP_OUT)
     near, far = plan_path(Ground(grid, 0.2), WEST, Pose(7.5, 1.0, 0.0), SETTINGS).waypoints
