@@ -43,7 +43,7 @@ def read_points(message: Mapping[str, Any], most: int = MOST_POINTS) -> Points:
     return points if near.all() else points[near]
 
 
-def placed(points: Points, at: Transform) -> Points:
+def transform_points(points: Points, at: Transform) -> Points:
     """Transform points (n, 3) into another frame; `at` is the pose of the points' frame in that frame."""
     x, y, z, w = at.rotation
     turned = np.array([

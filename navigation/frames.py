@@ -105,14 +105,14 @@ class RobotFrames:
         Both are in the odometry frame, or on the map without odometry. Raises `FramesError` if unknown.
         """
 
-        def both(fixed: str) -> tuple[Transform, Transform]:
+        def lookup_both(fixed: str) -> tuple[Transform, Transform]:
             return self._lookup(fixed, frame, stamp, LATE), self._lookup(fixed, self.base_frame, stamp, LATE)
 
         try:
-            return both(self.odom_frame)
+            return lookup_both(self.odom_frame)
         except FramesError as err:
             try:
-                return both(self.map_frame)
+                return lookup_both(self.map_frame)
             except FramesError:
                 raise err from None
 

@@ -34,7 +34,7 @@ class MapInUse:
         self.unknown = not self.of_store
         self._due = self._closed = False
         watched = {*kinds, MAP, CURRENT} if self.of_store else {*kinds}
-        self._closing: list[Callable[[], object]] = [host.store.watch(self._changed, *watched)] if watched else []
+        self._closing: list[Callable[[], object]] = [host.store.watch(self._on_change, *watched)] if watched else []
         if not self.of_store:
             subscription = host.node.subscription(self._topic, GRID, self._on_map, LATCHED)
             self._closing.append(lambda: host.node.release(subscription))
@@ -60,7 +60,7 @@ class MapInUse:
         for close in self._closing:
             close()
 
-    def _changed(self, _change: object) -> None:
+    def _on_change(self, _change: object) -> None:
         """Schedule one update for any number of changes; runs on the store's thread."""
         if not self._due:
             self._due = True

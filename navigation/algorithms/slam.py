@@ -109,7 +109,7 @@ class Slam:
         self._run, self._moved = run, False  # whether the map was moved since the search began
 
     @classmethod
-    def resumed(
+    def resume(
         cls, submaps: Submaps, guess: Pose, unsure: tuple[float, float] = ANYWHERE, run: RunSearch = at_once
     ) -> Slam:
         """Continue a map from a pose of the laser that may be wrong by some meters and radians."""
@@ -159,14 +159,14 @@ class Slam:
             return view
         moved = track.odometry.inverse @ odometry
         track.odometry = odometry
-        if _apart(_ORIGIN, moved, *_JUMP):
+        if _is_apart(_ORIGIN, moved, *_JUMP):
             return None
         track.pose = guess = track.pose @ moved
-        if not _apart(track.matched, guess, _MOVED, _TURNED):
+        if not _is_apart(track.matched, guess, _MOVED, _TURNED):
             return None
         surface = scan.surface()
-        track.pose = track.matched = self._matched(track, surface, guess)
-        if not mapping or self.full or not _apart(track.viewed, track.pose, _VIEW_MOVED, _VIEW_TURNED):
+        track.pose = track.matched = self._match(track, surface, guess)
+        if not mapping or self.full or not _is_apart(track.viewed, track.pose, _VIEW_MOVED, _VIEW_TURNED):
             return None
         way = track.viewed.distance(track.pose)
         track.viewed, track.way, track.since_loop = track.pose, track.way + way, track.since_loop + way
@@ -175,13 +175,13 @@ class Slam:
         self._advance(track)
         return view
 
-    def _matched(self, track: Track, surface: Surface, guess: Pose) -> Pose:
+    def _match(self, track: Track, surface: Surface, guess: Pose) -> Pose:
         """Return the scan's pose in the current submap, or the guess if it does not match."""
         moved = track.matched.inverse @ guess
         meters, radians = _METERS + _DRIFT * math.hypot(moved.x, moved.y), _RADIANS + _DRIFT * abs(moved.theta)
         prior = np.diag((meters**-2.0, meters**-2.0, radians**-2.0))
         match = self.submaps.surfels(track.current).match(surface.thinned(_POINTS), guess, prior)
-        if match.share < _LEAST_SHARE or _apart(guess, match.pose, *_MOST_OFF):
+        if match.share < _LEAST_SHARE or _is_apart(guess, match.pose, *_MOST_OFF):
             track.lost += 1
             return guess
         track.lost = 0
@@ -242,5 +242,5 @@ class Slam:
             )
 
 
-def _apart(a: Pose, b: Pose, meters: float, radians: float) -> bool:
+def _is_apart(a: Pose, b: Pose, meters: float, radians: float) -> bool:
     return a.distance(b) > meters or abs(math.remainder(a.theta - b.theta, math.tau)) > radians

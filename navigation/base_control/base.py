@@ -10,7 +10,7 @@ from typing import Any
 
 from navigation.base_control.commands import NO_CHOICE, STILL, Arbiter, CommandInput, FullControl
 from navigation.base_control.kinematics import Array, Traveled, WheelOdometry, kinematics
-from navigation.base_control.limits import FILTERS, Limiter, smoothed
+from navigation.base_control.limits import FILTERS, Limiter, low_pass
 from navigation.base_control.section import BaseControlSection
 from navigation.base_control.settings import limits
 from navigation.yarp import Commands
@@ -60,7 +60,7 @@ class DrivenBase:
         seconds = 0.0 if self._measured is None else now - self._measured
         self._measured = now
         if seconds > 0.0:
-            self._smoothed = smoothed(self._smoothed, traveled.velocity, self.motors_filter, seconds)
+            self._smoothed = low_pass(self._smoothed, traveled.velocity, self.motors_filter, seconds)
         return traveled if self._smoothed is traveled.velocity else replace(traveled, velocity=self._smoothed)
 
     def due(self, velocities: Array) -> bool:

@@ -135,7 +135,7 @@ class WheelOdometry:
         self._angles, self._time = tuple(angles), time
         self._total = [total + step for total, step in zip(self._total, steps, strict=True)]
         velocity = self._base(self._rates.add(time, self._total, rates))
-        self.now = _moved(self.now, self._base(steps), velocity)
+        self.now = _advance(self.now, self._base(steps), velocity)
         return self.now
 
     def _base(self, wheels: Sequence[float]) -> Velocity:
@@ -152,7 +152,7 @@ class WheelOdometry:
         self._rates.clear()
 
 
-def _moved(before: Traveled, step: Velocity, velocity: Velocity) -> Traveled:
+def _advance(before: Traveled, step: Velocity, velocity: Velocity) -> Traveled:
     """Add a motion in the base's frame, in meters, meters and radians."""
     sin_share, cos_share = 1.0, step.turn / 2.0
     if abs(step.turn) > _SMALL_TURN:

@@ -53,7 +53,7 @@ class Limiter:
             return self.now
         if not self.kinematics.holonomic:
             wanted = Velocity(wanted.x, 0.0, wanted.turn)
-        self._smooth = smoothed(self._smooth, wanted, self.limits.filter_hz, seconds)
+        self._smooth = low_pass(self._smooth, wanted, self.limits.filter_hz, seconds)
         target = limited(self._smooth, self.kinematics, self.limits)
         # the limits may have been lowered while the base drives
         start = limited(self.now, self.kinematics, self.limits)
@@ -71,15 +71,15 @@ class Limiter:
     def _approach(self, start: Velocity, target: Velocity, seconds: float) -> Velocity:
         """Step toward the target for one period: each axis separately if the limits allow, else in proportion."""
         linear, turn = self._allowed_shares(start, target, seconds)
-        apart = Velocity(
+        separate = Velocity(
             start.x + (target.x - start.x) * linear,
             start.y + (target.y - start.y) * linear,
             start.turn + (target.turn - start.turn) * turn,
         )
-        if _is_within(apart, self.kinematics, self.limits):
-            return apart
+        if _is_within(separate, self.kinematics, self.limits):
+            return separate
         share = min(linear, turn)
-        return _between(start, target, share)
+        return _interpolate(start, target, share)
 
     def _allowed_shares(self, start: Velocity, target: Velocity, seconds: float) -> tuple[float, float]:
         """Return the shares of the wanted changes in driving and turning that one period allows."""
@@ -124,13 +124,13 @@ def _is_within(velocity: Velocity, kinematics: Kinematics, limits: BaseLimits) -
     return abs(cut.x - velocity.x) + abs(cut.y - velocity.y) + abs(cut.turn - velocity.turn) <= 1e-9
 
 
-def smoothed(before: Velocity, wanted: Velocity, hertz: int, seconds: float) -> Velocity:
+def low_pass(before: Velocity, wanted: Velocity, hertz: int, seconds: float) -> Velocity:
     """Apply one step of a first-order low-pass filter with this cut-off frequency; 0 for none."""
     if hertz <= 0:
         return wanted
     share = 1.0 - math.exp(-2.0 * math.pi * hertz * seconds)
-    return _between(before, wanted, share)
+    return _interpolate(before, wanted, share)
 
 
-def _between(a: Velocity, b: Velocity, share: float) -> Velocity:
+def _interpolate(a: Velocity, b: Velocity, share: float) -> Velocity:
     return Velocity(a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.turn + (b.turn - a.turn) * share)

@@ -48,14 +48,14 @@ class Gateway:
         self.motion = Motion(frames, simulated=host.clock.simulated)
         self._localized = Localized(host)
         self._order = StopOrder(self.motion, VelocityWatch(host, section.velocity))
-        self._choice = PlannerChoice(host, section, self._changed)
+        self._choice = PlannerChoice(host, section, self._on_change)
         self.execution = Execution(
             host,
             self._choice,
             frames,
             self.motion,
             self._order,
-            self._changed,
+            self._on_change,
             lambda: unconfirmed(self._situation()),
         )
         self._reported: tuple[Any, ...] = ()
@@ -157,7 +157,7 @@ class Gateway:
             self.execution.last = PlannerStatus()  # how the last drive ended no longer matters
         self._order.ask("it was stopped")
         self.execution.advance()
-        self._changed()
+        self._on_change()
         if drive is not None:
             return "the goal is canceled"
         if foreign:
@@ -179,14 +179,14 @@ class Gateway:
         """
         self._choice.choose(planner, driving=self.driving)
         self.execution.settle()
-        self._changed()
+        self._on_change()
         return f"as soon as {self.planner} has released its goal" if self.pending else ""
 
     def configure(self, section: NavigationSection) -> None:
         """Use another section, from the end of the current drive on if it changes the planners."""
         self._choice.configure(section)
         self.execution.settle()
-        self._changed()
+        self._on_change()
 
     def client_lost(self, goal: Goal, reason: str) -> None:
         """End a goal whose client is unreachable."""
@@ -219,7 +219,7 @@ class Gateway:
         self.motion.poll()
         self.link.refresh(self.motion)  # first, so that cancel requests are sent before anything else
         self.execution.poll()
-        self._changed()
+        self._on_change()
 
     # -- reports -------------------------------------------------------------------------------------------------------
 
@@ -243,7 +243,7 @@ class Gateway:
             drive=None if drive is None else drive.state,
             reason="" if drive is None else drive.reason,
             unreleased=drive is not None and not drive.released,
-            reported=self._published(sent),
+            reported=self._published_status(sent),
             silence=silent,
             localization="" if link.ours else self._localization(),
             stop=order.state,
@@ -254,12 +254,12 @@ class Gateway:
             last=self.execution.last,
         )
 
-    def _published(self, goal: bytes) -> PlannerStatus | None:
+    def _published_status(self, goal: bytes) -> PlannerStatus | None:
         reported = self.link.telemetry.reported(goal)
         return None if reported is None else PlannerStatus(*reported, self.link.telemetry.code(goal))
 
     def _of_foreign(self, goal: bytes) -> PlannerStatus:
-        reported = self._published(goal) or PlannerStatus(State.MOVING)
+        reported = self._published_status(goal) or PlannerStatus(State.MOVING)
         return reported._replace(reason=reported.reason or own_client(self.planner))
 
     def _localization(self) -> str:
@@ -284,7 +284,7 @@ class Gateway:
             return status_message(stamp, self._status, goal_id=foreign[-1], goal=pose)
         return status_message(stamp, self._status)
 
-    def _changed(self) -> None:
+    def _on_change(self) -> None:
         """Publish the status if it has changed, and answer the clients that wait for a stop."""
         end, drive = self.link.foreign_goals.end, self.drive
         if drive is not None and drive.sent is not None and drive.sent.active and drive.sent.accepted:

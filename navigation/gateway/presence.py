@@ -41,7 +41,7 @@ class Presence:
     @property
     def coming_up(self) -> bool:
         """Whether new parts of the planner have appeared on the hub while others are missing."""
-        return not self.machine.state.reachable and bool(self._published() - self._first_parts)
+        return not self.machine.state.reachable and bool(self._publisher_gids() - self._first_parts)
 
     def refresh(self, *, complete: bool, moving: bool) -> None:
         """Read the graph again; ``complete``: all parts of the action are there, ``moving``: the base moves."""
@@ -62,11 +62,11 @@ class Presence:
 
     def _lose(self) -> None:
         if self.machine.state.reachable:
-            self._first_parts = self._published()
+            self._first_parts = self._publisher_gids()
         self.machine.on(PlannerEvent.LOST)
         self.unreachable_at = time.monotonic()
 
-    def _published(self) -> set[bytes]:
+    def _publisher_gids(self) -> set[bytes]:
         return {publisher.gid for topic in self._topics for publisher in self._graph.publishers(topic)}
 
     def _parts(self) -> set[bytes]:

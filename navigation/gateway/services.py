@@ -99,7 +99,7 @@ class HubServices:
             "go_to": (NAMED, self._go_to),
         }
         for name, (kind, action) in actions.items():
-            node.server(f"/navigation/{name}", kind, _serving(action))
+            node.server(f"/navigation/{name}", kind, _server_of(action))
         node.server(STOP_SERVICE, TRIGGER, self._stop)
         node.server("/navigation/pause", TRIGGER, self._pause)
         node.server("/navigation/get_location", GET_LOCATION, self._locate)
@@ -134,7 +134,7 @@ class HubServices:
             answer({"success": True, "message": "", "pose": target.stamped(self._gateway.robot())})
 
 
-def _serving(action: Callable[[str], str | None]) -> Callable[[dict[str, Any], Answer], None]:
+def _server_of(action: Callable[[str], str | None]) -> Callable[[dict[str, Any], Answer], None]:
     def serve(request: dict[str, Any], answer: Answer) -> None:
         try:
             reply = action(str(request.get("name", "")))

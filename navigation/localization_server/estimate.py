@@ -124,7 +124,7 @@ class Track:
         later = None
         for pose in reversed(self._poses):
             if pose.stamp_ns <= stamp_ns:
-                return pose if later is None else _between(pose, later, stamp_ns)
+                return pose if later is None else _interpolate(pose, later, stamp_ns)
             later = pose
         return later
 
@@ -132,13 +132,13 @@ class Track:
         self._poses.clear()
 
 
-def _between(one: Pose, two: Pose, stamp_ns: int) -> Pose:
-    share = (stamp_ns - one.stamp_ns) / (two.stamp_ns - one.stamp_ns)
-    turned = wrapped(two.theta - one.theta)
+def _interpolate(before: Pose, after: Pose, stamp_ns: int) -> Pose:
+    share = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+    turned = wrapped(after.theta - before.theta)
     return Pose(
-        one.x + share * (two.x - one.x),
-        one.y + share * (two.y - one.y),
-        wrapped(one.theta + share * turned),
+        before.x + share * (after.x - before.x),
+        before.y + share * (after.y - before.y),
+        wrapped(before.theta + share * turned),
         stamp_ns,
     )
 

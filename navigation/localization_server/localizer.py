@@ -19,7 +19,7 @@ from navigation.algorithms.pose_search import PoseSearch
 from navigation.localization_server.estimate import LocalizationStatus, PoseEstimate, Track
 from navigation.localization_server.judge import Judge
 from navigation.localization_server.particles import ParticleSet
-from navigation.localization_server.recovery import PoseRecovery, explained
+from navigation.localization_server.recovery import PoseRecovery, explained_shares
 from navigation.localization_server.section import LocalizerSection
 from navigation.pose import Pose
 from navigation.scan import thinned
@@ -171,21 +171,21 @@ class Localizer:
             self._updated, self.correction = odometry, self._start @ odometry.inverse
         points = thinned(points, self.settings.beams)
         if len(points) < _FEWEST:
-            self._judge.add(0.0, 0.0, self._wide, odometry, "too few echoes in the scan")
+            self._judge.add(0.0, 0.0, self._spread, odometry, "too few echoes in the scan")
             return False
-        ran = self._forced > 0 or self._far(odometry)
+        ran = self._forced > 0 or self._has_moved_far(odometry)
         if ran:
             self._update(odometry, points)
         pose = self._corner.inverse @ self.correction @ odometry
-        share, against = explained(self._field, pose[:3], points)
-        self._judge.add(share, against, self._wide, odometry)
+        share, against = explained_shares(self._field, pose[:3], points)
+        self._judge.add(share, against, self._spread, odometry)
         better = self._recovery.better(stamp_ns, pose, share, points)
         if better is not None:
             self._scatter(*better, len(points), odometry)
         return ran
 
     @property
-    def _wide(self) -> float:
+    def _spread(self) -> float:
         """The spread of the particles, as a standard deviation in meters."""
         return math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
 
@@ -195,7 +195,7 @@ class Localizer:
         step = self._updated.inverse @ odometry
         return step.x, step.y, step.theta
 
-    def _far(self, odometry: Pose) -> bool:
+    def _has_moved_far(self, odometry: Pose) -> bool:
         """Whether the base has moved far enough since the last update."""
         x, y, turned = self._step(odometry)
         settings = self.settings
@@ -206,10 +206,10 @@ class Localizer:
         self._updated, self._forced = odometry, max(0, self._forced - 1)
         x, y, theta = mode.mean.tolist()
         self.correction = self._corner @ Pose(x, y, theta) @ odometry.inverse
-        self._covariance = self._turned(mode.covariance)
+        self._covariance = self._rotate(mode.covariance)
         self.updates += 1
 
-    def _turned(self, covariance: Floats) -> Floats:
+    def _rotate(self, covariance: Floats) -> Floats:
         """Rotate a covariance from the field's frame to the map frame."""
         turn = np.eye(3)
         c, s = math.cos(self._corner.theta), math.sin(self._corner.theta)

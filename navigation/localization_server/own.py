@@ -189,7 +189,7 @@ class Memory:
 
     def save(self, map_name: str, pose: Pose, *, now: bool = False) -> None:
         """Save a pose if the robot has moved, at most every 2 s unless ``now``; raises `OSError` on failure."""
-        if self._saved is not None and not self._far(map_name, pose, self._saved):
+        if self._saved is not None and not self._is_far(map_name, pose, self._saved):
             return
         if not now and time.monotonic() - self._written < _PERIOD:
             return
@@ -210,7 +210,7 @@ class Memory:
         return Pose(x, y, theta) if math.isfinite(x + y + theta) else None
 
     @staticmethod
-    def _far(map_name: str, pose: Pose, kept: tuple[str, Pose]) -> bool:
+    def _is_far(map_name: str, pose: Pose, kept: tuple[str, Pose]) -> bool:
         turned = abs(wrapped(pose.theta - kept[1].theta))
         return map_name != kept[0] or pose.distance(kept[1]) > _MOVED or turned > _TURNED
 

@@ -26,11 +26,11 @@ _SEARCH_EVERY, _LOST_SEARCH_EVERY = 3.0, 1.0
 _SEARCH_TURN, _LOST_REACH = 0.79, 12.0
 """The search range around the estimate: radians to each side; if the robot is lost, meters, and any heading."""
 
-_PATIENCE = 4  # after so many fruitless searches the minimum time grows, by at most this factor
+_PATIENCE = 4  # after this many fruitless searches the minimum time grows, by at most this factor
 _NEVER = -(1 << 62)
 
 
-def explained(field: LikelihoodField, pose: tuple[float, float, float], points: Floats) -> tuple[float, float]:
+def explained_shares(field: LikelihoodField, pose: tuple[float, float, float], points: Floats) -> tuple[float, float]:
     """Return how well the map explains a scan, and how much of the scan contradicts the pose."""
     agreeing, against = field.agreement(pose, points, _EXPLAINED_WITHIN)
     return max(0.0, agreeing - against), against
@@ -78,7 +78,7 @@ class PoseRecovery:
             windows.append(SearchWindow(pose.x, pose.y, pose.theta, _LOST_REACH, math.pi))
         for window in windows:
             poses, scores = self._search.best(points, window)
-            shares = np.array([explained(self._field, (row[0], row[1], row[2]), points)[0] for row in poses])
+            shares = np.array([explained_shares(self._field, (row[0], row[1], row[2]), points)[0] for row in poses])
             better = shares >= wanted
             if better.any():
                 self._fruitless = 0

@@ -241,9 +241,9 @@ class ExternalSource(PoseSource):
             pose = pose._replace(stamp_ns=now)
         self._pose, self._received_ns, self._trouble = pose, self._host.clock.elapsed_ns(), ""
         self._covariance = self._usual if covariance is None else covariance
-        self._correction = self._corrected(pose)
+        self._correction = self._correction_of(pose)
 
-    def _corrected(self, pose: Pose) -> Pose | None:
+    def _correction_of(self, pose: Pose) -> Pose | None:
         """Return the correction that a pose implies; None if odometry does not cover the pose's time."""
         frames = self._frames
         try:
@@ -266,7 +266,7 @@ class ExternalSource(PoseSource):
         if age > self._section.pose_age:
             return unknown(self._trouble or f"{self.source} has been silent for {age:.1f} s", LocalizationStatus.ERROR)
         if self._correction is None:  # odometry may have arrived since
-            self._correction = self._corrected(self._pose)
+            self._correction = self._correction_of(self._pose)
         return PoseEstimate(self._now(self._pose), self._covariance, 1.0, LocalizationStatus.OK, "")
 
     def _now(self, pose: Pose) -> Pose:

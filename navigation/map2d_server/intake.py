@@ -23,7 +23,7 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
 _log = logging.getLogger(__name__)
 
-_UNKNOWN_SECONDS = 5.0  # a map waits so long for the graph to show its sender, whose token the map may overtake
+_UNKNOWN_SECONDS = 5.0  # a map waits this long for the graph to show its sender, whose token it may overtake
 _MOST_UNKNOWN = 8
 _MOST_POINTS = 10_000
 

@@ -155,18 +155,18 @@ class MapAnswers(IMap2DMsgs):
     # -- shared parts ------------------------------------------------------------------------------------------------
 
     def _get(self, kind: ValueKind[T], name: str) -> tuple[ReturnValue, T]:
-        with self._refusing():
+        with self._reporting_errors():
             value = self._store.get(kind, name)
         if value is None:
             raise CallFailed(reason=f"no {kind.name} {name!r}")
         return OK, value
 
     def _names(self, kind: ValueKind[Any]) -> tuple[ReturnValue, list[str]]:
-        with self._refusing():
+        with self._reporting_errors():
             return OK, self._store.names(kind)
 
     def _all(self, kind: ValueKind[T]) -> tuple[ReturnValue, list[T]]:
-        with self._refusing():
+        with self._reporting_errors():
             values = self._store.all(kind)
         return OK, [values[name] for name in sorted(values)]
 
@@ -174,18 +174,18 @@ class MapAnswers(IMap2DMsgs):
         return self._change(self._store.put, kind, name, value)
 
     def _delete(self, kind: ValueKind[Any], name: str) -> ReturnValue:
-        with self._refusing():
+        with self._reporting_errors():
             if not self._store.delete(kind, name):
                 raise CallFailed(reason=f"no {kind.name} {name!r}")
         return OK
 
     def _change(self, action: Callable[..., Any], *arguments: Any) -> ReturnValue:
-        with self._refusing():
+        with self._reporting_errors():
             action(*arguments)
         return OK
 
     @contextmanager
-    def _refusing(self) -> Iterator[None]:
+    def _reporting_errors(self) -> Iterator[None]:
         """Report errors of the store and of files, and fail the call."""
         try:
             yield

@@ -65,7 +65,7 @@ class Canvas:
         self._shown = MapGrid2DInfo(grid.name, grid.width(), grid.height(), grid.resolution, grid.origin)
         return ImageRgb.of(pixels)
 
-    def clicked(self, values: Sequence[Any]) -> int:
+    def click(self, values: Sequence[Any]) -> int:
         """Paint at a click on the last picture; return the number of painted cells.
 
         The values are ``x y``, or ``x0 y0 x1 y1`` of a drag: pixels from the upper left one. Raises `ValueError` for

@@ -75,11 +75,11 @@ class DrawnMap:
         self._poses += poses[len(self._poses) :]
         mapper.scan(slam.pose, scan.ranges, scan.first, scan.step, scan.farthest)
         mapper.full = mapper.full or slam.full
-        if self._drawing is None and self._scans * _PATIENCE > len(slam.submaps.views) and self._outdated():
+        if self._drawing is None and self._scans * _PATIENCE > len(slam.submaps.views) and self._is_outdated():
             self.draw_again()
         return True
 
-    def _outdated(self) -> bool:
+    def _is_outdated(self) -> bool:
         return any(
             drawn.distance(pose) > _MOVED or abs(math.remainder(drawn.theta - pose.theta, math.tau)) > _TURNED
             for drawn, pose in zip(self._poses, self.slam.submaps.graph.poses, strict=False)
@@ -106,7 +106,7 @@ class DrawnMap:
 
     def finish(self) -> None:
         """Finish drawing the map with the current poses."""
-        if self._drawing is None and self._outdated():
+        if self._drawing is None and self._is_outdated():
             self.draw_again()
         while self._drawing is not None:
             self.work()
@@ -131,7 +131,7 @@ class DrawnMap:
         """Continue a map with its graph if both are valid; raises `OSError`, or `ValueError` with the reason."""
         saved = graph_file.read(path)
         self.mapper.load(grid)
-        self._reset(Slam.resumed(saved.submaps, Pose(0.0, 0.0, 0.0), run=self.run))
+        self._reset(Slam.resume(saved.submaps, Pose(0.0, 0.0, 0.0), run=self.run))
         x, y = self.mapper.painted[1]
         self.mapper.overlay(saved.paint, (saved.corner[0] - x, saved.corner[1] - y))
 

@@ -78,7 +78,7 @@ def read(path: Path) -> SavedGraph:
         _check_size(path)
         with np.load(path, allow_pickle=False) as loaded:
             arrays = {name: _array(loaded[name], *kind) for name, kind in _ARRAYS.items()}
-        return _saved(arrays)
+        return _parse(arrays)
     except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as err:
         raise ValueError(f"cannot read the graph of the map, {path.name}: {err}") from None
 
@@ -102,7 +102,7 @@ def _array(values: NDArray[Any], dimensions: int, kind: str) -> NDArray[Any]:
     return values
 
 
-def _saved(arrays: dict[str, NDArray[Any]]) -> SavedGraph:
+def _parse(arrays: dict[str, NDArray[Any]]) -> SavedGraph:
     if int(arrays["version"].item()) != _VERSION:
         raise ValueError(f"its version is {arrays['version']}, not {_VERSION}")
     poses, nodes, owners, beams = (arrays[name] for name in ("poses", "nodes", "submaps", "beams"))

@@ -184,7 +184,7 @@ class Mapper2D(Module):
     def _click(self, received: Received) -> None:
         values = received.values
         try:
-            self._host.loop.call(lambda: self._canvas.clicked(values))
+            self._host.loop.call(lambda: self._canvas.click(values))
         except ValueError as err:
             raise WireError(str(err)) from None  # the port counts and logs it
         self._changed = True

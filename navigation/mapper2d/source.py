@@ -25,7 +25,7 @@ from navigation.pose import Pose
 from navigation.scan import clean_ranges
 from yarp_compat.dev.mapgrid import MapGrid2D
 
-_LOST = 10  # after so many scans in a row without a match, the pose counts as lost
+_LOST = 10  # after this many scans in a row without a match, the pose counts as lost
 
 
 class PoseSource(ABC):

@@ -25,7 +25,7 @@ from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, BEHAVIOR
 from bridge.stores.store import MapAreas
 from bridge.worker import Health
-from navigation.clouds import POINT_CLOUD, placed, read_points
+from navigation.clouds import POINT_CLOUD, read_points, transform_points
 from navigation.constraints import Constraints
 from navigation.frames import FramesError, RobotFrames, flat, laser_pose, moved_at
 from navigation.goals import MapPlace
@@ -155,7 +155,7 @@ class RobotGoto(PlannerModule):
             self.driver.obstacles.trouble[topic] = str(err)
             return
         up = np.array((0.0, 0.0, moved.translation[2] + self._frames.floor(self._section.floor)))
-        points = placed(points, at) - up.astype(np.float32)
+        points = transform_points(points, at) - up.astype(np.float32)
         self.driver.obstacles.cloud(topic, now - age, points, np.array(at.translation) - up, flat(moved))
 
     def _use_map(self, grid: MapGrid2D | None) -> None:

@@ -51,9 +51,9 @@ class CloudWindow:
         robot = np.hypot(points[:, 0] - at.x, points[:, 1] - at.y) < self._radius
         z = points[:, 2]
         hit = np.zeros(self._seen.shape, np.bool_)
-        hit[1:] = self._counted(points[(z >= self._step) & (z < self._height) & ~robot], len(hit) - 1) >= LEAST
-        hit[:1] = self._counted(_through_floor(points[(z < -self._step) & ~robot], eye)) >= LEAST
-        floor = self._counted(points[np.abs(z) < self._step])[0] >= LEAST
+        hit[1:] = self._count_points(points[(z >= self._step) & (z < self._height) & ~robot], len(hit) - 1) >= LEAST
+        hit[:1] = self._count_points(_through_floor(points[(z < -self._step) & ~robot], eye)) >= LEAST
+        floor = self._count_points(points[np.abs(z) < self._step])[0] >= LEAST
         self._seen[0][floor] = _NEVER
         self._clear(thinned(points, RAYS), eye, hit)
         self._seen[hit] = now
@@ -77,7 +77,7 @@ class CloudWindow:
                 self._seen[(slice(None), entered) if axis == 1 else (slice(None), slice(None), entered)] = _NEVER
         self._row0, self._column0 = row0, column0
 
-    def _counted(self, points: Points, levels: int = 0) -> NDArray[np.int64]:
+    def _count_points(self, points: Points, levels: int = 0) -> NDArray[np.int64]:
         """Count the points in each voxel of the levels, or in each column at any height without levels."""
         x, y, z = np.floor(points.T / RESOLUTION).astype(np.int64)
         x, y, z = x - self._column0, y - self._row0, z if levels else z * 0

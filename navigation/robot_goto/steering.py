@@ -99,14 +99,14 @@ class GoalLimits(NamedTuple):
 
     def speed(self, value: float) -> float:
         """Clip a speed to its limits; 0 stays 0."""
-        return clipped(value, self.min_lin, self.max_lin)
+        return clip(value, self.min_lin, self.max_lin)
 
     def turn(self, value: float) -> float:
         """Clip an angular velocity to its limits; 0 stays 0."""
-        return clipped(value, self.min_ang, self.max_ang)
+        return clip(value, self.min_ang, self.max_ang)
 
 
-def clipped(value: float, least: float, most: float) -> float:
+def clip(value: float, least: float, most: float) -> float:
     """Clip the magnitude of a value; 0 stays 0."""
     return math.copysign(min(most, max(least, abs(value))), value) if value else 0.0
 

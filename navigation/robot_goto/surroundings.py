@@ -69,7 +69,7 @@ class Surroundings:
         moved = moved or pose
         if moved is None:
             return None
-        if self._moved is not None and _jumped(self._moved, moved, passed):
+        if self._moved is not None and _is_jump(self._moved, moved, passed):
             self.grid.clear()
             self.obstacles.clear_clouds()
             self.guard.clear()
@@ -92,7 +92,7 @@ class Surroundings:
         return f"the laser is silent: its last scan is {now - scanned:.1f} s old"
 
 
-def _jumped(before: Pose, moved: Pose, passed: float) -> bool:
+def _is_jump(before: Pose, moved: Pose, passed: float) -> bool:
     """Whether the odometry was reset: no base is as fast."""
     turned = abs(wrapped(moved.theta - before.theta))
     return before.distance(moved) > _JUMP + 2.0 * passed or turned > _JUMP_TURN + math.tau * passed

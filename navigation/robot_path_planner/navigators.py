@@ -189,7 +189,7 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
             done = remote.goto_target_by_absolute_location_RPC(place) if place else remote.stop_navigation_RPC()
             self._sent, self._taken_at, self._drove, self._denied = number, time.monotonic(), False, not done
             if not done:
-                self._refused(number)
+                self._on_refusal(number)
                 return True
         outcome, status = remote.get_navigation_status_RPC()
         if outcome:
@@ -198,7 +198,7 @@ class YarpNavigator(PolledServer[INavigation2DMsgs]):
             self._on_unreachable(f"{self._port} does not report its status")
         return True
 
-    def _refused(self, number: int) -> None:
+    def _on_refusal(self, number: int) -> None:
         with self._lock:
             if number == self._number:
                 self.state, self.reason = State.FAILING, f"{self._port} refused the goal"

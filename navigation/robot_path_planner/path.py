@@ -99,7 +99,7 @@ def escape(weights: Weights, solid: NDArray[np.bool_], start: Cell) -> Cells | N
         if length > lengths[cell]:
             continue
         if weights[cell]:
-            return _tracked(previous, cell)
+            return _trace_back(previous, cell)
         for row, column in _STEPS:
             other = cell[0] + row, cell[1] + column
             if not (0 <= other[0] < rows and 0 <= other[1] < columns):
@@ -112,7 +112,7 @@ def escape(weights: Weights, solid: NDArray[np.bool_], start: Cell) -> Cells | N
     return None
 
 
-def _tracked(previous: dict[Cell, Cell], cell: Cell) -> Cells:
+def _trace_back(previous: dict[Cell, Cell], cell: Cell) -> Cells:
     path = [cell]
     while previous[cell] != cell:
         cell = previous[cell]

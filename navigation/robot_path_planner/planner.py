@@ -405,7 +405,7 @@ class PathPlanner:
         assert task.arrived_at is not None
         if now - task.arrived_at > self.settings.max_map_waiting_time:
             raise PlanError(
-                Fault.MAP_CHANGED, f"the map has not changed for {now - task.arrived_at:.0f} s; {_expected(task)}"
+                Fault.MAP_CHANGED, f"the map has not changed for {now - task.arrived_at:.0f} s; {_expected_map(task)}"
             )
 
     def _is_at_link(self, task: DriveTask, now: float, pose: Pose) -> bool:
@@ -489,6 +489,6 @@ def _is_path_blocked(ground: Ground, clutter: Clutter, line: Places, local: Loca
     return blocked(ground, clutter.struck(), ahead)
 
 
-def _expected(task: DriveTask) -> str:
+def _expected_map(task: DriveTask) -> str:
     assert task.leg is not None
     return f"expected {task.leg.onto.map_name}" if task.leg.onto else "no other map expected"

@@ -45,7 +45,7 @@ def read_file(section: RobotPathPlannerSection, ini: Ini) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     navigation = ini.group("NAVIGATION") if "NAVIGATION" in ini else ini.top
     for kind in MERGED:
-        from_file = _driven(navigation, kind, named="NAVIGATION" in ini)
+        from_file = _drive_settings(navigation, kind, named="NAVIGATION" in ini)
         given: DrivenSection = getattr(section, kind)
         from_section = {} if kind not in section.model_fields_set else given.model_dump(include=given.model_fields_set)
         fields[kind] = type(given)(**{**from_file, **from_section})
@@ -66,7 +66,7 @@ def read_file(section: RobotPathPlannerSection, ini: Ini) -> dict[str, Any]:
     return fields
 
 
-def _driven(navigation: IniGroup, kind: str, *, named: bool) -> dict[str, float]:
+def _drive_settings(navigation: IniGroup, kind: str, *, named: bool) -> dict[str, float]:
     """Return the keys of one kind that are present; in files without groups, the common speeds."""
     values: dict[str, float] = {}
     for key, low, high, unit in (

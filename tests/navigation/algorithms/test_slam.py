@@ -132,7 +132,7 @@ def test_a_scan_is_found_far_from_its_guess(driven: list[Seen]) -> None:
 
 def test_a_loaded_map_is_continued_from_a_rough_pose(driven: list[Seen], mapped: Slam) -> None:
     count = len(mapped.submaps.views)
-    again = Slam.resumed(mapped.submaps, driven[40].truth @ Pose(0.4, -0.3, 0.2), (1.0, 0.5))
+    again = Slam.resume(mapped.submaps, driven[40].truth @ Pose(0.4, -0.3, 0.2), (1.0, 0.5))
     assert again.correction is None
     offset = Pose(5.0, 1.0, 2.0)  # the odometry was reset
     for seen in driven[40:80]:

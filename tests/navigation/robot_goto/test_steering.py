@@ -7,7 +7,7 @@ import pytest
 from navigation.constraints import Constraints
 from navigation.pose import Pose
 from navigation.robot_goto.section import RobotGotoSection
-from navigation.robot_goto.steering import GoalLimits, behind, clipped, drive, people_speed, side_slowdown
+from navigation.robot_goto.steering import GoalLimits, behind, clip, drive, people_speed, side_slowdown
 
 SETTINGS = RobotGotoSection()
 
@@ -23,7 +23,7 @@ def test_the_robot_can_stop_before_a_person_reaches_it():
 
 
 def test_speeds_are_clipped_and_zero_stays_zero():
-    assert [clipped(v, 0.1, 0.3) for v in (0.0, 0.05, -0.05, 0.2, 9.0, -9.0)] == [0.0, 0.1, -0.1, 0.2, 0.3, -0.3]
+    assert [clip(v, 0.1, 0.3) for v in (0.0, 0.05, -0.05, 0.2, 9.0, -9.0)] == [0.0, 0.1, -0.1, 0.2, 0.3, -0.3]
 
 
 def test_the_robot_turns_in_place_if_the_goal_is_not_ahead():
