@@ -24,7 +24,7 @@ from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 class Problem:
     """One mistake in a file.
 
-    Line and column count from 1; line 0 means no place in the file. ``key`` is a path such as
+    Line and column count from 1; line 0 means that the problem has no place in the file. ``key`` is a path such as
     ``routing.rules[2].topic``, "" for the whole file; ``text`` has the problem and its cure.
     """
 
@@ -149,7 +149,7 @@ def key_text(path: KeyPath) -> str:
 
 
 def read(file: Path, *, repeating: Collection[KeyPath] = ()) -> Document:
-    """Read a file; raises `ConfigError` if it is unreadable, too large, or not the YAML that is allowed here.
+    """Read a file; raises `ConfigError` if it is unreadable or too large, or is not YAML as this module accepts it.
 
     The keys of the maps at ``repeating`` may occur several times; such a map becomes a list of maps with one key each.
     """

@@ -62,7 +62,7 @@ def listeners(config: Config) -> Iterator[Listener]:
 def listener_problems(document: Document, config: Config) -> list[Problem]:
     """Return a problem for each address whose port another listener uses.
 
-    Of two listeners, it is at the later one, unless only the earlier one is in the file.
+    The problem is placed at the later of the two keys, or at the earlier one if only that is in the file.
     """
     problems: dict[KeyPath, Problem] = {}
     for earlier, other in combinations(listeners(config), 2):
@@ -71,7 +71,7 @@ def listener_problems(document: Document, config: Config) -> list[Problem]:
             first, second = earlier, other
         else:
             first, second = other, earlier
-        text = f"{second.text} has the port of {key_text(first.path)} ({first.text}); set another port in one of them"
+        text = f"{second.text} uses the same port as {key_text(first.path)} ({first.text}); change one of the ports"
         if earlier.excludes(other):
             problems.setdefault(second.path, document.problem(second.path, text))
     return list(problems.values())

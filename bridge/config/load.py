@@ -20,7 +20,7 @@ from bridge.config.zenoh_settings import zenoh_problems
 
 Config.model_rebuild()  # imports the models of all sections
 
-# paths that need not exist: Midspan creates them
+# paths that need not exist, because Midspan creates them
 MADE_BY_US: frozenset[KeyPath] = frozenset({("state",), ("record", "folder")})
 
 
@@ -111,7 +111,7 @@ def _placed(value: Any, path: KeyPath, document: Document, missing: list[Problem
 
 
 def _mapping_rule_problems(document: Document, config: Config) -> list[Problem]:
-    """Return a problem for each invalid file of ``types.mapping_rules``; if none, for each rule that cannot apply."""
+    """Return a problem for each invalid file of ``types.mapping_rules``, or else for each rule that cannot apply."""
     files = config.types.mapping_rules
     if not files:
         return []

@@ -1,7 +1,8 @@
 """Updates an older configuration file to the current keys, and keeps its comments.
 
-``version`` is the format of a file. Files before format 1 have no version, so a file without one may be of any age. It
-is read in the current format, and a key that only older formats had is an error that names ``midspan config migrate``.
+``version`` is the format of a file. Files before format 1 have no version, so a file without a version may be of any
+age. Such a file is read in the current format; a key that only older formats had is an error, which names ``midspan
+config migrate``.
 
 Removed keys become comments (inside braces they are deleted), and existing comments stay: the text is edited at the
 positions that YAML's parser gives for the keys, and is otherwise unchanged. The round trip of ruamel.yaml (0.19) would
@@ -170,7 +171,7 @@ def _replace(migration: Migration, document: Document, path: KeyPath, done: str,
 
 
 def _edited(text: str, path: KeyPath, instead: tuple[str, ...]) -> str:
-    """Return the text with the pair replaced, and kept as a comment below; within braces, no comment is kept."""
+    """Return the text with the pair replaced; the old pair becomes a comment below, or is deleted within braces."""
     parent, key, value = _pair(text, path)
     start = key.start_mark.index
     end = start + len(text[start : _end(key, value)].rstrip())

@@ -154,7 +154,7 @@ class Config(Section):
 
     @property
     def rules(self) -> RoutingSection:
-        """The rules of ``routing``, after those that follow from ``navigation``."""
+        """The rules of ``routing``, combined with the rules that follow from ``navigation`` (`with_navigation`)."""
         from bridge.config.rules import with_navigation
 
         return with_navigation(self.routing, self.navigation)
@@ -178,7 +178,7 @@ class Config(Section):
 
     @property
     def hosted(self) -> dict[str, Section]:
-        """The sections of all modules that run, by name; ``navigation`` supplies the values that they leave out."""
+        """The sections of all modules that run, by name; ``navigation`` supplies values that a section leaves out."""
         sections = self.modules.sections
         if self.navigation.planner:
             sections["gateway"] = self.navigation

@@ -24,15 +24,16 @@ GET_STATE = "lifecycle_msgs/srv/GetState"
 
 
 class MadeRule(Rule):
-    """A rule derived from a section; ``of`` names the section for people."""
+    """A rule derived from a section; ``of`` names that section as users see it."""
 
     of: str
 
 
 def with_navigation(routing: RoutingSection, navigation: NavigationSection) -> RoutingSection:
-    """Return the rules of the file, preceded by those derived from ``navigation``; a ``deny`` of either wins.
+    """Return the file's rules combined with those derived from ``navigation``; a ``deny`` in any of them wins.
 
-    The rules for planners' paths, local maps and goals come last, so that the file can limit their rates.
+    The derived rules come first, except those for planners' paths, local maps and goals: these come last, so that the
+    file can limit their rates.
     """
     if not navigation.planner:
         return routing

@@ -17,7 +17,7 @@ OWN_USER = "midspan"
 
 @dataclass(frozen=True, slots=True)
 class InstalledFile:
-    """One file below the root; a ``kept`` one belongs to the administrator, and is never overwritten or removed."""
+    """One file below the root; a ``kept`` file belongs to the administrator, and is never overwritten or removed."""
 
     path: Path
     text: str
@@ -113,7 +113,7 @@ class Installation:
             "Next:",
             f"  systemctl disable --now {' '.join(['midspan', 'midspan-router', *self._instances()])}",
             "  systemctl daemon-reload",
-            "  rm -r /etc/midspan /var/lib/midspan /var/cache/midspan /var/log/midspan   # if you want none of it",
+            "  rm -r /etc/midspan /var/lib/midspan /var/cache/midspan /var/log/midspan   # deletes all data",
         ]
 
     def _instances(self) -> list[str]:

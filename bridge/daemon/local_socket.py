@@ -96,7 +96,7 @@ class LocalListener:
         if self._path.exists():
             with contextlib.suppress(OSError):
                 self.sock.shutdown(socket.SHUT_RDWR)  # Linux wakes the thread
-            with contextlib.suppress(OSError), socket.socket(self.sock.family) as waker:  # the other systems do not
+            with contextlib.suppress(OSError), socket.socket(self.sock.family) as waker:  # for other systems
                 waker.setblocking(False)
                 waker.connect(self.sock.getsockname())
         self.sock.close()

@@ -42,9 +42,9 @@ class Successor:
     @property
     def pid(self) -> int:
         """The process that is about to take over, 0 if there is none."""
-        return 0 if self._loads() or not _lives(self._pid) else self._pid
+        return 0 if self._is_loading() or not _is_alive(self._pid) else self._pid
 
-    def _loads(self) -> bool:
+    def _is_loading(self) -> bool:
         """Whether a new process has started, but has not reported yet that it has loaded its code."""
         if self._loaded_pipe is None:
             return False
@@ -55,7 +55,7 @@ class Successor:
         return self._loaded_pipe is not None
 
     def _start(self) -> None:
-        if self._loads() or _lives(self._pid):
+        if self._is_loading() or _is_alive(self._pid):
             return
         self._loaded_pipe, report_pipe = os.pipe()
         os.set_blocking(self._loaded_pipe, False)
@@ -66,14 +66,15 @@ class Successor:
         os.close(report_pipe)
 
 
-def _lives(pid: int) -> bool:
+def _is_alive(pid: int) -> bool:
     return pid > 0 and psutil.pid_exists(pid)
 
 
 def succeed(acquire: Callable[[], T]) -> T:
     """Stop the process that started this process for a handover, if any, and acquire what that process releases.
 
-    ``acquire`` raises `RuntimeError` while another process holds the resource; this function does so after 10 s.
+    ``acquire`` raises `RuntimeError` while another process holds the resource. If it still does so after 10 s, this
+    function raises the same error.
     """
     predecessor, _, report_pipe = os.environ.pop(_PREDECESSOR, "").partition(":")
     if not predecessor:

@@ -41,9 +41,9 @@ KILLED_SECONDS = 1.0
 """A killed process that still exists after this time hangs in the kernel; not part of `STOP_SECONDS`."""
 
 _STOP_LIMITS = ((2.8, 2.8, 1.2), (2.9, 1.7, 3.0), (3.9, 1.0, STOP_SECONDS))
-"""For each group of `_stop_order`, in seconds: when its workers are killed, from the start of the stop; the time that
-they have at least, from the request to stop; and when the next group is asked to stop at the latest, even if a worker
-of the groups so far has not exited, from the start of the stop."""
+"""Three times in seconds for each group of `_stop_order`. The first is when its workers are killed, counted from the
+start of the whole stop; the second is the minimum time between their stop request and this kill. The third, also from
+the start, is when the next group is asked to stop, even if workers of earlier groups have not exited."""
 
 
 def usable_cores() -> int:

@@ -191,7 +191,7 @@ class PipeChannel(WorkerChannel):
 
 _LAST_OUTPUT = 4096
 _CONNECT_SECONDS = 0.25
-"""The daemon's loop waits at most this long for a worker that hangs, and not at all with Unix sockets."""
+"""Maximum time that the daemon's loop waits for a hung worker to accept a connection; Unix sockets need no wait."""
 
 
 class SocketChannel(WorkerChannel):

@@ -48,7 +48,7 @@ class WorkerLauncher:
         self._kind = kind
         self._timing = timing
         self._first = first
-        self._env: dict[str, str] = {}  # of the process that was started last; empty for an adopted one
+        self._env: dict[str, str] = {}  # of the process that was started last; empty for an adopted process
         self._blocked_since = 0.0
         self._waited_for = ""
 

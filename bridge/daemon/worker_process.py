@@ -73,7 +73,7 @@ class WorkerProcess:
 
     @property
     def ended(self) -> str:
-        """How the worker's process exited that crashed last, "" if none did."""
+        """How the last process that crashed had exited, "" if none crashed."""
         return self._history.ended
 
     @property

@@ -93,7 +93,7 @@ class WorkerRun:
         self._movement.moved += seconds
 
     def progress(self, limit: float) -> Progress:
-        """Judge the progress; ``limit`` is the longest time without progress, in seconds."""
+        """Return the progress of the process; ``limit`` is the longest time without progress, in seconds."""
         if self._movement.computed() > ENDLESS * limit:
             return Progress.ENDLESS
         still = self.still
@@ -111,7 +111,7 @@ class RunHistory:
 
     Attributes:
         restarts: how many of them crashed.
-        ended: how the last of these ended.
+        ended: how the last run that crashed ended, "" if none crashed.
         stalled_starts: how many made no progress while starting, since the last heartbeat.
         backoff: the pauses after crashes.
     """

@@ -11,7 +11,7 @@ from bridge.state_machine import Machine, Table
 class Phase(Enum):
     """The state of a worker's process; the values also appear in the daemon's status document."""
 
-    OFF = "off"  #: not wanted
+    OFF = "off"  #: disabled by the configuration, or stopped
     UNAVAILABLE = "not available"  #: this machine lacks something that it requires
     QUEUED = "queued"  #: other workers start first
     STARTING = "starting"  #: its process has not sent a heartbeat yet

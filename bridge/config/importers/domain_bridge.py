@@ -28,11 +28,11 @@ from bridge.config.sections.section import Section
 MAX_DEPTH = 100_000
 
 _HEAD = (
-    "One daemon joins one domain to the hub, on which each name begins with that of its domain. The daemons run side by"
-    " side and find each other at hub.listen; the others join domain"
+    "This daemon joins one domain to the hub, where each name begins with the name of its domain. The daemons run side"
+    " by side and find each other at hub.listen; the others join domain"
 )
 _LISTS: dict[Kind, str] = {"topic": "topics", "service": "services", "action": "actions"}
-"""The file's maps, by the kind of their entries."""
+"""The key of the file under which the entries of each kind are listed."""
 _NEUTRAL = (None, "automatic", "system_default")
 _KEYS = ("name", "from_domain", "to_domain", "mode", *_LISTS.values())
 
@@ -75,8 +75,8 @@ class Top(Section):
 
 
 @dataclass(frozen=True, slots=True)
-class _Way:
-    """The bridging of one topic, service or action from one domain to another."""
+class _Route:
+    """One topic, service or action that is bridged from one domain to another."""
 
     kind: Kind
     topic: str
@@ -92,7 +92,7 @@ class _Way:
         return f"/domain{self.origin}{self.topic}"
 
     def matching(self, topic: str) -> dict[str, Any]:
-        """Return the first keys of a rule for this name; rules of topics need no kind."""
+        """Return the keys with which a rule matches ``topic``, the name on one side; rules for topics need no kind."""
         kind = {} if self.kind == "topic" else {"kind": self.kind}
         return {**kind, "topic": topic, "type": self.type, "from": "ros2"}
 
@@ -103,7 +103,7 @@ class _Import:
     top: Top
     notes: list[Problem]
     problems: list[Problem] = field(default_factory=list)
-    by_way: dict[KeyPath, list[Problem]] = field(default_factory=dict)
+    notes_by_entry: dict[KeyPath, list[Problem]] = field(default_factory=dict)
 
     @property
     def node(self) -> str:
@@ -125,25 +125,27 @@ def drafts(file: Path) -> tuple[list[Draft], list[Problem]]:
         raise ConfigError([document.problem((), f"has none of domain_bridge's keys: {', '.join(_KEYS)}")])
     job = _Import(document, *checked(document, (), Top))
     _remarks(job)
-    routes = _once(job, list(_ways(job)))
+    routes = _without_repeats(job, list(_routes(job)))
     if not routes and not job.problems:
         text = "has no topic, service or action that goes from one domain to another"
         job.problems.append(document.problem(("topics",), text))
     if job.problems:
         raise ConfigError(job.problems)
     domains = sorted({domain for route in routes for domain in (route.origin, route.target)})
-    notes = sorted((*job.notes, *(n for ns in job.by_way.values() for n in ns)), key=lambda n: (n.line, n.column))
+    notes = sorted(
+        (*job.notes, *(n for ns in job.notes_by_entry.values() for n in ns)), key=lambda n: (n.line, n.column)
+    )
     return [_draft(job, domain, domains, routes) for domain in domains], notes
 
 
 def _remarks(job: _Import) -> None:
-    """Note the keys for the whole file that have no counterpart."""
+    """Note the keys at the top of the file that have no counterpart."""
     if job.top.mode != "normal":
         text = "Midspan leaves messages as they are (zenoh can compress: hub.zenoh, transport/unicast/compression)"
         job.notes.append(job.note(("mode",), text))
 
 
-def _ways(job: _Import) -> Iterator[_Way]:
+def _routes(job: _Import) -> Iterator[_Route]:
     for kind, key in _LISTS.items():
         entries = job.document.data.get(key) or []
         if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
@@ -157,8 +159,8 @@ def _ways(job: _Import) -> Iterator[_Way]:
                     job.problems += err.problems
 
 
-def _entry(job: _Import, path: KeyPath, name: str, kind: Kind) -> Iterator[_Way]:
-    """Yield the ways of one entry: one, or two if it is bidirectional."""
+def _entry(job: _Import, path: KeyPath, name: str, kind: Kind) -> Iterator[_Route]:
+    """Yield the routes of one entry: two if it is bidirectional, else one."""
     entry, notes = checked(job.document, path, DomainBridgeTopic)
     topic = topic_name(job.document, path, _expanded(job, name), kind)
     new_name = topic_name(job.document, (*path, "remap"), _expanded(job, entry.remap), kind) if entry.remap else topic
@@ -174,10 +176,10 @@ def _entry(job: _Import, path: KeyPath, name: str, kind: Kind) -> Iterator[_Way]
         rule = _options(entry.qos)
     elif entry.qos != DomainBridgeQos():
         notes.append(job.note((*path, "qos"), "a rule's depth and QoS are for topics only"))
-    job.by_way[path] = notes
-    yield _Way(kind, topic, type_, first, second, new_name, rule, path)
+    job.notes_by_entry[path] = notes
+    yield _Route(kind, topic, type_, first, second, new_name, rule, path)
     if entry.bidirectional:
-        yield _Way(kind, topic, type_, second, first, new_name, rule, path)
+        yield _Route(kind, topic, type_, second, first, new_name, rule, path)
 
 
 def _without_counterpart(job: _Import, path: KeyPath, qos: DomainBridgeQos) -> Iterator[Problem]:
@@ -208,19 +210,19 @@ def _options(qos: DomainBridgeQos) -> dict[str, Any]:
     return {**rule, "qos": forced} if forced else rule
 
 
-def _once(job: _Import, ways: list[_Way]) -> list[_Way]:
-    """Return the ways except those that would bring a topic from one domain to another for the second time."""
-    kept: dict[tuple[str, str, str, int, int], _Way] = {}
-    for route in ways:
+def _without_repeats(job: _Import, routes: list[_Route]) -> list[_Route]:
+    """Return the routes; if several bridge the same topic between the same domains, return only the first of them."""
+    kept: dict[tuple[str, str, str, int, int], _Route] = {}
+    for route in routes:
         first = kept.setdefault((route.kind, route.topic, route.type, route.origin, route.target), route)
         if first is not route:
             line = job.document.keys[first.path].line
-            text = f"{route.topic} goes from domain {route.origin} to {route.target} already, by line {line}"
+            text = f"line {line} already bridges {route.topic} from domain {route.origin} to {route.target}"
             job.notes.append(job.note(route.path, text))
     return list(kept.values())
 
 
-def _draft(job: _Import, domain: int, domains: list[int], ways: list[_Way]) -> Draft:
+def _draft(job: _Import, domain: int, domains: list[int], routes: list[_Route]) -> Draft:
     file = job.document.file
     bridge = job.node
     these = ", ".join(str(other) for other in domains if other != domain)
@@ -234,14 +236,14 @@ def _draft(job: _Import, domain: int, domains: list[int], ways: list[_Way]) -> D
         "ros2": {"domain": domain, "node": f"{bridge}_{domain}"},
     }
     wide = ["localhost_only: false   # also nodes of other machines, as with domain_bridge"]
-    rules = [*_entering(job, domain, ways), *_leaving(job, domain, ways)]
+    rules = [*_entering(job, domain, routes), *_leaving(job, domain, routes)]
     return Draft(f"{bridge}_domain{domain}", head + missing(job.notes), sections, {"ros2": wide}, rules)
 
 
-def _entering(job: _Import, domain: int, ways: list[_Way]) -> Iterator[RuleDraft]:
-    """Yield the rules from the domain to the hub, one for each name, even if it goes to several domains."""
+def _entering(job: _Import, domain: int, routes: list[_Route]) -> Iterator[RuleDraft]:
+    """Yield the rules from the domain to the hub, one for each name, even if the name goes to several domains."""
     seen: set[tuple[str, str, str]] = set()
-    for route in ways:
+    for route in routes:
         if route.origin == domain and (route.kind, route.topic, route.type) not in seen:
             seen.add((route.kind, route.topic, route.type))
             yield RuleDraft(
@@ -249,14 +251,14 @@ def _entering(job: _Import, domain: int, ways: list[_Way]) -> Iterator[RuleDraft
             )
 
 
-def _leaving(job: _Import, domain: int, ways: list[_Way]) -> Iterator[RuleDraft]:
+def _leaving(job: _Import, domain: int, routes: list[_Route]) -> Iterator[RuleDraft]:
     """Yield the rules from the hub to the domain."""
-    for route in ways:
+    for route in routes:
         if route.target == domain:
             rule = {**route.matching(route.hub_topic), "to": "ros2", "rename": route.new_name, **route.rule}
-            yield RuleDraft(_source(job, route), rule, job.by_way[route.path])
+            yield RuleDraft(_source(job, route), rule, job.notes_by_entry[route.path])
 
 
-def _source(job: _Import, way: _Way) -> str:
-    place = job.document.keys[way.path].line
-    return f"{job.document.file.name}:{place}, domain {way.origin} to {way.target}"
+def _source(job: _Import, route: _Route) -> str:
+    place = job.document.keys[route.path].line
+    return f"{job.document.file.name}:{place}, domain {route.origin} to {route.target}"

@@ -125,7 +125,7 @@ def checked(document: Document, path: KeyPath, model: type[M]) -> tuple[M, list[
 
 
 def _part(document: Document, path: KeyPath) -> Document:
-    """Return a part of a document as a document."""
+    """Return the part of a document at ``path`` as a separate document."""
     data = document.data
     for key in path:
         data = data[key]

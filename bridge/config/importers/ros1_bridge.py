@@ -92,7 +92,7 @@ def draft(file: Path, mapping_rules: Sequence[Path] = ()) -> tuple[Draft, list[P
     if isinstance(document.data, list) and any(
         isinstance(entry, dict) and "ros1_package_name" in entry for entry in document.data
     ):
-        text = "is a list of mapping rules; give the parameter file, and this one with --mapping-rules"
+        text = "is a list of mapping rules; name the parameter file instead, and this file after --mapping-rules"
         raise ConfigError([Problem(file, 0, 0, "", text)])
     if not isinstance(document.data, dict) or not document.data.keys() & set(_KNOWN):
         raise ConfigError([document.problem((), f"has none of ros1_bridge's lists: {', '.join(_KNOWN)}")])

@@ -11,14 +11,14 @@ from bridge.config.sections.section import Enabled, Section, ZenohEndpoint, is_l
 
 
 class OpenSection(Section):
-    """The hub's endpoints for other machines; closed until it has addresses; see docs/operate/security.md."""
+    """The hub's endpoints for other machines, none until `listen` or `connect` is set; see docs/operate/security.md."""
 
     listen: tuple[ZenohEndpoint, ...] = setting((), "Where other machines connect, for example `tls/0.0.0.0:7448`.")
     connect: tuple[ZenohEndpoint, ...] = setting(
         (), "Machines to connect to, for example `tls/robot1:7448`; use a name or address that is in their certificate."
     )
     trusted: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = setting(
-        (), "Machines that may send commands, goals, cancels and calls, by the name in their certificate; `*`: all."
+        (), "Machines that may send commands, goals, cancels and calls, as named in their certificates; `*`: all."
     )
     keys: Path | None = setting(
         None, "Folder of `ca.pem` and this daemon's `<name>.pem` and `<name>.key`; default /etc/midspan/keys."
@@ -27,7 +27,7 @@ class OpenSection(Section):
     key: Path | None = setting(None, "This machine's private key (PEM), if it is not in `keys`.")
     ca: Path | None = setting(None, "Certificate of the authority that signed all others (PEM), if not in `keys`.")
     insecure: bool = setting(
-        False, "Allow endpoints without TLS: any machine that reaches them may join, and none has a name."
+        False, "Allow endpoints without TLS: any machine that reaches them may join, and `trusted` cannot name it."
     )
     zenoh: dict[str, Any] | Path | None = setting(None, "zenoh configuration of this router, like `hub.router_zenoh`.")
 
@@ -38,7 +38,7 @@ class OpenSection(Section):
 
     @model_validator(mode="after")
     def _safe(self) -> OpenSection:
-        plain = [place for place in (*self.listen, *self.connect) if not place.startswith(("tls/", "quic/"))]
+        plain = [endpoint for endpoint in (*self.listen, *self.connect) if not endpoint.startswith(("tls/", "quic/"))]
         named = [name for name in self.trusted if name != "*"]
         if plain and not self.insecure:
             msg = (
@@ -46,9 +46,9 @@ class OpenSection(Section):
                 " make certificates with 'midspan keys', or set 'insecure: true'"
             )
         elif plain and named:
-            msg = f"without TLS no machine shows a certificate, and none can be recognized as {named[0]!r}; use TLS"
+            msg = f"without TLS no machine presents a certificate, so none can be recognized as {named[0]!r}; use TLS"
         elif (self.trusted or self.insecure) and not self.opened:
-            msg = "names no endpoint: give 'listen' or 'connect'"
+            msg = "'trusted' and 'insecure' have no effect without endpoints; set 'listen' or 'connect'"
         else:
             return self
         raise ValueError(msg)
@@ -89,23 +89,24 @@ class HubSection(Section):
     def _listens_on_this_machine(cls, value: str) -> str:
         if not is_loopback(value):
             raise ValueError(
-                f"{value!r} is open to other machines; listen on 127.0.0.1, and let others in through hub.open, to"
-                " which 'midspan config migrate' moves the address"
+                f"{value!r} is open to other machines; listen on 127.0.0.1, and let others in through hub.open"
+                " ('midspan config migrate' moves the address there)"
             )
         return value
 
     @model_validator(mode="after")
-    def _open_fits(self) -> HubSection:
-        taken = [place for place in self.open.listen if same_port(place, self.listen)]
+    def _check_open(self) -> HubSection:
+        taken = [endpoint for endpoint in self.open.listen if same_port(endpoint, self.listen)]
         if self.open.opened and self.router is False:
             msg = "hub.open needs the daemon's router, but hub.router is false"
         elif self.open.opened and self.listen.startswith(("tls/", "quic/")):
-            msg = "with hub.open this machine's own programs join without TLS; write hub.listen: tcp/127.0.0.1:7447"
+            msg = (
+                "hub.listen cannot use TLS if hub.open is set, because this machine's own programs join without TLS;"
+                " write hub.listen: tcp/127.0.0.1:7447"
+            )
         elif taken:
             free = 7449 if same_port(self.listen, "tcp/127.0.0.1:7448") else 7448
-            msg = (
-                f"{taken[0]} has the port of hub.listen ({self.listen}), which is taken; choose another, such as {free}"
-            )
+            msg = f"{taken[0]} uses the same port as hub.listen ({self.listen}); choose another, such as {free}"
         else:
             return self
         raise ValueError(msg)

@@ -34,7 +34,7 @@ class ServerSection(Section):
     listen: str = setting(..., "Address and port.")
 
     def conflict(self, config: Any) -> str:  # noqa: ARG002 - most sections are checked alone
-        """Return why the server may not listen there with the other sections as they are, "" if it may."""
+        """Return why the other sections of ``config`` forbid the server to listen at `listen`, "" if they do not."""
         return ""
 
 

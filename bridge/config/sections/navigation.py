@@ -84,10 +84,10 @@ class Planner(Section):
     current_goal: OptionalTopic = setting("", 'Topic of its current goal (`geometry_msgs/msg/PoseStamped`); "": none.')
     velocity: OptionalTopic = setting("", "Its velocity topic, if not `navigation.velocity`.")
     motion_actions: tuple[TopicName, ...] | None = setting(
-        None, "Other actions on its side that move the base; a stop cancels them too. Not set: Nav2's, none on ROS 1."
+        None, "Other actions on its side that move the base; a stop cancels them too. Not set: Nav2's; on ROS 1, none."
     )
     lifecycle_managers: tuple[TopicName, ...] | None = setting(
-        None, "Its lifecycle managers in the order in which they start; not set: Nav2's two, none on ROS 1."
+        None, "Its lifecycle managers in the order in which they start. Not set: Nav2's two; on ROS 1, none."
     )
 
     @field_validator("name")
@@ -109,7 +109,7 @@ class Planner(Section):
         if not self.action:
             raise ValueError(f"name the planner's action on {self.side}, for example 'action: /navigate_to_pose'")
         if self.factory and (self.side, self.action) != ("zenoh", planner_action(self.name)):
-            raise ValueError(f"Midspan hosts {self.factory}, on the hub; leave out 'side' and 'action'")
+            raise ValueError(f"Midspan itself hosts {self.factory} on the hub; remove 'side' and 'action'")
         return self
 
     @model_validator(mode="after")
@@ -200,10 +200,10 @@ class NavigationSection(Section):
         "Midspan's own velocities: `true`: `TwistStamped`, `false`: `Twist`, `auto`: what the base subscribes to.",
     )
     patience: float = setting(
-        10.0, "Seconds that a goal waits for a planner that is missing, or disappears while driving.", ge=0.0, le=3600.0
+        10.0, "Seconds that a goal waits if its planner is missing, or disappears during the drive.", ge=0.0, le=3600.0
     )
     silence: float = setting(
-        5.0, "Seconds without status and feedback after which a planner is silent; 0: never.", ge=0.0, le=3600.0
+        5.0, "Seconds without status and feedback after which a planner counts as silent; 0: never.", ge=0.0, le=3600.0
     )
     doors: DoorsSection = subsection(DoorsSection, "The names that clients use.")
 

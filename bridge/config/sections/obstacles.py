@@ -21,7 +21,10 @@ class ObstacleSection(Section):
         " touch (`nav_msgs/msg/OccupancyGrid`, from 50 on), such as Mapper3D's.",
     )
     timeout: float | None = setting(
-        None, "Seconds without a message after which it is silent; empty: 0.5 (cloud), 5 (layer).", gt=0, le=3600
+        None,
+        "Seconds without a message after which the source counts as silent; empty: 0.5 (cloud), 5 (layer).",
+        gt=0,
+        le=3600,
     )
 
     def silent(self, last: float | None, now: float) -> str:

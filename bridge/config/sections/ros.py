@@ -11,13 +11,13 @@ from pydantic import field_validator, model_validator
 from bridge.config.sections.listen import split
 from bridge.config.sections.section import EMBEDDED, Enabled, MasterUri, NodeName, SideSection, setting
 
-_ANY = ("0.0.0.0", "::")  # noqa: S104  compared with
+_ANY = ("0.0.0.0", "::")  # noqa: S104  only compared, never bound
 
 
 class Ros1Section(SideSection):
     """The ROS 1 side."""
 
-    enabled: Enabled = setting("auto", "`auto` and true: yes; without a master, the side waits for one.")
+    enabled: Enabled = setting("auto", "`auto` and `true` enable the side, which waits if there is no master.")
     master: MasterUri | None = setting(
         None,
         "ROS master URI; default $ROS_MASTER_URI or http://localhost:11311. `embedded`: Midspan runs a master itself;"
@@ -38,16 +38,19 @@ class Ros1Section(SideSection):
     )
     goal_frames: Literal["check", "pass"] = setting(
         "check",
-        "Frames of action goals: `check` removes leading slashes and rejects goals in frames that no transform of this"
-        " side names, which a move_base would follow for ever; `pass` leaves them unchanged.",
+        "Frames of action goals. `check` removes leading slashes, and rejects goals whose frame occurs in no transform"
+        " of this side (move_base would keep such a goal active for ever); `pass` leaves them unchanged.",
     )
     packages: Path | None = setting(
-        None, "Folder with ROS 1's Python packages, for their message definitions; default those of this system."
+        None, "Folder with ROS 1's Python packages, for their message definitions; default: this system's packages."
     )
 
     @property
     def embedded_uri(self) -> str:
-        """URI of the embedded master, "" without one: with the configured host, the address, or the machine's name."""
+        """URI of the embedded master, "" if `master` is not `embedded`.
+
+        Its host is `hostname`, else `ip`, else the address of `listen`, or the machine's name if that is a wildcard.
+        """
         if self.master != EMBEDDED:
             return ""
         address, port = split(self.listen)
@@ -59,7 +62,8 @@ class Ros1Section(SideSection):
     def _is_an_address(cls, value: str) -> str:
         _, port = split(value)
         if port == 0:
-            raise ValueError(f"{value!r} has no fixed port; ROS 1 nodes must know it, for example 127.0.0.1:11311")
+            msg = f"{value!r} has no fixed port, which ROS 1 nodes must know; write for example 127.0.0.1:11311"
+            raise ValueError(msg)
         return value
 
 
@@ -67,7 +71,7 @@ class Ros2Section(SideSection):
     """The ROS 2 (DDS) side."""
 
     enabled: Enabled = setting("auto", "`auto`: if rclpy is installed.")
-    domain: int | None = setting(None, "ROS_DOMAIN_ID; default the environment's, else 0.", ge=0, le=232)
+    domain: int | None = setting(None, "ROS_DOMAIN_ID; default: that of the environment, else 0.", ge=0, le=232)
     node: NodeName = setting("midspan", "Node name on the ROS 2 graph.")
     transport: Literal["auto", "shared_memory", "udp"] = setting(
         "auto",
@@ -76,8 +80,8 @@ class Ros2Section(SideSection):
     )
     rmw: Literal["rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"] = setting(
         "rmw_fastrtps_cpp",
-        "Middleware of the worker itself. `rmw_cyclonedds_cpp`: Cyclone DDS, of a sourced ROS 2; services and"
-        " actions are bridged only to nodes on it, see [ROS 2](../sides/ros2.md#midspan-on-cyclone-dds).",
+        "Middleware of the worker itself. `rmw_cyclonedds_cpp`: Cyclone DDS, from a sourced ROS 2; services and actions"
+        " are bridged only to nodes that use it too, see [ROS 2](../sides/ros2.md#midspan-on-cyclone-dds).",
     )
     profile: Path | None = setting(None, "Your own Fast DDS XML profile, used instead of the generated one.")
     localhost_only: bool = setting(True, "Discover ROS 2 nodes of this machine only.")
@@ -89,6 +93,7 @@ class Ros2Section(SideSection):
                 raise ValueError("ros2.profile is for Fast DDS; set CYCLONEDDS_URI for the daemon, or remove ros2.rmw")
             if self.transport == "shared_memory":
                 raise ValueError(
-                    "ros2.transport shared_memory is for Fast DDS; Cyclone DDS uses UDP: remove one of them"
+                    "ros2.transport shared_memory is for Fast DDS, and Cyclone DDS uses UDP; remove ros2.transport or"
+                    " ros2.rmw"
                 )
         return self

@@ -52,8 +52,8 @@ def parameters_trouble(rules: Sequence[ParameterRule]) -> str:
             shared = _within(rule.ros1, other.ros1) or _within(other.ros1, rule.ros1)
             if shared and "ros2" in (rule.owner, other.owner):
                 return (
-                    f"rules {number} and {other_number} both share what is in {max(rule.ros1, other.ros1)}, and a ROS 2"
-                    " node owns it; give each node its own namespace"
+                    f"rules {number} and {other_number} both share the parameters in {max(rule.ros1, other.ros1)},"
+                    " which a ROS 2 node owns; give each node its own namespace"
                 )
     return ""
 

@@ -32,7 +32,7 @@ class Section(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _one_or_many(cls, data: Any) -> Any:
-        """Accept one text for a list of texts, and a list of one for the text of a ``listen``."""
+        """Also accept a single text for a list of texts, and a list with one address for a ``listen``."""
         if not isinstance(data, dict):
             return data
         for name, info in cls.model_fields.items():
@@ -93,7 +93,7 @@ class ModuleSection(Section):
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Topics whose messages move the robot, beyond those that rules and types show."""
+        """Topics whose messages move the robot, in addition to those that rules and types identify."""
         return ()
 
 
@@ -142,7 +142,7 @@ PoseSourceName = Annotated[
     ),
 ]
 FLOOR = (
-    "Height of the floor in `base_frame`, meters; empty: that of the frame `base_footprint`, 0 without such a frame."
+    "Height of the floor in `base_frame`, meters; empty: that of the frame `base_footprint`, or 0 if it does not exist."
 )
 PortName = Annotated[str, matching(YARP_PORT, _NOT_A_PORT)]
 OptionalPort = Annotated[str, matching(f"(?:{YARP_PORT.pattern})?", _NOT_A_PORT)]

@@ -17,8 +17,8 @@ class StoreSection(Section):
     enabled: Enabled = setting("auto", "Whether this daemon keeps a copy; `auto`: if a module uses it.")
     maps: Path | None = setting(
         None,
-        "A collection of maps (`maps_collection.ini`) or one map (`.map`, `.yaml`), imported at start. The import"
-        " neither replaces nor restores maps that the store has or has deleted.",
+        "A collection of maps (`maps_collection.ini`) or one map (`.map`, `.yaml`), imported at start. The import does"
+        " not replace maps that the store has, and does not restore deleted ones.",
     )
     locations: Path | None = setting(
         None, "A file of locations, areas, paths and objects (`locations.ini`), imported in the same way."
@@ -30,7 +30,7 @@ class StoreSection(Section):
     deleted: int = setting(10_000, "Maximum number of deleted names that the store remembers.", ge=0, le=100_000)
     deleted_days: float = setting(
         30.0,
-        "Days for which it remembers them. Machines that are offline for longer bring deleted values back.",
+        "Days for which the store remembers deleted names. Machines that were offline longer restore their values.",
         gt=0,
         le=3650,
     )

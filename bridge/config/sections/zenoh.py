@@ -50,7 +50,7 @@ class DialectKey(Section):
             msg = f"{value!r} is not a plain zenoh key: parts between slashes, without blanks and any of * $ ? # @"
             raise ValueError(msg)
         if value is not None and _HUB_KEY.fullmatch(value):
-            raise ValueError(f"{value!r} is a key of the hub itself: its programs exchange CDR, not JSON")
+            raise ValueError(f"{value!r} is a key of the hub itself, whose programs exchange CDR, not JSON")
         return value
 
     @model_validator(mode="after")
@@ -59,7 +59,7 @@ class DialectKey(Section):
             msg = f"{self.hub_topic!r} is not a topic name; give a 'topic' of letters, digits and underscores: /pose"
             raise ValueError(msg)
         if self.is_service and (self.direction == "both" or self.latched):
-            msg = f"{self.type} is a service: give its 'direction', in (programs serve it) or out, and no 'latched'"
+            msg = f"{self.type} is a service; set 'direction' to in (programs serve it) or out, and remove 'latched'"
             raise ValueError(msg)
         return self
 
