@@ -43,7 +43,7 @@ class BagError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class BagTopic:
-    """A topic of a bag as one publisher or group of publishers offered it; one name may have several objects.
+    """A topic of a bag as one publisher or group of publishers offered it; several objects may have the same name.
 
     Attributes:
         type_name: the type's name as its world spells it.
@@ -112,13 +112,13 @@ class Bag(ABC):
     """A bag that is open for reading; a context manager. Not safe to use from several threads.
 
     Attributes:
-        kind: the format; a folder of rosbag2 has that of its files.
+        kind: the format; for a folder of rosbag2, the format of its files.
         start_ns, end_ns: times of the first and the last message; both 0 for an empty bag.
         size: bytes on disk.
         unfinished: whether its writer did not close it, or its end is lost.
         trouble: the error at which reading ends early, None if the whole bag is readable.
         compression: ``zstd``, ``lz4``, ``bz2``, several with commas, or ``none``.
-        left_out: topics in encodings that Midspan does not read, with the encoding; files that cannot be opened.
+        left_out: texts that name topics whose encoding Midspan does not read, and files that cannot be opened.
         about: the recorder's metadata, as in MCAP's metadata records: values by record and name.
     """
 

@@ -120,14 +120,14 @@ class FileTopics:
         """
         if (other := self._names.get(form.name, topic.name)) != topic.name:
             problem = f"{topic.name} would become {form.name}, as {other} does"
-            raise BagError(self._path, problem, None, "-x leaves one of them out")
+            raise BagError(self._path, problem, None, "leave one of the topics out with -x")
         types = _members(form)
         for name, members in types.items():
             known, other = self._types.get(name, (members, ""))
             if known != members:
                 problem = f"{topic.name} has another definition of {name.split()[0]} than {other}"
                 cure = "a .bag has room for both" if other == topic.name else "convert them into several files with -x"
-                raise BagError(self._path, f"{problem}, and a file of ROS 2 has one for each type", None, cure)
+                raise BagError(self._path, f"{problem}, but a file of ROS 2 has only one for each type", None, cure)
         self._names[form.name] = topic.name
         for name, members in types.items():
             self._types.setdefault(name, (members, topic.name))

@@ -64,7 +64,7 @@ class Copied:
 
     Attributes:
         messages: number of copied messages.
-        data: number of their bytes, as read; for chunks that are copied as they are, with the heads of the records.
+        data: size of their data in bytes, as read; for chunks that are copied as they are, including record headers.
         unknown: topics that were left out because the format cannot hold them, with the reason.
         refused: number of messages by topic that were left out because their bytes do not match their type.
         lost: fields of ROS 1 types without a counterpart in ROS 2, by type.
@@ -175,7 +175,7 @@ def _writer(path: Path, kind: Kind, compression: str) -> BagWriter:
 
 
 def _check_sound(bag: Bag) -> None:
-    """Raise the error of a damaged bag, except for a bag that only lacks its end, which is read up to there."""
+    """Raise the error of a damaged bag, unless only its end is missing; such a bag is read up to there."""
     if bag.trouble is not None and not bag.unfinished:
         raise BagError(bag.trouble.path, bag.trouble.what, bag.trouble.offset, "'midspan bag mend' saves the rest")
 
@@ -273,7 +273,10 @@ def _converted(some: Columns, changes: Mapping[BagTopic, Convert | None]) -> lis
 def _sound(
     bag: Bag, some: Columns, changes: Mapping[BagTopic, Convert | None], done: Copied, *, skip_bad: bool
 ) -> tuple[Columns, list[bytes]]:
-    """Return the messages that match their types, and their converted data; leave out the others, or raise."""
+    """Return the messages that match their types, and their converted data.
+
+    The others are counted and left out; without ``skip_bad``, raise `BagError` for the first of them.
+    """
     sound, converted = list[BagMessage](), list[bytes]()
     for message in map(BagMessage, *some):
         topic, change = message.topic, changes[message.topic]

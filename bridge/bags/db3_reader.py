@@ -24,7 +24,7 @@ from bridge.messages.definitions.schema import World
 MAGIC = b"SQLite format 3\0"
 _LARGEST_TEXT = 4 << 20
 _STEPS, _MAX_QUIET = 1_000_000, 60
-"""SQLite instructions between two checks, and the maximum number of checks while a file is opened, for each 64 MiB."""
+"""SQLite instructions between two checks, and the maximum number of checks per 64 MiB while a file is opened."""
 
 
 class Db3Bag(Bag):
@@ -95,7 +95,7 @@ class Db3Bag(Bag):
         wanted = None if topics is None else set(topics)
         ids = [number for number, topic in self._topic_of.items() if wanted is None or topic in wanted]
         clauses, values = ["1"], list[int]()
-        if len(ids) <= 100:  # otherwise all are read, and those of other topics skipped
+        if len(ids) <= 100:  # otherwise all messages are read, and messages of other topics are skipped
             clauses.append(f"topic_id IN ({','.join('?' * len(ids))})")
             values += ids
         for clause, value in (("timestamp >= ?", start_ns), ("timestamp < ?", end_ns)):

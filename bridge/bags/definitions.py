@@ -145,8 +145,8 @@ def _part_of_file(type_name: str, base: str, contents: tuple[str, ...], sections
 def without_char(schema: Schema) -> Schema:
     """Return the same types with ``uint8`` for ``char``, which ROS 2 serializes and hashes alike.
 
-    Two more kinds of original text are replaced by generated text: text with a name such as ``pkg/msg/Name``, because
-    ``.msg`` files have ``pkg/Name``, and that of a part of an action, in which rosbags would read ``Name`` as
+    The original text is also replaced by generated text if it has a name such as ``pkg/msg/Name``, because ``.msg``
+    files have ``pkg/Name``, and if it is that of a part of an action, in which rosbags would read ``Name`` as
     ``pkg/action/Name``.
     """
     types = {name: _plain(definition) for name, definition in schema.types.items()}

@@ -26,7 +26,7 @@ class FilesBag(Bag):
     Args:
         files: the files, of any format, compressed or not.
         open_file: opens one uncompressed file.
-        broken: errors that were found before, such as that of the metadata file.
+        broken: errors that were found before, such as an error in the metadata file.
     """
 
     _on_damage: Callable[[BagError], None] | None = None
@@ -86,7 +86,7 @@ class FilesBag(Bag):
     def messages(
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
-        """Yield the messages of all files, reading each from its start time; raise at the end if one did not open."""
+        """Yield the messages of all files, merged by time; at the end, raise the error of a file that did not open."""
         wanted = None if topics is None else set(topics)
         later = deque(self._parts)
         heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []

@@ -1,4 +1,4 @@
-"""Selects the definition that decodes a bag's topic: the bag's, else the one known here if the messages match it."""
+"""Selects the definition that decodes a bag's topic: the bag's, else the one known here, if it fits the messages."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def ros2_type(registry: Registry, topic: BagTopic) -> SideType:
     """Return the ROS 2 type of a topic: by the bag's own definition, else by its hash, else by its name.
 
     If the bag's definition does not have the bag's hash, the definition wins, because the messages were written with
-    it. Raises `MessageTypeError` if the bag has a definition that cannot be read and no hash, if the definition nests a
-    type that is missing in it and differs here, or if without a readable definition the type or its hash is unknown
-    here.
+    it. Raises `MessageTypeError` if the definition cannot be read and the bag has no hash; if the definition nests a
+    type that is missing in it and differs here; and if there is no readable definition and the type or its hash is
+    unknown here.
     """
     name, type_hash = topic.type_name, topic.type_hash
     if topic.definition:
@@ -118,8 +118,8 @@ def misfits(bag: Bag, topics: Iterable[BagTopic], registry: Registry) -> dict[Ba
 
 def _misfit(bag: Bag, topic: BagTopic, err: ConversionError) -> BagError:
     problem = (
-        f"{topic.name} has type {topic.type_name}, of which the bag holds no complete definition, and its messages do"
-        f" not fit the one known here: {err}"
+        f"{topic.name} has type {topic.type_name}, of which the bag has no complete definition, and its messages do"
+        f" not fit the definition known here: {err}"
     )
     return BagError(bag.path, problem, None, FOLDERS)
 

@@ -1,7 +1,7 @@
 """Writes MCAP from other bags; complete chunks of MCAP are copied without being compressed again.
 
-The writer of the library `mcap` accepts single messages only and copies each several times; here whole chunks are
-assembled. The library writes all records other than chunks, messages and their indexes (https://mcap.dev/spec).
+The writer of the library `mcap` accepts single messages only and copies each several times, so this module assembles
+whole chunks. The library writes all records other than chunks, messages and their indexes (https://mcap.dev/spec).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _RECORD, _CHUNK = struct.Struct("<BQ"), struct.Struct("<QQQII")
 _INDEX = struct.Struct("<BQHI")
 _FOOTER = struct.Struct("<BQQQ")
 _PACKERS = 3
-"""Number of threads that compress; each waits some milliseconds per chunk for Python's GIL while others compress."""
+"""Number of threads that compress; for each chunk, a thread waits some milliseconds for Python's GIL."""
 
 _AHEAD = 8
 """Maximum number of chunks that are being compressed or waiting while others are read; fewer if they are large."""

@@ -279,7 +279,7 @@ class McapBag(SpanBag):
             raise BagError(self.path, f"a chunk has {len(body) - begin} bytes, but declares {declared}", span.offset)
         plain = unpack(compression, body[begin:], size)
         if crc and zlib.crc32(plain) != crc:
-            raise BagError(self.path, "a chunk's checksum is wrong: its bytes were changed", span.offset)
+            raise BagError(self.path, "a chunk's checksum is wrong, so its bytes were changed", span.offset)
         return plain, compression
 
     def _split(self, span: FileSpan) -> Rows:

@@ -23,7 +23,7 @@ _OTHERS = {
 }
 
 _MOST_PACKED = 200
-"""The largest accepted ratio of an unpacked file's size to that of its compressed file."""
+"""The largest accepted ratio of the unpacked size of a file to its compressed size."""
 
 
 def unpacked_file(file: Path, stack: ExitStack) -> Path:

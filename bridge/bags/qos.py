@@ -34,7 +34,7 @@ def parse_qos(text: str) -> tuple[Qos, ...]:
 def merged_qos(offered: tuple[Qos, ...]) -> Qos:
     """Return one profile for all publishers of a topic; without publishers, the default one.
 
-    The profile is transient local if any publisher is, best effort if all are, and as deep as the deepest.
+    It is transient local if any offer is, best effort if all offers are, and has the greatest depth of all offers.
     """
     if not offered:
         return Qos()

@@ -44,7 +44,7 @@ def _open_content(path: Path, file: BinaryIO) -> Bag:
         from bridge.bags.mcap_reader import MAGIC, McapBag
 
         if not start.startswith(MAGIC):
-            raise BagError(path, f"MCAP of a version that is not known ({start[5:8]!r})", 5)
+            raise BagError(path, f"MCAP of an unknown version ({start[5:8]!r})", 5)
         return McapBag(path, file)
     if start.startswith(b"#ROSBAG V"):
         from bridge.bags.ros1_reader import MAGIC as ROS1

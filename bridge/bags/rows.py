@@ -34,7 +34,7 @@ class Rows(NamedTuple):
         return self.table[:, 1]
 
     def select(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Rows:
-        """Return some of the messages, by place or by mask."""
+        """Return some of the messages, by index or by mask."""
         return Rows(self.data, self.table[which])
 
     def ordered(self) -> Rows:
@@ -68,7 +68,7 @@ class Rows(NamedTuple):
         return Rows(bytes(data), table)
 
     def behind(self, earlier: Rows) -> Rows:
-        """Return earlier messages, followed by these."""
+        """Return ``earlier``, followed by these messages."""
         table = np.concatenate((earlier.table, self.table))
         table[len(earlier.table) :, 3] += len(earlier.data)
         return Rows(earlier.data + self.data, table)
@@ -92,7 +92,7 @@ class Rows(NamedTuple):
         return [data[begin : begin + size] for begin, size in self.table[:, 3:].tolist()]
 
     def that_start_with(self, start: bytes) -> list[int]:
-        """Return the places of the messages whose data start with these bytes."""
+        """Return the indexes of the messages whose data start with these bytes."""
         data, sizes = np.frombuffer(self.data, np.uint8), self.table[:, 4]
         places = np.flatnonzero(sizes >= len(start))
         places = places[data[self.table[places, 3].astype(np.intp)] == start[0]]

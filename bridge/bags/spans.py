@@ -19,7 +19,7 @@ from bridge.bags.split import new_table
 from bridge.messages.definitions.schema import World
 
 _MORE = 4 << 20
-"""Bytes that a chunk may be longer in the file, for its header and for what compression adds to random bytes."""
+"""Bytes by which a stored chunk may exceed its data: for its header, and for random data that compression lengthens."""
 
 _PIECE = 1 << 12
 """Compressed bytes of a damaged chunk that are unpacked at a time."""

@@ -25,7 +25,7 @@ def stored_hash(text: str) -> str:
 
 
 def ros1_definition(text: str, md5: str) -> str:
-    """Return the definition of a ROS 1 type, "" if the bag has none; that of an empty type is known by its md5."""
+    """Return the definition of a ROS 1 type, "" if the bag has none. A type without fields is known by its md5."""
     return text or (EMPTY if md5 == EMPTY_MD5 else "")
 
 
@@ -33,8 +33,8 @@ def ros1_definition(text: str, md5: str) -> str:
 def ros2_definition(type_name: str, encoding: str, text: str, type_hash: str) -> str:
     """Return the full definition of a ROS 2 type, "" if the bag has none that can be parsed.
 
-    The hash, as the bag stores it, decides whether an empty text means an empty message; without a hash it does. For
-    unknown types rosbag2 stores a special encoding, but rosbags stores an empty text.
+    An empty text means an empty message if the bag stores no hash, or the hash of an empty message. For unknown types
+    rosbag2 stores a special encoding, but rosbags stores an empty text.
     """
     if text or encoding != MSG:
         return full_definition(type_name, encoding, text)

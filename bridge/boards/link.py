@@ -72,7 +72,7 @@ class BoardLink:
             self._thread.join()
 
     def command(self, velocities: Sequence[float], positions: Sequence[float], names: Sequence[str]) -> str:
-        """Move the named joints at velocities or, without any, to positions, in radians or meters (per second).
+        """Move the named joints at ``velocities`` (rad/s or m/s) or, if empty, to ``positions`` (rad or m).
 
         Return why the command is refused, "" if it is accepted.
         """

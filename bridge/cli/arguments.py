@@ -77,7 +77,7 @@ class VerbParser(argparse.ArgumentParser):
 
     @override
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse an unknown command or choice, and name those that may have been meant."""
+        """Refuse an unknown command or choice, and name similar ones."""
         if action.choices is None or value in action.choices:
             return
         known = list(map(str, action.choices))
@@ -99,7 +99,7 @@ class VerbParser(argparse.ArgumentParser):
                 yield argument
 
     def _takes_several(self, option: str) -> bool:
-        """Whether an option, or the one that it abbreviates, takes several values."""
+        """Whether an option, which may be abbreviated, takes several values."""
         actions = {
             id(action): action
             for name, action in self._option_string_actions.items()

@@ -68,10 +68,10 @@ def client_config(args: argparse.Namespace) -> Config:
 def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = False) -> Iterator[CliClient]:
     """Join the hub; raises `CliError` if no router answers.
 
-    On the hub of this machine's daemon, a daemon that does not run although its router does is reported on stderr, and
-    each error names the daemon's workers that do not run. ``warn`` is False for commands that report the daemon
-    themselves, or have something more urgent to do. ``watches`` reports missing workers at once, for commands that
-    would otherwise only wait or print less.
+    On the hub of this machine's daemon, it reports on stderr if only the daemon's router runs, and each error names the
+    daemon's workers that do not run. ``warn`` is False for commands that report the daemon themselves, or have
+    something more urgent to do. ``watches`` reports missing workers at once, for commands that would otherwise only
+    wait or print less.
     """
     config = client_config(args)
     with _connected(args, config) as session:

@@ -147,7 +147,7 @@ def connection_line(side: str, whose: str, connection: ConnectionStatus) -> str:
 
 
 def connected_lines(ports: Iterable[PortStatus]) -> list[str]:
-    """Return a line for each port with a connection, and one for the others."""
+    """Return a line for each port with a connection, and a line that counts the other ports."""
     lines, idle = [], 0
     for port in ports:
         idle += not port.peers

@@ -82,8 +82,8 @@ def packages(side: str, package: str, enabled: Enabled, lacking: str) -> Finding
 def early_cure() -> str:
     """Return the cure for a certificate that is not valid yet."""
     return (
-        f"set this machine's clock unless it is {datetime.now(UTC):%Y-%m-%d %H:%M} UTC; if it is right, 'midspan keys"
-        " make NAME --replace' on a machine with the right time, and copy the files"
+        f"set this machine's clock if it is not {datetime.now(UTC):%Y-%m-%d %H:%M} UTC now; if the clock is right, run"
+        " 'midspan keys make NAME --replace' on a machine with the right time, and copy the files"
     )
 
 

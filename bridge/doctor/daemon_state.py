@@ -82,7 +82,7 @@ class DaemonState:
     def cure(self) -> str:
         """The cure for `trouble`."""
         silent = f"wait, or end process {self.pid} and start the daemon again: 'midspan run'"
-        mixed = "use the commands of its release, or restart it with this one" if self.document.error else ""
+        mixed = "use the commands of its release, or restart it with this release" if self.document.error else ""
         return {Life.DOWN: units.start_hint(self.unit), Life.SILENT: silent}.get(self.life, mixed)
 
     @property
@@ -167,7 +167,7 @@ def restarted(restarts: int | None, ended: str) -> str:
 
 
 def loops(report: WorkerReport) -> bool:
-    """Whether a worker crashes again and again by the daemon's report, even if it is starting or has just started."""
+    """Whether a worker keeps crashing, according to the daemon, even if it is starting or has just started."""
     settled = report.phase == Phase.UP.value and (report.since or 0.0) > _SETTLED_SECONDS
     return report.restarts >= _LOOPS and not settled
 
@@ -186,7 +186,7 @@ def _why(daemon: str, report: WorkerReport) -> str:
 
 
 def _not_loaded(daemon: DaemonStatus, report: WorkerReport, config: Config) -> str:
-    """Return why a worker that this configuration enables is off: the daemon runs another configuration. Else ""."""
+    """Return a text if this configuration enables a worker that is off, as the daemon runs another one; else ""."""
     kind = worker_kinds().get(report.worker)
     if report.phase != Phase.OFF.value or kind is None or not kind.enabled(config):
         return ""
@@ -214,7 +214,7 @@ def _holder(lock: Path) -> int:
 
 
 def _holds(pid: int, lock: Path) -> bool:
-    """Whether a process holds a lock, by the kernel's table: an attempt to lock could make a starting daemon fail."""
+    """Whether a process holds a lock, by the kernel's table, as trying to lock could make a starting daemon fail."""
     try:
         inode, rows = str(lock.stat().st_ino), Path("/proc/locks").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -237,7 +237,7 @@ def _outliving(config: Config) -> int:
 
 
 def _orphan(documents: list[StatusDocument], config: Config) -> int:
-    """Return the router's process of another user's daemon if only the router still runs, without the daemon; else 0.
+    """Return the process of another user's router if its daemon has exited and only the router still runs; else 0.
 
     A router that was started without a daemon ('midspan worker router') does not count.
     """

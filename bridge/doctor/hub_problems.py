@@ -72,7 +72,7 @@ def _converted(
     type_name: str, hashes: Mapping[str, list[HubEndpoint]], workers: Collection[str],
     versions: Callable[[], TypeVersions] | None,
 ) -> bool:  # fmt: skip
-    """Return whether all versions are known, and of each pair with different versions one end belongs to a worker."""
+    """Return whether all versions are known, and no native publisher and subscription have different versions."""
     native = {(e.kind, e.type_hash) for ends in hashes.values() for e in ends if not (e.origin or e.zid in workers)}
     published, subscribed = (
         {type_hash for of, type_hash in native if of is kind}
@@ -123,7 +123,7 @@ def separated(endpoints: Iterable[HubEndpoint], workers: Collection[str] = ()) -
 
 
 def _key(endpoint: HubEndpoint) -> str:
-    """Return what the key of an endpoint has instead of a hash, or the hash."""
+    """Return the hash in an endpoint's key, or what the key has instead."""
     return NO_HASH if endpoint.hashless else endpoint.type_hash
 
 

@@ -48,7 +48,7 @@ class BuildStep:
 
 
 class PackageResolver:
-    """Resolves packages: first to the installed ones, then to the given ones and Midspan's own definitions."""
+    """Finds the definitions of packages: installed, else ``given`` by the caller or bundled with Midspan."""
 
     def __init__(self, given: Mapping[str, Mapping[str, str]], ros2: Ros2, cache: BuildCache) -> None:
         self._given = given
@@ -64,7 +64,7 @@ class PackageResolver:
         return [step for step in self._steps.values() if step is not None]
 
     def _step(self, package: str, asking: tuple[str, ...]) -> BuildStep | None:
-        """Return the step that builds a package; None if the installed one is used."""
+        """Return the step that builds a package; None if the package is installed."""
         if package in asking:
             circle = " -> ".join((*asking[asking.index(package) :], package))
             raise BuildError(
@@ -111,7 +111,7 @@ class PackageResolver:
 
     def _read(self, package: str) -> tuple[InterfaceFile, ...]:
         if package not in self._definitions:
-            # a given package with the name of a bundled one adds to it, so that both stay usable
+            # a given package adds to the bundled package of the same name, so that both stay usable
             self._definitions[package] = read_package(
                 package, bundled_files(package) | dict(self._given.get(package, {}))
             )

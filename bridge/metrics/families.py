@@ -57,7 +57,7 @@ FAMILIES = (
     Family("midspan_router_machines", "gauge", "Other machines that are connected.", ("trusted",)),
     Family("midspan_router_endpoint_up", "gauge", "Whether the endpoint of hub.open works.", _ENDPOINT),
     Family("midspan_router_endpoint_state", "gauge", "1 for the endpoint's state.", (*_ENDPOINT, "state")),
-    Family("midspan_router_endpoint_since_timestamp_seconds", "gauge", "Start of the endpoint's state.", _ENDPOINT),
+    Family("midspan_router_endpoint_since_timestamp_seconds", "gauge", "When the endpoint's state began.", _ENDPOINT),
     Family("midspan_router_refused_connections_total", "counter", "Connections refused because of a certificate."),
     Family("midspan_module_state", "gauge", "1 for the state that the hosted module is in.", ("module", "state")),
     Family("midspan_side_state", "gauge", "1 for the state that the side is in.", ("side", "state")),
@@ -68,10 +68,10 @@ FAMILIES = (
     Family("midspan_side_routes_untold", "gauge", "Routes beyond metrics.routes, which are not reported.", _SIDE),
     Family("midspan_side_refused", "gauge", "Topics and services not bridged; see midspan status.", _SIDE),
     Family("midspan_route_messages_total", "counter", "Messages bridged; for a service, calls.", _ROUTE),
-    Family("midspan_route_lane_messages_total", "counter", "Of these, messages over the local transport.", _ROUTE),
+    Family("midspan_route_lane_messages_total", "counter", "Messages bridged over the local transport.", _ROUTE),
     Family("midspan_route_bytes_total", "counter", "Bytes bridged.", _ROUTE),
     Family("midspan_route_drops_total", "counter", "Messages that were dropped.", (*_ROUTE, "reason")),
-    Family("midspan_route_latency_seconds", "histogram", "Time from source to side; of a call, its duration.", _ROUTE),
+    Family("midspan_route_latency_seconds", "histogram", "Time from source to side; for calls, duration.", _ROUTE),
     Family("midspan_route_carry_seconds", "histogram", "Time that the bridge needs for a message to the hub.", _ROUTE),
     Family("midspan_route_calls_total", "counter", "Calls of a service by result.", (*_ROUTE, "result")),
     Family("midspan_route_calls_pending", "gauge", "Calls of a service that are pending.", _ROUTE),
@@ -79,7 +79,7 @@ FAMILIES = (
     Family("midspan_store_bytes", "gauge", "Bytes of all values in the store."),
     Family("midspan_store_limit_bytes", "gauge", "Bytes that the store may hold."),
     Family("midspan_store_deleted", "gauge", "Tombstones of deleted values."),
-    Family("midspan_store_conflicts_total", "counter", "Changes overruled by a concurrent one elsewhere."),
+    Family("midspan_store_conflicts_total", "counter", "Changes overruled by a concurrent change elsewhere."),
     Family("midspan_store_refused_total", "counter", "Changes of other stores that were refused."),
     Family("midspan_store_last_change_timestamp_seconds", "gauge", "Time of the newest change in any replica."),
     Family("midspan_store_replicas", "gauge", "Other replicas of the store."),
@@ -105,8 +105,8 @@ class Families:
     ) -> None:
         """Add a histogram.
 
-        ``bounds``: upper bounds of all buckets except the last, which is unbounded. ``counts``: values in each bucket
-        alone, not cumulative. ``total``: sum of all values.
+        ``bounds``: upper bounds of all buckets except the last, which is unbounded. ``counts``: number of values in
+        each bucket, not cumulative. ``total``: sum of all values.
         """
         buckets, below = [], 0
         for bound, count in zip((*(f"{bound:g}" for bound in bounds), "+Inf"), counts, strict=True):

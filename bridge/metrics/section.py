@@ -17,15 +17,15 @@ class MetricsSection(ServerSection):
     enabled: bool = setting(False, "Whether `/metrics`, `/healthz` and `/readyz` are served without the console, too.")
     listen: str = setting(
         "127.0.0.1:9480",
-        "Address and port; port 0: any. An address that other machines reach requires TLS and a login, as the console"
-        " does: by `web.tokens` and `web.trusted`, with the certificate of `hub.open`; see [metrics](metrics.md).",
+        "Address and port; port 0: any. An address that other machines reach requires TLS with the certificate of"
+        " `hub.open`, and a login by `web.tokens` or `web.trusted`, as the console does; see [metrics](metrics.md).",
     )
     diagnostics: bool = setting(
         True,
         "Whether the state of each part is published on the hub's `/diagnostics` while it has a subscriber.",
     )
     routes: int = setting(
-        200, "Maximum number of routes reported per side; of further routes, only the count is.", ge=1, le=5000
+        200, "Maximum number of routes reported per side; further routes are only counted.", ge=1, le=5000
     )
 
     @property

@@ -27,7 +27,7 @@ class TopicCounts:
         name: the recorded name.
         messages: number of written messages, which were passed to the operating system and can be read.
         bytes: size of their CDR.
-        pending: messages and bytes in the chunk that is not written yet.
+        pending: number and bytes of the messages in the chunk that is not written yet.
         dropped: number of dropped messages by reason: ``queue``, ``disk``.
     """
 
@@ -109,8 +109,8 @@ class ArrivalQueue:
     def pop_all(self, seconds: float) -> deque[RecordedMessage]:
         """Return all waiting messages after ``seconds``, or earlier if a batch is full or `wake` is called.
 
-        Only one thread may call it. Messages are batched because waking the thread for each would cost more than the
-        work.
+        Only one thread may call it. Messages are batched, because waking the thread for each message would cost more
+        than writing it.
         """
         with self._condition:
             if not (self._woken or self._bytes >= self._batch):

@@ -72,7 +72,8 @@ class Written:
     """The contents of a closed file; times are in nanoseconds since 1970.
 
     Attributes:
-        closed: when it was closed (monotonic seconds).
+        begin, end: the span of the messages' times, which includes the time when the file was opened.
+        closed: when the file was closed (monotonic seconds).
         topics: each channel with its number of messages.
         whole: whether the file has a summary; a file without one is read sequentially, or repaired.
     """
@@ -141,9 +142,9 @@ class RecordFile:
         self._channels[key] = self._writer.channel(info), info
 
     def write(self, arrival: RecordedMessage, log_time: int, *, again: bool = False) -> None:
-        """Add a message to its existing channel; ``again``: it was already counted.
+        """Add a message to its existing channel; ``again``: it counts already, because an earlier file has it.
 
-        Raises `DiskFullError` if the disk is full. In that case the message is not in the file, which can be closed.
+        Raises `DiskFullError` if the disk is full. Then the message is not in the file, and the file can be closed.
         """
         data, counts = arrival.data, arrival.counts
         if self._writer.closes(len(data)):

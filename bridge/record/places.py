@@ -54,7 +54,7 @@ class Files:
         return self._base.with_name(f"{name}.mcap")
 
     def closed(self, _written: Written) -> None:
-        """Increment the number only now, so that a file that could not be created leaves no gap."""
+        """Increment the file number, only now so that a file that could not be created leaves no gap."""
         self._number += 1
 
 

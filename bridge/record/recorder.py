@@ -79,7 +79,7 @@ class Recorder:
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def begin(self) -> Path | None:
-        """Start or continue recording; return the file. Raises `OSError` if it cannot be created; a retry follows."""
+        """Start or continue recording; return the file. Raises `OSError` if it cannot be created, and retries later."""
         self._recorded.start()
         path: Path | None = self._do(self._files.open)
         return path
@@ -95,7 +95,7 @@ class Recorder:
         return path
 
     def trigger(self, why: str) -> Future[Path | None]:
-        """Start saving the ring's files. The future yields the folder, None for an empty ring, or an `OSError`."""
+        """Start saving the ring's files. The future returns their folder, or None for an empty ring, or an `OSError`."""
         return self._post(partial(self._files.keep, why))
 
     def _post(self, action: Callable[[], Any]) -> Future[Any]:

@@ -59,7 +59,7 @@ class TriggerSection(Section):
 class RecordSection(Section):
     """Recording in the daemon."""
 
-    enabled: bool = setting(False, "Whether it runs.")
+    enabled: bool = setting(False, "Whether the daemon records.")
     topics: tuple[TopicGlob, ...] = setting(
         ("/**",), "Topics, by name or glob as in rules; topics that the rules do not bridge must be named in full."
     )

@@ -84,7 +84,7 @@ class FileSeries:
             self._latched.saw(arrival)
 
     def open(self) -> Path | None:
-        """Return the path of the open file, or open one; raises `OSError` if that fails, and retries it later."""
+        """Open a file unless one is open, and return its path; raises `OSError` if that fails, and retries later."""
         self._retry = 0.0
         try:
             file = self.file or self._next_file()
@@ -94,7 +94,7 @@ class FileSeries:
         return file.path if file is not None else None
 
     def maintain(self, *, on: bool) -> None:
-        """Write the open chunk if it is due, delete old files of a ring, and retry a failed file if ``on``."""
+        """Write the open chunk if it is due, delete old files of a ring, and, if recording is ``on``, retry to open."""
         now = time.monotonic()
         if self.file is not None and now - self._flushed >= FLUSH_SECONDS:
             self._flushed = now
@@ -197,7 +197,7 @@ class FileSeries:
         )
 
     def _failed(self, err: OSError) -> None:
-        """Close the file, after its last complete chunk if the summary cannot be written; a new file is tried later."""
+        """Report the error, close the file, and schedule the attempt to open a new one."""
         first = not self.trouble
         where = self.file.path if self.file is not None else err.filename
         self.trouble = f"{where}: {err.strerror or err}"

@@ -108,7 +108,7 @@ class RecordedTopics:
             counts.dropped["queue"] += 1
             return
         sent = sample.source_time_ns if sample.source_time_ns > 0 else now
-        # the data is copied, because the sender's shared memory is small
+        # a copy, because waiting messages would fill the sender's shared memory
         self._queue.put(RecordedMessage(counts, sample.gid, origin, sample.sequence, now, sent, offset, sample.data()))
 
     def lost(self) -> dict[str, int]:

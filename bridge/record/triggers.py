@@ -21,7 +21,7 @@ _log = logging.getLogger("midspan.record")
 
 SERVICE = "/record/trigger"
 QUIET_SECONDS = 10.0
-"""Seconds for which further triggers by topics, halts and goals are ignored: their messages are already saved."""
+"""Seconds after a trigger for which topics, halts and goals do not trigger again: their messages are just saved."""
 
 _SERVICE_TYPE = "std_srvs/srv/Trigger"
 _STATUS_TOPIC, _STATUS = "/navigation/status", "midspan_msgs/msg/NavigationStatus"

@@ -102,7 +102,7 @@ class Recording:
 
 @contextmanager
 def yielding() -> Iterator[None]:
-    """Lower the priority of threads that start in this context (Linux): publishers must not wait for the recorder.
+    """Lower the priority of threads that start in this context (Linux), so that publishers do not wait for them.
 
     Threads that zenoh's threads start later inherit the priority, even if they do other work of the process.
     """

@@ -33,8 +33,8 @@ _Key = tuple[str, str, str, Qos]
 class HubOutput:
     """Publishers of all topics to play, with their recorded QoS. Safe to use from any thread.
 
-    Topics of the same name, type and QoS, from several publishers or files, share one publisher; if they are latched,
-    its depth is at least their number.
+    Topics of the same name, type and QoS, from several publishers or files, share one publisher; for latched topics,
+    its depth is at least the number of the topics.
     """
 
     def __init__(self, hub: Hub, registry: Registry, topics: Sequence[PlayTopic], *, clock: bool = False) -> None:

@@ -39,7 +39,7 @@ class Messages(Protocol):
         ...
 
     def messages(self) -> Iterator[Played]:
-        """Yield all others in order of time."""
+        """Yield all other messages in order of time."""
         ...
 
 
@@ -168,4 +168,4 @@ class Player:
         behind = self.timeline.behind
         if behind > 2 * self._reported:
             self._reported = behind
-            self._report(f"cannot keep up with a rate of {self.timeline.rate:g}: {behind:.1f} s behind so far")
+            self._report(f"playback cannot keep up with a rate of {self.timeline.rate:g}: {behind:.1f} s behind so far")

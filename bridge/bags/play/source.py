@@ -17,7 +17,7 @@ MAX_LATCHED = 100
 """Maximum number of messages from before the start that are replayed for a latched topic."""
 
 MAX_LATCHED_BYTES = 64 << 20
-"""Maximum bytes of all these messages; those of further topics are skipped."""
+"""Maximum bytes of the latched messages from before the start; messages of further topics are skipped."""
 
 _NS = 1e9
 
@@ -106,7 +106,7 @@ class PlaySource:
             yield from messages
 
     def _selected(self, wanted: Callable[[PlayTopic], bool], end_ns: int | None) -> Iterator[Played]:
-        """Yield all messages of some topics; the bags are read only up to the last of them."""
+        """Yield all messages of the ``wanted`` topics before ``end_ns``; stop reading the bags after the last one."""
         left = sum(topic.topic.count for topics in self._bags.values() for topic in topics if wanted(topic))
         if not left:
             return

@@ -76,9 +76,9 @@ class LeftOut:
 class CommandTopics:
     """Recognizes topics that move a robot, by type and name: those of docs/operate/security.md, and more.
 
-    The access rules of the hub must not block state topics, but here `--commands` can include a topic again. Therefore
-    a name like that of a command is enough, whatever the type, and the topics of the joints that this configuration
-    drives count, too.
+    The access rules of the hub must not block state topics, but a topic left out here can be played with `--commands`.
+    So a name like that of a command is enough, whatever the type, and topics that drive this configuration's joints
+    count, too.
     """
 
     def __init__(self, config: Config) -> None:

@@ -251,8 +251,8 @@ def _cut_or_mend(args: argparse.Namespace, *, mend: bool) -> int:
 
     with _opened(args.bag) as bag:
         if kind_of(args.out) != bag.kind:
-            other = f"{args.out} asks for another format"
-            raise CliError(f"{args.bag} is {bag.kind}, and {other}: use 'midspan bag convert'")
+            extension = f"{args.out} has the extension of another format"
+            raise CliError(f"{args.bag} is {bag.kind}, but {extension}; use 'midspan bag convert'")
         choice = BagSelection() if mend else _choice(args, bag)
         begun = time.monotonic()
         with _progress(bag) as on_progress:

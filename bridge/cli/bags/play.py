@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from bridge.bags.play.topics import LeftOut, PlayTopic
 
 CLOCK_HZ = 40.0
-MATCH_SECONDS = 1.0  # to wait for subscribers on the hub before playing
+MATCH_SECONDS = 1.0  # maximum wait for subscribers on the hub before playing
 _EPILOG = """\
 Keys in a terminal: space pauses and resumes, '.' or 's' plays one message while paused, 'q' ends.
 The services /midspan/play/pause (std_srvs/SetBool) and /midspan/play/step (std_srvs/Trigger) also work without one.
@@ -79,7 +79,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     when.add_argument("--paused", action="store_true", help="begin paused")
     when.add_argument(
         "--clock", type=number_in(1, 1000), nargs="?", const=CLOCK_HZ, default=0.0, metavar="HZ",
-        help=f"publish the bags' time on /clock at this rate (default {CLOCK_HZ:g}); it stops while paused",
+        help=f"publish the bags' time on /clock at this rate (default {CLOCK_HZ:g}); the time stops during a pause",
     )  # fmt: skip
     when.add_argument(
         "--settle", type=span, default=1.0, metavar="TIME", help="time for subscribers to connect first (default 1s)"
@@ -193,7 +193,7 @@ def _report_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) ->
     if not topics:
         raise CliError("there is nothing to play: no topic remains" + ("" if left else " after --topics and --exclude"))
     for name in sorted(twice(topics)):
-        _print_note(f"{name} has several types in the bags: a subscriber receives one of them")
+        _print_note(f"{name} has several types in the bags, and each subscriber receives only one of them")
     if moving := sorted({topic.name for topic in topics if topic.command}):
         _print_note(f"commands are played, the robot may move: {', '.join(moving)}")
         if rate != 1.0:

@@ -29,7 +29,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class Interrupt:
-    """Holds the first SIGINT, SIGTERM or SIGHUP until `check` raises it: other code might swallow an exception.
+    """Holds the first SIGINT, SIGTERM or SIGHUP until `check` raises it, as other code might swallow an exception.
 
     After Ctrl-C, the next signal raises at once. SIGTERM and SIGHUP often come together; signals after them are
     ignored, because the command then ends within `CONFIRM_SECONDS`. A SIGHUP that the caller ignores (``nohup``) stays
@@ -81,7 +81,7 @@ class FollowedGoal(AwaitedGoal):
         """Send the goal and follow it to its end. Cancel it on a signal, after ``timeout`` seconds, and on any error.
 
         After Ctrl-C and the timeout, this waits for the end of the goal; after SIGTERM and SIGHUP, for at most
-        `CONFIRM_SECONDS`. Returns the end, and the exit code for the signal that canceled the goal, 0 without one.
+        `CONFIRM_SECONDS`. Returns the end, and the exit code for the signal that canceled the goal, 0 if no signal did.
         Raises `ClientError` if the goal is rejected or lost.
         """
         self._interrupt.check()  # nothing to cancel yet
@@ -113,7 +113,7 @@ class FollowedGoal(AwaitedGoal):
             end = self.wait(CONFIRM_SECONDS)
             text = f"the goal was {STATES.get(end.status, 'ended')}"
         except TimeoutError:
-            text = f"the goal has not ended within {CONFIRM_SECONDS:g} s after its cancellation; it may still be active"
+            text = f"the goal has not ended within {CONFIRM_SECONDS:g} s of its cancellation; it may still be active"
         except ClientError as err:
             text = str(err)
         with contextlib.suppress(OSError):  # the terminal is closed

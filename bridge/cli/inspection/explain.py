@@ -234,7 +234,7 @@ def _worker_notes(
         elif document.state == "standby":
             notes.append(Note(f"{name} is on standby: another daemon is active on that network"))
         elif who not in decided:
-            notes.append(Note(f"{name} has no decision on it: it is not published there, and not sent there"))
+            notes.append(Note(f"{name} has no decision on it, as the name is neither published there nor sent there"))
     return notes
 
 

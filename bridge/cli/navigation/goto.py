@@ -46,7 +46,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         metavar="PLACE ... | X Y [DEGREES]",
         help="names, or meters and degrees; without DEGREES: any heading",
     )
-    parser.add_argument("--frame", default="", help="frame of the pose (default: that of maps)")
+    parser.add_argument("--frame", default="", help="frame of the pose (default: the maps' frame)")
     parser.add_argument("--timeout", type=float, metavar="SECONDS", help="cancel the goal if it takes longer")
     parser.add_argument("--json", action="store_true", help="print each change, and the end, as one line of JSON")
     add_hub_arguments(parser)
@@ -170,7 +170,7 @@ def report_end(end: GoalEnd, signaled: int, done: str, trouble: str = "", *, as_
 
     Args:
         end: how the goal ended.
-        signaled: the exit code for the signal that canceled it, 0 without one.
+        signaled: the exit code for the signal that canceled it, 0 if no signal did.
         done: the text for a goal that succeeded.
         trouble: why the goal has not succeeded completely, "" if it has.
         as_json: print one line of JSON instead.

@@ -172,7 +172,7 @@ def _action(client: CliClient, name: str) -> str:
     action = next((action for action in motion if action.endswith(f"/{name}")), "")
     if not action:
         raise CliError(
-            f"the planner {clean(planner_name)} has no action {name} that a stop cancels: choose nav2, or list the"
+            f"the planner {clean(planner_name)} has no action {name} that a stop cancels; choose nav2, or list the"
             " action in 'motion_actions' of its entry in navigation.planners"
         )
     _wait_until_idle(client)

@@ -132,7 +132,7 @@ def _write(args: argparse.Namespace) -> int:
         for line in _lines(args):
             reached = port.write(partial(encode, _values(line)), wait=True, timeout=args.timeout)
             if not reached and not args.targets:
-                print("no port is connected: not sent", file=sys.stderr)
+                print("not sent, because no port is connected", file=sys.stderr)
             elif reached < len(args.targets):
                 raise CliError(
                     f"{len(args.targets) - reached} of {len(args.targets)} targets did not accept the message"

@@ -63,7 +63,7 @@ def _on_ros1(context: CheckContext) -> list[Finding]:
             continue
         if is_alive("/midspan_doctor", entry):
             seen = f"ROS 1: Midspan daemon {entry.daemon} is on this master too ({entry.node} at {entry.uri})"
-            cure = "if unintended, set ros1.enabled: false in one of them; one is active, the other is on standby"
+            cure = "one daemon is active, the other on standby; if unintended, set ros1.enabled: false in one of them"
         else:
             seen = f"ROS 1: {entry.node} of Midspan daemon {entry.daemon} is dead, but still registered"
             cure = f"it disappears when {entry.daemon} is restarted; 'rosnode cleanup' removes its registrations"
@@ -95,7 +95,7 @@ def of_dds(context: CheckContext, view: DdsView) -> list[Finding]:
     if others:
         mine = "in addition to this daemon's " if view.midspans & ours else ""
         seen = f"ROS 2: {mine}{len(others)} Midspan participant(s) on this domain: {', '.join(sorted(others))}"
-        cure = "if unintended, give the daemons different ros2.domain, or disable one's ROS 2 side"
+        cure = "if unintended, give each daemon its own ros2.domain, or disable the ROS 2 side of one of them"
         findings.append(warn(seen, cure))
     return findings or [ok("ROS 2: no other bridge")]
 
@@ -104,7 +104,8 @@ def _foreign(side: str, nodes: Iterable[str]) -> list[Finding]:
     names = sorted(node for node in nodes if FOREIGN.fullmatch(node.rsplit("/", 1)[-1]))
     if not names:
         return []
-    return [fail(f"{side}: {', '.join(names)} looks like another bridge: shared topics arrive twice", _CURE_FOREIGN)]
+    seen = f"{side}: {', '.join(names)} looks like another bridge; topics that both bridge arrive twice"
+    return [fail(seen, _CURE_FOREIGN)]
 
 
 _SECONDS = 30.0

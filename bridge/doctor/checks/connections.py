@@ -40,7 +40,8 @@ def check_connections(context: CheckContext) -> Findings:
     if has_tls(opened) and identity is None:
         return [*findings, *(_of_router(state) for state in reported.values() if not _good(state))]
     ends = [("connect", endpoint) for endpoint in opened.connect] + [("listen", endpoint) for endpoint in opened.listen]
-    pool = WorkerPool(_AT_ONCE, "doctor-endpoints")  # daemon threads: the resolver may hang at the command's end
+    # daemon threads, because the resolver may still hang when the command ends
+    pool = WorkerPool(_AT_ONCE, "doctor-endpoints")
     tests = [
         pool.submit(partial(_tested, direction, place, identity, reported.get((direction, place))))
         for direction, place in ends
@@ -49,7 +50,7 @@ def check_connections(context: CheckContext) -> Findings:
 
 
 def _tested(way: str, endpoint: str, identity: Identity | None, reported: EndpointStatus | None) -> Finding:
-    """Test one endpoint; the router's report covers the rest, such as refused machines."""
+    """Test one endpoint; the router's report covers what a test cannot show, such as refused machines."""
     name = f"hub.open.{way} {endpoint}"
     place = HostPort.of(connect_endpoint(endpoint))
     if place is None or not place.can_be_tested:
@@ -69,7 +70,7 @@ def _tested(way: str, endpoint: str, identity: Identity | None, reported: Endpoi
 
 
 def _finding(seen: str, reason: Reason) -> Finding:
-    """Return a failure for a refusal, which does not end by itself; else a warning: the machine may just be off."""
+    """Return a failure for a refusal, which does not end by itself; else a warning, as the machine may just be off."""
     return fail(seen, reason.cure) if reason.state is EndpointState.REFUSED else warn(seen, reason.cure)
 
 

@@ -31,7 +31,8 @@ def check_nodes(context: CheckContext) -> Findings:
 def _findings(daemon: str, cyclone: CycloneNodes) -> Iterator[Finding]:
     seen = f"{listed(cyclone.nodes)} on Cyclone DDS, seen by {daemon}"
     if cyclone.both:
-        yield warn(f"{seen}; also served on another DDS, so they get no calls to {listed(cyclone.both)}", _CURE)
+        served = f"{listed(cyclone.both)} also has a server on another DDS"
+        yield warn(f"{seen}; {served}, so the servers of these nodes get no calls", _CURE)
     if cyclone.mixed:
         pairs = f"native clients and servers on two kinds of DDS: {listed(cyclone.mixed)}"
         lost = "ROS 2 executes these requests with wrong values, and the clients get no replies"

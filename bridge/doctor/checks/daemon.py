@@ -36,7 +36,7 @@ def check_config(context: CheckContext) -> Findings:
     if listener.insecure:
         endpoints = ", ".join((*listener.listen, *listener.connect))
         seen = f"the hub is open without TLS at {endpoints}: any machine that reaches it can join"
-        findings.append(warn(seen, "certificates ('midspan keys'), and tls/ endpoints in hub.open"))
+        findings.append(warn(seen, "make certificates ('midspan keys'), and write tls/ endpoints in hub.open"))
     return findings
 
 
@@ -59,7 +59,7 @@ def check_services(context: CheckContext) -> Findings:
 
 
 def _shared_settings(configs: Mapping[str, Config]) -> Iterator[Finding]:
-    """Yield a finding for each name and address that several daemons have, except a hub that they share."""
+    """Yield a finding for each name and address that several daemons have, except the address of a shared hub."""
     claims: dict[tuple[str, str], list[str]] = {}
     for unit, config in configs.items():
         places = [
@@ -83,9 +83,10 @@ def _shared_ports(configs: Mapping[str, Config]) -> Iterator[Finding]:
             alike = place.key == taken.key and (place.text == taken.text or place.key == _HUB)
             if place.excludes(taken) and not alike:
                 seen = (
-                    f"{place.key} of {other} ({place.text}) has the port of {taken.key} of {first_unit} ({taken.text})"
+                    f"{place.key} of {other} ({place.text}) uses the same port as {taken.key} of {first_unit}"
+                    f" ({taken.text})"
                 )
-                yield fail(seen, "set another port in one of them")
+                yield fail(seen, "change one of the ports")
 
 
 def check_workers(context: CheckContext) -> Findings:
@@ -99,7 +100,7 @@ def check_workers(context: CheckContext) -> Findings:
     if not hub.documents:
         listen, domain = context.config.hub.listen, context.config.hub.domain
         seen = f"a router answers at {listen}, but no worker does in domain {domain}"
-        return [*missing, warn(seen, "start the daemon: midspan run; if it runs, compare hub.domain")]
+        return [*missing, warn(seen, "start the daemon: midspan run; if it runs, compare its hub.domain")]
     findings = list(missing)
     for daemon in dict.fromkeys(document.daemon for document in hub.documents):
         workers = [document for document in hub.documents if document.daemon == daemon]
@@ -115,8 +116,8 @@ def _alone(context: CheckContext, daemon: str, workers: Sequence[StatusDocument]
     """Return a warning if only the router of a daemon of another name answers: a router outlives its daemon."""
     if daemon == context.config.name or [document.worker for document in workers] != [ROUTER.name]:
         return []
-    seen = f"only the router of {daemon} answers: the daemon is down, or runs nothing else"
-    return [warn(seen, f"on its machine: 'midspan status'; {start_hint('midspan')}")]
+    seen = f"only the router of {daemon} answers: the daemon is down, or runs no other worker"
+    return [warn(seen, f"run 'midspan status' on its machine; {start_hint('midspan')}")]
 
 
 def _worker(context: CheckContext, document: StatusDocument, elsewhere: Container[str] = ()) -> Finding:

@@ -13,11 +13,11 @@ from bridge.hub.security.key_files import KeyFiles
 from bridge.status import RouterStatus
 
 SOON_DAYS = 30
-_RENEW = "'midspan keys make NAME --replace', and copy the files; the router loads them without a restart"
+_RENEW = "run 'midspan keys make NAME --replace', and copy the files; the router loads them without a restart"
 
 
 def check_keys(context: CheckContext) -> Findings:
-    """Check that the files of ``hub.open`` exist, are readable, fit each other and this machine, and stay valid."""
+    """Check that the files of ``hub.open`` are readable, belong together and to this machine, and stay valid."""
     if not has_tls(context.config.hub.open):
         return skip("hub.open names no endpoint with TLS: no certificate is needed")
     files = key_files(context.config)
@@ -38,10 +38,9 @@ def check_keys(context: CheckContext) -> Findings:
         cure = "copy both from the same folder of 'midspan keys'"
         findings.append(fail(f"{files.certificate} was not signed by {files.ca}", cure))
     if certificate.name != context.config.name:
-        findings.append(
-            warn(f"this machine's certificate names it {certificate.name!r}: others trust that name", "see 'name'")
-        )
-    return findings or ok(f"this machine is {certificate.name} to others, until {certificate.until:%Y-%m-%d}")
+        seen = f"this machine's certificate has the name {certificate.name!r}, not {context.config.name!r}"
+        findings.append(warn(f"{seen}; other machines trust the former", "use one name in both; see the key 'name'"))
+    return findings or ok(f"other machines know this one as {certificate.name}, until {certificate.until:%Y-%m-%d}")
 
 
 def _distrust(name: str, context: CheckContext) -> list[Finding]:

@@ -69,7 +69,7 @@ def check_kernels(_around: CheckContext) -> Findings:
     if state.missing:
         refused = ", and RobotGoto and RobotPathPlanner refuse goals"
         drives = not set(state.missing) & set(kernels.DRIVING)
-        return fail(f"{state}; what needs them is slow or missing{'' if drives else refused}", kernels.CURE)
+        return fail(f"{state}; parts that use them are slow or missing{'' if drives else refused}", kernels.CURE)
     return warn(str(state), kernels.REBUILD) if state.stale else ok(str(state))
 
 
@@ -139,7 +139,7 @@ def compare(context: CheckContext, requirements: Sequence[str], environment: Map
             findings.append(ok(f"{seen}; side {side} uses what is installed"))
             continue
         report = fail if kind.enabled(context.config) is True else warn
-        cure = f"run 'midspan worker {side}' on a machine that has them, on the same hub; here {side}.enabled: false"
+        cure = f"run 'midspan worker {side}' on a machine of this hub that has them; here, set {side}.enabled: false"
         findings.append(report(f"{seen}; so side {side} is not available", cure))
     return findings or ok(f"all dependencies have wheels for this system ({system})")
 

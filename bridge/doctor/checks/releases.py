@@ -14,6 +14,7 @@ _CURE_HASHES = (
     "nothing to do if their message packages have the same definitions as this machine's; otherwise rename their topics"
     " with a rule"
 )
+_UNNOTICED = "they have no type hashes, so nobody notices if their definitions differ"
 _CURE_MEMORY = "nothing to do: messages between Fast DDS 2 and Fast DDS 3 use UDP, at a lower rate for large ones"
 
 
@@ -30,12 +31,12 @@ def _of_side(groups: Sequence[Middleware]) -> Iterator[Finding]:
     for group in groups:
         seen = f"{group}: {listed(group.nodes)}"
         if group.ros and not group.hashes:
-            yield warn(f"{seen}; without type hashes, so that differing definitions stay unnoticed", _CURE_HASHES)
+            yield warn(f"{seen}; {_UNNOTICED}", _CURE_HASHES)
         else:
             yield ok(seen)
     fast = sorted({group.name for group in groups if group.name.startswith("Fast DDS ")})
     if len({name.split()[2].partition(".")[0] for name in fast}) > 1:
-        yield warn(f"{' and '.join(fast)} on one network: they share no memory", _CURE_MEMORY)
+        yield warn(f"{' and '.join(fast)} on one network do not share memory with each other", _CURE_MEMORY)
 
 
 def _on_hub(context: CheckContext) -> Iterator[Finding]:
@@ -43,7 +44,7 @@ def _on_hub(context: CheckContext) -> Iterator[Finding]:
     for group in native_nodes(context.hub.endpoints, midspan):
         seen = f"on the hub: {group}: {listed(group.nodes)}"
         if group.hashless:
-            yield warn(f"{seen}; without type hashes, so that differing definitions stay unnoticed", _CURE_HASHES)
+            yield warn(f"{seen}; {_UNNOTICED}", _CURE_HASHES)
         else:
             yield ok(seen)
 

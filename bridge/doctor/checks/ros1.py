@@ -1,4 +1,4 @@
-"""ROS 1: its packages, its master, this shell against the daemon, and the classic problem of names that do not resolve.
+"""ROS 1: its packages, its master, this shell's master and the daemon's, and names that do not resolve.
 
 Every ROS 1 node registers its address from ROS_HOSTNAME, ROS_IP or the machine's name (rosgraph.network) with the
 master, and its subscribers must reach it under that address. If host names resolve differently on the machines, data
@@ -131,7 +131,8 @@ def check_address(context: CheckContext) -> Findings:
         return fail(seen, f"set it to one of {', '.join(sorted(a for a in local if ':' not in a))}")
     if remote and all(ipaddress.ip_address(a).is_loopback for a in addresses):
         seen = f"the master is on another machine, but {name} '{value}' resolves to {', '.join(sorted(addresses))} here"
-        return fail(f"{seen}: its nodes cannot reach this machine", "set ros1.ip (ROS_IP) to its address there")
+        cure = "set ros1.ip (ROS_IP) to the address at which the other machine reaches this one"
+        return fail(f"{seen}: nodes on the other machine cannot reach this machine", cure)
     return ok(f"{name} is {value}")
 
 

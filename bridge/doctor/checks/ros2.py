@@ -107,7 +107,7 @@ def _range(context: CheckContext) -> list[Finding]:
     shell_local = environ.get("ROS_LOCALHOST_ONLY") == "1" or reach == "LOCALHOST"
     if shell_local and not local:
         cure = "unset ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE, or set ros2.localhost_only: true"
-        return [warn("this shell's ROS 2 programs only discover this machine, ros2.localhost_only is false", cure)]
+        return [warn("this shell's ROS 2 programs discover only this machine, but ros2.localhost_only is false", cure)]
     return []
 
 
@@ -119,8 +119,8 @@ def _discovery(context: CheckContext) -> list[Finding]:
         theirs = environment.get("ROS_DISCOVERY_SERVER", "")
         if environment and mine != theirs:
             seen = f"ROS_DISCOVERY_SERVER is {mine or 'not set'} in this shell, {theirs or 'not set'} for the daemon"
-            cure = "set it alike in this shell and for the daemon, and restart the daemon (docs/sides/ros2.md)"
-            return [warn(f"{seen}: its ROS 2 programs and the daemon may not discover each other", cure)]
+            cure = "set the same value in this shell and for the daemon, and restart the daemon (docs/sides/ros2.md)"
+            return [warn(f"{seen}: this shell's ROS 2 programs and the daemon may not discover each other", cure)]
     return []
 
 
@@ -137,7 +137,7 @@ def _servers(context: CheckContext) -> list[Finding]:
 
 
 def _restarted_server(context: CheckContext) -> list[Finding]:
-    """Check that a discovery server of this machine is not younger than the worker: Fast DDS may not survive that."""
+    """Check that a local discovery server has not restarted since the worker started; Fast DDS may not survive that."""
     for document in context.hub.of_side("ros2", context.config.name):
         worker = context.process(document)
         for _, port in discovery.servers(environment_of(worker)):
@@ -168,12 +168,12 @@ def _peers(context: CheckContext) -> list[Finding]:
     mine, theirs = (environ.get(STATIC_PEERS, "") for environ in (context.environ, _worker_environment(context)))
     findings: list[Finding] = []
     if theirs and context.config.ros2.localhost_only:
-        seen = f"{STATIC_PEERS} is {theirs} for the daemon, but ros2.localhost_only keeps it on this machine"
+        seen = f"{STATIC_PEERS} is {theirs} for the daemon, but ros2.localhost_only keeps the daemon on this machine"
         findings.append(warn(seen, "set ros2.localhost_only: false, unless that is intended"))
     if mine and mine != theirs:
         seen = f"{STATIC_PEERS} is {mine} in this shell, {theirs or 'not set'} for the daemon"
-        cure = "set it for the daemon, too, and restart it (docs/sides/ros2.md)"
-        findings.append(warn(f"{seen}: it may not discover nodes that do not use multicast", cure))
+        cure = "set it for the daemon, too, and restart the daemon (docs/sides/ros2.md)"
+        findings.append(warn(f"{seen}: the daemon may not discover nodes that do not use multicast", cure))
     return findings
 
 
@@ -184,7 +184,7 @@ def _security(context: CheckContext) -> list[Finding]:
         return []
     inside, outside = ("this shell", "the daemon") if is_enabled(context.environ) else ("the daemon", "this shell")
     seen = f"{ENABLE} is true for {inside}, not for {outside}: their ROS 2 programs do not discover each other"
-    return [fail(seen, "set the variables of ROS 2's security alike in both, and restart the daemon")]
+    return [fail(seen, "set ROS 2's security variables to the same values in both, and restart the daemon")]
 
 
 CHECKS = (

@@ -24,7 +24,7 @@ def check_port(context: CheckContext) -> Findings:
         if deaf:
             return fail(deaf, "see the checks 'daemon' and 'descriptors'; if both are good, end that process")
         if not port_held(hub.listen):
-            return ok(f"nothing listens at {hub.listen}: the daemon's router will")
+            return ok(f"nothing listens at {hub.listen} yet; the daemon's router will")
         seen = f"{hub.listen} is held by a program that is not zenoh{_holder(hub.listen)}"
         return fail(seen, "stop that program, or set hub.listen to a free port")
     if info.mode != "router":
@@ -33,7 +33,7 @@ def check_port(context: CheckContext) -> Findings:
         return ok(f"{hub.listen} is {info}")
     text = f"{hub.listen} is held by {info}{_holder(hub.listen)}"
     if hub.router is True:
-        return fail(text, "hub.router is true: stop that router, set hub.listen to a free port, or hub.router to auto")
+        return fail(text, "stop that router, set hub.listen to a free port, or set hub.router to auto (it is true)")
     return warn(f"{text}; it is used as the hub's router", "if that is not intended, set hub.listen to a free port")
 
 

@@ -44,7 +44,7 @@ def check_users(context: CheckContext) -> Findings:
         return ok("one user only")
     names = ", ".join(sorted(_user_name(uid) for uid in others))
     seen = (
-        f"ROS 2 programs of other users than {_user_name(next(iter(mine)))} share {context.shm}: {names}; Fast DDS's"
+        f"ROS 2 programs of users other than {_user_name(next(iter(mine)))} share {context.shm}: {names}; Fast DDS's"
         " shared memory silently delivers nothing between users"
     )
     cure = "run them as the same user, or with FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
@@ -57,7 +57,7 @@ def check_users(context: CheckContext) -> Findings:
 
 
 def check_size(context: CheckContext) -> Findings:
-    """Check the size of the shared memory, its free space, and the room for that of ``ros2.profile``."""
+    """Check the size and free space of the shared memory, and that the segment of ``ros2.profile`` fits into it."""
     if not context.shm.is_dir():
         return skip(f"no {context.shm} here")
     ros2 = context.config.ros2
@@ -90,7 +90,7 @@ def check_litter(context: CheckContext) -> Findings:
     dds, zenoh = [f for f in left if f.fast_dds], [f for f in left if not f.fast_dds]
     cures = []
     if dds:
-        cures.append("'fastdds shm clean', or a restart of Midspan's ros2 worker, removes Fast DDS's")
+        cures.append("'fastdds shm clean', or a restart of Midspan's ros2 worker, removes Fast DDS's files")
     if zenoh:
         cures.append(f"rm {' '.join(str(f.path) for f in zenoh[:3])}{' ...' if len(zenoh) > 3 else ''}")
     seen = f"{len(left)} files ({size / 1e6:.0f} MB) in {context.shm} belong to processes that were killed"

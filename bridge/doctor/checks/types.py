@@ -72,7 +72,7 @@ def _accepted(context: CheckContext) -> list[Finding]:
 
 
 def _accepts(context: CheckContext, document: StatusDocument, route: RefusedRoute) -> str:
-    """Return why a module accepts that a side refused a route, "" if none does."""
+    """Return why a module accepts that a side refused a route, "" if no module does."""
     functions = (imported(module.accepts) for module in all_modules().values() if module.accepts)
     return next(filter(None, (accepts(context, document, route) for accepts in functions)), "")
 
