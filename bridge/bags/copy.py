@@ -49,7 +49,7 @@ class BagSelection:
 
 
 @dataclass
-class Undefined:
+class UndefinedTopic:
     """A topic of a type without a definition: number of its messages, the reason and the cure."""
 
     type_name: str
@@ -59,7 +59,7 @@ class Undefined:
 
 
 @dataclass
-class Copied:
+class CopyResult:
     """The result of a copy.
 
     Attributes:
@@ -80,7 +80,7 @@ class Copied:
     lost: dict[str, tuple[str, ...]] = field(default_factory=dict)
     damage: list[BagError] = field(default_factory=list)
     renamed: dict[str, str] = field(default_factory=dict)
-    undefined: dict[str, Undefined] = field(default_factory=dict)
+    undefined: dict[str, UndefinedTopic] = field(default_factory=dict)
 
 
 Convert = Callable[[bytes], bytes]
@@ -96,13 +96,13 @@ def _quiet(_messages: int, _data: int) -> None:
 def convert(
     bag: Bag, target: Path, kind: Kind, registry: Registry, choice: BagSelection = BagSelection(),
     compression: str = "", *, skip_unknown: bool = False, skip_bad: bool = False, on_progress: OnProgress = _quiet,
-) -> Copied:  # fmt: skip
+) -> CopyResult:  # fmt: skip
     """Copy a bag into any format, using the bridge's conversions between ROS 1 and ROS 2.
 
     Raises `BagError` for a topic that the format cannot hold (unless ``skip_unknown``), a message that does not match
     its type (unless ``skip_bad``), a damaged bag, and a target that exists or cannot be written.
     """
-    done = Copied()
+    done = CopyResult()
     _check_sound(bag)
     forms: dict[BagTopic, TopicForm] = {}
     topics = FileTopics(bag.path)
@@ -128,24 +128,24 @@ def convert(
                 done.renamed[topic.name] = form.name
             if form.undefined is not None:
                 reason = form.undefined
-                done.undefined.setdefault(topic.name, Undefined(topic.type_name, reason.what, reason.cure))
+                done.undefined.setdefault(topic.name, UndefinedTopic(topic.type_name, reason.what, reason.cure))
     check_compression(target, kind, compression or COMPRESSIONS[kind][0])
-    with complete_file(target, kind) as making:
+    with complete_file(target, kind) as temporary:
         usual = compression or COMPRESSIONS[kind][0]
         columns = _columns(bag, list(forms), choice)
-        _copy(bag, _writer(making, kind, usual), forms, columns, done, skip_bad=skip_bad, on_progress=on_progress)
+        _copy(bag, _writer(temporary, kind, usual), forms, columns, done, skip_bad=skip_bad, on_progress=on_progress)
     return done
 
 
 def cut(
     bag: Bag, target: Path, choice: BagSelection = BagSelection(), compression: str = "", *, mend: bool = False,
     on_progress: OnProgress = _quiet,
-) -> Copied:  # fmt: skip
+) -> CopyResult:  # fmt: skip
     """Copy a part of a bag into the same format, without changing messages and types.
 
-    With ``mend``, damaged data is left out and listed in `Copied.damage`. Raises `BagError`.
+    With ``mend``, damaged data is left out and listed in `CopyResult.damage`. Raises `BagError`.
     """
-    done = Copied()
+    done = CopyResult()
     if not mend:
         _check_sound(bag)
     if mend:
@@ -158,14 +158,21 @@ def cut(
     usual = bag.compression if bag.compression in COMPRESSIONS[bag.kind] else COMPRESSIONS[bag.kind][0]
     columns = _columns(bag, list(forms), choice)
     check_compression(target, bag.kind, compression or usual)
-    with complete_file(target, bag.kind) as making:
+    with complete_file(target, bag.kind) as temporary:
         if isinstance(bag, McapBag):
-            copier = McapCopy(making, compression or usual, bag)
+            copier = McapCopy(temporary, compression or usual, bag)
             if not (mend or choice.names or choice.latched):
                 _copy_chunks(bag, copier, choice, compression or usual, done, on_progress)
                 return done
-        writer = copier if isinstance(bag, McapBag) else _writer(making, bag.kind, compression or usual)
-        _copy(bag, writer, forms, _mended(columns, done.damage) if mend else columns, done, on_progress=on_progress)
+        writer = copier if isinstance(bag, McapBag) else _writer(temporary, bag.kind, compression or usual)
+        _copy(
+            bag,
+            writer,
+            forms,
+            _without_damage(columns, done.damage) if mend else columns,
+            done,
+            on_progress=on_progress,
+        )
     done.damage[:] = {str(err): err for err in done.damage}.values()  # a chunk may have been read twice
     return done
 
@@ -181,7 +188,7 @@ def _check_sound(bag: Bag) -> None:
 
 
 def _copy_chunks(
-    bag: McapBag, copier: McapCopy, choice: BagSelection, compression: str, done: Copied, on_progress: OnProgress
+    bag: McapBag, copier: McapCopy, choice: BagSelection, compression: str, done: CopyResult, on_progress: OnProgress
 ) -> None:
     """Copy all channels, even those of other encodings.
 
@@ -213,7 +220,7 @@ def _copy_chunks(
         raise
 
 
-def _mended(columns: Iterator[Columns], damage: list[BagError]) -> Iterator[Columns]:
+def _without_damage(columns: Iterator[Columns], damage: list[BagError]) -> Iterator[Columns]:
     try:
         yield from columns
     except BagError as err:
@@ -224,10 +231,10 @@ def _columns(bag: Bag, topics: list[BagTopic], choice: BagSelection) -> Iterator
     columns = bag.columns(topics, choice.start_ns, choice.end_ns)
     if not choice.latched or choice.start_ns is None:
         return columns
-    return chain(in_columns(_latched(bag, topics, choice.start_ns)), columns)
+    return chain(in_columns(_latched_before(bag, topics, choice.start_ns)), columns)
 
 
-def _latched(bag: Bag, topics: list[BagTopic], start_ns: int) -> list[BagMessage]:
+def _latched_before(bag: Bag, topics: list[BagTopic], start_ns: int) -> list[BagMessage]:
     latched = [topic for topic in topics if topic.qos.latched]
     last: dict[BagTopic, deque[BagMessage]] = {
         topic: deque(maxlen=min(topic.qos.depth, _LATCHED_DEPTH)) for topic in latched
@@ -239,7 +246,7 @@ def _latched(bag: Bag, topics: list[BagTopic], start_ns: int) -> list[BagMessage
 
 
 def _copy(
-    bag: Bag, writer: BagWriter, forms: dict[BagTopic, TopicForm], columns: Iterator[Columns], done: Copied,
+    bag: Bag, writer: BagWriter, forms: dict[BagTopic, TopicForm], columns: Iterator[Columns], done: CopyResult,
     *, skip_bad: bool = False, on_progress: OnProgress,
 ) -> None:  # fmt: skip
     try:
@@ -247,9 +254,9 @@ def _copy(
         changes = {topic: form.convert for topic, form in forms.items()}
         for some in columns:
             try:
-                data = _converted(some, changes)
+                data = _convert_all(some, changes)
             except ConversionError:
-                some, data = _sound(bag, some, changes, done, skip_bad=skip_bad)
+                some, data = _valid_only(bag, some, changes, done, skip_bad=skip_bad)
             writer.write([places[topic] for topic in some.topics], some.times, some.publish_times, data)
             done.messages += len(data)
             done.data += sum(map(len, some.data))
@@ -264,14 +271,14 @@ def _copy(
         raise
 
 
-def _converted(some: Columns, changes: Mapping[BagTopic, Convert | None]) -> list[bytes]:
+def _convert_all(some: Columns, changes: Mapping[BagTopic, Convert | None]) -> list[bytes]:
     """Return the messages' data in the forms of their topics; raises `ConversionError`."""
     pairs = zip(map(changes.__getitem__, some.topics), some.data, strict=True)
     return [data if change is None else change(data) for change, data in pairs]
 
 
-def _sound(
-    bag: Bag, some: Columns, changes: Mapping[BagTopic, Convert | None], done: Copied, *, skip_bad: bool
+def _valid_only(
+    bag: Bag, some: Columns, changes: Mapping[BagTopic, Convert | None], done: CopyResult, *, skip_bad: bool
 ) -> tuple[Columns, list[bytes]]:
     """Return the messages that match their types, and their converted data.
 

@@ -23,7 +23,7 @@ from bridge.messages.definitions.schema import World
 
 MAGIC = b"SQLite format 3\0"
 _LARGEST_TEXT = 4 << 20
-_STEPS, _MAX_QUIET = 1_000_000, 60
+_STEPS, _MAX_CHECKS = 1_000_000, 60
 """SQLite instructions between two checks, and the maximum number of checks per 64 MiB while a file is opened."""
 
 
@@ -95,7 +95,7 @@ class Db3Bag(Bag):
         wanted = None if topics is None else set(topics)
         ids = [number for number, topic in self._topic_of.items() if wanted is None or topic in wanted]
         clauses, values = ["1"], list[int]()
-        if len(ids) <= 100:  # otherwise all messages are read, and messages of other topics are skipped
+        if len(ids) <= 100:  # otherwise all messages are read, and the others skipped
             clauses.append(f"topic_id IN ({','.join('?' * len(ids))})")
             values += ids
         for clause, value in (("timestamp >= ?", start_ns), ("timestamp < ?", end_ns)):
@@ -125,7 +125,7 @@ class Db3Bag(Bag):
         def check() -> int:
             nonlocal checks
             checks += 1
-            return int(checks > _MAX_QUIET * (1 + self.size // (64 << 20)))
+            return int(checks > _MAX_CHECKS * (1 + self.size // (64 << 20)))
 
         self._file.set_progress_handler(check, _STEPS)
         try:

@@ -43,7 +43,7 @@ _RUN = 1 << 20
 _TEXTS = {"ros1msg", "ros2msg"}
 _WORLDS = {"cdr": World.ROS2, "ros1": World.ROS1}
 _TABLES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS}
-_MOST_METADATA, _LARGEST_METADATA = 1000, 1 << 16
+_MAX_METADATA, _LARGEST_METADATA = 1000, 1 << 16
 
 
 class WholeChunk(NamedTuple):
@@ -171,7 +171,7 @@ class McapBag(SpanBag):
             if length > _LARGEST_TABLE:
                 raise BagError(self.path, f"a record of type {opcode} declares {length} bytes", at)
             self._store_record(opcode, self._read(body, length))
-        elif opcode == Opcode.METADATA and length <= _LARGEST_METADATA and len(self.records) < _MOST_METADATA:
+        elif opcode == Opcode.METADATA and length <= _LARGEST_METADATA and len(self.records) < _MAX_METADATA:
             self.records.append(Metadata.read(ReadDataStream(io.BytesIO(self._read(body, length)))))
             self.about = {record.name: record.metadata for record in self.records}
 

@@ -22,7 +22,7 @@ _OTHERS = {
     b"PK\3\4": "unzip",
 }
 
-_MOST_PACKED = 200
+_MAX_UNPACK_RATIO = 200
 """The largest accepted ratio of the unpacked size of a file to its compressed size."""
 
 
@@ -35,14 +35,16 @@ def unpacked_file(file: Path, stack: ExitStack) -> Path:
 
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="midspan-bag-")))
     target = folder / (file.stem if file.name.endswith(ENDINGS) else file.name)
-    room = min(file.stat().st_size * _MOST_PACKED + (1 << 20), shutil.disk_usage(folder).free * 9 // 10)
+    room = min(file.stat().st_size * _MAX_UNPACK_RATIO + (1 << 20), shutil.disk_usage(folder).free * 9 // 10)
     with reading(file), file.open("rb") as packed, target.open("wb") as plain:
         reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
         while piece := reader.read(1 << 20):
             room -= len(piece)
             if room < 0:
                 cure = f"unpack it with 'zstd -d', or set TMPDIR to a larger disk than that of {folder.parent}"
-                problem = f"unpacks to more than {_MOST_PACKED} times its size, or to more than the disk has room for"
+                problem = (
+                    f"unpacks to more than {_MAX_UNPACK_RATIO} times its size, or to more than the disk has room for"
+                )
                 raise BagError(file, problem, None, cure)
             plain.write(piece)
     return target

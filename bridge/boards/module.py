@@ -22,7 +22,7 @@ from yarp_compat.dev.controlboard.streams import JointData
 JOINTS = "sensor_msgs/msg/JointState"
 
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
-_MOST_COMMANDERS = 32  # commanders whose clocks are followed
+_MAX_COMMANDERS = 32  # commanders whose clocks are followed
 
 
 class ControlBoards(Module):
@@ -95,7 +95,7 @@ class ControlBoards(Module):
         ages: dict[bytes, AgeGate] = {}
 
         def on_command(message: dict[str, Any]) -> None:
-            if len(ages) >= _MOST_COMMANDERS and subscription.sender not in ages:
+            if len(ages) >= _MAX_COMMANDERS and subscription.sender not in ages:
                 del ages[next(iter(ages))]
             age = ages.setdefault(subscription.sender, AgeGate()).age(subscription.sent_ns)
             if age > board.timeout or self._stall.stood_still(board.timeout):

@@ -57,7 +57,7 @@ class VerbParser(argparse.ArgumentParser):
             option.startswith("-")
             and not known
             and verb is not None
-            and not _meant(option, self._option_string_actions)
+            and not _did_you_mean(option, self._option_string_actions)
         ):
             self.error(f"{option} belongs after the command: '{self.prog} {verb} {option} ...'")
 
@@ -72,7 +72,9 @@ class VerbParser(argparse.ArgumentParser):
 
     def _refuse(self, unknown: Sequence[str]) -> NoReturn:
         options = {option for option in self._option_string_actions if option.startswith("--")}
-        hints = [_meant(argument.partition("=")[0], options) for argument in unknown if argument.startswith("--")]
+        hints = [
+            _did_you_mean(argument.partition("=")[0], options) for argument in unknown if argument.startswith("--")
+        ]
         self.error(f"unrecognized arguments: {' '.join(unknown)}{next(filter(None, hints), '')}")
 
     @override
@@ -82,10 +84,10 @@ class VerbParser(argparse.ArgumentParser):
             return
         known = list(map(str, action.choices))
         if not isinstance(action, argparse._SubParsersAction):
-            text = f"invalid choice: {value!r} (choose from {', '.join(known)}){_meant(str(value), known)}"
+            text = f"invalid choice: {value!r} (choose from {', '.join(known)}){_did_you_mean(str(value), known)}"
             raise argparse.ArgumentError(action, text)
         described = {str(verb.dest): str(verb.help) for verb in action._choices_actions}
-        hint = _meant(str(value), known, described) or "."
+        hint = _did_you_mean(str(value), known, described) or "."
         raise argparse.ArgumentError(None, f"unknown command {value!r}{hint} '{self.prog} --help' lists all commands.")
 
     def _split(self, words: Iterable[str]) -> Iterator[str]:
@@ -109,7 +111,7 @@ class VerbParser(argparse.ArgumentParser):
         return nargs in ("+", "*") or (isinstance(nargs, int) and nargs > 1)
 
 
-def _meant(text: str, known: Iterable[str], described: Mapping[str, str] | None = None) -> str:
+def _did_you_mean(text: str, known: Iterable[str], described: Mapping[str, str] | None = None) -> str:
     """Return a hint such as ``. Did you mean status?``; "" if no known name is similar, or the text is very short.
 
     ``described`` has the help of each command; its words also suggest the command: ``echo`` suggests ``topic``.

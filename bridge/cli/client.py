@@ -74,7 +74,7 @@ def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = 
     wait or print less.
     """
     config = client_config(args)
-    with _connected(args, config) as session:
+    with _join_hub(args, config) as session:
         client = CliClient(session.hub, session.config, session.where, of_this_machine(args), config_file(args))
         reported = warn_of_daemon(args, config, workers=watches) if warn else []
         try:
@@ -88,7 +88,7 @@ def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = 
 
 
 @contextmanager
-def _connected(args: argparse.Namespace, config: Config) -> Iterator[Client]:
+def _join_hub(args: argparse.Namespace, config: Config) -> Iterator[Client]:
     """Join the hub; the error includes what this machine's daemon reports about its router."""
     with ExitStack() as stack:
         try:

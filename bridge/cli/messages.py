@@ -20,7 +20,7 @@ def message_text(message: Any, *, full: bool = False) -> str:
     import yaml  # not needed to list topics
 
     text: str = yaml.dump(
-        _shaped(message, full=full), Dumper=_dumper(), sort_keys=False, default_flow_style=False, allow_unicode=True,
+        _shortened(message, full=full), Dumper=_dumper(), sort_keys=False, default_flow_style=False, allow_unicode=True,
         width=1_000_000 if full else 160,
     )  # fmt: skip
     return text
@@ -39,12 +39,12 @@ def _dumper() -> Any:
     return Dumper
 
 
-def _shaped(value: Any, *, full: bool) -> Any:
+def _shortened(value: Any, *, full: bool) -> Any:
     if isinstance(value, dict):
-        return {name: _shaped(item, full=full) for name, item in value.items()}
+        return {name: _shortened(item, full=full) for name, item in value.items()}
     if isinstance(value, list):
         items = value if full else value[:MAX_ITEMS]
-        shaped = [_shaped(item, full=full) for item in items]
+        shaped = [_shortened(item, full=full) for item in items]
         if len(items) < len(value):
             shaped.append(f"... ({len(value)} in all)")
         nested = any(isinstance(item, dict | list) for item in items)

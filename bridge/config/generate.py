@@ -232,7 +232,7 @@ def _reference_section(title: str, model: type[BaseModel], description: str, pat
     yield "| Key | Value | Default | What it does |"
     yield "|---|---|---|---|"
     for key in keys(model):
-        default = "see there" if key.section is not None and not key.is_list else _shown(key)
+        default = "see there" if key.section is not None and not key.is_list else _default_text(key)
         yield f"| `{key.name}` | {_cell(key.value)} | {default} | {_cell(key.description)} |"
     for key in keys(model):
         if key.section is None:
@@ -243,7 +243,7 @@ def _reference_section(title: str, model: type[BaseModel], description: str, pat
         yield from _reference_section(f"`{inner}`", key.section, text, f"{inner}{'[]' if key.is_list else ''}.")
 
 
-def _shown(key: Key) -> str:
+def _default_text(key: Key) -> str:
     if key.default is None:
         return "needed" if key.required else "the machine's name"
     return "none" if key.default == "null" else f"`{key.default}`"

@@ -21,7 +21,7 @@ from bridge.config.zenoh_settings import zenoh_problems
 Config.model_rebuild()  # imports the models of all sections
 
 # paths that need not exist, because Midspan creates them
-MADE_BY_US: frozenset[KeyPath] = frozenset({("state",), ("record", "folder")})
+CREATED_PATHS: frozenset[KeyPath] = frozenset({("state",), ("record", "folder")})
 
 
 def find(environ: Mapping[str, str] = os.environ) -> Path | None:
@@ -70,7 +70,7 @@ def _config(document: Document) -> Config:
     if twice := listener_problems(document, config):
         raise ConfigError(twice)
     missing: list[Problem] = []
-    placed: Config = _placed(config, (), document, missing)
+    placed: Config = _resolve_paths(config, (), document, missing)
     if missing:
         raise ConfigError(missing)
     if refused := zenoh_problems(document, placed) or _mapping_rule_problems(document, placed):
@@ -90,22 +90,22 @@ def _without_empty(data: dict[str, Any], model: type[BaseModel]) -> dict[str, An
     return kept
 
 
-def _placed(value: Any, path: KeyPath, document: Document, missing: list[Problem]) -> Any:
+def _resolve_paths(value: Any, path: KeyPath, document: Document, missing: list[Problem]) -> Any:
     """Return the value with absolute paths, resolved from the file's folder; add missing files to ``missing``."""
     if isinstance(value, BaseModel):
         inner = {
-            name: _placed(getattr(value, name), (*path, key_name(name, info)), document, missing)
+            name: _resolve_paths(getattr(value, name), (*path, key_name(name, info)), document, missing)
             for name, info in type(value).model_fields.items()
         }
         changed = {name: new for name, new in inner.items() if new is not getattr(value, name)}
         return value.model_copy(update=changed) if changed else value
     if isinstance(value, tuple):
-        items = tuple(_placed(item, (*path, index), document, missing) for index, item in enumerate(value))
+        items = tuple(_resolve_paths(item, (*path, index), document, missing) for index, item in enumerate(value))
         return items if any(new is not old for new, old in zip(items, value, strict=True)) else value
     if not isinstance(value, Path):
         return value
     absolute = Path(os.path.abspath(document.file.parent / value.expanduser()))  # noqa: PTH100  keeps symbolic links
-    if path not in MADE_BY_US and not absolute.exists():
+    if path not in CREATED_PATHS and not absolute.exists():
         missing.append(document.problem(path, f"no such file or folder: {absolute}"))
     return absolute
 

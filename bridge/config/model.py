@@ -184,13 +184,13 @@ class Config(Section):
             sections["gateway"] = self.navigation
             sections |= self._own_planners
         defaults = {"map": self.navigation.map, "source": self.navigation.localizer}
-        return {name: _filled(section, defaults) for name, section in sections.items()}
+        return {name: _with_defaults(section, defaults) for name, section in sections.items()}
 
 
-def _filled(section: Section, defaults: dict[str, str | None]) -> Section:
+def _with_defaults(section: Section, defaults: dict[str, str | None]) -> Section:
     """Return the section with these values in place of None."""
-    left = {name: value for name, value in defaults.items() if getattr(section, name, value) is None}
-    return section.model_copy(update=left) if left else section
+    missing = {name: value for name, value in defaults.items() if getattr(section, name, value) is None}
+    return section.model_copy(update=missing) if missing else section
 
 
 def _with_registered_sections() -> type[Config]:

@@ -79,10 +79,10 @@ def _choice(value: Any, expected: str) -> str:
         return f"{value!r} is a text here; write {value} without quotes"
     near = difflib.get_close_matches(str(value), choices, n=1) if isinstance(value, str) else []
     hint = f"; did you mean '{near[0]}'?" if near else ""
-    return f"{_shown(value)} is not one of {', '.join(choices)}{hint}".replace("True", "true").replace("False", "false")
+    return f"{_short(value)} is not one of {', '.join(choices)}{hint}".replace("True", "true").replace("False", "false")
 
 
-def _shown(value: Any) -> str:
+def _short(value: Any) -> str:
     if isinstance(value, dict | list):
         return "a map" if isinstance(value, dict) else "a list"
     text = "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
@@ -174,11 +174,11 @@ def _text(error: Mapping[str, Any]) -> str:
         case "missing":
             return f"has no '{error['loc'][-1]}'"
         case "model_type" | "model_attributes_type":
-            return f"must be a section with keys, not {_shown(value)}"
+            return f"must be a section with keys, not {_short(value)}"
         case "string_pattern_mismatch":
-            return f"{_shown(value)} does not match {error['ctx']['pattern']}"
+            return f"{_short(value)} does not match {error['ctx']['pattern']}"
         case "dict_type" | "path_type" | "tuple_type":
             kind = {"dict_type": "map", "path_type": "path", "tuple_type": "list"}[error["type"]]
-            return f"{_shown(value)} is not a {kind}"
+            return f"{_short(value)} is not a {kind}"
         case _:
-            return f"{message[:1].lower()}{message[1:]}, not {_shown(value)}"
+            return f"{message[:1].lower()}{message[1:]}, not {_short(value)}"

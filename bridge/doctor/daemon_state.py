@@ -119,10 +119,10 @@ def daemon_state(config: Config, documents: Iterable[StatusDocument] = (), file:
         if pid and _holds(pid, lock):
             return DaemonState(config.name, Life.SILENT, pid, unit=unit)
         if pid and down is None:
-            down = DaemonState(config.name, Life.DOWN, pid, router=_outliving(place), unit=unit)
+            down = DaemonState(config.name, Life.DOWN, pid, router=_router_process(place), unit=unit)
     if down is not None:
         return down
-    orphan = _orphan([document for document in documents if document.daemon == config.name], config)
+    orphan = _orphaned_router([document for document in documents if document.daemon == config.name], config)
     return DaemonState(config.name, Life.DOWN if orphan else Life.UNKNOWN, router=orphan, unit=unit)
 
 
@@ -143,7 +143,7 @@ def unresponsive_router(config: Config) -> str:
     from bridge.hub.router import port_holder  # many commands need no router
 
     holder = port_holder(config.hub.listen)
-    routers = [_outliving(place) for place in places(config)]
+    routers = [_router_process(place) for place in places(config)]
     if holder is None or holder.pid not in routers:
         return ""
     place = connect_endpoint(config.hub.listen)
@@ -166,7 +166,7 @@ def restarted(restarts: int | None, ended: str) -> str:
     return f"restarted {times}" + (f"; last end: {ended}" if ended else "")
 
 
-def loops(report: WorkerReport) -> bool:
+def is_crash_looping(report: WorkerReport) -> bool:
     """Whether a worker keeps crashing, according to the daemon, even if it is starting or has just started."""
     settled = report.phase == Phase.UP.value and (report.since or 0.0) > _SETTLED_SECONDS
     return report.restarts >= _LOOPS and not settled
@@ -218,25 +218,25 @@ def _holds(pid: int, lock: Path) -> bool:
     try:
         inode, rows = str(lock.stat().st_ino), Path("/proc/locks").read_text(encoding="utf-8").splitlines()
     except OSError:
-        return _lives(pid)
+        return _is_alive(pid)
     held = {(row.split()[-4], row.split()[-3].rpartition(":")[2]) for row in rows if " FLOCK " in row}
     return (str(pid), inode) in held
 
 
-def _lives(pid: int) -> bool:
+def _is_alive(pid: int) -> bool:
     try:
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
     except psutil.Error:
         return False
 
 
-def _outliving(config: Config) -> int:
+def _router_process(config: Config) -> int:
     """Return the process of this daemon's router, which may outlive the daemon; 0 if it does not run."""
     pid = _holder(state_file.worker_lock(config, ROUTER.name))
-    return pid if pid and _lives(pid) else 0
+    return pid if pid and _is_alive(pid) else 0
 
 
-def _orphan(documents: list[StatusDocument], config: Config) -> int:
+def _orphaned_router(documents: list[StatusDocument], config: Config) -> int:
     """Return the process of another user's router if its daemon has exited and only the router still runs; else 0.
 
     A router that was started without a daemon ('midspan worker router') does not count.
@@ -264,7 +264,7 @@ def absent(report: DaemonStatus, phases: Container[str] = ABSENT, *, looping: bo
     return [
         _reported(report.daemon, worker)
         for worker in report.workers
-        if worker.phase in phases or (looping and loops(worker))
+        if worker.phase in phases or (looping and is_crash_looping(worker))
     ]
 
 
@@ -287,7 +287,7 @@ def _reported(daemon: str, report: WorkerReport) -> StatusDocument:
         pid=report.pid,
         restarts=report.restarts,
     )
-    return document.model_copy(update={"loops": True}) if loops(report) else document
+    return document.model_copy(update={"loops": True}) if is_crash_looping(report) else document
 
 
 def with_silent(documents: Sequence[StatusDocument], silent: Sequence[StatusDocument]) -> list[StatusDocument]:

@@ -61,14 +61,14 @@ def conflicts(
             text = f"{topic} has {len(types)} types on the hub ({', '.join(sorted(types))}) that do not match"
             notes.append(Note(text, "give one of them another name, or rename one with a rule"))
         for type_name, hashes in sorted(types.items()):
-            if len(hashes) > 1 and not _converted(type_name, hashes, workers, versions):
+            if len(hashes) > 1 and not _is_converted(type_name, hashes, workers, versions):
                 holders = "; ".join(f"{owners(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
                 text = f"{topic}: the definitions of {type_name} differ ({holders}); no messages are exchanged"
                 notes.append(Note(text, CURE))
     return notes
 
 
-def _converted(
+def _is_converted(
     type_name: str, hashes: Mapping[str, list[HubEndpoint]], workers: Collection[str],
     versions: Callable[[], TypeVersions] | None,
 ) -> bool:  # fmt: skip

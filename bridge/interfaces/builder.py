@@ -63,15 +63,15 @@ class PackageResolver:
             self._step(package, ())
         return [step for step in self._steps.values() if step is not None]
 
-    def _step(self, package: str, asking: tuple[str, ...]) -> BuildStep | None:
+    def _step(self, package: str, requested_by: tuple[str, ...]) -> BuildStep | None:
         """Return the step that builds a package; None if the package is installed."""
-        if package in asking:
-            circle = " -> ".join((*asking[asking.index(package) :], package))
+        if package in requested_by:
+            circle = " -> ".join((*requested_by[requested_by.index(package) :], package))
             raise BuildError(
                 f"packages depend on each other: {circle}", cure="Move the shared types to a third package"
             )
         if package not in self._steps:
-            self._steps[package] = None if self._is_installed(package) else self._new_step(package, asking)
+            self._steps[package] = None if self._is_installed(package) else self._new_step(package, requested_by)
         return self._steps[package]
 
     def _is_installed(self, package: str) -> bool:
@@ -87,14 +87,14 @@ class PackageResolver:
             )
         return True
 
-    def _new_step(self, package: str, asking: tuple[str, ...]) -> BuildStep:
+    def _new_step(self, package: str, requested_by: tuple[str, ...]) -> BuildStep:
         definitions = self._read(package)
         needed: dict[str, BuildStep] = {}
         installed: list[str] = []
         for name in sorted(frozenset().union(*(definition.needs for definition in definitions))):
             if not self._exists(name):
                 raise _unknown_package(name, definitions)
-            step = self._step(name, (*asking, package))
+            step = self._step(name, (*requested_by, package))
             if step is None:
                 installed.append(f"{name} {self._ros2.packages[name].version}")
             else:
@@ -204,7 +204,7 @@ def _prepare(step: BuildStep, scratch: Path, prefix: Path, ros2: Ros2) -> Job:
         libraries=prefix / "lib",
         extension=prefix / SITE / step.package,
         dependencies=(
-            *map(_built, step.needs),
+            *map(_dependency, step.needs),
             *(Dependency(p.name, p.prefix / "lib") for p in ros2.packages.values()),
         ),
         jobs=min(JOBS, os.cpu_count() or 1),
@@ -214,7 +214,7 @@ def _prepare(step: BuildStep, scratch: Path, prefix: Path, ros2: Ros2) -> Job:
     return job
 
 
-def _built(step: BuildStep) -> Dependency:
+def _dependency(step: BuildStep) -> Dependency:
     # from <cache>/packages/<one>/lib to <cache>/packages/<other>/lib
     runpath = f"$ORIGIN/../../{step.prefix.name}/lib"
     return Dependency(step.package, step.prefix / "lib", runpath, (step.prefix / "include" / step.package,))

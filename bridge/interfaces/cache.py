@@ -146,7 +146,7 @@ def activate(*prefixes: Path) -> tuple[str, ...]:
     packages = _merged(prefixes)
     for prefix in reversed(prefixes):
         sys.path[:] = [str(prefix / SITE), *(entry for entry in sys.path if entry != str(prefix / SITE))]
-    os.environ["AMENT_PREFIX_PATH"] = _joined([str(prefix) for prefix in prefixes], "AMENT_PREFIX_PATH")
+    os.environ["AMENT_PREFIX_PATH"] = _prepend([str(prefix) for prefix in prefixes], "AMENT_PREFIX_PATH")
     return tuple(name for name, folder in packages.items() if _is_loaded_from_elsewhere(name, folder))
 
 
@@ -157,9 +157,9 @@ def environment(prefixes: Sequence[Path]) -> dict[str, str]:
     """
     _merged(prefixes)
     return {
-        "PYTHONPATH": _joined([str(prefix / SITE) for prefix in prefixes], "PYTHONPATH"),
-        "AMENT_PREFIX_PATH": _joined([str(prefix) for prefix in prefixes], "AMENT_PREFIX_PATH"),
-        "LD_LIBRARY_PATH": _joined([str(folder) for folder in Ros2.find().libraries], "LD_LIBRARY_PATH"),
+        "PYTHONPATH": _prepend([str(prefix / SITE) for prefix in prefixes], "PYTHONPATH"),
+        "AMENT_PREFIX_PATH": _prepend([str(prefix) for prefix in prefixes], "AMENT_PREFIX_PATH"),
+        "LD_LIBRARY_PATH": _prepend([str(folder) for folder in Ros2.find().libraries], "LD_LIBRARY_PATH"),
         # the wheels restart Python once to set LD_LIBRARY_PATH, unless this variable marks it as set
         "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
     }
@@ -194,7 +194,7 @@ def _merged(prefixes: Iterable[Path]) -> dict[str, Path]:
     return merged
 
 
-def _joined(entries: Sequence[str], variable: str) -> str:
+def _prepend(entries: Sequence[str], variable: str) -> str:
     present = [entry for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
     return os.pathsep.join(dict.fromkeys((*entries, *present)))
 

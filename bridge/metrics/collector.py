@@ -21,7 +21,7 @@ from bridge.module_keys import GatewayKeys, StoreContent, StoreKeys
 from bridge.sides import all_networks
 from bridge.status import EndpointStatus, ModuleStatus, RouterStatus, StatusDocument, WorkerStatus
 
-MOST_CUSTOM = 50
+MAX_CUSTOM = 50
 """Maximum number of custom metrics that a worker may add."""
 
 _CUSTOM_NAME = re.compile(r"[a-z][a-z0-9_]{0,60}")
@@ -174,7 +174,7 @@ def _add_custom(families: Families, document: StatusDocument) -> None:
     """
     worker = re.sub(r"[^a-z0-9_]", "_", document.worker.lower())
     samples = [(name, value) for name, value in document.metrics.items() if _CUSTOM_NAME.fullmatch(name)]
-    for name, value in samples[:MOST_CUSTOM]:
+    for name, value in samples[:MAX_CUSTOM]:
         title = name.removesuffix("_total").replace("_", " ")
         kind: Kind = "counter" if name.endswith("_total") else "gauge"
         families.add_custom(Family(f"midspan_{worker}_{name}", kind, f"Reported by {worker}: {title}."), float(value))

@@ -13,7 +13,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 
 Kind = Literal["gauge", "counter", "histogram"]
 
-_MOST_LABEL = 200
+_MAX_LABEL = 200
 """Maximum length of a label value, in characters, because the length of topic names is not limited."""
 
 
@@ -132,4 +132,4 @@ class Families:
 
 def label(value: object) -> str:
     """Return a label value as valid UTF-8 of bounded length."""
-    return str(value)[:_MOST_LABEL].encode(errors="replace").decode()
+    return str(value)[:_MAX_LABEL].encode(errors="replace").decode()

@@ -38,7 +38,7 @@ def room(folder: Path) -> int | None:
     return status.f_bavail * status.f_frsize if status.f_blocks else None
 
 
-class _Out:
+class _UnbufferedFile:
     """A new file without a buffer: each write is passed to the system at once. Raises `OSError`."""
 
     def __init__(self, path: Path) -> None:
@@ -68,7 +68,7 @@ class _Out:
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenFile:
     """The contents of a closed file; times are in nanoseconds since 1970.
 
     Attributes:
@@ -101,7 +101,7 @@ class RecordFile:
     def __init__(self, path: Path, compression: Compression, about: dict[str, str]) -> None:
         self.path, self.opened = path, time.monotonic()
         self.begin = self.end = time.time_ns()
-        self._out = _Out(path)
+        self._out = _UnbufferedFile(path)
         self._channels: dict[ChannelKey, tuple[int, ChannelInfo]] = {}
         self._counts: dict[int, int] = {}
         self._fresh: dict[int, int] = {}
@@ -157,21 +157,21 @@ class RecordFile:
         self._fresh[number] = self._fresh.get(number, 0) + 1
         self.begin, self.end = min(self.begin, log_time), max(self.end, log_time)
         if self._writer.write(number, log_time, arrival.publish_time, data, arrival.sequence):
-            self._wrote()
+            self._on_written()
 
     def flush(self) -> None:
         """Write the open chunk; raises `DiskFullError` or another `OSError`."""
         if self._writer.pending:
             self._check_room(0)
             self._writer.flush()
-        self._wrote()
+        self._on_written()
 
     def _check_room(self, more: int) -> None:
         free = room(self.path.parent)
         if free is not None and free < self._writer.pending + more + RESERVE:
             raise DiskFullError(28, f"only {free >> 20} MB are free", str(self.path.parent))
 
-    def _wrote(self) -> None:
+    def _on_written(self) -> None:
         self.safe, self.messages = self._out.position, self._writer.messages
         for counts in self._pending.values():
             counts.wrote()
@@ -180,16 +180,16 @@ class RecordFile:
             self._counts[number] = self._counts.get(number, 0) + fresh
         self._fresh.clear()
 
-    def close(self, ending: dict[str, str] | None = None) -> Written:
+    def close(self, ending: dict[str, str] | None = None) -> WrittenFile:
         """Write the summary, and metadata ``midspan.end`` if given; after an `OSError`, `abandon` the file."""
         if ending:
             self._writer.metadata("midspan.end", ending)
         self._writer.finish()
-        self._wrote()
+        self._on_written()
         self._out.close()
         return self._written(whole=True)
 
-    def abandon(self) -> Written:
+    def abandon(self) -> WrittenFile:
         """Truncate a file to its last complete chunk, because it can no longer be written, and close it.
 
         The messages of the open chunk are lost.
@@ -203,9 +203,11 @@ class RecordFile:
             self._out.close()
         return self._written(whole=False)
 
-    def _written(self, *, whole: bool) -> Written:
+    def _written(self, *, whole: bool) -> WrittenFile:
         topics = tuple((info, self._counts.get(number, 0)) for number, info in self._channels.values())
-        return Written(self.path, self._out.position, self.messages, self.begin, self.end, topics=topics, whole=whole)
+        return WrittenFile(
+            self.path, self._out.position, self.messages, self.begin, self.end, topics=topics, whole=whole
+        )
 
 
 def total(counts: Iterable[TopicCounts]) -> tuple[int, int, dict[str, int]]:

@@ -12,7 +12,7 @@ from bridge.record.arrivals import RecordedMessage
 
 MAX_BYTES = 128 << 20
 """Maximum size of the stored messages in bytes; the oldest are dropped first."""
-MOST_UNKNOWN = 256
+MAX_UNKNOWN = 256
 """Maximum number of publishers that are not in the graph yet, each with one stored message."""
 
 
@@ -33,7 +33,7 @@ class LatchedState:
             return
         key = arrival.counts.key, gid
         if key not in self._stored:
-            if len(self._unknown) >= MOST_UNKNOWN and self._graph.endpoint(gid) is None:
+            if len(self._unknown) >= MAX_UNKNOWN and self._graph.endpoint(gid) is None:
                 return
             self._stored[key] = deque(maxlen=1)
             self._unknown.add(key)

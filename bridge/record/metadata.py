@@ -11,12 +11,12 @@ from typing import Any
 
 from bridge.bags.mcap_writer import ChannelInfo
 from bridge.bags.qos import qos_yaml
-from bridge.record.file import Written
+from bridge.record.file import WrittenFile
 
 VERSION = 9
 
 
-def write_metadata(folder: Path, files: Sequence[Written]) -> None:
+def write_metadata(folder: Path, files: Sequence[WrittenFile]) -> None:
     """Replace the file, either completely or not at all; raises `OSError`."""
     import yaml  # recordings of single files do not need it
 
@@ -25,7 +25,7 @@ def write_metadata(folder: Path, files: Sequence[Written]) -> None:
     temporary.replace(folder / "metadata.yaml")
 
 
-def metadata(files: Sequence[Written]) -> dict[str, Any]:
+def metadata(files: Sequence[WrittenFile]) -> dict[str, Any]:
     """Return the metadata of one or several files."""
     channels: dict[tuple[str, str], list[tuple[ChannelInfo, int]]] = {}
     for file in files:
@@ -65,7 +65,7 @@ def _topic(channels: Sequence[tuple[ChannelInfo, int]]) -> dict[str, Any]:
     return {"topic_metadata": about, "message_count": sum(messages for _, messages in channels)}
 
 
-def _file(file: Written) -> dict[str, Any]:
+def _file(file: WrittenFile) -> dict[str, Any]:
     return {
         "path": file.path.name,
         "starting_time": {"nanoseconds_since_epoch": file.begin},

@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 from typing import Protocol
 
-from bridge.record.file import Written
+from bridge.record.file import WrittenFile
 from bridge.record.metadata import write_metadata
 from bridge.record.section import KeepSection
 
@@ -28,7 +28,7 @@ class RecordPlace(Protocol):
         """Return the path of the next file and create its folder; raises `OSError`."""
         ...
 
-    def closed(self, written: Written, /) -> None:
+    def closed(self, written: WrittenFile, /) -> None:
         """Handle a closed file."""
         ...
 
@@ -53,7 +53,7 @@ class Files:
         name = f"{self._base.name}_{number}" if self._split or number else self._base.name
         return self._base.with_name(f"{name}.mcap")
 
-    def closed(self, _written: Written) -> None:
+    def closed(self, _written: WrittenFile) -> None:
         """Increment the file number, only now so that a file that could not be created leaves no gap."""
         self._number += 1
 
@@ -65,7 +65,7 @@ class BagFolder:
         self._folder = folder
         self._files = Files(folder / folder.name, split=True)
         self._made = False
-        self._written: list[Written] = []
+        self._written: list[WrittenFile] = []
 
     def next(self) -> Path:
         """Return the path of the next file; raises `FileExistsError` if the folder already existed."""
@@ -74,7 +74,7 @@ class BagFolder:
             self._made = True
         return self._files.next()
 
-    def closed(self, written: Written) -> None:
+    def closed(self, written: WrittenFile) -> None:
         """Add the file to the metadata; raises `OSError`."""
         self._written.append(written)
         self._files.closed(written)
@@ -107,7 +107,7 @@ class KeptFolder:
         self.prune()
         return self._now
 
-    def closed(self, _written: Written) -> None:
+    def closed(self, _written: WrittenFile) -> None:
         """Delete old recordings."""
         self.prune()
 

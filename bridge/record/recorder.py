@@ -95,7 +95,7 @@ class Recorder:
         return path
 
     def trigger(self, why: str) -> Future[Path | None]:
-        """Start saving the ring's files. The future returns their folder, or None for an empty ring, or an `OSError`."""
+        """Start saving the ring's files. The future has their folder, None for an empty ring, or an `OSError`."""
         return self._post(partial(self._files.keep, why))
 
     def _post(self, action: Callable[[], Any]) -> Future[Any]:

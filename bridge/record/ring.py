@@ -14,7 +14,7 @@ from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
-from bridge.record.file import Written
+from bridge.record.file import WrittenFile
 from bridge.record.metadata import write_metadata
 from bridge.record.places import KeptFolder
 from bridge.record.section import RingSection
@@ -39,7 +39,7 @@ class Ring:
     def __init__(self, place: KeptFolder, section: RingSection) -> None:
         self._place, self._section = place, section
         self._folder = place.folder / ".ring"
-        self._segments: deque[Written] = deque()
+        self._segments: deque[WrittenFile] = deque()
         self._ready = False
         self.segment_seconds = max(section.seconds / SEGMENTS, 0.5)
         self.segment_bytes = (section.size << 20) // SEGMENTS
@@ -63,7 +63,7 @@ class Ring:
             self._ready = True
         return self._folder / f"{time.time_ns()}.mcap"
 
-    def closed(self, written: Written) -> None:
+    def closed(self, written: WrittenFile) -> None:
         """Add a file, and delete the oldest files if the ring is too long or too large."""
         self._segments.append(written)
         self.prune()
@@ -91,7 +91,7 @@ class Ring:
             return None
         folder = self._place.base()
         folder.mkdir(parents=True)
-        moved: list[Written] = []
+        moved: list[WrittenFile] = []
         while self._segments:
             segment = self._segments[0]
             path = folder / f"{folder.name}_{len(moved)}.mcap"

@@ -54,25 +54,25 @@ class Triggers:
                     _log.warning("trigger %s: %s", key.topic, topic.trouble)
 
     def _on_message(self, key: TopicKey, _sample: HubSample) -> None:
-        self._pull(f"a message on {key.topic}")
+        self._trigger(f"a message on {key.topic}")
 
     def _halt(self, _params: Any) -> dict[str, Any]:
-        self._pull("halt")
+        self._trigger("halt")
         return RECORDED
 
     def _on_status(self, status: dict[str, Any]) -> None:
         before, self._state = self._state, str(status["state"])
         if self._state in _FAILED and before != self._state:
-            self._pull(f"a goal failed: {status['reason'] or self._state}")
+            self._trigger(f"a goal failed: {status['reason'] or self._state}")
 
-    def _pull(self, why: str) -> None:
+    def _trigger(self, why: str) -> None:
         """Trigger unless a trigger occurred recently; may be called from any thread."""
         now = time.monotonic()
         if now >= self._quiet_until:
             self._quiet_until = now + QUIET_SECONDS
-            self._keep(why).add_done_callback(self._kept)
+            self._keep(why).add_done_callback(self._on_kept)
 
-    def _kept(self, future: Future[Path | None]) -> None:
+    def _on_kept(self, future: Future[Path | None]) -> None:
         """Accept the next trigger at once if this trigger saved nothing."""
         if future.exception() is not None or future.result() is None:
             self._quiet_until = 0.0

@@ -52,7 +52,7 @@ class Recording:
         registry = Registry.of(config.types)
         self._changed = Event()
         about = {"daemon": config.name, "version": __version__}
-        with yielding():
+        with low_priority():
             self.host = Host(name, config, registry)
             self.recorder = Recorder(self.host.node.hub, registry, section, place, about, self._changed.set)
         self._taps = Taps(self.host.node.hub, self.recorder.selection)
@@ -101,7 +101,7 @@ class Recording:
 
 
 @contextmanager
-def yielding() -> Iterator[None]:
+def low_priority() -> Iterator[None]:
     """Lower the priority of threads that start in this context (Linux), so that publishers do not wait for them.
 
     Threads that zenoh's threads start later inherit the priority, even if they do other work of the process.

@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bridge.bags.bag import BagError, BagMessage, Kind
-from bridge.bags.copy import BagSelection, Copied, convert, cut
+from bridge.bags.copy import BagSelection, CopyResult, convert, cut
 from bridge.bags.reader import open_bag
 from bridge.messages.registry import Registry
 from bridge.routing.rules import NameFilter
@@ -48,7 +48,7 @@ def registry() -> Registry:
     return Registry()
 
 
-def copied(source: Path, target: Path, registry: Registry, **more: Any) -> Copied:
+def copied(source: Path, target: Path, registry: Registry, **more: Any) -> CopyResult:
     with open_bag(source) as bag:
         return convert(bag, target, _KINDS[target.suffix], registry, **more)
 

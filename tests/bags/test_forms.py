@@ -14,7 +14,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
 
 from bridge.bags.bag import BagError
-from bridge.bags.copy import BagSelection, Copied, convert
+from bridge.bags.copy import BagSelection, CopyResult, convert
 from bridge.bags.definitions import full_definition, full_schema, stored_definition
 from bridge.bags.reader import open_bag
 from bridge.bags.writers import kind_of
@@ -58,7 +58,7 @@ def ros2_file(path: Path, topics: Sequence[tuple[str, str, str, bytes]], encodin
     return path
 
 
-def converted(source: Path, target: Path, **more: Any) -> Copied:
+def converted(source: Path, target: Path, **more: Any) -> CopyResult:
     with open_bag(source) as bag:
         return convert(bag, target, kind_of(target), Registry(), **more)
 

@@ -12,7 +12,7 @@ import pytest
 
 from bridge.bags.bag import BagError, BagTopic
 from bridge.bags.play.player import LEAST_SECONDS, Player
-from bridge.bags.play.source import Played, PlayPart, PlaySource
+from bridge.bags.play.source import PlayMessage, PlayPart, PlaySource
 from bridge.bags.play.timeline import Timeline, Wait
 from bridge.bags.play.topics import CommandTopics, LeftOut, PlayChoice, PlayTopic, choose
 from bridge.bags.reader import open_bag
@@ -45,12 +45,12 @@ class Tape:
         self.begin_ns, self.end_ns = START, START + max(round(at * NS) for at, _ in messages)
         self.bad: list[tuple[PlayTopic, str]] = []
         self.troubles: list[str] = []
-        self._messages = [Played(topic, START + round(at * NS), str(at).encode()) for at, topic in messages]
+        self._messages = [PlayMessage(topic, START + round(at * NS), str(at).encode()) for at, topic in messages]
 
-    def kept(self) -> list[Played]:
+    def kept(self) -> list[PlayMessage]:
         return []
 
-    def messages(self) -> Iterator[Played]:
+    def messages(self) -> Iterator[PlayMessage]:
         return iter(self._messages)
 
 
@@ -178,7 +178,7 @@ def test_the_velocity_ends_at_the_damage_of_a_bag(tmp_path: Path) -> None:
     stage = Stage((0.0, DRIVE), (1.0, DRIVE))
     messages = stage.tape.messages
 
-    def damaged() -> Iterator[Played]:
+    def damaged() -> Iterator[PlayMessage]:
         yield from messages()
         raise BagError(tmp_path, "is damaged", 17)
 

@@ -12,7 +12,7 @@ from prometheus_client.openmetrics import exposition as openmetrics
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families as parse
 
-from bridge.metrics.collector import MOST_CUSTOM, MidspanCollector
+from bridge.metrics.collector import MAX_CUSTOM, MidspanCollector
 from bridge.metrics.source import Snapshot
 from bridge.routing.counters import DROPS
 from tests.metrics.documents import route, service, side, snapshot
@@ -190,8 +190,8 @@ def test_a_worker_may_add_metrics() -> None:
     assert scrape.value("midspan_record_written_bytes_total") == 12
     assert not [name for name in families if name.startswith("midspan_record") and name.endswith(("name", "text"))]
     assert scrape.value("midspan_build_info", daemon="here") == 1, "the name is in use"
-    many = Scrape({"worker": "x", "metrics": {f"n{n}": n for n in range(2 * MOST_CUSTOM)}})
-    assert sum(name.startswith("midspan_x_") for name in many.families()) == MOST_CUSTOM
+    many = Scrape({"worker": "x", "metrics": {f"n{n}": n for n in range(2 * MAX_CUSTOM)}})
+    assert sum(name.startswith("midspan_x_") for name in many.families()) == MAX_CUSTOM
 
 
 def test_openmetrics_is_parsed() -> None:

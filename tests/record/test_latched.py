@@ -69,7 +69,7 @@ def test_messages_of_a_volatile_publisher_are_dropped_once_it_is_known(graph: Gr
 def test_messages_of_unknown_publishers_are_limited(
     graph: Graph, state: LatchedState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(latched, "MOST_UNKNOWN", 2)
+    monkeypatch.setattr(latched, "MAX_UNKNOWN", 2)
     gids = [bytes([number]) * 16 for number in range(4)]
     for number, gid in enumerate(gids):
         state.saw(message(number, gid))

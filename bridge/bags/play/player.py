@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
-from bridge.bags.play.source import Played
+from bridge.bags.play.source import PlayMessage
 from bridge.bags.play.timeline import Due, Timeline
 from bridge.bags.play.topics import PlayTopic
 from bridge.hub.errors import HubClosedError, HubError
@@ -34,11 +34,11 @@ class Messages(Protocol):
     bad: list[tuple[PlayTopic, str]]
     troubles: list[str]
 
-    def kept(self) -> list[Played]:
+    def kept(self) -> list[PlayMessage]:
         """Return the messages to publish at the start: static transforms and latched messages."""
         ...
 
-    def messages(self) -> Iterator[Played]:
+    def messages(self) -> Iterator[PlayMessage]:
         """Yield all other messages in order of time."""
         ...
 
@@ -129,7 +129,7 @@ class Player:
             else:
                 return due
 
-    def _play(self, message: Played) -> bool:
+    def _play(self, message: PlayMessage) -> bool:
         """Play a message when it is due; return False if the play is stopped."""
         topic = message.topic
         due = self._await(message.time_ns)

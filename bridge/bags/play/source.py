@@ -30,7 +30,7 @@ class PlayPart:
     duration: float | None = None
 
 
-class Played(NamedTuple):
+class PlayMessage(NamedTuple):
     """A message: ``data`` in the bag's serialization, or CDR if ``ready``."""
 
     topic: PlayTopic
@@ -64,19 +64,19 @@ class PlaySource:
         self.end_ns = last if part.duration is None else min(last, self.begin_ns + int(part.duration * _NS))
         self.bad: list[tuple[PlayTopic, str]] = []
         self.troubles: list[str] = []
-        self._kept: list[Played] | None = None
+        self._kept: list[PlayMessage] | None = None
 
-    def kept(self) -> list[Played]:
+    def kept(self) -> list[PlayMessage]:
         """Return the latched messages at the part's start, and all static transforms of the bags, merged."""
         if self._kept is None:
             self._kept = [*self._static(), *self._latched()]
         return self._kept
 
-    def messages(self) -> Iterator[Played]:
+    def messages(self) -> Iterator[PlayMessage]:
         """Yield the other messages of the part, in order of time."""
         return self._merged(lambda topic: not topic.static, self.begin_ns, self.end_ns + 1)
 
-    def _static(self) -> Iterator[Played]:
+    def _static(self) -> Iterator[PlayMessage]:
         whole: dict[tuple[str, str], tuple[PlayTopic, StaticTransforms, bytes]] = {}
         for topic, _, data, _ in self._selected(lambda topic: topic.static, None):
             key = topic.name, topic.type_hash
@@ -88,13 +88,13 @@ class PlaySource:
             whole[key] = first, transforms, before
         for topic, _, data in whole.values():
             if data:
-                yield Played(topic, self.begin_ns, data, ready=True)
+                yield PlayMessage(topic, self.begin_ns, data, ready=True)
 
-    def _latched(self) -> Iterator[Played]:
+    def _latched(self) -> Iterator[PlayMessage]:
         """Yield the latched messages from before the start."""
         if all(bag.start_ns >= self.begin_ns for bag in self._bags):
             return
-        latched: dict[PlayTopic, deque[Played]] = {}
+        latched: dict[PlayTopic, deque[PlayMessage]] = {}
         for message in self._selected(lambda topic: topic.qos.latched and not topic.static, self.begin_ns):
             depth = min(max(message.topic.qos.depth, 1), MAX_LATCHED)
             latched.setdefault(message.topic, deque(maxlen=depth)).append(message)
@@ -105,7 +105,7 @@ class PlaySource:
                 return
             yield from messages
 
-    def _selected(self, wanted: Callable[[PlayTopic], bool], end_ns: int | None) -> Iterator[Played]:
+    def _selected(self, wanted: Callable[[PlayTopic], bool], end_ns: int | None) -> Iterator[PlayMessage]:
         """Yield all messages of the ``wanted`` topics before ``end_ns``; stop reading the bags after the last one."""
         left = sum(topic.topic.count for topics in self._bags.values() for topic in topics if wanted(topic))
         if not left:
@@ -121,7 +121,7 @@ class PlaySource:
 
     def _merged(
         self, wanted: Callable[[PlayTopic], bool], start_ns: int | None, end_ns: int | None
-    ) -> Iterator[Played]:  # fmt: skip
+    ) -> Iterator[PlayMessage]:  # fmt: skip
         streams = []
         for bag, topics in self._bags.items():
             chosen = {topic.topic: topic for topic in topics if wanted(topic)}
@@ -132,6 +132,6 @@ class PlaySource:
 
 def _messages(
     bag: Bag, topics: Mapping[BagTopic, PlayTopic], start_ns: int | None, end_ns: int | None
-) -> Iterator[Played]:  # fmt: skip
+) -> Iterator[PlayMessage]:  # fmt: skip
     for message in bag.messages(list(topics), start_ns, end_ns):
-        yield Played(topics[message.topic], message.time_ns, message.data)
+        yield PlayMessage(topics[message.topic], message.time_ns, message.data)

@@ -184,7 +184,7 @@ def _resolve(
     return PlayTopic(topic, name, form.type_name, type_hash, convert, form.definition, qos, command, static)
 
 
-def twice(topics: Sequence[PlayTopic]) -> set[str]:
+def names_with_several_types(topics: Sequence[PlayTopic]) -> set[str]:
     """Return names that are played with several types, of which a subscriber receives only one."""
     kinds: dict[str, set[str]] = {}
     for topic in topics:

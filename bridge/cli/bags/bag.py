@@ -19,7 +19,7 @@ from bridge.text import clean, duration, make_console, plural, rate, size
 
 if TYPE_CHECKING:
     from bridge.bags.bag import Bag, BagTopic
-    from bridge.bags.copy import BagSelection, Copied, OnProgress
+    from bridge.bags.copy import BagSelection, CopyResult, OnProgress
 
 _NS = 1_000_000_000
 _UNIX = 1e8
@@ -90,29 +90,29 @@ def _moment(text: str) -> tuple[bool, int]:
         raise argparse.ArgumentTypeError(msg) from None
 
 
-_ended: list[int] = []
+_signals: list[int] = []
 """The received signals; stored because Python loses an exception that is raised inside some of its callbacks, as during
 an import."""
 
 
-def _end(number: int, _frame: object) -> None:
-    _ended.append(number)
-    if len(_ended) == 1:  # the exception of a second signal would interrupt the cleanup of the first
+def _on_signal(number: int, _frame: object) -> None:
+    _signals.append(number)
+    if len(_signals) == 1:  # the exception of a second signal would interrupt the cleanup of the first
         # not a KeyboardInterrupt: inside an `eval`, as during an import, it would change the exit code
         raise SystemExit(128 + number)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Bag]:
+def _open(path: Path) -> Iterator[Bag]:
     """Open a bag, and report its errors as `CliError`. SIGTERM and Ctrl-C exit after removing half-written files.
 
     Ignored signals stay ignored, because Ctrl-C in a shell script must not end a background command.
     """
     from bridge.bags.reader import BagError, open_bag
 
-    _ended.clear()
+    _signals.clear()
     handled = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, _end) for number in handled}
+    before = {number: signal.signal(number, _on_signal) for number in handled}
     try:
         with open_bag(path) as bag:
             yield bag
@@ -123,7 +123,7 @@ def _opened(path: Path) -> Iterator[Bag]:
             signal.signal(number, handler)
 
 
-def _choice(args: argparse.Namespace, bag: Bag) -> BagSelection:
+def _selection(args: argparse.Namespace, bag: Bag) -> BagSelection:
     from bridge.bags.copy import BagSelection
     from bridge.routing.rules import NameFilter
 
@@ -137,7 +137,7 @@ def _choice(args: argparse.Namespace, bag: Bag) -> BagSelection:
 
 
 def _info(args: argparse.Namespace) -> int:
-    with _opened(args.bag) as bag:
+    with _open(args.bag) as bag:
         info = describe(bag)
     if args.json:
         print_json(info)
@@ -148,7 +148,7 @@ def _info(args: argparse.Namespace) -> int:
 
 def describe(bag: Bag) -> dict[str, Any]:
     """Return the output of ``midspan bag info``."""
-    lasted = (bag.end_ns - bag.start_ns) / _NS
+    seconds = (bag.end_ns - bag.start_ns) / _NS
     return {
         "file": str(bag.path),
         "format": bag.kind,
@@ -156,17 +156,17 @@ def describe(bag: Bag) -> dict[str, Any]:
         "compression": bag.compression,
         "start": bag.start_ns / _NS,
         "end": bag.end_ns / _NS,
-        "seconds": lasted,
+        "seconds": seconds,
         "messages": sum(topic.count for topic in bag.topics),
         "unfinished": bag.unfinished,
         "trouble": None if bag.trouble is None else str(bag.trouble),
         "not_read": list(bag.left_out),
         "about": {name: dict(values) for name, values in bag.about.items()},
-        "topics": [_describe_topic(topic, lasted) for topic in sorted(bag.topics, key=lambda topic: topic.name)],
+        "topics": [_describe_topic(topic, seconds) for topic in sorted(bag.topics, key=lambda topic: topic.name)],
     }
 
 
-def _describe_topic(topic: BagTopic, lasted: float) -> dict[str, Any]:
+def _describe_topic(topic: BagTopic, seconds: float) -> dict[str, Any]:
     return {
         "name": topic.name,
         "type": topic.type_name,
@@ -174,7 +174,7 @@ def _describe_topic(topic: BagTopic, lasted: float) -> dict[str, Any]:
         "type_hash": topic.type_hash,
         "defined": bool(topic.definition),
         "messages": topic.count,
-        "rate": round((topic.count - 1) / lasted, 3) if lasted > 0 and topic.count > 1 else 0.0,
+        "rate": round((topic.count - 1) / seconds, 3) if seconds > 0 and topic.count > 1 else 0.0,
         "latched": topic.qos.latched,
         "reliability": topic.qos.reliability.name.lower(),
         "metadata": dict(topic.metadata),
@@ -221,10 +221,10 @@ def _convert(args: argparse.Namespace) -> int:
     from bridge.messages.registry import Registry
 
     registry = Registry.of(load(args.config).types)
-    with _opened(args.bag) as bag:
+    with _open(args.bag) as bag:
         kind = kind_of(args.out)
-        choice = _choice(args, bag)
-        begun = time.monotonic()
+        choice = _selection(args, bag)
+        started = time.monotonic()
         with _progress(bag) as on_progress:
             done = convert(
                 bag, args.out, kind, registry, choice, args.compression or "",
@@ -233,7 +233,7 @@ def _convert(args: argparse.Namespace) -> int:
         if bag.trouble is not None:
             done.damage.append(bag.trouble)
         left_out = bag.left_out
-    _report(args, done, time.monotonic() - begun, left_out)
+    _report(args, done, time.monotonic() - started, left_out)
     return 0
 
 
@@ -249,17 +249,17 @@ def _cut_or_mend(args: argparse.Namespace, *, mend: bool) -> int:
     from bridge.bags.copy import BagSelection, cut
     from bridge.bags.writers import kind_of
 
-    with _opened(args.bag) as bag:
+    with _open(args.bag) as bag:
         if kind_of(args.out) != bag.kind:
             extension = f"{args.out} has the extension of another format"
             raise CliError(f"{args.bag} is {bag.kind}, but {extension}; use 'midspan bag convert'")
-        choice = BagSelection() if mend else _choice(args, bag)
-        begun = time.monotonic()
+        choice = BagSelection() if mend else _selection(args, bag)
+        started = time.monotonic()
         with _progress(bag) as on_progress:
             done = cut(bag, args.out, choice, args.compression or "", mend=mend, on_progress=on_progress)
         if bag.trouble is not None and not mend:
             done.damage.append(bag.trouble)
-    _report(args, done, time.monotonic() - begun)
+    _report(args, done, time.monotonic() - started)
     return 0
 
 
@@ -274,18 +274,18 @@ def _progress(bag: Bag) -> Iterator[OnProgress]:
     columns = (BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task("", total=total, speed="")
-        begun = time.monotonic()
+        started = time.monotonic()
 
         def on_progress(messages: int, data: int) -> None:
-            if _ended:
-                raise SystemExit(128 + _ended[0])
-            speed = f"{size(data)}, {size(data / max(time.monotonic() - begun, 1e-3))}/s"
+            if _signals:
+                raise SystemExit(128 + _signals[0])
+            speed = f"{size(data)}, {size(data / max(time.monotonic() - started, 1e-3))}/s"
             bar.update(task, completed=messages, speed=speed)
 
         yield on_progress
 
 
-def _report(args: argparse.Namespace, done: Copied, seconds: float, left_out: tuple[str, ...] = ()) -> None:
+def _report(args: argparse.Namespace, done: CopyResult, seconds: float, left_out: tuple[str, ...] = ()) -> None:
     document = {
         "file": str(args.out),
         "messages": done.messages,

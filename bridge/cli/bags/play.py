@@ -105,14 +105,14 @@ def run(args: argparse.Namespace) -> int:
 
     try:
         with ExitStack() as stack:
-            bags = _opened(args.files, stack)
+            bags = _open_bags(args.files, stack)
             with open_client(args) as client, _signals() as ended:
                 return _play(args, client, bags, ended)
     except BagError as err:
         raise CliError(str(err)) from None
 
 
-def _opened(files: list[Path], stack: ExitStack) -> list[Bag]:
+def _open_bags(files: list[Path], stack: ExitStack) -> list[Bag]:
     from bridge.bags.reader import open_bag
 
     bags = [stack.enter_context(open_bag(file)) for file in files]
@@ -186,13 +186,13 @@ def _play(args: argparse.Namespace, client: Client, bags: list[Bag], ended: thre
 
 
 def _report_choice(topics: list[PlayTopic], left: list[LeftOut], rate: float) -> None:
-    from bridge.bags.play.topics import twice
+    from bridge.bags.play.topics import names_with_several_types
 
     for other in left:
         _print_note(f"{other.name} ({other.type_name}) is left out: {other.why}")
     if not topics:
         raise CliError("there is nothing to play: no topic remains" + ("" if left else " after --topics and --exclude"))
-    for name in sorted(twice(topics)):
+    for name in sorted(names_with_several_types(topics)):
         _print_note(f"{name} has several types in the bags, and each subscriber receives only one of them")
     if moving := sorted({topic.name for topic in topics if topic.command}):
         _print_note(f"commands are played, the robot may move: {', '.join(moving)}")

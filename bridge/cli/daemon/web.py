@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     address = _address(config)
     print(address, flush=True)
     if address.startswith("https:"):
-        print(_how_to_get_in(config), flush=True)
+        print(_access_hints(config), flush=True)
     if args.open:
         import webbrowser
 
@@ -70,7 +70,7 @@ def _address(config: Config) -> str:
     return address[0]
 
 
-def _how_to_get_in(config: Config) -> str:
+def _access_hints(config: Config) -> str:
     from bridge.hub.security.external_router import key_files
     from bridge.web.section import WebSection
 

@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
 
 def explain(client: Client, topic: str) -> Explanation:
     """Gather the decisions, endpoints and problems of a topic; raises `CliError` if the name is unknown."""
-    answers, documents, namesakes, connected = _asked(client)
+    answers, documents, namesakes, connected = _query_hub(client)
     everything = decisions_in(answers)
     decisions = _decisions(everything, topic)
     names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
@@ -92,7 +92,7 @@ def explain(client: Client, topic: str) -> Explanation:
     ports = [port for document in documents for port in document.ports if names & {port.topic, port.port}]
     missing_planner = planner_note(client.config, topic, client.endpoints(), documents)
     planner = [] if missing_planner is None else [missing_planner]
-    silent = _silent(client, documents)
+    silent = _silent_workers(client, documents)
     if not decisions and not endpoints and not ports:
         ruled = [Note(text) for text in by_rules(client.config, topic)]
         if not ruled:
@@ -109,7 +109,7 @@ def explain(client: Client, topic: str) -> Explanation:
     return Explanation(topic, paired, endpoints, [*planner, *notes, *namesakes], ports, connections)
 
 
-def _asked(client: Client) -> tuple[list[WorkerAnswer], list[StatusDocument], list[Note], list[WorkerAnswer]]:
+def _query_hub(client: Client) -> tuple[list[WorkerAnswer], list[StatusDocument], list[Note], list[WorkerAnswer]]:
     """Return the sides' decisions, all status documents, notes on daemons with equal names, and sides' connections.
 
     The three queries run in parallel, because a hung worker delays each of them.
@@ -158,7 +158,7 @@ def _connections(answers: Sequence[WorkerAnswer], names: set[str]) -> list[tuple
     ]
 
 
-def _silent(client: Client, documents: Sequence[StatusDocument]) -> list[Note]:
+def _silent_workers(client: Client, documents: Sequence[StatusDocument]) -> list[Note]:
     """Return notes on the workers that are on the hub but did not answer: their decisions are missing."""
     late = f"did not answer within {ASK_SECONDS:g} s, so its decisions are missing"
     return [
@@ -351,10 +351,10 @@ def by_rules(config: Config, name: str) -> Iterator[str]:
     denying = [of for of, rule, matches in rules if matches and _denies_all(rule)]
     for of, rule, matches in rules:
         if matches and (rule.regex or rule.topic not in _EVERYTHING):
-            fate = f"is not bridged, because {denying[0]} denies it" if denying and not rule.deny else _fate(rule)
-            yield f"{of}: {_what(rule)} with this name {fate}"
+            effect = f"is not bridged, because {denying[0]} denies it" if denying and not rule.deny else _effect(rule)
+            yield f"{of}: {_subject(rule)} with this name {effect}"
         elif rule.rename == name:
-            yield f"{of}: {_what(rule)} {rule.topic or rule.regex} gets this name"
+            yield f"{of}: {_subject(rule)} {rule.topic or rule.regex} gets this name"
 
 
 def _denies_all(rule: Rule) -> bool:
@@ -362,13 +362,13 @@ def _denies_all(rule: Rule) -> bool:
     return rule.deny and rule.to in (None, ENTRY) and (rule.kind, rule.from_, rule.type) == (None, None, None)
 
 
-def _what(rule: Rule) -> str:
+def _subject(rule: Rule) -> str:
     kind = {None: "a topic, service or action", "action": "an action"}.get(rule.kind, f"a {rule.kind}")
     typed = "" if rule.type is None else f" ({rule.type})"
     return f"{kind}{typed}" + ("" if rule.from_ is None else f" of {side_name(rule.from_)}")
 
 
-def _fate(rule: Rule) -> str:
+def _effect(rule: Rule) -> str:
     destination = "" if rule.to is None else " into the hub" if rule.to == "zenoh" else f" to {side_name(rule.to)}"
     if rule.deny:
         return f"is not bridged{destination}"

@@ -152,7 +152,7 @@ def _show_worker(console: Console, document: StatusDocument, elsewhere: Containe
         console.print(Text(f"           {clean(document.error)}", style="red"))
     if document.ended:
         console.print(Text(f"           {clean(restarted(document.restarts, document.ended))}"))
-    for text, cure in _refused(document):
+    for text, cure in _refusal_lines(document):
         console.print(Text(f"           {clean(text)}", "yellow"))
         if cure:
             console.print(Text(f"             cure: {clean(cure)}"))
@@ -174,7 +174,7 @@ def _show_worker(console: Console, document: StatusDocument, elsewhere: Containe
         console.print(Text(f"           warning: {clean(warning)}", "yellow"))
 
 
-def _refused(document: StatusDocument) -> list[tuple[str, str]]:
+def _refusal_lines(document: StatusDocument) -> list[tuple[str, str]]:
     """Return what a worker refused: one line for each cause, with its cure."""
     groups: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for route in refused_routes(document):

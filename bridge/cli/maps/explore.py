@@ -41,7 +41,7 @@ _FIRST_SECONDS = 20.0  # to wait for the first map with free cells, and for the 
 _NEWER_SECONDS = 3.0  # to wait for a map that is newer than the last goal's end
 _SETTLE_SECONDS = 5.0  # to wait after a map without frontiers, because a newer map may have some
 _POLL_SECONDS = 0.1
-_GOAL_SECONDS, _METER_SECONDS, _MOST_SECONDS = 60.0, 20.0, 900.0  # a goal's limit: base, per meter, maximum
+_GOAL_SECONDS, _METER_SECONDS, _MAX_SECONDS = 60.0, 20.0, 900.0  # a goal's limit: base, per meter, maximum
 
 COMPLETE, STOPPED, FAILING, LIMIT = "complete", "stopped", "failing", "limit"
 
@@ -194,7 +194,7 @@ class _Explorer:
     def run(self) -> int:
         """Explore the floor; return the exit code."""
         self._until = time.monotonic() + self.args.seconds
-        self._reached, self._late, self._trouble, self._trapped = 0, "", "", ""
+        self._reached, self._timed_out, self._trouble, self._no_start = 0, "", "", ""
         began = time.monotonic()
         try:
             ending, code = self._explore()
@@ -218,10 +218,10 @@ class _Explorer:
 
     def _ending(self) -> _Ending | None:
         """Return why the exploration ends before it is complete; None if it continues."""
-        if self._late:
-            return _Ending(LIMIT, self._late)
-        if self._trapped:
-            return _Ending(FAILING, f"no path can begin at the robot's position: {self._trapped}")
+        if self._timed_out:
+            return _Ending(LIMIT, self._timed_out)
+        if self._no_start:
+            return _Ending(FAILING, f"no path can begin at the robot's position: {self._no_start}")
         if self.watch.why:
             return _Ending(STOPPED, self.watch.why)
         if self.exploration.failures >= MOST_FAILURES:
@@ -252,7 +252,7 @@ class _Explorer:
                     return goal
                 settled_at = min(settled_at, time.monotonic() + _SETTLE_SECONDS)
                 if time.monotonic() >= settled_at:
-                    self._trapped = trouble
+                    self._no_start = trouble
                     return None
             self._await(count, 1.0)
         return None
@@ -275,7 +275,7 @@ class _Explorer:
         except ClientError as err:
             raise CliError(f"{err}\n{no_answer(self.client)}") from None
         self.watch.goals.add(base64.b64encode(sent.id).decode())
-        seconds = min(_GOAL_SECONDS + _METER_SECONDS * goal.cost, _MOST_SECONDS, self._until - time.monotonic())
+        seconds = min(_GOAL_SECONDS + _METER_SECONDS * goal.cost, _MAX_SECONDS, self._until - time.monotonic())
         seconds = max(seconds, 0.1)
         over = time.monotonic() + seconds
         self.exploration.begin()
@@ -304,7 +304,7 @@ class _Explorer:
             self.exploration.reached(goal)
         elif end.status == GoalState.CANCELED and canceled_after:
             # no further goal is sent, because an idle gateway's status would not show that a client stops the robot
-            self._late = f"a goal took more than {canceled_after:.0f} s"
+            self._timed_out = f"a goal took more than {canceled_after:.0f} s"
         elif end.status == GoalState.CANCELED or fault == Fault.MAY_MOVE:
             self.watch.why = self.watch.why or reason or "the goal was canceled"
         else:

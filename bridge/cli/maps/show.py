@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 _PLAIN_WIDTH = 120
-_MOST_SCALE = 64
+_MAX_SCALE = 64
 
 
 def register(verbs: Any) -> None:
@@ -71,8 +71,8 @@ def draw(
 
     Raises `CliError` if they are invalid.
     """
-    if not 0 <= args.scale <= _MOST_SCALE or (args.width is not None and not 0 < args.width <= 1000):
-        raise CliError(f"--scale must be from 0 to {_MOST_SCALE}, --width from 1 to 1000")
+    if not 0 <= args.scale <= _MAX_SCALE or (args.width is not None and not 0 < args.width <= 1000):
+        raise CliError(f"--scale must be from 0 to {_MAX_SCALE}, --width from 1 to 1000")
     if args.png is not None:
         from bridge.display.drawing import draw as picture
 

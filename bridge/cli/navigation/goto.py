@@ -26,7 +26,7 @@ from bridge.text import clean
 from navigation.nav2_errors import reason_text
 
 _PERIOD, _PERIOD_SCREEN = 5.0, 0.5  # seconds between distances, in a pipe and on a terminal
-_MOST_NEWS = 100
+_MAX_NEWS = 100
 _TERMINATED = (129, 143)
 """Exit codes for SIGHUP and SIGTERM."""
 
@@ -101,7 +101,7 @@ class GoalProgress:
         self.as_json = as_json
         self._goal = base64.b64encode(goal_id).decode()
         self._screen = sys.stdout.isatty() and not as_json
-        self._news: deque[dict[str, Any]] = deque(maxlen=_MOST_NEWS)
+        self._news: deque[dict[str, Any]] = deque(maxlen=_MAX_NEWS)
         self._status: dict[str, Any] | None = None
         self._left: float | None = None
         self._due = 0.0

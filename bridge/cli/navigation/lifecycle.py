@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         planner = _planner(client)
         managers = [name for name in planner.managers if client.servers(f"{name}/manage_nodes")]
         if not managers:
-            raise CliError(_missing(planner))
+            raise CliError(_manager_missing(planner))
         types = Types(client)
         for manager in managers if verb in (_STARTUP, _ACTIVATE) else reversed(managers):
             _command(client, types, manager, verb, args.timeout)
@@ -96,7 +96,7 @@ def _is_idle(gateway: GatewayKeys) -> bool:
     return ended and not (gateway.goals or gateway.goals_of_others)
 
 
-def _missing(planner: Planner) -> str:
+def _manager_missing(planner: Planner) -> str:
     services = " or ".join(f"{name}/manage_nodes" for name in planner.managers)
     return (
         f"no lifecycle manager is on the hub: {services} has no server. Start {planner.name} (for Nav2: its launch"

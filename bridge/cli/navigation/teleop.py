@@ -22,7 +22,7 @@ HOLD_SECONDS = 0.6
 """Seconds for which a key counts as held after it arrives: keyboards repeat a held key only after half a second."""
 
 STEP = 1.1
-MOST_SPEED, MOST_TURN = 2.0, 3.0
+MAX_SPEED, MAX_TURN = 2.0, 3.0
 
 KEYS = {
     "i": (1, 0, 0), ",": (-1, 0, 0), "j": (0, 0, 1), "l": (0, 0, -1), "u": (1, 0, 1), "o": (1, 0, -1),
@@ -65,7 +65,7 @@ class Keys:
             self._wish, self._until = HeldKeys(*KEYS[key]), now + HOLD_SECONDS
         elif key in "qz":
             factor = STEP if key == "q" else 1.0 / STEP
-            self.speed, self.turn = min(self.speed * factor, MOST_SPEED), min(self.turn * factor, MOST_TURN)
+            self.speed, self.turn = min(self.speed * factor, MAX_SPEED), min(self.turn * factor, MAX_TURN)
         else:
             self._wish = HeldKeys()  # any other key stops the base
             self.ended = key in ("x", "\x03", "\x04")
@@ -99,8 +99,8 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Drive until Ctrl-C or ``x``."""
-    if not (0.0 < args.speed <= MOST_SPEED and 0.0 < args.turn <= MOST_TURN):
-        raise CliError(f"--speed is at most {MOST_SPEED:g} m/s and --turn at most {MOST_TURN:g} rad/s, both above 0")
+    if not (0.0 < args.speed <= MAX_SPEED and 0.0 < args.turn <= MAX_TURN):
+        raise CliError(f"--speed is at most {MAX_SPEED:g} m/s and --turn at most {MAX_TURN:g} rad/s, both above 0")
     if not (AVAILABLE and sys.stdin.isatty()):
         raise CliError("teleop reads keys only from a POSIX terminal; 'midspan topic pub' publishes from scripts")
     topic = absolute(args.topic)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bridge.hub.security.certificates import Certificate
 
 
-MOST_DAYS = 3650
+MAX_DAYS = 3650
 
 _EPILOG = """\
 example, for a robot and an operator's computer:
@@ -50,7 +50,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         "addresses", metavar="ADDRESS", nargs="*", help="names and addresses in addition to NAME, NAME.local"
     )
     make.add_argument(
-        "--days", type=_days, default=730, metavar="N", help=f"days until expiry (default 730, at most {MOST_DAYS})"
+        "--days", type=_days, default=730, metavar="N", help=f"days until expiry (default 730, at most {MAX_DAYS})"
     )
     make.add_argument("--replace", action="store_true", help="replace the certificate if it exists")
     show = add_verb(
@@ -208,6 +208,6 @@ def _default_folder() -> Path:
 
 def _days(text: str) -> int:
     days = int(text) if text.isascii() and text.isdigit() else 0
-    if not 1 <= days <= MOST_DAYS:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of days from 1 to {MOST_DAYS}")
+    if not 1 <= days <= MAX_DAYS:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of days from 1 to {MAX_DAYS}")
     return days

@@ -139,7 +139,7 @@ def _exists(args: argparse.Namespace) -> int:
 
 def _ping(args: argparse.Namespace) -> int:
     names = client(args)
-    for line in connections.ping(names, _known(names, args.port), timeout=args.timeout):
+    for line in connections.ping(names, _registered_name(names, args.port), timeout=args.timeout):
         print(clean(line))
     return 0
 
@@ -152,11 +152,11 @@ def _connect(args: argparse.Namespace) -> int:
         return 0
     target = f"{args.carrier}:/{args.target}" if args.carrier else args.target
     if args.mode is not None:
-        _done(names.command(["subscribe", args.source, target, *filter(None, [args.mode])]))
+        _check_accepted(names.command(["subscribe", args.source, target, *filter(None, [args.mode])]))
         print(clean(f"{args.source} will be connected to {target} whenever both are registered"))
         return 0
     for port in (args.source, args.target):
-        _known(names, port)
+        _registered_name(names, port)
     print(clean(connections.connect(names, args.source, args.target, args.carrier, timeout=args.timeout)))
     return 0
 
@@ -164,7 +164,7 @@ def _connect(args: argparse.Namespace) -> int:
 def _disconnect(args: argparse.Namespace) -> int:
     names = client(args)
     if args.persist:
-        _done(names.command(["unsubscribe", args.source, args.target]))
+        _check_accepted(names.command(["unsubscribe", args.source, args.target]))
         print(clean(f"{args.source} will no longer be connected to {args.target}; an open connection stays"))
         return 0
     print(clean(connections.disconnect(names, args.source, args.target, timeout=args.timeout)))
@@ -186,7 +186,7 @@ def _clean(args: argparse.Namespace) -> int:
     return 0
 
 
-def _known(names: NameClient, port: str) -> str:
+def _registered_name(names: NameClient, port: str) -> str:
     """Return the name of a registered port; raises an error with similar names if it is not registered."""
     if names.query(port) is None:
         alike = near(port, [contact.name for contact in names.list()])
@@ -201,7 +201,7 @@ def _subscription(answer: Any) -> str:
     return f"{fields.get('src', '?')} -> {fields.get('dest', '?')}{mode}"
 
 
-def _done(answer: list[Any]) -> None:
+def _check_accepted(answer: list[Any]) -> None:
     if answer != ["ok"]:
         raise CliError("the name server rejected the command: are both names port names, such as /robot/camera?")
 

@@ -85,7 +85,7 @@ def _read(args: argparse.Namespace) -> int:
             missed += 1
 
     names = client(args)
-    _refuse_taken(args)
+    _check_unused(args)
     port = PortCore(args.port, on_message=on_message, naming=names, is_output=False, profile=_profile(args))
     port.open()
     try:
@@ -96,7 +96,7 @@ def _read(args: argparse.Namespace) -> int:
         shown = 0
         while shown < (math.inf if args.count is None else args.count):
             interruptible(lambda seconds: count.acquire(timeout=seconds))
-            print(_shown(args, received.popleft()), flush=True)
+            print(_message_text(args, received.popleft()), flush=True)
             shown += 1
     except KeyboardInterrupt:
         pass
@@ -107,7 +107,7 @@ def _read(args: argparse.Namespace) -> int:
     return 0
 
 
-def _shown(args: argparse.Namespace, message: PortMessage) -> str:
+def _message_text(args: argparse.Namespace, message: PortMessage) -> str:
     try:
         text = to_text(decode(message.payload, message.peer.profile))
     except WireError as err:
@@ -119,7 +119,7 @@ def _shown(args: argparse.Namespace, message: PortMessage) -> str:
 
 def _write(args: argparse.Namespace) -> int:
     names = client(args)
-    _refuse_taken(args)
+    _check_unused(args)
     port = PortCore(args.port, naming=names, is_input=False, profile=_profile(args))
     port.open()
     try:
@@ -171,7 +171,7 @@ def _values(line: str) -> list[Any]:
         raise CliError(f"not a Bottle: {err}") from None
 
 
-def _refuse_taken(args: argparse.Namespace) -> None:
+def _check_unused(args: argparse.Namespace) -> None:
     """Refuse a name that is in use, because the name server would reassign it."""
     if args.port != "..." and connections.exists(client(args), args.port, timeout=args.timeout):
         raise PortError(clean(f"{args.port} is in use by another program; '...' opens a port with a unique name"))

@@ -162,8 +162,8 @@ def _routes(job: _Import) -> Iterator[_Route]:
 def _entry(job: _Import, path: KeyPath, name: str, kind: Kind) -> Iterator[_Route]:
     """Yield the routes of one entry: two if it is bidirectional, else one."""
     entry, notes = checked(job.document, path, DomainBridgeTopic)
-    topic = topic_name(job.document, path, _expanded(job, name), kind)
-    new_name = topic_name(job.document, (*path, "remap"), _expanded(job, entry.remap), kind) if entry.remap else topic
+    topic = topic_name(job.document, path, _expand(job, name), kind)
+    new_name = topic_name(job.document, (*path, "remap"), _expand(job, entry.remap), kind) if entry.remap else topic
     type_ = type_name(job.document, (*path, "type"), entry.type, kind)
     first, second = (_domain(job, path, entry, key) for key in ("from_domain", "to_domain"))
     if first == second:
@@ -190,7 +190,7 @@ def _without_counterpart(job: _Import, path: KeyPath, qos: DomainBridgeQos) -> I
             yield job.note((*path, "qos", key), f"Midspan's publishers on ROS 2 have no {key}")
 
 
-def _expanded(job: _Import, name: str) -> str:
+def _expand(job: _Import, name: str) -> str:
     return re.sub(r"^~(?=/|$)", f"/{job.node}", name)
 
 
@@ -236,11 +236,11 @@ def _draft(job: _Import, domain: int, domains: list[int], routes: list[_Route]) 
         "ros2": {"domain": domain, "node": f"{bridge}_{domain}"},
     }
     wide = ["localhost_only: false   # also nodes of other machines, as with domain_bridge"]
-    rules = [*_entering(job, domain, routes), *_leaving(job, domain, routes)]
+    rules = [*_rules_to_hub(job, domain, routes), *_rules_to_domain(job, domain, routes)]
     return Draft(f"{bridge}_domain{domain}", head + missing(job.notes), sections, {"ros2": wide}, rules)
 
 
-def _entering(job: _Import, domain: int, routes: list[_Route]) -> Iterator[RuleDraft]:
+def _rules_to_hub(job: _Import, domain: int, routes: list[_Route]) -> Iterator[RuleDraft]:
     """Yield the rules from the domain to the hub, one for each name, even if the name goes to several domains."""
     seen: set[tuple[str, str, str]] = set()
     for route in routes:
@@ -251,7 +251,7 @@ def _entering(job: _Import, domain: int, routes: list[_Route]) -> Iterator[RuleD
             )
 
 
-def _leaving(job: _Import, domain: int, routes: list[_Route]) -> Iterator[RuleDraft]:
+def _rules_to_domain(job: _Import, domain: int, routes: list[_Route]) -> Iterator[RuleDraft]:
     """Yield the rules from the hub to the domain."""
     for route in routes:
         if route.target == domain:

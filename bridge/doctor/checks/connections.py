@@ -36,20 +36,20 @@ def check_connections(context: CheckContext) -> Findings:
         identity = Identity.of(make_config(external_tree(context.config), opened.zenoh))
     except HubError:  # the keys' findings name the file
         identity = None
-    reported = _reported(context)
+    reported = _router_report(context)
     if has_tls(opened) and identity is None:
         return [*findings, *(_of_router(state) for state in reported.values() if not _good(state))]
     ends = [("connect", endpoint) for endpoint in opened.connect] + [("listen", endpoint) for endpoint in opened.listen]
     # daemon threads, because the resolver may still hang when the command ends
     pool = WorkerPool(_AT_ONCE, "doctor-endpoints")
     tests = [
-        pool.submit(partial(_tested, direction, place, identity, reported.get((direction, place))))
+        pool.submit(partial(_test, direction, place, identity, reported.get((direction, place))))
         for direction, place in ends
     ]
     return [*findings, *(test.result() for test in tests)]
 
 
-def _tested(way: str, endpoint: str, identity: Identity | None, reported: EndpointStatus | None) -> Finding:
+def _test(way: str, endpoint: str, identity: Identity | None, reported: EndpointStatus | None) -> Finding:
     """Test one endpoint; the router's report covers what a test cannot show, such as refused machines."""
     name = f"hub.open.{way} {endpoint}"
     place = HostPort.of(connect_endpoint(endpoint))
@@ -74,7 +74,7 @@ def _finding(seen: str, reason: Reason) -> Finding:
     return fail(seen, reason.cure) if reason.state is EndpointState.REFUSED else warn(seen, reason.cure)
 
 
-def _reported(context: CheckContext) -> dict[tuple[str, str], EndpointStatus]:
+def _router_report(context: CheckContext) -> dict[tuple[str, str], EndpointStatus]:
     """Return the endpoints in the status document of this daemon's router."""
     documents = context.hub.of_side("router", context.config.name)
     routers = [document for document in documents if isinstance(document, RouterStatus)]

@@ -30,9 +30,9 @@ def check_keys(context: CheckContext) -> Findings:
     findings = [
         *_validity(certificate),
         *_validity(authority),
-        *_fit(files),
-        *_mode(files),
-        *_distrust(certificate.name, context),
+        *_key_mismatch(files),
+        *_key_mode(files),
+        *_untrusted(certificate.name, context),
     ]
     if not signed:
         cure = "copy both from the same folder of 'midspan keys'"
@@ -43,7 +43,7 @@ def check_keys(context: CheckContext) -> Findings:
     return findings or ok(f"other machines know this one as {certificate.name}, until {certificate.until:%Y-%m-%d}")
 
 
-def _distrust(name: str, context: CheckContext) -> list[Finding]:
+def _untrusted(name: str, context: CheckContext) -> list[Finding]:
     """Return a warning for each daemon that accepts no commands from this machine."""
     return [
         warn(
@@ -70,7 +70,7 @@ def _validity(certificate: Certificate) -> list[Finding]:
     return []
 
 
-def _fit(files: KeyFiles) -> list[Finding]:
+def _key_mismatch(files: KeyFiles) -> list[Finding]:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     try:
         context.load_cert_chain(files.certificate, files.key, password="")
@@ -81,7 +81,7 @@ def _fit(files: KeyFiles) -> list[Finding]:
     return []
 
 
-def _mode(files: KeyFiles) -> list[Finding]:
+def _key_mode(files: KeyFiles) -> list[Finding]:
     if not files.others_may_use_key():
         return []
     return [warn(f"other users may use {files.key}, and so impersonate this machine", f"chmod 600 {files.key}")]

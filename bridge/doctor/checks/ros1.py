@@ -114,7 +114,7 @@ def check_address(context: CheckContext) -> Findings:
     """Check that the address announced to ROS 1 peers belongs to this machine, and is reachable for them."""
     if reason := why_not(context):
         return skip(reason)
-    name, value = _announced(context)
+    name, value = _announced_address(context)
     remote = not is_local(urlsplit(context.master).hostname or "")
     if not name and not remote:
         return ok("the master is on this machine: 127.0.0.1 is announced")
@@ -152,7 +152,7 @@ def check_nodes(context: CheckContext) -> Findings:
             groups.setdefault(trouble, []).append(node)
     if not groups:
         return ok(f"all {len(nodes)} nodes can be reached")
-    return [_named(finding, names) for finding, names in groups.items()]
+    return [_with_nodes(finding, names) for finding, names in groups.items()]
 
 
 def _trouble(uri: str, *, remote: bool) -> Finding | None:
@@ -182,12 +182,12 @@ def _trouble(uri: str, *, remote: bool) -> Finding | None:
     return None
 
 
-def _named(finding: Finding, nodes: Sequence[str]) -> Finding:
+def _with_nodes(finding: Finding, nodes: Sequence[str]) -> Finding:
     more = f" and {len(nodes) - _SHOWN} more" if len(nodes) > _SHOWN else ""
     return Finding(finding.result, f"{', '.join(nodes[:_SHOWN])}{more}: {finding.seen}", finding.cure)
 
 
-def _announced(context: CheckContext) -> tuple[str, str]:
+def _announced_address(context: CheckContext) -> tuple[str, str]:
     """Return the setting that gives this machine's address for ROS 1, and the address; "" for both if none does."""
     ros1, environ = context.config.ros1, context.environ
     configured: Mapping[str, str | None] = {"ros1.hostname": ros1.hostname, "ros1.ip": ros1.ip}

@@ -12,7 +12,7 @@ from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.ports.naming import NamingConfigError, NamingError
 
-MOST_NAMED = 10  # clients in one line of the report
+MAX_NAMED = 10  # clients in one line of the report
 
 
 def check_name_server(context: CheckContext) -> Findings:
@@ -70,8 +70,8 @@ def check_releases(context: CheckContext) -> Findings:
         for name, (_, peer) in clients.items()
         if not peer.generation_cure
     ]
-    more = f", and {len(known) - MOST_NAMED} more" if len(known) > MOST_NAMED else ""
-    return [*guessed, *([ok("; ".join(known[:MOST_NAMED]) + more)] if known else [])]
+    more = f", and {len(known) - MAX_NAMED} more" if len(known) > MAX_NAMED else ""
+    return [*guessed, *([ok("; ".join(known[:MAX_NAMED]) + more)] if known else [])]
 
 
 def _module_ports(context: CheckContext) -> list[PortStatus]:
