@@ -118,7 +118,7 @@ def test_late_commands_are_dropped_and_others_are_played_late_and_reported() -> 
     assert stage.recorded.received_on("/cmd_vel")[:2] == [(0.8, "0.2"), (0.9, "0.30000000000000004")]
     assert stage.player.dropped == {("/cmd_vel", "late"): 1}
     assert [data for _, data in stage.recorded.received_on("/scan")] == ["0.0", "0.9"]
-    assert stage.reports == ["cannot keep up with a rate of 1: 0.6 s behind so far"]
+    assert stage.reports == ["playback cannot keep up with a rate of 1: 0.6 s behind so far"]
 
 
 def test_slightly_late_commands_are_not_published_in_a_burst() -> None:

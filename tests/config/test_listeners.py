@@ -18,31 +18,31 @@ from bridge.config.load import loads
     [
         (
             "web: {enabled: true, listen: '127.0.0.1:7447'}",
-            "1:30: web.listen: 127.0.0.1:7447 has the port of hub.listen (tcp/127.0.0.1:7447)",
+            "1:30: web.listen: 127.0.0.1:7447 uses the same port as hub.listen (tcp/127.0.0.1:7447)",
         ),
         (
             "hub: {listen: 'tcp/127.0.0.1:8480'}\nweb: {enabled: true}",
-            "1:15: hub.listen: tcp/127.0.0.1:8480 has the port of web.listen (127.0.0.1:8480)",
+            "1:15: hub.listen: tcp/127.0.0.1:8480 uses the same port as web.listen (127.0.0.1:8480)",
         ),
         (
             "web: {enabled: true, listen: '127.0.0.1:9480'}\nmetrics: {enabled: true}",
-            "1:30: web.listen: 127.0.0.1:9480 has the port of metrics.listen (127.0.0.1:9480)",
+            "1:30: web.listen: 127.0.0.1:9480 uses the same port as metrics.listen (127.0.0.1:9480)",
         ),
         (
             "web: {enabled: true}\nfoxglove: {enabled: true, listen: 'localhost:8480'}",
-            "2:35: foxglove.listen: localhost:8480 has the port of web.listen (127.0.0.1:8480)",
+            "2:35: foxglove.listen: localhost:8480 uses the same port as web.listen (127.0.0.1:8480)",
         ),
         (
             "hub: {open: {listen: ['tls/0.0.0.0:7448', 'tls/192.168.1.5:7448']}}",
-            "1:43: hub.open.listen[1]: tls/192.168.1.5:7448 has the port of hub.open.listen[0] (tls/0.0.0.0:7448)",
+            "1:43: hub.open.listen[1]: tls/192.168.1.5:7448 uses the same port as hub.open.listen[0] (tls/0.0.0.0:7448)",
         ),
         (
             "hub: {open: {listen: 'tls/[::]:8765'}}\nfoxglove: {enabled: true}",
-            "1:22: hub.open.listen[0]: tls/[::]:8765 has the port of foxglove.listen (127.0.0.1:8765)",
+            "1:22: hub.open.listen[0]: tls/[::]:8765 uses the same port as foxglove.listen (127.0.0.1:8765)",
         ),
         (
             "web: {enabled: true, listen: '127.0.0.1:10000'}\nyarp: {nameserver: embedded, address: 'localhost:10000'}",
-            "2:39: yarp.address: localhost:10000 has the port of web.listen (127.0.0.1:10000)",
+            "2:39: yarp.address: localhost:10000 uses the same port as web.listen (127.0.0.1:10000)",
         ),
     ],
 )
@@ -50,7 +50,7 @@ def test_two_listeners_of_one_port_are_a_problem(text: str, problem: str) -> Non
     with pytest.raises(ConfigError) as caught:
         loads(text, Path("a.yaml"))
     (result,) = caught.value.problems
-    assert str(result) == f"a.yaml:{problem}; set another port in one of them"
+    assert str(result) == f"a.yaml:{problem}; change one of the ports"
 
 
 @pytest.mark.parametrize(

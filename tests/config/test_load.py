@@ -90,7 +90,7 @@ CASES = [
         [
             (
                 "1:15: hub.listen: 'tcp/0.0.0.0:7447' is open to other machines; listen on 127.0.0.1, and let"
-                " others in through hub.open, to which 'midspan config migrate' moves the address"
+                " others in through hub.open ('midspan config migrate' moves the address there)"
             )
         ],
     ),
@@ -105,7 +105,7 @@ CASES = [
     ),
     (
         "hub: {open: {connect: ['tcp/a:7448'], insecure: true, trusted: [a]}}",
-        ["1:13: hub.open: without TLS no machine shows a certificate, and none can be recognized as 'a'; use TLS"],
+        ["1:13: hub.open: without TLS no machine presents a certificate, so none can be recognized as 'a'; use TLS"],
     ),
     (
         "hub: {listen: tcp/127.0.0.1}",
@@ -131,13 +131,16 @@ CASES = [
         "hub: {open: {connect: 'tls/:7448'}}",
         ["1:23: hub.open.connect: 'tls/:7448' has no host; write it like tls/robot1:7448"],
     ),
-    ("hub: {open: {trusted: [a]}}", ["1:13: hub.open: names no endpoint: give 'listen' or 'connect'"]),
+    (
+        "hub: {open: {trusted: [a]}}",
+        ["1:13: hub.open: 'trusted' and 'insecure' have no effect without endpoints; set 'listen' or 'connect'"],
+    ),
     (
         "hub: {open: {listen: ['tls/0.0.0.0:7447']}}",
         [
             (
-                "1:6: hub: tls/0.0.0.0:7447 has the port of hub.listen (tcp/127.0.0.1:7447), which is taken; choose"
-                " another, such as 7448"
+                "1:6: hub: tls/0.0.0.0:7447 uses the same port as hub.listen (tcp/127.0.0.1:7447); choose another,"
+                " such as 7448"
             )
         ],
     ),
@@ -145,8 +148,8 @@ CASES = [
         "hub: {listen: 'tcp/127.0.0.1:7448', open: {listen: ['tls/0.0.0.0:7448']}}",
         [
             (
-                "1:6: hub: tls/0.0.0.0:7448 has the port of hub.listen (tcp/127.0.0.1:7448), which is taken; choose"
-                " another, such as 7449"
+                "1:6: hub: tls/0.0.0.0:7448 uses the same port as hub.listen (tcp/127.0.0.1:7448); choose another,"
+                " such as 7449"
             )
         ],
     ),

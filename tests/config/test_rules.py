@@ -200,7 +200,7 @@ def test_goals_and_velocities_are_commands_under_each_of_their_names() -> None:
         ({"planner": "mine:Mapper2d"}, "two modules have the name mapper2d"),
         ({"planner": "mine:Mine", "planners": [{"name": "mine"}]}, "two planners have the name mine"),
         ({"planners": [{"name": "x", "side": "ros2"}]}, "name the planner's action on ros2"),
-        ({"planners": [{"name": "x", "factory": "m:X", "action": "/x"}]}, "leave out 'side' and 'action'"),
+        ({"planners": [{"name": "x", "factory": "m:X", "action": "/x"}]}, "remove 'side' and 'action'"),
         ({"planners": [{"name": "x", "factory": "mine"}]}, "does not name a class"),
     ],
 )

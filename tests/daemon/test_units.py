@@ -133,14 +133,14 @@ def test_the_doctor_finds_what_two_services_cannot_share(
             {"hub": {"open": {"listen": ["tls/0.0.0.0:7448"]}}},
             {"hub": {"listen": "tcp/127.0.0.1:7448"}},
             (
-                "hub.listen of midspan@two (tcp/127.0.0.1:7448) has the port of hub.open.listen of midspan@one"
+                "hub.listen of midspan@two (tcp/127.0.0.1:7448) uses the same port as hub.open.listen of midspan@one"
                 " (tls/0.0.0.0:7448)"
             ),
         ),
         (
             {"metrics": {"enabled": True, "listen": "127.0.0.1:8480"}},
             {"web": {"enabled": True, "listen": "localhost:8480"}},
-            "web.listen of midspan@two (localhost:8480) has the port of metrics.listen of midspan@one (127.0.0.1:8480)",
+            "web.listen of midspan@two (localhost:8480) uses the same port as metrics.listen of midspan@one (127.0.0.1:8480)",
         ),
         ({"web": {"enabled": True, "listen": "127.0.0.1:0"}}, {"web": {"enabled": True, "listen": "127.0.0.1:0"}}, ""),
         ({"hub": {"listen": "tcp/localhost:7447"}}, {"hub": {"listen": "tcp/127.0.0.1:7447"}}, ""),
@@ -153,7 +153,7 @@ def test_the_doctor_finds_ports_that_two_services_cannot_share(
         system.enable(f"midspan@{name}")
         system.configure(name, name=name, **sections)
     fails = [finding[1:] for finding in system.findings() if finding[0] is Result.FAIL]
-    assert fails == ([(seen, "set another port in one of them")] if seen else [])
+    assert fails == ([(seen, "change one of the ports")] if seen else [])
 
 
 def test_the_doctor_names_broken_and_missing_configurations(system: System) -> None:

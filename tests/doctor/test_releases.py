@@ -33,7 +33,7 @@ def native(node: str, type_hash: str = "RIHS01_" + "1" * 64, **more: Any) -> Hub
     ("group", "result", "words"),
     [
         (JAZZY, Result.OK, "Fast DDS 2 (Iron or Jazzy): /a, /b"),
-        (HUMBLE, Result.WARN, "Cyclone DDS (Humble): /h; without type hashes"),
+        (HUMBLE, Result.WARN, "Cyclone DDS (Humble): /h; these nodes have no type hashes"),
         (PLAIN, Result.OK, "Cyclone DDS 11.0.1 (not a ROS 2 program): /p"),
         ({"nodes": ["/x"]}, Result.OK, "unknown DDS (unknown release): /x"),
     ],
@@ -48,7 +48,7 @@ def test_nodes_of_the_side_are_listed_with_their_release(group: dict[str, Any], 
 def test_two_versions_of_fast_dds_share_no_memory() -> None:
     findings = every(releases.check_releases(around(hub=hub(side(JAZZY, KILTED)))))
     assert [finding.result for finding in findings] == [Result.OK, Result.OK, Result.WARN]
-    assert "Fast DDS 2 and Fast DDS 3.2.2 on one network: they share no memory" in findings[2].seen
+    assert "Fast DDS 2 and Fast DDS 3.2.2 on one network do not share memory with each other" in findings[2].seen
 
 
 def test_native_nodes_of_the_hub_are_listed_with_their_release() -> None:

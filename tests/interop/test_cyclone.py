@@ -145,7 +145,7 @@ def test_a_name_served_on_two_kinds_of_dds_is_called_on_fast_dds(shared: Deploym
     findings = json.loads(shared.command("doctor", "--json", seconds=60).stdout)
     (line,) = [finding for finding in findings if finding["check"] == "cyclone"]
     assert line["result"] == "warn"
-    assert "also served on another DDS, so they get no calls to /twice" in line["seen"]
+    assert "another DDS also serves /twice, so the servers of these nodes get no calls" in line["seen"]
     assert native.requests(server) == []
     assert ros2.ask("requests", id=fast, count=2, seconds=20)["requests"] == [{"data": True}] * 2
 

@@ -31,7 +31,7 @@ def check_nodes(context: CheckContext) -> Findings:
 def _findings(daemon: str, cyclone: CycloneNodes) -> Iterator[Finding]:
     seen = f"{listed(cyclone.nodes)} on Cyclone DDS, seen by {daemon}"
     if cyclone.both:
-        served = f"{listed(cyclone.both)} also has a server on another DDS"
+        served = f"another DDS also serves {listed(cyclone.both)}"
         yield warn(f"{seen}; {served}, so the servers of these nodes get no calls", _CURE)
     if cyclone.mixed:
         pairs = f"native clients and servers on two kinds of DDS: {listed(cyclone.mixed)}"

@@ -165,7 +165,7 @@ def test_a_goal_that_does_not_end_after_a_signal(
     robot.obeys = False
     outcome = signaled(midspan, robot, signal.SIGTERM)
     assert (outcome.code, outcome.out.split()[0]) == (143, "unknown")
-    assert outcome.err.startswith("midspan: SIGTERM: the goal has not ended within 0.5 s after its cancellation")
+    assert outcome.err.startswith("midspan: SIGTERM: the goal has not ended within 0.5 s of its cancellation")
 
 
 def test_a_second_signal_does_not_break_off_the_cancellation(midspan: Midspan, robot: Robot) -> None:

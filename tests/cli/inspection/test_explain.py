@@ -106,7 +106,9 @@ def test_explain_omits_workers_without_a_decision(
     out = midspan("explain", "/fine").out
     assert "None" not in out
     notes = [line for line in out.splitlines() if line.startswith("Note:") and "did not answer" not in line]
-    assert notes == ["Note: YARP (daemon robot1) has no decision on it: it is not published there, and not sent there."]
+    assert notes == [
+        "Note: YARP (daemon robot1) has no decision on it, as the name is neither published there nor sent there."
+    ]
 
 
 def test_a_topic_of_another_name_on_the_hub_is_followed_there(

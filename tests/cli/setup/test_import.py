@@ -193,9 +193,9 @@ services:
     assert problems[1:] == [
         "8:11: topics[0]./a.qos.lifespan: Midspan's publishers on ROS 2 have no lifespan",
         "8:27: topics[0]./a.qos.liveliness: Midspan's publishers on ROS 2 have no liveliness",
-        "9:3: topics[1].a: /a goes from domain 2 to 3 already, by line 5",
+        "9:3: topics[1].a: line 5 already bridges /a from domain 2 to 3",
         "11:50: services[0].add.qos: a rule's depth and QoS are for topics only",
-        "12:3: services[1].add: /add goes from domain 2 to 3 already, by line 11",
+        "12:3: services[1].add: line 11 already bridges /add from domain 2 to 3",
     ]
     for note in done.notes[:-1]:
         assert note.split(": ")[0] in done.out

@@ -98,7 +98,7 @@ def test_names_follow_the_rule():
         ([{"prefix": "a/b"}], "write it as FollowPath"),
         ([{"owner": "yarp"}], "'ros1' or 'ros2'"),
         ([{}, {"ros1": "/b", "owner": "ros1"}], "give /n two owners"),
-        ([{}, {"ros1": "/a/b", "node": "/m"}], "both share what is in /a/b"),
+        ([{}, {"ros1": "/a/b", "node": "/m"}], "both share the parameters in /a/b"),
     ],
 )
 def test_an_invalid_rule_is_rejected(rules: list[dict[str, Any]], reason: str):
