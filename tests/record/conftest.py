@@ -12,4 +12,4 @@ from bridge.record import worker
 @pytest.fixture(autouse=True)
 def priority(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do not lower the priority of threads in the tests' process: zenoh's threads persist, also in later tests."""
-    monkeypatch.setattr(worker, "yielding", nullcontext)
+    monkeypatch.setattr(worker, "low_priority", nullcontext)
