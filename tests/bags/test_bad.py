@@ -152,7 +152,7 @@ def text(number: int, size: int = 9) -> bytes:
     return ros1_record(data, op=OP, conn=bytes(4), time=struct.pack("<II", number, 0))
 
 
-def saved(path: Path, content: bytes) -> tuple[list[int], list[int | None]]:
+def repaired(path: Path, content: bytes) -> tuple[list[int], list[int | None]]:
     """Repair a ROS 1 bag without an index; return the times of its messages in seconds, and the positions of damage."""
     path.write_bytes(content)
     with open_bag(path) as bag:
@@ -179,7 +179,7 @@ def test_the_other_messages_of_a_damaged_ros1_chunk_are_saved(what: str, tmp_pat
     record, expected = BROKEN[what]
     plain = b"".join([CONNECTION, *TEXTS[:2], record, *TEXTS[3:]])
     start = ros1_chunk(b"none", b"", 0)
-    salvaged = saved(tmp_path / "a.bag", start + ros1_chunk(b"none", plain, len(plain))[START_BYTES:])
+    salvaged = repaired(tmp_path / "a.bag", start + ros1_chunk(b"none", plain, len(plain))[START_BYTES:])
     assert salvaged == (expected, [salvaged[1][0], len(start)])  # the missing index is reported first
 
 
@@ -204,7 +204,7 @@ def test_messages_before_the_damage_of_a_compressed_ros1_chunk_are_saved(
     compression: str, broken: Callable[[bytes], bytes], tmp_path: Path
 ) -> None:
     plain = CONNECTION + b"".join(text(number, 2500) for number in range(80))
-    numbers, damage = saved(tmp_path / "a.bag", ros1_chunk(compression.encode(), broken(plain), len(plain)))
+    numbers, damage = repaired(tmp_path / "a.bag", ros1_chunk(compression.encode(), broken(plain), len(plain)))
     assert numbers == list(range(len(numbers)))
     assert 20 < len(numbers) < 65
     assert START_BYTES in damage
@@ -213,7 +213,7 @@ def test_messages_before_the_damage_of_a_compressed_ros1_chunk_are_saved(
 def test_a_chunk_that_was_never_closed_is_read_to_the_files_end(tmp_path: Path) -> None:
     closed = ros1_chunk(b"none", CONNECTION + TEXTS[0], len(CONNECTION + TEXTS[0]))
     whole = closed + ros1_chunk(b"none", b"", 0)[START_BYTES:] + b"".join(TEXTS[1:])
-    assert saved(tmp_path / "a.bag", whole[:-3]) == ([0, 1, 2, 3], [len(whole) - len(TEXTS[4])])
+    assert repaired(tmp_path / "a.bag", whole[:-3]) == ([0, 1, 2, 3], [len(whole) - len(TEXTS[4])])
 
 
 @pytest.mark.parametrize(("compression", "pack"), [("none", bytes), ("lz4", lz4.frame.compress)])
@@ -223,7 +223,7 @@ def test_a_chunk_truncated_with_the_file_is_read_up_to_its_end(
     plain = CONNECTION + b"".join(text(number, 20_000) for number in range(20))
     whole = ros1_chunk(compression.encode(), pack(plain), len(plain))
     path = tmp_path / "a.bag"
-    numbers, damage = saved(path, whole[: len(whole) * 3 // 4])
+    numbers, damage = repaired(path, whole[: len(whole) * 3 // 4])
     assert numbers == list(range(len(numbers)))
     assert 9 < len(numbers) < 16
     assert damage == [START_BYTES]

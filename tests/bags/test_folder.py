@@ -38,7 +38,7 @@ def test_files_that_overlap_are_read_in_order_of_time(folder: Path) -> None:
         assert [m.time_ns for m in bag.messages(None, start, start + 2)] == [start] * 3
 
 
-class Watched(Bag):
+class CountingBag(Bag):
     """A file with one message per second; ``reading`` counts the files that are being read."""
 
     reading = most = 0
@@ -54,11 +54,11 @@ class Watched(Bag):
         self, topics: Collection[BagTopic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
         assert (topics, start_ns, end_ns) == (None, None, None)
-        Watched.reading += 1
-        Watched.most = max(Watched.most, Watched.reading)
+        CountingBag.reading += 1
+        CountingBag.most = max(CountingBag.most, CountingBag.reading)
         for time in range(self.start_ns, self.end_ns + 1, SECOND):
             yield BagMessage(self.topics[0], time, time, b"")
-        Watched.reading -= 1
+        CountingBag.reading -= 1
 
     def close(self) -> None:
         """Do nothing, because nothing is open."""
@@ -67,10 +67,10 @@ class Watched(Bag):
 def test_only_files_of_the_current_time_are_read(tmp_path: Path) -> None:
     for number in range(FILES):
         (tmp_path / f"{number:02}.mcap").touch()
-    with FolderBag(tmp_path, Watched) as bag:
+    with FolderBag(tmp_path, CountingBag) as bag:
         times = [message.time_ns for message in bag.messages()]
     assert (times, len(times)) == (sorted(times), 3 * FILES)
-    assert (Watched.reading, Watched.most) == (0, 2)
+    assert (CountingBag.reading, CountingBag.most) == (0, 2)
 
 
 @pytest.mark.parametrize(("content", "words"), [(EMPTY, "is empty"), (GARBAGE, "is neither an MCAP file")])

@@ -153,7 +153,7 @@ SOURCES = {
 ROWS = [(kind, world) for kind, has in KINDS.items() for world in SOURCES if world == "ROS 2" or has.ros1]
 
 
-def measured(sources: dict[Path, Kind], ending: str) -> list[str]:
+def readers_of(sources: dict[Path, Kind], ending: str) -> list[str]:
     """Convert files, and return for each the readers that decode its message, or "error"."""
     done = [(source.with_name(f"new-{source.stem}{ending}"), kind) for source, kind in sources.items()]
     converted = [_converts(source, target) for source, (target, _) in zip(sources, done, strict=True)]
@@ -181,7 +181,7 @@ def _converts(source: Path, target: Path) -> bool:
     return True
 
 
-def shown(kind: str, world: str) -> list[str]:
+def cells_of(kind: str, world: str) -> list[str]:
     """Return the cells of a row of the page's table."""
     row = re.search(rf"^\| {kind} \| {world}[ ,].*?\| (.*) \|$", PAGE, re.MULTILINE)
     assert row is not None, f"no row of {kind} in {world}"
@@ -198,8 +198,8 @@ def test_the_table_of_conversions_is_correct(
     kinds = [kind for kind, of in ROWS if of == world]
     sources = {tmp_path / f"{world} {kind}{ending}": KINDS[kind] for kind in kinds}
     SOURCES[world][ending](registry, sources)
-    results = dict(zip(kinds, measured(sources, target), strict=True))
-    assert results == {kind: shown(kind, world)[TARGETS.index(target)] for kind in kinds}
+    results = dict(zip(kinds, readers_of(sources, target), strict=True))
+    assert results == {kind: cells_of(kind, world)[TARGETS.index(target)] for kind in kinds}
 
 
 def test_the_table_has_no_other_rows() -> None:

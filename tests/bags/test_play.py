@@ -132,7 +132,7 @@ def player(file: Path, bag: Path) -> Iterator[Player]:
     stop_all(started)
 
 
-def ended(program: Process) -> str:
+def output_of(program: Process) -> str:
     """Return a program's output after its successful exit."""
     until(lambda: program.popen.poll() is not None, "the program exits", 20)
     assert program.popen.poll() == 0, program.output()
@@ -196,7 +196,7 @@ def test_latched_topics_stay_latched_but_velocities_do_not(player: Player, liste
         "the player's publishers are gone",
         5,
     )
-    ended(program)
+    output_of(program)
     assert time.monotonic() - begun < 2.0
     assert listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0
 
@@ -212,7 +212,7 @@ def test_a_halt_pauses_a_player_of_commands(player: Player, listener: Listener) 
     assert listener.received_on("/clock")[-1] == at
     assert [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")] == [0.5, 0.0]
     program.signal(signal.SIGINT)
-    ended(program)
+    output_of(program)
 
 
 def test_keys_pause_step_and_end_the_play(file: Path, bag: Path, listener: Listener) -> None:
@@ -222,7 +222,7 @@ def test_keys_pause_step_and_end_the_play(file: Path, bag: Path, listener: Liste
         [*line, "--topics", "/said", "--paused"], stdin=secondary, stdout=secondary, stderr=secondary
     )
     try:
-        shown = Shown(primary)
+        shown = TerminalOutput(primary)
         until(lambda: "paused" in shown.text(), "the progress line is shown", 20)
         os.write(primary, b".")
         until(lambda: listener.texts() == ["said 0"], "a key steps", 5)
@@ -240,7 +240,7 @@ def test_keys_pause_step_and_end_the_play(file: Path, bag: Path, listener: Liste
         os.close(secondary)
 
 
-class Shown:
+class TerminalOutput:
     """What a program writes to a terminal."""
 
     def __init__(self, terminal: int) -> None:
@@ -264,7 +264,7 @@ def test_services_pause_and_step_while_the_clock_is_stopped(player: Player, list
     assert listener.received_on("/clock")[-1]["clock"] == clock(0.1)
     assert listener.texts() == ["said 1"]
     caller.call(PAUSE, "std_srvs/SetBool", data=False)
-    assert "played 5 messages" in ended(program)
+    assert "played 5 messages" in output_of(program)
     assert listener.texts() == [f"said {n}" for n in range(1, 6)]
     assert listener.received_on("/clock")[-1]["clock"] == clock(0.5)
     times = [message["clock"]["sec"] * NS + message["clock"]["nanosec"] for message in listener.received_on("/clock")]
@@ -280,7 +280,7 @@ def test_each_loop_publishes_all_static_transforms_once(player: Player, listener
     program = player("--loop", "--rate", "5")
     until(lambda: listener.texts().count("said 5") >= 3, "the message arrives three times", 20)
     program.signal(signal.SIGTERM)
-    ended(program)
+    output_of(program)
     assert listener.texts()[:12] == [f"said {n}" for n in range(6)] * 2
     frames = listener.frames()
     assert all(item == {"laser", "camera"} for item in frames)

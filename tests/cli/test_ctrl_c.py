@@ -83,7 +83,7 @@ def interrupted(code: str, *arguments: str, until: str, folder: Path) -> int:
             program.kill()
 
 
-def test_publishing_a_latched_message_ends(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_publication_of_a_latched_message(tmp_path: Path) -> None:
     hub = QuickHub()
     try:
         config = config_file(tmp_path, hub)
@@ -93,12 +93,12 @@ def test_publishing_a_latched_message_ends(tmp_path: Path) -> None:
         hub.stop_router()
 
 
-def test_a_name_server_ends(tmp_path: Path) -> None:
+def test_ctrl_c_ends_a_name_server(tmp_path: Path) -> None:
     words = ["yarp", "server", "--port", str(free_port()), "--forget"]
     assert interrupted(COMMAND, *words, until="web page", folder=tmp_path) == 0
 
 
-def test_reading_a_port_ends(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_read_of_a_port(tmp_path: Path) -> None:
     names = Names()
     try:
         (tmp_path / "yarp.conf").write_text(f"{names.endpoint.replace(':', ' ')} yarp\n")
@@ -108,5 +108,5 @@ def test_reading_a_port_ends(tmp_path: Path) -> None:
         names.stop()
 
 
-def test_joining_a_thread_ends(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_join_of_a_thread(tmp_path: Path) -> None:
     assert interrupted(START + JOIN, until="waits", folder=tmp_path) == 130

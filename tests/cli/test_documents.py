@@ -28,7 +28,7 @@ ROW: dict[str, Any] = {
 }
 
 
-def shown(**row: Any) -> str:
+def row_text(**row: Any) -> str:
     """Return the table's last line for one route of the ROS 1 worker."""
     console = Console(width=200, file=io.StringIO(), record=True)
     document = {"side": "ros1", "routes": [{**ROW, **row}]}
@@ -40,14 +40,14 @@ def test_a_service_shows_the_results_of_its_calls() -> None:
     calls = {"calls": 7, "replies": 3, "errors": 2, "abandoned": 1, "pending": 1}
     names = {"kind": "service", "action": "", "topic": "/do", "hub_topic": "/do", "priority": "", "type": "a/srv/B"}
     text = "- - 0.50 2.00 7 pending 1, errors 2, abandoned 1, queue 2 - active"
-    assert shown(**names, **calls) == f"ROS 1 -> hub /do a/srv/B service {text}"
+    assert row_text(**names, **calls) == f"ROS 1 -> hub /do a/srv/B service {text}"
     part = {"topic": "/go/_action/send_goal", "hub_topic": "/go/_action/send_goal", "action": "/go"}
-    assert " action " in shown(**names | part, **calls)
+    assert " action " in row_text(**names | part, **calls)
 
 
 def test_a_topic_shows_its_priority() -> None:
     names = {"kind": "topic", "topic": "/scan", "hub_topic": "/scan", "priority": "stream", "type": "a/msg/B"}
-    assert shown(**names, way="lane") == "ROS 1 -> hub /scan a/msg/B stream lane - 0.50 2.00 7 queue 2 - active"
+    assert row_text(**names, way="lane") == "ROS 1 -> hub /scan a/msg/B stream lane - 0.50 2.00 7 queue 2 - active"
 
 
 @pytest.mark.parametrize(

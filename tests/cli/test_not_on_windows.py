@@ -25,7 +25,7 @@ def run(system: str, code: str, *arguments: str, folder: Path) -> str:
 
 
 @pytest.mark.parametrize("system", ["windows", "macos"])
-def test_every_verb_has_its_arguments(system: str, tmp_path: Path) -> None:
+def test_every_verb_can_parse_its_arguments(system: str, tmp_path: Path) -> None:
     assert run(system, ALL, folder=tmp_path) == ""
 
 

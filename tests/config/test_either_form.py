@@ -61,7 +61,7 @@ def test_a_text_and_a_list_of_one_text_mean_the_same(text: str, path: tuple[str,
         ("base_control: [1]", ""),
     ],
 )
-def test_what_is_neither(text: str, problem: str) -> None:
+def test_other_values_are_refused(text: str, problem: str) -> None:
     with pytest.raises(ConfigError) as raised:
         load.loads(text)
     assert problem in str(raised.value)

@@ -34,7 +34,10 @@ from bridge.config.load import loads
         ),
         (
             "hub: {open: {listen: ['tls/0.0.0.0:7448', 'tls/192.168.1.5:7448']}}",
-            "1:43: hub.open.listen[1]: tls/192.168.1.5:7448 uses the same port as hub.open.listen[0] (tls/0.0.0.0:7448)",
+            (
+                "1:43: hub.open.listen[1]: tls/192.168.1.5:7448 uses the same port as hub.open.listen[0]"
+                " (tls/0.0.0.0:7448)"
+            ),
         ),
         (
             "hub: {open: {listen: 'tls/[::]:8765'}}\nfoxglove: {enabled: true}",
@@ -46,7 +49,7 @@ from bridge.config.load import loads
         ),
     ],
 )
-def test_two_listeners_of_one_port_are_a_problem(text: str, problem: str) -> None:
+def test_two_listeners_on_the_same_port_are_a_problem(text: str, problem: str) -> None:
     with pytest.raises(ConfigError) as caught:
         loads(text, Path("a.yaml"))
     (result,) = caught.value.problems
@@ -64,13 +67,13 @@ def test_two_listeners_of_one_port_are_a_problem(text: str, problem: str) -> Non
         "web: {enabled: true, listen: '127.0.0.1:10000'}\nyarp: {nameserver: site, address: 'localhost:10000'}",
     ],
 )
-def test_listeners_that_can_all_be_opened(text: str) -> None:
+def test_listeners_that_can_all_be_opened_are_accepted(text: str) -> None:
     assert loads(text).name
 
 
 @pytest.mark.parametrize("other", ["127.0.0.1", "127.0.0.2", "0.0.0.0", "::1", "::"])
 @pytest.mark.parametrize("one", ["127.0.0.1", "0.0.0.0", "::"])
-def test_the_system_agrees(one: str, other: str) -> None:
+def test_the_system_refuses_the_same_pairs_of_listeners(one: str, other: str) -> None:
     with ExitStack() as stack:
         first, second = (
             stack.enter_context(socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET))

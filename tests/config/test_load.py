@@ -24,11 +24,11 @@ def problems(text: str, file: Path = Path("midspan.yaml")) -> list[str]:
 @pytest.mark.parametrize(
     "text", ["", "# nothing\n", "---\n", "hub:\n", "{}", "hub: {}\nrouting:\n  rules:\n", "routing: {rules: []}"]
 )
-def test_empty_is_the_defaults(text: str) -> None:
+def test_an_empty_file_has_the_defaults(text: str) -> None:
     assert loads(text) == Config()
 
 
-def test_values_are_taken() -> None:
+def test_values_of_the_file_are_used() -> None:
     config = loads(
         """
         name: robot1
@@ -289,7 +289,7 @@ def test_problems_have_place_key_and_cure(text: str, expected: list[str]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "words"),
     [
         ("a: &a [*a]\n", "too large or nested too deeply"),
         (
@@ -306,11 +306,11 @@ def test_problems_have_place_key_and_cure(text: str, expected: list[str]) -> Non
     ],
     ids=["alias of itself", "aliases that multiply", "deep", "two documents", "no such alias", "control character"],
 )
-def test_hostile_yaml_is_refused(text: str, said: str) -> None:
-    assert said in problems(text)[0]
+def test_hostile_yaml_is_refused(text: str, words: str) -> None:
+    assert words in problems(text)[0]
 
 
-def test_file_that_cannot_be_used(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_used_is_reported_with_the_reason(tmp_path: Path) -> None:
     large = tmp_path / "large.yaml"
     large.write_bytes(b"#" * (MAX_BYTES + 1))
     latin = tmp_path / "latin.yaml"
@@ -338,7 +338,7 @@ def test_relative_paths_are_relative_to_the_file(tmp_path: Path) -> None:
     assert config.types.mapping_rules == (tmp_path / "rules.yaml",)
 
 
-def test_home_is_expanded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tilde_is_expanded_to_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("HOME", "USERPROFILE"):  # the second on Windows
         monkeypatch.setenv(name, str(tmp_path))
     assert loads("state: ~/st").state == tmp_path / "st"
@@ -378,7 +378,7 @@ def test_the_configuration_is_searched_from_the_variable_to_the_home_folder(
     assert find({**environ, "XDG_CONFIG_HOME": str(tmp_path / "xdg")}) in {None, Path("/etc/midspan/midspan.yaml")}
 
 
-def test_configuration_survives_the_way_to_a_worker(tmp_path: Path) -> None:
+def test_a_worker_receives_the_same_configuration(tmp_path: Path) -> None:
     config = loads(
         f"state: {tmp_path}\nrouting: {{rules: [{{topic: /a, from: ros1, rename: /b}}]}}\nhub: {{zenoh: {{mode: client}}}}"
     )

@@ -54,7 +54,7 @@ def comments(text: str) -> list[str]:
     return [line.split("# ", 1)[1].strip() for line in text.splitlines() if "# " in line]
 
 
-def test_the_robot_of_two_machines_gets_hub_open(tmp_path: Path) -> None:
+def test_the_robots_listener_moves_to_hub_open(tmp_path: Path) -> None:
     for name in ("ca.pem", "robot1.pem", "robot1.key"):
         (tmp_path / name).touch()
     old = ROBOT.format(folder=tmp_path)
@@ -101,7 +101,7 @@ def test_the_robot_of_two_machines_gets_hub_open(tmp_path: Path) -> None:
         ("version: 1\nros2:\n  build: true\n", "version: 1\nros2:\n  # build: true\n"),
     ],
 )
-def test_a_key_that_is_gone_becomes_a_comment(old: str, new: str) -> None:
+def test_a_removed_key_becomes_a_comment(old: str, new: str) -> None:
     migration = migrate(old, FILE)
     assert migration.text == new
     assert (migration.left, loads(new).version) == ([], FORMAT)
@@ -115,7 +115,7 @@ def test_an_old_key_is_an_error_that_names_the_cure() -> None:
     assert str(caught.value) == f"midspan.yaml:2:3: ros2.build: {fault}"
 
 
-def test_a_format_to_come_is_refused_in_one_line() -> None:
+def test_a_newer_format_is_refused_in_one_line() -> None:
     text = f"version: {FORMAT + 1}\nunheard: of\n"
     fault = (
         f"midspan.yaml:1:10: version: this file has format {FORMAT + 1}, and this Midspan reads up to {FORMAT};"

@@ -71,7 +71,7 @@ def test_a_copy_has_the_change_and_all_other_sections(received: ReceivedConfig) 
     assert copy != received
 
 
-def test_it_is_sent_on_in_full(received: ReceivedConfig) -> None:
+def test_a_received_configuration_is_dumped_in_full(received: ReceivedConfig) -> None:
     assert config_json(received) == data()
     assert Config.model_validate_json(received.model_dump_json(by_alias=True)) == received
     assert dict(ReceivedConfig.of(data())) == dict(Config.model_validate(CONFIG))

@@ -25,7 +25,7 @@ def rules(planner: str = "robot_path_planner", *, default: str = "deny", **more:
     return RuleSet(Config.model_validate(sections).rules)
 
 
-def door(rule_set: RuleSet, side: str) -> RoutePolicy:
+def entry_policy(rule_set: RuleSet, side: str) -> RoutePolicy:
     return rule_set.leave("zenoh", side, "/navigate_to_pose", GOAL, "action")
 
 
@@ -37,8 +37,8 @@ def test_without_a_planner_there_are_no_rules() -> None:
 
 def test_a_built_in_planner_has_all_entry_points() -> None:
     rule_set = rules()
-    assert (door(rule_set, "ros1").allowed, door(rule_set, "ros1").name) == (True, "/move_base")
-    assert (door(rule_set, "ros2").allowed, door(rule_set, "ros2").name) == (True, "/navigate_to_pose")
+    assert (entry_policy(rule_set, "ros1").allowed, entry_policy(rule_set, "ros1").name) == (True, "/move_base")
+    assert (entry_policy(rule_set, "ros2").allowed, entry_policy(rule_set, "ros2").name) == (True, "/navigate_to_pose")
     for side, topic in (("ros1", "/move_base_simple/goal"), ("ros2", "/goal_pose")):
         into = rule_set.enter(side, topic, POSE)
         assert (into.allowed, into.name) == (True, "/goal_pose")
@@ -59,10 +59,10 @@ def test_a_planner_with_the_name_of_an_entry_point_keeps_it(
     rule_set = rules(planner)
     into = rule_set.enter(side, action, MOVE if side == "ros1" else GOAL, "action")
     assert (into.allowed, into.name) == (True, f"/planner/{planner}/navigate_to_pose")
-    closed = door(rule_set, side)
+    closed = entry_policy(rule_set, side)
     assert not closed.allowed
     assert f"{planner} has {action} there itself" in closed.why
-    assert door(rule_set, other).allowed
+    assert entry_policy(rule_set, other).allowed
     # otherwise the planner, which subscribes to this topic itself, would receive each goal twice
     assert not rule_set.enter(side, goal, POSE).allowed
     assert not rule_set.leave(other, side, goal, POSE).allowed
@@ -97,7 +97,7 @@ def test_planners_with_an_action_of_several_poses_are_known() -> None:
     }
 
 
-def test_states_of_nav2_and_its_managers_cross_to_the_hub() -> None:
+def test_states_of_nav2_and_its_managers_are_bridged_to_the_hub() -> None:
     state, manage = "lifecycle_msgs/srv/GetState", "nav2_msgs/srv/ManageLifecycleNodes"
     for default in ("allow", "deny"):
         rule_set = rules("nav2", default=default)
@@ -126,7 +126,7 @@ def test_a_planner_with_another_name_leaves_the_entry_point_open() -> None:
     mine = {"name": "mine", "side": "ros1", "action": "/robot/nav/move_base", "velocity": "/robot/nav/cmd_vel"}
     rule_set = rules("robot_goto", planners=[mine])
     assert rule_set.enter("ros1", "/robot/nav/move_base", MOVE, "action").name == "/planner/mine/navigate_to_pose"
-    assert door(rule_set, "ros1").name == "/move_base"
+    assert entry_policy(rule_set, "ros1").name == "/move_base"
     for type_name in (TWIST, TWIST_STAMPED):
         velocity = rule_set.enter("ros1", "/robot/nav/cmd_vel", type_name)
         assert (velocity.name, velocity.priority) == ("/cmd_vel", "command"), "a hold blocks it under this name"
@@ -134,8 +134,8 @@ def test_a_planner_with_another_name_leaves_the_entry_point_open() -> None:
 
 def test_the_file_renames_and_closes_entry_points() -> None:
     rule_set = rules(doors={"ros1": "/robot/move_base", "ros2": "", "ros2_goal": ""}, default="allow")
-    assert door(rule_set, "ros1").name == "/robot/move_base"
-    assert not door(rule_set, "ros2").allowed
+    assert entry_policy(rule_set, "ros1").name == "/robot/move_base"
+    assert not entry_policy(rule_set, "ros2").allowed
 
 
 def test_the_files_rules_limit_a_planners_path_and_costmap() -> None:
@@ -155,8 +155,8 @@ def test_rules_of_the_file_keep_their_numbers_and_may_deny() -> None:
     }
     config = Config.model_validate({"navigation": {"planner": "robot_goto"}, "routing": routing})
     rule_set = RuleSet(config.rules)
-    assert door(rule_set, "ros1").why == "rule 2 denies it"
-    assert door(rule_set, "ros2").why == "the section navigation.doors.ros2 allows it"
+    assert entry_policy(rule_set, "ros1").why == "rule 2 denies it"
+    assert entry_policy(rule_set, "ros2").why == "the section navigation.doors.ros2 allows it"
     assert [getattr(rule, "of", "file") for rule in config.rules.rules][-2:] == ["file", "file"]
 
 

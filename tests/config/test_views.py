@@ -12,7 +12,7 @@ from navigation.robot_path_planner.section import RobotPathPlannerSection
 VIEW = Path(__file__).parents[2] / "configs" / "views" / "navigation_yarpmanager.xml"
 
 
-def test_yarpmanager_connects_ports_that_there_are() -> None:
+def test_yarpmanager_connects_only_existing_ports() -> None:
     application = ET.parse(VIEW).getroot()
     config, ports = Config(), set[str]()
     for prefix in (config.section(RobotPathPlannerSection).prefix, config.section(Mapper2DSection).prefix):

@@ -41,12 +41,12 @@ TOPIC = "topic: /scan, type: sensor_msgs/msg/LaserScan"
         ),
     ],
 )
-def test_what_is_refused(text: str, words: str) -> None:
+def test_invalid_values_are_refused(text: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words.replace("(", r"\(")):
         loads(text)
 
 
-def test_what_is_taken() -> None:
+def test_valid_values_are_accepted() -> None:
     config = loads(
         "yarp: {topics: [{topic: /cmd_vel, port: /base:i, direction: out, fields: [3, linear.x, deg(angular.z), 1.5]},"
         " {topic: '**', as: natural}]}"
@@ -64,7 +64,7 @@ def test_set_keys_are_distinguished_from_defaults_after_a_json_round_trip() -> N
     assert not loads("yarp: {enabled: true}").yarp.configured
 
 
-def test_the_range_of_our_ports_is_parsed() -> None:
+def test_the_range_of_ports_is_parsed() -> None:
     assert loads("yarp: {ports: 20000-20099}").yarp.numbers == range(20000, 20100)
     assert loads("yarp: {ports: server}").yarp.numbers == range(0)
     assert loads("yarp: {poll: 1}").yarp.numbers is None

@@ -35,7 +35,7 @@ YARP3 = "its bytes are YARP 3's; the release of YARP 3 is a guess"
         ({"release": "4.0"}, "/any", Profile.YARP3, "3.12", YARP3),
     ],
 )
-def test_the_release_that_each_client_is_answered_with(
+def test_each_client_gets_the_replies_of_its_release(
     section: dict[str, Any], peer: str, profile: Profile | None, generation: str, why: str
 ) -> None:
     decided = YarpSection.model_validate(section).generations().of(peer, profile)
@@ -63,7 +63,7 @@ def test_a_new_release_restarts_nothing_but_a_new_address_does() -> None:
         assert other.reload(new)
 
 
-def test_what_a_peer_disclosed_itself_overrides_the_rules() -> None:
+def test_the_introduction_of_a_peer_overrides_the_rules() -> None:
     generations = YarpSection.model_validate({"peers": RULES}).generations()
     generations.introduced("/old/one")
     assert generations.of("/old/one").generation is Generation.YARP_4

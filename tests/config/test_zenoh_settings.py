@@ -64,7 +64,7 @@ def problems(text: str, file: Path = Path("m.yaml")) -> list[str]:
         ("hub: {zenoh: {transport: null}}", ["m.yaml:1:15: hub.zenoh.transport: zenoh refuses it: invalid type: unit value, expected struct TransportConf"]),
     ],
 )  # fmt: skip
-def test_what_zenohs_parser_refuses(text: str, lines: list[str]) -> None:
+def test_mistakes_that_zenohs_parser_refuses_are_located(text: str, lines: list[str]) -> None:
     assert problems(text) == lines
 
 
@@ -138,7 +138,7 @@ def test_what_zenohs_parser_refuses(text: str, lines: list[str]) -> None:
         ),
     ],
 )  # fmt: skip
-def test_what_zenohs_parser_accepts_and_a_session_cannot_use(text: str, lines: list[str]) -> None:
+def test_mistakes_that_zenohs_parser_accepts_are_located(text: str, lines: list[str]) -> None:
     assert problems(text) == lines
 
 
@@ -229,7 +229,7 @@ def test_a_file_that_is_broken_later_is_refused_at_the_next_load(tmp_path: Path)
         "{scouting: {multicast: {autoconnect: {peer: [router]}, autoconnect_strategy: {peer: {to_router: always}}}}}",
     ],
 )
-def test_settings_that_zenoh_knows(text: str) -> None:
+def test_valid_settings_are_accepted(text: str) -> None:
     assert loads(f"hub: {{zenoh: {text}}}").hub.zenoh
 
 

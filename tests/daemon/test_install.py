@@ -23,7 +23,7 @@ def units(root: Path) -> list[str]:
     return [(root / UNIT_FOLDER / name).read_text() for name in UNITS]
 
 
-def test_installs_units_configuration_and_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_install_writes_units_configuration_and_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["install", "--root", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "systemctl enable --now midspan-router midspan" in printed
@@ -38,7 +38,7 @@ def test_installs_units_configuration_and_user(tmp_path: Path, capsys: pytest.Ca
     assert "u midspan " in (tmp_path / "etc/sysusers.d/midspan.conf").read_text()
 
 
-def test_own_files_are_kept_and_the_rest_is_updated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_administrators_files_are_kept_and_others_updated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["install", "--root", str(tmp_path)])
     own_file = tmp_path / "etc/midspan/midspan.yaml"
     own_file.write_text("name: mine\n")

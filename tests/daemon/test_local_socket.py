@@ -64,7 +64,7 @@ def port_of(path: Path) -> int:
     return int(json.loads(path.read_text(encoding="utf-8"))[0])
 
 
-def plain(path: Path) -> socket.socket:
+def connect_without_secret(path: Path) -> socket.socket:
     """Connect without the secret, as any user of the machine can."""
     return socket.create_connection(("127.0.0.1", port_of(path)), 5.0)
 
@@ -135,7 +135,7 @@ def test_requests_without_the_secret_are_refused(tmp_path: Path) -> None:
     with query_server(tmp_path) as config:
         path = tmp_path / "test.daemon.sock"
         for first in (b"", b"0" * 64, b"0" * 63):
-            with plain(path) as client:
+            with connect_without_secret(path) as client:
                 client.sendall(first + b'{"verb": "status"}\n')
                 if len(first) < 64:
                     client.shutdown(socket.SHUT_WR)
@@ -143,7 +143,7 @@ def test_requests_without_the_secret_are_refused(tmp_path: Path) -> None:
                     assert client.recv(1000) == b""
         with contextlib.ExitStack() as stack:
             for _ in range(20):  # silent connections do not exclude the owner
-                stack.enter_context(plain(path))
+                stack.enter_context(connect_without_secret(path))
             until(lambda: ask_daemon(config, 5.0), "the owner gets a response")
 
 
@@ -155,7 +155,7 @@ def test_commands_without_the_secret_are_refused(tmp_path: Path) -> None:
         owner = local_socket.connect(tmp_path / "socket", 20.0)
         with owner:
             assert b"hello" in owner.recv(4096)
-            with plain(tmp_path / "socket") as other:
+            with connect_without_secret(tmp_path / "socket") as other:
                 other.sendall(b"0" * 64 + encode_command(NewConfig(Config(name="evil"))))
                 with contextlib.suppress(ConnectionResetError):
                     assert other.recv(1000) == b"", "the other user gets no report"
@@ -197,7 +197,7 @@ def test_silent_clients_do_not_exclude_the_daemon(tmp_path: Path, monkeypatch: p
     try:
         with contextlib.ExitStack() as stack:
             for _ in range(6):
-                stack.enter_context(plain(tmp_path / "socket"))
+                stack.enter_context(connect_without_secret(tmp_path / "socket"))
             owner = stack.enter_context(local_socket.connect(tmp_path / "socket", 20.0))
             assert b"hello" in owner.recv(4096)
     finally:

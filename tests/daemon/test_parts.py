@@ -87,7 +87,7 @@ BAD = [
 
 
 @pytest.mark.parametrize("line", BAD, ids=range(len(BAD)))
-def test_anything_else_is_a_protocol_error(line: bytes) -> None:
+def test_an_invalid_line_is_a_protocol_error(line: bytes) -> None:
     with pytest.raises(ProtocolError):
         decode_report(line)
     with pytest.raises(ProtocolError):

@@ -140,7 +140,10 @@ def test_the_doctor_finds_what_two_services_cannot_share(
         (
             {"metrics": {"enabled": True, "listen": "127.0.0.1:8480"}},
             {"web": {"enabled": True, "listen": "localhost:8480"}},
-            "web.listen of midspan@two (localhost:8480) uses the same port as metrics.listen of midspan@one (127.0.0.1:8480)",
+            (
+                "web.listen of midspan@two (localhost:8480) uses the same port as metrics.listen of midspan@one"
+                " (127.0.0.1:8480)"
+            ),
         ),
         ({"web": {"enabled": True, "listen": "127.0.0.1:0"}}, {"web": {"enabled": True, "listen": "127.0.0.1:0"}}, ""),
         ({"hub": {"listen": "tcp/localhost:7447"}}, {"hub": {"listen": "tcp/127.0.0.1:7447"}}, ""),
@@ -210,7 +213,7 @@ def test_two_daemons_share_the_state_folder_and_the_hub(tmp_path: Path) -> None:
             robot.env["STATE_DIRECTORY"] = str(tmp_path / "state")
             robot.midspan("worker", "router", "--control")
             robot.midspan("run", "--adopt", "router")
-        until(lambda: both(robots[0]), "both daemons are on the hub with their stores", 60)
+        until(lambda: has_both_daemons(robots[0]), "both daemons are on the hub with their stores", 60)
     finally:
         for robot in robots:
             robot.close()
@@ -222,7 +225,7 @@ def folders(root: Path) -> list[str]:
     return ["one", "two"]
 
 
-def both(robot: RobotDaemon) -> bool:
+def has_both_daemons(robot: RobotDaemon) -> bool:
     """Return whether the status has both daemons, each with its store."""
     lines = robot.command("status").stdout.splitlines()
     return {"one", "two"} <= set(lines) and sum("store    running" in line for line in lines) == 2

@@ -136,7 +136,7 @@ os.write(2, " ".join(sorted(thread.name for thread in threading.enumerate())).en
     assert done.stderr == "MainThread"
 
 
-def test_end_of_input_stops(daemon: Daemon, supervised: Supervised) -> None:
+def test_the_end_of_input_stops_the_worker(daemon: Daemon, supervised: Supervised) -> None:
     supervised.send(config(daemon))
     supervised.read()
     supervised.end_of_input()
@@ -144,7 +144,7 @@ def test_end_of_input_stops(daemon: Daemon, supervised: Supervised) -> None:
     assert len(daemon.events("ros1", "stop")) == 1
 
 
-def test_end_of_input_before_any_configuration(supervised: Supervised) -> None:
+def test_a_worker_without_a_configuration_exits_at_the_end_of_input(supervised: Supervised) -> None:
     supervised.end_of_input()
     assert supervised.popen.wait(40) == 0
 
@@ -375,7 +375,7 @@ def test_a_crash_of_the_router_while_starting_is_logged(daemon: Daemon) -> None:
     daemon.expect_output(process, "router ended with exit code 1")
 
 
-def test_state_folder_that_cannot_be_used(daemon: Daemon) -> None:
+def test_an_unusable_state_folder_is_reported_with_the_cure(daemon: Daemon) -> None:
     daemon.file.write_text("state: /proc/nothing\n")
     process = daemon.start()
     assert process.popen.wait(40) == 1

@@ -11,7 +11,7 @@ from tests.doctor.parts import around, every, hub, only
 WORKER = {"worker": "ros2", "side": "ros2"}
 
 
-def test_nodes_are_named() -> None:
+def test_nodes_on_cyclone_dds_are_named() -> None:
     report = {"nodes": ["/lamp", "/planner"], "both": []}
     finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.OK
@@ -19,7 +19,7 @@ def test_nodes_are_named() -> None:
     assert "topics, services and actions are bridged" in finding.seen
 
 
-def test_names_that_are_served_twice() -> None:
+def test_services_with_a_second_server_on_another_dds_are_a_warning() -> None:
     report = {"nodes": ["/lamp"], "both": ["/go", "/switch"]}
     finding = only(cyclone.check_nodes(around(hub=hub({**WORKER, "cyclone": report}))))
     assert finding.result is Result.WARN
@@ -63,5 +63,5 @@ def test_without_a_worker_the_check_is_skipped() -> None:
     assert only(cyclone.check_nodes(around())).result is Result.SKIP
 
 
-def test_the_doctor_runs_it() -> None:
+def test_the_doctor_runs_the_check_of_cyclone_dds() -> None:
     assert "cyclone" in [check.id for check in CHECKS]

@@ -84,7 +84,7 @@ def test_simulated_time_without_a_publisher_fails_the_check(
     assert ("midspan play --clock" in finding.cure) is missing
 
 
-def test_a_worker_that_runs_out_of_descriptors() -> None:
+def test_a_worker_with_few_free_descriptors_fails_the_check() -> None:
     program = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40)); "
         "held = [open('/dev/null') for _ in range(int(sys.argv[2]))]; print('ready', flush=True); sys.stdin.read()"
@@ -186,7 +186,7 @@ def test_shared_memory_of_another_users_fast_dds_is_reported(tmp_path: Path, tra
             assert only(sharedmemory.check_users(place)).result is Result.OK
 
 
-def test_full_disk_is_reported(tmp_path: Path) -> None:
+def test_full_shared_memory_fails_the_check(tmp_path: Path) -> None:
     assert only(sharedmemory.check_size(around(shm=tmp_path / "none"))).result is Result.SKIP
     # /sys is a file system without any space
     if Path("/sys").is_mount():
@@ -207,7 +207,7 @@ def test_a_custom_profile_without_room_in_shared_memory_is_a_warning(tmp_path: P
         assert "list only UDP transports in the profile" in findings[1].cure
 
 
-def test_foreign_process_is_ignored() -> None:
+def test_a_process_of_another_program_is_ignored() -> None:
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()"], dict(os.environ), pipes=True) as stranger:
         place = around(hub=hub({"worker": "ros1", "side": "ros1", "pid": stranger.pid}))
         until(lambda: Path(f"/proc/{stranger.pid}/cmdline").read_bytes(), "the process runs")

@@ -46,14 +46,14 @@ def test_each_reason_has_its_cure(planner: str, documents: list[dict[str, Any]],
     assert cure in finding.cure
 
 
-def test_planner_of_a_class_that_cannot_be_imported() -> None:
+def test_a_planner_whose_class_cannot_be_imported_is_reported() -> None:
     finding = absence(NavigationSection.model_validate({"planner": "hall:Hall"}), "hall", [], [])
     assert finding is not None
     assert finding.text == "the planner hall is not available: its module does not run"
     assert finding.cure.startswith("put the folder of hall on PYTHONPATH")
 
 
-def test_planner_whose_action_is_rejected() -> None:
+def test_a_planner_whose_action_cannot_be_bridged_is_reported() -> None:
     entry = {"direction": "in", "topic": "/move_base/goal", "reason": "no definition", "cure": "install it"}
     finding = absence(NavigationSection(planner="move_base"), "move_base", [], [document({**ROS1, "refused": [entry]})])
     assert finding is not None

@@ -45,7 +45,7 @@ def test_nodes_of_the_side_are_listed_with_their_release(group: dict[str, Any], 
     assert bool(finding.cure) is (result is Result.WARN)
 
 
-def test_two_versions_of_fast_dds_share_no_memory() -> None:
+def test_two_versions_of_fast_dds_without_common_shared_memory_are_a_warning() -> None:
     findings = every(releases.check_releases(around(hub=hub(side(JAZZY, KILTED)))))
     assert [finding.result for finding in findings] == [Result.OK, Result.OK, Result.WARN]
     assert "Fast DDS 2 and Fast DDS 3.2.2 on one network do not share memory with each other" in findings[2].seen

@@ -37,11 +37,11 @@ def master(roscore: RosMaster) -> Iterator[RosMaster]:
             for node in nodes:
                 if node != "/rosout":
                     uri = roscore.call("lookupNode", node)
-                    _as_node(roscore, node, f"unregister{kind}", topic, uri)
+                    call_as_node(roscore, node, f"unregister{kind}", topic, uri)
     roscore.call("deleteParam", "/midspan/nodes")
 
 
-def _as_node(master: RosMaster, node: str, method: str, *params: Any) -> None:
+def call_as_node(master: RosMaster, node: str, method: str, *params: Any) -> None:
     from xmlrpc.client import ServerProxy
 
     with ServerProxy(master.uri) as proxy:
@@ -49,7 +49,7 @@ def _as_node(master: RosMaster, node: str, method: str, *params: Any) -> None:
 
 
 def register(master: RosMaster, node: str, uri: str) -> None:
-    _as_node(master, node, "registerPublisher", f"{node}/topic", "std_msgs/String", uri)
+    call_as_node(master, node, "registerPublisher", f"{node}/topic", "std_msgs/String", uri)
 
 
 @needs_ros1
@@ -161,7 +161,7 @@ class _Http(SimpleXMLRPCRequestHandler):
 
 
 @pytest.fixture
-def living() -> Iterator[str]:
+def live_node() -> Iterator[str]:
     """A node that answers getPid with 4711, as Midspan on another machine would."""
     server = SimpleXMLRPCServer(("127.0.0.1", 0), _Http)
     server.register_function(lambda _caller: (1, "", 4711), "getPid")
@@ -174,7 +174,7 @@ def living() -> Iterator[str]:
 
 
 @needs_ros1
-def test_other_bridges_on_the_master_are_reported(master: RosMaster, living: str, tmp_path: Path) -> None:
+def test_other_bridges_on_the_master_are_reported(master: RosMaster, live_node: str, tmp_path: Path) -> None:
     config = {"ros1": {"master": master.uri}, "ros2": {"enabled": False}, "state": tmp_path}
 
     def place() -> CheckContext:
@@ -182,12 +182,12 @@ def test_other_bridges_on_the_master_are_reported(master: RosMaster, living: str
 
     assert Result.WARN not in results(bridges.check(place()))
 
-    entry = {"owner": "x", "daemon": "robot2", "node": "/midspan", "uri": living, "pid": 4711}
+    entry = {"owner": "x", "daemon": "robot2", "node": "/midspan", "uri": live_node, "pid": 4711}
     dead = {**entry, "node": "/midspan_dead", "uri": f"http://127.0.0.1:{free_port()}/"}
     own_entry = {**entry, "node": "/midspan_own", "daemon": "robot1", "pid": 99}
     for name, value in (("other", entry), ("dead", dead), ("own", own_entry)):
         master.call("setParam", f"/midspan/nodes/{name}", value)
-    register(master, "/ros_bridge", living)
+    register(master, "/ros_bridge", live_node)
     finding = bridges.check(place())
     texts = {f.seen: f.result for f in finding if f.result is not Result.SKIP}
     assert sorted(texts.values()) == [Result.FAIL, Result.WARN, Result.WARN], texts

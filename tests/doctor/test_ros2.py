@@ -52,7 +52,7 @@ def _servers_run(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"ROS_DOMAIN_ID": "seven"}, {}, Result.FAIL, "not a number"),
         ({"ROS_DOMAIN_ID": "233"}, {}, Result.FAIL, "not a number"),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, {}, Result.FAIL, "discover nothing"),
-        ({"ROS_LOCALHOST_ONLY": "1"}, {"localhost_only": False}, Result.WARN, "only discover this machine"),
+        ({"ROS_LOCALHOST_ONLY": "1"}, {"localhost_only": False}, Result.WARN, "discover only this machine"),
         ({"ROS_LOCALHOST_ONLY": "1"}, {}, Result.OK, ""),
         ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere.xml"}, {}, Result.WARN, "/nowhere.xml"),
         ({"ROS_DOMAIN_ID": "x"}, {"enabled": False}, Result.SKIP, ""),
@@ -72,7 +72,7 @@ def test_the_environment_of_ros2_is_checked(
     assert words in f"{finding.seen} {finding.cure}"
 
 
-def test_the_running_daemon_has_another_domain() -> None:
+def test_a_shell_with_another_domain_than_the_running_daemons_is_reported() -> None:
     env = {**os.environ, "ROS_DOMAIN_ID": "23"}
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
         until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "the worker runs")
@@ -95,7 +95,7 @@ def test_a_shell_without_the_daemons_discovery_server_is_a_warning(mine: str, re
     assert result is Result.OK or "not set in this shell, 10.0.0.1:11811 for the daemon" in finding.seen
 
 
-def test_a_discovery_server_that_does_not_run() -> None:
+def test_a_missing_discovery_server_is_reported() -> None:
     port = free_port()
     finding = only(ros2.check_environment(around(environ={"ROS_DISCOVERY_SERVER": f"127.0.0.1:{port}"})))
     assert finding.result is Result.WARN
@@ -103,7 +103,7 @@ def test_a_discovery_server_that_does_not_run() -> None:
 
 
 @pytest.mark.usefixtures("_servers_run")
-def test_a_discovery_server_that_is_younger_than_the_daemon() -> None:
+def test_a_discovery_server_that_restarted_after_the_worker_is_reported() -> None:
     """The kernel counts start times in hundredths of a second, so each program starts once the previous one runs."""
     port = free_port()
     environ = {"ROS_DISCOVERY_SERVER": f"127.0.0.1:{port};10.0.0.1"}
@@ -165,7 +165,7 @@ def test_a_side_on_fast_dds_needs_no_check_of_cyclone_dds() -> None:
     assert only(ros2.check_cyclone(around(off))).result is Result.SKIP
 
 
-def test_the_library_of_cyclone_dds_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_of_cyclone_dds_fails_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros2, "available", lambda _config: "librmw_cyclonedds_cpp.so is not in the ROS 2 in /opt; it")
     finding = only(ros2.check_cyclone(around(ON_CYCLONE)))
     assert finding.result is Result.FAIL
@@ -185,7 +185,7 @@ def test_the_library_of_cyclone_dds_is_missing(monkeypatch: pytest.MonkeyPatch) 
         ([], [], Result.OK, "no discovered node serves on another DDS"),
     ],
 )
-def test_nodes_whose_services_cannot_be_called(
+def test_nodes_whose_services_cannot_be_called_are_reported(
     foreign: list[str], uncallable: list[str], result: Result, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ros2, "available", lambda _config: "")

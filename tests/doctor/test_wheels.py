@@ -61,7 +61,7 @@ def test_a_newer_python_lacks_dart(requirements: list[str]) -> None:
         (False, "no rclpy", Result.OK),
     ],
 )
-def test_the_side_is_named(
+def test_a_side_without_wheels_is_named(
     requirements: list[str], enabled: Any, missing: str, result: Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(WorkerKind, "missing", lambda *_: missing)

@@ -41,7 +41,7 @@ print("used")
 """
 
 
-def test_a_program_uses_what_was_built(built: Path) -> None:
+def test_a_program_uses_the_built_packages(built: Path) -> None:
     env = os.environ | environment([built])
     done = subprocess.run([sys.executable, "-c", USE], env=env, capture_output=True, text=True, check=False, timeout=90)
     assert done.stdout.strip() == "used", done.stderr
@@ -101,7 +101,7 @@ def test_two_processes_build_a_package_only_once(tiny_outputs: list[list[str]]) 
     assert sum("building" in line for output in tiny_outputs for line in output) == 1
 
 
-def test_no_compiler_is_named_with_its_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_compiler_is_reported_with_its_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.delenv("CXX", raising=False)

@@ -70,7 +70,7 @@ FAULTS: list[tuple[str, Packages, str, str]] = [
 
 
 @pytest.mark.parametrize(("given", "where", "word"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS])
-def test_what_cannot_be_resolved_is_named(given: Packages, where: str, word: str) -> None:
+def test_unresolved_references_are_reported_with_their_place(given: Packages, where: str, word: str) -> None:
     with pytest.raises(BuildError) as caught:
         steps(given)
     assert caught.value.where == where

@@ -18,7 +18,7 @@ from bridge.routing.counters import DROPS
 from tests.metrics.documents import route, service, side, snapshot
 
 
-class Fixed:
+class FixedSource:
     """A source with a fixed snapshot."""
 
     def __init__(self, known: Snapshot) -> None:
@@ -32,7 +32,7 @@ class Scrape:
     """The samples of a snapshot, in Prometheus' text format."""
 
     def __init__(self, *documents: dict[str, Any], most: int = 200, **daemon: Any) -> None:
-        self.source = Fixed(snapshot(*documents, **daemon))
+        self.source = FixedSource(snapshot(*documents, **daemon))
         self.registry = CollectorRegistry(auto_describe=False)
         self.registry.register(MidspanCollector(self.source, most))
 

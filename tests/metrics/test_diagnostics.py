@@ -109,7 +109,7 @@ def test_modules_and_boards_that_wait_or_are_missing_raise_the_level() -> None:
     assert named["module gateway"].message == "not running"
 
 
-def test_the_daemons_level_is_stale_or_warn_without_a_process_or_after_a_refusal() -> None:
+def test_the_daemons_level_shows_that_it_is_down_or_refused_a_reload() -> None:
     assert statuses()["daemon"].level is Level.STALE
     assert statuses(pid=1, refused="line 3")["daemon"].level is Level.WARN
 
@@ -124,7 +124,7 @@ def test_the_daemons_level_is_stale_or_warn_without_a_process_or_after_a_refusal
         ({"router": "running"}, ""),
     ],
 )
-def test_one_worker_publishes_in_a_fixed_order(phases: dict[str, str], turn: str) -> None:
+def test_the_first_running_worker_of_a_fixed_order_publishes(phases: dict[str, str], turn: str) -> None:
     daemon = {"workers": [worker_document(name, phase) for name, phase in phases.items()]}
     assert publishing_worker(read_daemon_status(daemon)) == turn
 

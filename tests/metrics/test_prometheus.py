@@ -80,8 +80,8 @@ class ScrapedDeployment(Deployment):
 
 
 @pytest.fixture(scope="module")
-def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ScrapedDeployment]:
-    with ScrapedDeployment(tmp_path_factory.mktemp("watched")) as deployment:
+def deployment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ScrapedDeployment]:
+    with ScrapedDeployment(tmp_path_factory.mktemp("deployment")) as deployment:
         deployment.begin()
         yield deployment
 
@@ -111,12 +111,12 @@ def test_the_alerts_fire_as_specified() -> None:
 
 
 @needs(PROMETHEUS)
-def test_promtool_accepts_a_scrape(watched: ScrapedDeployment) -> None:
-    assert promtool("check", "metrics", text=watched.get("/metrics")[1]) == ""
+def test_promtool_accepts_a_scrape(deployment: ScrapedDeployment) -> None:
+    assert promtool("check", "metrics", text=deployment.get("/metrics")[1]) == ""
 
 
-def test_a_scrape_of_a_real_daemon_is_openmetrics(watched: ScrapedDeployment) -> None:
-    text = watched.get("/metrics", "application/openmetrics-text; version=1.0.0")[1]
+def test_a_scrape_of_a_real_daemon_is_openmetrics(deployment: ScrapedDeployment) -> None:
+    text = deployment.get("/metrics", "application/openmetrics-text; version=1.0.0")[1]
     families = {family.name: family for family in parse_openmetrics(text)}
 
     def message_counts(family: str) -> dict[tuple[str, str], float]:
@@ -128,9 +128,9 @@ def test_a_scrape_of_a_real_daemon_is_openmetrics(watched: ScrapedDeployment) ->
     assert min(*delivered.values(), *carried.values()) > 0
 
 
-def test_a_daemon_exports_every_metric_of_dashboard_and_alerts(watched: ScrapedDeployment) -> None:
+def test_a_daemon_exports_every_metric_of_dashboard_and_alerts(deployment: ScrapedDeployment) -> None:
     exported = set()
-    for family in parse(watched.get("/metrics")[1]):
+    for family in parse(deployment.get("/metrics")[1]):
         exported.add(family.name + ("_total" if family.type == "counter" else ""))
     wanted = metric_names(DASHBOARD.read_text()) | metric_names(RULES.read_text())
     assert len(wanted) > 30
@@ -194,12 +194,12 @@ class Prometheus:
         self._process.stop()
 
 
-def test_a_hanging_worker_is_reported_and_delays_nothing(watched: ScrapedDeployment) -> None:
+def test_a_hanging_worker_is_reported_and_delays_nothing(deployment: ScrapedDeployment) -> None:
     answering = 'midspan_worker_answering{worker="modules"} '
-    pid = watched.pid_of("modules")
+    pid = deployment.pid_of("modules")
     os.kill(pid, signal.SIGSTOP)
     try:
-        scrapes = iter(lambda: watched.get("/metrics")[1], "")
+        scrapes = iter(lambda: deployment.get("/metrics")[1], "")
         text = until(
             lambda: text if f"{answering}0.0" in (text := next(scrapes)) else "",
             "the worker is reported as not answering",
@@ -211,13 +211,13 @@ def test_a_hanging_worker_is_reported_and_delays_nothing(watched: ScrapedDeploym
         assert 'midspan_worker_resident_memory_bytes{worker="modules"}' in text, "its memory is read from the system"
     finally:
         os.kill(pid, signal.SIGCONT)
-    until(lambda: f"{answering}1.0" in watched.get("/metrics")[1], "the worker answers again", 40, every=0.2)
+    until(lambda: f"{answering}1.0" in deployment.get("/metrics")[1], "the worker answers again", 40, every=0.2)
 
 
 @pytest.mark.thorough
 @needs(PROMETHEUS)
-def test_a_real_prometheus_scrapes_it(watched: ScrapedDeployment, tmp_path: Path) -> None:
-    with contextlib.closing(Prometheus(tmp_path, watched.address)) as prometheus:
+def test_a_real_prometheus_scrapes_it(deployment: ScrapedDeployment, tmp_path: Path) -> None:
+    with contextlib.closing(Prometheus(tmp_path, deployment.address)) as prometheus:
         until(lambda: prometheus.query('up{job="midspan"} == 1'), "Prometheus scrapes the daemon", every=0.2)
         routes = until(lambda: prometheus.query('midspan_route_messages_total{topic="/chat"}'), "routes", 20, every=0.2)
         assert {route["metric"]["side"] for route in routes} == {"ros1", "ros2"}
@@ -226,6 +226,6 @@ def test_a_real_prometheus_scrapes_it(watched: ScrapedDeployment, tmp_path: Path
         assert prometheus.query("midspan_worker_up == 1 and midspan_worker_answering == 1")
         restart_alert = 'ALERTS{alertname="MidspanWorkerRestarts", worker="modules", alertstate="firing"}'
         assert not prometheus.query(restart_alert)
-        os.kill(watched.pid_of("modules"), signal.SIGKILL)
+        os.kill(deployment.pid_of("modules"), signal.SIGKILL)
         until(lambda: prometheus.query(restart_alert), "the alert fires", 40, every=0.2)
-    until(lambda: "midspan_goals_total" in watched.get("/metrics")[1], "the modules are back", 40, every=0.2)
+    until(lambda: "midspan_goals_total" in deployment.get("/metrics")[1], "the modules are back", 40, every=0.2)

@@ -119,5 +119,5 @@ def test_readiness_lists_workers_that_are_not_up(
     assert ready.reasons() == ["ros1: restarting: signal 9", "ros2: starting"]
 
 
-def test_it_is_not_ready_without_a_daemon(config: Config) -> None:
+def test_a_daemon_that_does_not_run_is_not_ready(config: Config) -> None:
     assert Readiness(config).reasons() == ["no daemon named 'here' answers"]

@@ -33,7 +33,7 @@ TOKEN = new_token()
 OPENMETRICS = "application/openmetrics-text; version=1.0.0"
 
 
-class Place:
+class MetricsRig:
     """A hub with a worker of the daemon ``here``, a worker of the daemon ``there``, and the metrics worker."""
 
     def __init__(self, folder: Path) -> None:
@@ -93,43 +93,43 @@ class Place:
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Iterator[Place]:
-    opened = Place(tmp_path)
+def rig(tmp_path: Path) -> Iterator[MetricsRig]:
+    opened = MetricsRig(tmp_path)
     yield opened
     opened.close()
 
 
-def test_metrics_are_exported_in_both_formats(place: Place) -> None:
-    worker = place.start()
+def test_metrics_are_exported_in_both_formats(rig: MetricsRig) -> None:
+    worker = rig.start()
     worker.health()
-    until(lambda: "midspan_route_messages" in place.families(), "the routes are exported", 20)
-    status, kind, text = place.ask("/metrics")
+    until(lambda: "midspan_route_messages" in rig.families(), "the routes are exported", 20)
+    status, kind, text = rig.ask("/metrics")
     assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
     assert [s.value for f in parse(text) if f.name == "midspan_route_messages" for s in f.samples] == [3], (
         "only this daemon's routes are exported"
     )
-    (answer,) = place.far.ask("status", {}, daemon="here", worker="metrics")
+    (answer,) = rig.far.ask("status", {}, daemon="here", worker="metrics")
     check_document(answer.value, "metrics")
-    status, kind, text = place.ask("/metrics", OPENMETRICS)
+    status, kind, text = rig.ask("/metrics", OPENMETRICS)
     assert status == 200
     assert kind.startswith(OPENMETRICS)
     assert "midspan_route_carry_seconds" in {family.name for family in parse_openmetrics(text)}
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["both", "without its token"])
-def test_another_daemon_of_the_name_is_left_out(place: Place, tmp_path: Path, known: bool) -> None:
+def test_another_daemon_with_the_same_name_is_left_out(rig: MetricsRig, tmp_path: Path, known: bool) -> None:
     """A worker of an earlier release announces no identity of its daemon, and is included."""
-    settings = replace(place.hubs.settings("ros2", "ros2", "here"), identity=identity(tmp_path) if known else None)
+    settings = replace(rig.hubs.settings("ros2", "ros2", "here"), identity=identity(tmp_path) if known else None)
     own_hub = Hub.open(settings)
     (tmp_path / "other").mkdir()
-    namesake = Hub.open(replace(place.hubs.settings("yarp", "yarp", "here"), identity=identity(tmp_path / "other")))
+    namesake = Hub.open(replace(rig.hubs.settings("yarp", "yarp", "here"), identity=identity(tmp_path / "other")))
     try:
         own_hub.serve("status", lambda _params: side(route(), worker="ros2", side="ros2"))
         namesake.serve("status", lambda _params: side(route(), worker="yarp", side="yarp"))
-        place.start().health()
+        rig.start().health()
 
         def sides() -> set[str]:
-            return {sample.labels["side"] for sample in place.families().get("midspan_side_state", [])}
+            return {sample.labels["side"] for sample in rig.families().get("midspan_side_state", [])}
 
         until(lambda: len(namesake.ask("status", {}, "here")) >= 3, "all workers answer")
         until(lambda: "ros2" in sides(), "this daemon's worker is exported", 20)
@@ -143,31 +143,31 @@ def identity(folder: Path) -> DaemonIdentity | None:
     return identity_of(Config.model_validate({"name": "here", "state": folder}))
 
 
-def test_it_responds_without_a_hub_and_joins_it_later(place: Place) -> None:
-    place.hubs.stop_router()
-    worker = place.start()
+def test_the_worker_responds_without_a_hub_and_joins_it_later(rig: MetricsRig) -> None:
+    rig.hubs.stop_router()
+    worker = rig.start()
     assert "no router" in worker.health().text
-    assert place.families()["midspan_hub_up"][0].value == 0
-    place.hubs.start_router()
+    assert rig.families()["midspan_hub_up"][0].value == 0
+    rig.hubs.start_router()
 
     def has_routes() -> bool:
         worker.health()
-        return "midspan_route_messages" in place.families()
+        return "midspan_route_messages" in rig.families()
 
     until(has_routes, "the routes are exported", 20, every=0.2)
-    place.hubs.stop_router()
-    until(lambda: place.families()["midspan_hub_up"][0].value == 0, "the hub is reported as down", 20, every=0.2)
-    place.hubs.start_router()
+    rig.hubs.stop_router()
+    until(lambda: rig.families()["midspan_hub_up"][0].value == 0, "the hub is reported as down", 20, every=0.2)
+    rig.hubs.start_router()
     until(has_routes, "the routes are exported again", 20, every=0.2)
 
 
-def test_a_hanging_worker_does_not_delay_the_others(place: Place) -> None:
+def test_a_hanging_worker_does_not_delay_the_others(rig: MetricsRig) -> None:
     hangs = threading.Event()
-    stuck = Hub.open(place.hubs.settings("ros2", "ros2", "here"))
+    stuck = Hub.open(rig.hubs.settings("ros2", "ros2", "here"))
     try:
         stuck.serve("status", lambda _params: hangs.wait(30))
-        place.start().health()
-        families = place.families()
+        rig.start().health()
+        families = rig.families()
         assert families["midspan_route_messages"], "the worker that responds is exported"
         assert 0.9 < families["midspan_ask_duration_seconds"][0].value < 5.0
     finally:
@@ -175,48 +175,48 @@ def test_a_hanging_worker_does_not_delay_the_others(place: Place) -> None:
         stuck.close()
 
 
-def test_it_is_alive_but_not_ready_without_a_daemon(place: Place) -> None:
-    place.start()
-    assert place.ask("/healthz") == (200, "text/plain; charset=utf-8", "alive\n")
-    assert place.ask("/readyz")[::2] == (503, "no daemon named 'here' answers\n")
-    assert place.ask("/none")[0] == 404
+def test_the_worker_is_alive_but_not_ready_without_a_daemon(rig: MetricsRig) -> None:
+    rig.start()
+    assert rig.ask("/healthz") == (200, "text/plain; charset=utf-8", "alive\n")
+    assert rig.ask("/readyz")[::2] == (503, "no daemon named 'here' answers\n")
+    assert rig.ask("/none")[0] == 404
 
 
-def test_another_machine_needs_a_token(place: Place, tmp_path: Path) -> None:
+def test_another_machine_needs_a_token(rig: MetricsRig, tmp_path: Path) -> None:
     authority = Authority(tmp_path / "keys")
     authority.make()
     authority.issue("here", ["127.0.0.1"])
-    place.start(
-        hub={"listen": place.hubs.endpoint, "open": {"keys": str(tmp_path / "keys")}},
+    rig.start(
+        hub={"listen": rig.hubs.endpoint, "open": {"keys": str(tmp_path / "keys")}},
         metrics={"listen": "0.0.0.0:0"},
         web={"tokens": {"prometheus": {"role": "watch", "sha256": TOKEN[1]}}},
     )
     tls = ssl.create_default_context(cafile=tmp_path / "keys" / "ca.pem")
-    assert place.ask("/metrics", tls=tls)[0] == 401
-    assert place.ask("/metrics", tls=tls, token=TOKEN[0])[0] == 200
-    assert place.ask("/healthz", tls=tls)[0] == 200, "a supervisor, which has no token, may read /healthz"
-    status, _, text = place.ask("/readyz", tls=tls)
+    assert rig.ask("/metrics", tls=tls)[0] == 401
+    assert rig.ask("/metrics", tls=tls, token=TOKEN[0])[0] == 200
+    assert rig.ask("/healthz", tls=tls)[0] == 200, "a supervisor, which has no token, may read /healthz"
+    status, _, text = rig.ask("/readyz", tls=tls)
     assert (status, "daemon" in text) == (503, False)
-    assert "no daemon" in place.ask("/readyz", tls=tls, token=TOKEN[0])[2]
+    assert "no daemon" in rig.ask("/readyz", tls=tls, token=TOKEN[0])[2]
 
 
-def test_a_public_address_without_protection_is_refused(place: Place) -> None:
+def test_a_public_address_without_protection_is_refused(rig: MetricsRig) -> None:
     with pytest.raises(ConfigError, match=r"metrics\.listen.*web\.tokens"):
         loads("metrics: {enabled: true, listen: '0.0.0.0:9480'}")
     with pytest.raises(RuntimeError, match=r"metrics\.listen: other machines reach"):
-        place.start(metrics={"listen": "0.0.0.0:0"})
+        rig.start(metrics={"listen": "0.0.0.0:0"})
     with pytest.raises(ConfigError, match="not an address with a port"):
         loads("metrics: {listen: '9480'}")
     assert loads("metrics: {listen: '0.0.0.0:9480'}").section(MetricsSection).reached
 
 
-def test_an_address_in_use_is_reported(place: Place) -> None:
-    worker = place.start()
+def test_an_address_in_use_is_reported(rig: MetricsRig) -> None:
+    worker = rig.start()
     assert worker.server is not None
     second = MetricsWorker()
     listen = f"127.0.0.1:{worker.server.port}"
     with pytest.raises(RuntimeError, match=f"the worker metrics cannot listen on {listen}: .*; set metrics.listen"):
-        second.start(Config.model_validate({"state": place.folder, "metrics": {"enabled": True, "listen": listen}}))
+        second.start(Config.model_validate({"state": rig.folder, "metrics": {"enabled": True, "listen": listen}}))
     second.stop()
 
 

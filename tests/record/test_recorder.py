@@ -167,7 +167,7 @@ def test_a_pause_unsubscribes_and_a_start_continues_in_another_file(
     assert read(tmp_path / "one_1.mcap").texts("/said") == ["after"]
 
 
-def test_a_trigger_keeps_the_rings_last_moments(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+def test_a_trigger_saves_the_rings_last_moments(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
     section = RecordSection.model_validate({"ring": {"seconds": 5.0}})
     ring = Ring(KeptFolder(tmp_path, section.keep), section.ring)
     chat, latched = robot.publisher("/said"), robot.publisher("/map", LATCHED)

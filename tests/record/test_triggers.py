@@ -11,7 +11,7 @@ from bridge.record.section import TriggerSection
 from bridge.record.triggers import Triggers
 
 
-def test_a_trigger_that_kept_nothing_does_not_block_the_next_one() -> None:
+def test_a_trigger_that_saved_nothing_does_not_block_the_next_trigger() -> None:
     host: Any = MagicMock()
     requests: list[Future[Path | None]] = []
 

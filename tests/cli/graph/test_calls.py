@@ -102,7 +102,7 @@ def test_a_call_prints_the_reply(midspan: Midspan, robot: Robot) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "error"),
     [
         (["/lamp", "{dta: true}"], "dta"),
         (["/lamp", "std_srvs/Trigger"], "is std_srvs/srv/SetBool on the hub"),
@@ -113,12 +113,12 @@ def test_a_call_prints_the_reply(midspan: Midspan, robot: Robot) -> None:
     ],
 )
 def test_call_errors_are_reported(
-    midspan: Midspan, robot: Robot, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
+    midspan: Midspan, robot: Robot, monkeypatch: pytest.MonkeyPatch, words: list[str], error: str
 ) -> None:
     monkeypatch.setattr("bridge.client.services.WAIT_SECONDS", 1.0)
     outcome = midspan("service", "call", *words)
     assert outcome.code == 1
-    assert told in outcome.err
+    assert error in outcome.err
     assert "--debug" not in outcome.err, "the error is written for users, not developers"
 
 
@@ -158,7 +158,7 @@ def test_a_signal_cancels_the_goal(midspan: Midspan, robot: Robot, number: signa
     assert outcome.err == f"midspan: {number.name}: the goal was canceled\n"
 
 
-def test_a_goal_that_does_not_end_after_a_signal(
+def test_a_goal_that_does_not_end_after_a_signal_is_reported(
     midspan: Midspan, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bridge.cli.graph.goal.CONFIRM_SECONDS", 0.5)

@@ -120,7 +120,7 @@ def test_echo_prints_an_unbridged_topic(midspan: Midspan, worker: EngineWorker, 
     assert midspan("topic", "list").out.split() == [topic]
 
 
-def test_echo_of_a_topic_that_only_a_side_has(
+def test_echo_with_a_side_prints_that_sides_messages(
     midspan: Midspan, worker: EngineWorker, network: HubNetwork, registry: Registry
 ) -> None:
     writer = worker.advertise("/chatter", STRING)

@@ -154,7 +154,7 @@ def test_a_daemon_that_runs_again_is_not_reported(start: Start) -> None:
 
 
 @pytest.mark.thorough
-def test_a_daemon_that_hangs(start: Start) -> None:
+def test_a_hanging_daemon_is_reported(start: Start) -> None:
     robot = start("run")
     robot.until_phase("modules", "running")
     assert robot.daemon is not None
@@ -165,7 +165,7 @@ def test_a_daemon_that_hangs(start: Start) -> None:
         assert (done.returncode, hangs in done.stdout + done.stderr) == (1, True), done
 
 
-def test_a_worker_that_crashes_again_and_again(start: Start) -> None:
+def test_a_worker_that_keeps_crashing_is_reported(start: Start) -> None:
     robot = start("crash")
     robot.until_phase("modules", "restarting", 3)
     crashes = r"the worker 'modules' of robot is (restarting|starting|queued): .*restarted \d+ times"
@@ -214,7 +214,7 @@ def test_a_worker_that_is_starting_is_named(start: Start) -> None:
         assert (done.returncode, "the worker 'modules' of robot is starting" in done.stderr) == (1, True), done
 
 
-def test_no_planner_is_configured(start: Start) -> None:
+def test_a_missing_planner_in_the_configuration_is_reported(start: Start) -> None:
     robot = start(navigation={})
     robot.until_phase("modules", "running")
     done = robot.command("nav", "status")
@@ -222,7 +222,7 @@ def test_no_planner_is_configured(start: Start) -> None:
     assert "no gateway is configured: name a planner in the section 'navigation'" in done.stderr
 
 
-def test_a_router_that_cannot_work(start: Start) -> None:
+def test_a_router_that_cannot_work_is_reported(start: Start) -> None:
     """Another program uses the router's port; the daemon runs, and knows the reason."""
     with socket.create_server(("127.0.0.1", 0)) as other:
         robot = start("run", hub={"listen": f"tcp/127.0.0.1:{other.getsockname()[1]}"})
@@ -256,7 +256,7 @@ def test_without_router_and_daemon_the_error_names_the_command_that_starts_it(
 
 
 @pytest.mark.thorough
-def test_a_configuration_that_the_daemon_has_not_loaded(start: Start) -> None:
+def test_a_configuration_that_the_daemon_has_not_loaded_is_reported(start: Start) -> None:
     robot = start(navigation={}, modules={})
     robot.until_phase("router", "running")
     robot.configure()
@@ -274,7 +274,7 @@ def other_state(robot: RobotDaemon, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("words", [["run"], ["run", "--adopt", "router"]], ids=" ".join)
-def test_status_while_another_program_holds_the_port(tmp_path: Path, words: list[str]) -> None:
+def test_status_reports_another_program_at_the_port(tmp_path: Path, words: list[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         place = f"tcp/127.0.0.1:{other.getsockname()[1]}"
         with contextlib.closing(RobotDaemon(tmp_path, hub={"listen": place}, navigation={}, modules={})) as robot:
@@ -339,7 +339,7 @@ def exhaust(pid: int) -> None:
     resource.prlimit(pid, resource.RLIMIT_NOFILE, (len(list(Path(f"/proc/{pid}/fd").iterdir())), hard))
 
 
-def test_a_router_that_accepts_no_connection(tmp_path: Path) -> None:
+def test_a_router_that_accepts_no_connection_is_reported(tmp_path: Path) -> None:
     """The kernel completes connections to the router's port, which get no reply; no other program is the cause."""
     with contextlib.closing(RobotDaemon(tmp_path, navigation={}, modules={})) as robot:
         robot.run()
@@ -360,7 +360,7 @@ def test_a_router_that_accepts_no_connection(tmp_path: Path) -> None:
         assert "stop that program" not in done.stdout
 
 
-def test_a_daemon_that_is_suspended_with_its_router(tmp_path: Path) -> None:
+def test_a_daemon_suspended_with_its_router_is_reported(tmp_path: Path) -> None:
     """Ctrl-Z in the daemon's terminal does this."""
     with contextlib.closing(RobotDaemon(tmp_path, navigation={}, modules={})) as robot:
         robot.run()

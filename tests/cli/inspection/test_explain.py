@@ -128,7 +128,7 @@ def test_a_topic_of_another_name_on_the_hub_is_followed_there(
     assert [(d["direction"], d["hub_topic"]) for d in decisions] == [("in", "/new"), ("out", "/new")]
 
 
-def test_an_unknown_topic_has_its_nearest_names(
+def test_the_error_for_an_unknown_topic_names_similar_ones(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
     engine(network, registry, closing)
@@ -168,7 +168,7 @@ def test_an_unused_name_is_explained_by_the_rules(
     assert midspan("explain", "/nobody").code == 1
 
 
-def test_an_unused_name_that_one_rule_allows_and_another_denies(
+def test_an_unused_name_that_one_rule_allows_and_another_denies_is_reported_as_denied(
     network: HubNetwork, closing: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rules = [{"topic": "/old", "rename": "/new"}, {"topic": "/o*", "deny": True}]

@@ -53,7 +53,7 @@ def test_status_shows_each_worker_and_route(midspan: Midspan) -> None:
 
 
 @pytest.mark.usefixtures("workers")
-def test_status_as_json_is_the_documents(midspan: Midspan) -> None:
+def test_status_as_json_prints_the_documents(midspan: Midspan) -> None:
     documents = midspan("status", "--json").json()
     assert [d["worker"] for d in documents] == ["gateway", "ros1", "ros2", "router"]
     assert documents[1]["refused"] == [REFUSED]
@@ -120,7 +120,7 @@ def test_top_without_a_terminal_prints_once(midspan: Midspan) -> None:
 
 
 @pytest.mark.usefixtures("workers")
-def test_top_as_json_is_a_line(midspan: Midspan) -> None:
+def test_top_as_json_prints_one_line(midspan: Midspan) -> None:
     (documents,) = midspan("top", "--once", "--json").lines()
     assert {d["worker"] for d in documents} == {"ros1", "ros2", "router", "gateway"}
 

@@ -80,7 +80,7 @@ def rooms(known: float) -> MapGrid2D:
     return grid
 
 
-def test_it_drives_to_frontiers_until_none_is_left(exploring: Exploring) -> None:
+def test_exploration_drives_to_frontiers_until_none_is_left(exploring: Exploring) -> None:
     exploring.publish(rooms(2.5))
     planner = exploring.rig.planner
 
@@ -111,7 +111,7 @@ def test_a_robot_in_an_unknown_part_of_the_map_has_not_explored_all(exploring: E
     assert not exploring.rig.planner.goals
 
 
-def test_a_stop_during_a_goal_ends_it(exploring: Exploring) -> None:
+def test_a_stop_during_a_goal_ends_the_exploration(exploring: Exploring) -> None:
     exploring.publish(rooms(2.5))
     planner = exploring.rig.planner
     outcome = exploring.run(lambda: planner.until(1) and exploring.stop())
@@ -119,7 +119,7 @@ def test_a_stop_during_a_goal_ends_it(exploring: Exploring) -> None:
     assert len(planner.goals) == 1
 
 
-def test_a_stop_between_two_goals_ends_it(exploring: Exploring, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_between_two_goals_ends_the_exploration(exploring: Exploring, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(explore, "_NEWER_SECONDS", 40.0)  # the next goal waits for a map that does not arrive
     exploring.publish(rooms(2.5))
     planner, rig = exploring.rig.planner, exploring.rig
@@ -134,7 +134,7 @@ def test_a_stop_between_two_goals_ends_it(exploring: Exploring, monkeypatch: pyt
     assert len(planner.goals) == 1
 
 
-def test_a_stop_before_the_first_goal_ends_it(exploring: Exploring) -> None:
+def test_a_stop_before_the_first_goal_ends_the_exploration(exploring: Exploring) -> None:
     def play() -> None:
         graph = exploring.rig.client.node.hub.graph
         until(lambda: graph.subscriptions(exploring.topic), "the verb waits for the map", 30)
@@ -146,7 +146,7 @@ def test_a_stop_before_the_first_goal_ends_it(exploring: Exploring) -> None:
     assert not exploring.rig.planner.goals
 
 
-def test_another_clients_goal_ends_it(exploring: Exploring) -> None:
+def test_another_clients_goal_ends_the_exploration(exploring: Exploring) -> None:
     exploring.publish(rooms(2.5))
     planner = exploring.rig.planner
     others: list[ClientGoal] = []
@@ -163,7 +163,7 @@ def test_another_clients_goal_ends_it(exploring: Exploring) -> None:
     assert len(planner.goals) == 2
 
 
-def test_failed_goals_are_remembered_and_end_it(exploring: Exploring) -> None:
+def test_failed_goals_are_remembered_and_end_the_exploration(exploring: Exploring) -> None:
     exploring.publish(rooms(2.5))
     planner = exploring.rig.planner
 
@@ -179,7 +179,7 @@ def test_failed_goals_are_remembered_and_end_it(exploring: Exploring) -> None:
     assert np.ptp(heights) > 2.5
 
 
-def test_a_limit_ends_it(exploring: Exploring) -> None:
+def test_a_limit_ends_the_exploration(exploring: Exploring) -> None:
     exploring.publish(rooms(2.5))
     planner = exploring.rig.planner
     outcome = exploring.run(lambda: planner.reach(planner.until(1)), "--goals", "1")

@@ -176,11 +176,11 @@ def program(network: HubNetwork) -> Iterator[Any]:
         yield session.liveliness()
 
 
-def test_nonsense_on_the_hub_keeps_nothing_from_stopping(
+def test_invalid_data_on_the_hub_does_not_prevent_the_halt(
     midspan: Midspan, network: HubNetwork, registry: Registry, robot: Robot, program: Any, closing: list[Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """The nonsense is a rule whose topic has wildcards, and tokens that any guest of the hub may declare."""
+    """The invalid data is a rule whose topic has wildcards, and tokens that any guest of the hub may declare."""
     monkeypatch.setattr("bridge.client.halt.WAIT_SECONDS", 1.0)
     halts: list[Any] = []
     closing.append(FakeWorker(network, "base_control", halt=lambda params: halts.append(params) or {"halted": True}))
@@ -305,7 +305,7 @@ def test_bases_that_cannot_be_asked_are_reported(
 
 
 @pytest.mark.parametrize("errors", [("it moves", ""), ("", "it moves")])
-def test_of_two_bases_with_one_name_the_one_that_moves_counts(
+def test_of_two_bases_with_the_same_name_the_moving_base_is_reported(
     midspan: Midspan, monkeypatch: pytest.MonkeyPatch, errors: tuple[str, str]
 ) -> None:
     def answers(_client: Client, verb: str, *_args: Any, **_more: Any) -> list[WorkerAnswer]:

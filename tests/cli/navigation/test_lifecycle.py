@@ -91,7 +91,7 @@ def test_an_idle_or_unavailable_planner_is_commanded(
     assert managers.commands == [(NAVIGATION, 3), (LOCALIZATION, 3)]
 
 
-def test_a_gateway_that_does_not_answer_is_not_taken_for_idle(
+def test_a_gateway_that_does_not_answer_does_not_count_as_idle(
     network: HubNetwork, midspan: Midspan, managers: Managers
 ) -> None:
     managers.on(lambda: managers.node.publisher(STATUS_TOPIC, STATUS, LATCHED))

@@ -70,13 +70,13 @@ def midspan(rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Mid
     return Midspan(file, capsys)
 
 
-def beside(midspan: Midspan, words: list[str], script: Callable[[], None]) -> Outcome:
+def run_with_script(midspan: Midspan, words: list[str], script: Callable[[], None]) -> Outcome:
     """Run ``goto`` while a function acts as the planner."""
     with alongside(script):
         return midspan("goto", "--timeout", "40", *words)
 
 
-def where(goal: Any) -> tuple[float, float, float]:
+def position_of(goal: Any) -> tuple[float, float, float]:
     place = goal.goal["pose"]["pose"]
     turn = place["orientation"]
     theta = math.degrees(2.0 * math.atan2(turn["z"], turn["w"]))
@@ -150,11 +150,13 @@ def test_nav2_error_codes_are_explained(code: int, message: str, text: str) -> N
     assert state_text(status) == (f"aborted: {text}" if text else "aborted")
 
 
-def test_goal_that_ends_with_a_nav2_error_code(rig: Rig, midspan: Midspan) -> None:
-    outcome = beside(midspan, ["1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(1), "", 208))
+def test_the_error_code_of_a_nav2_goal_is_explained_at_its_end(rig: Rig, midspan: Midspan) -> None:
+    outcome = run_with_script(midspan, ["1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(1), "", 208))
     assert outcome.code == 1
     assert "midspan: aborted: no path to the goal (Nav2 208)" in outcome.err
-    outcome = beside(midspan, ["--json", "1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(2), "", 203))
+    outcome = run_with_script(
+        midspan, ["--json", "1", "2", "0"], lambda: rig.planner.give_up(rig.planner.until(2), "", 203)
+    )
     assert outcome.lines()[-1]["code"] == 203
     assert outcome.lines()[-1]["reason"].startswith("the robot is outside the map (Nav2 203)")
 
@@ -162,24 +164,24 @@ def test_goal_that_ends_with_a_nav2_error_code(rig: Rig, midspan: Midspan) -> No
 def test_goto_drives_to_a_place_and_prints_the_progress(rig: Rig, midspan: Midspan) -> None:
     def drive() -> None:
         goal = rig.planner.until(1)
-        assert where(goal) == (2.5, 1.0, 90.0)
+        assert position_of(goal) == (2.5, 1.0, 90.0)
         rig.planner.publish_status(goal, State.WAITING, "a chair is ahead")
         rig.state(State.WAITING)
         rig.planner.reach(goal)
 
-    outcome = beside(midspan, ["kitchen"], drive)
+    outcome = run_with_script(midspan, ["kitchen"], drive)
     assert outcome.code == 0, outcome
     lines = outcome.out.splitlines()
     assert (lines[0], lines[-1]) == ("to 2.50, 1.00 m, 90 degrees in map", "arrived")
 
 
-def test_goto_pose_that_aborts(rig: Rig, midspan: Midspan) -> None:
+def test_goto_reports_why_a_goal_was_aborted(rig: Rig, midspan: Midspan) -> None:
     def refuse() -> None:
         goal = rig.planner.until(1)
-        assert where(goal) == (-1.5, 2.0, -90.0)
+        assert position_of(goal) == (-1.5, 2.0, -90.0)
         rig.planner.give_up(goal, "no way leads there")
 
-    outcome = beside(midspan, ["--json", "-1.5", "2.0", "-90"], refuse)
+    outcome = run_with_script(midspan, ["--json", "-1.5", "2.0", "-90"], refuse)
     assert outcome.code == 1
     assert outcome.lines()[-1] == {"status": "aborted", "reason": "no way leads there", "code": 20006}
 
@@ -188,10 +190,10 @@ def test_goto_drives_to_several_places_in_order(rig: Rig, midspan: Midspan) -> N
     def reach_both() -> None:
         for number, x in ((1, 5.0), (2, 2.5)):
             goal = rig.planner.until(number)
-            assert where(goal)[0] == x
+            assert position_of(goal)[0] == x
             rig.planner.reach(goal)
 
-    outcome = beside(midspan, ["the hall", "kitchen"], reach_both)
+    outcome = run_with_script(midspan, ["the hall", "kitchen"], reach_both)
     assert (outcome.code, outcome.out.splitlines()[-1]) == (0, "arrived")
     assert "; 2.50, 1.00 m, 90 degrees in map" in outcome.out.splitlines()[0]
 
@@ -202,7 +204,7 @@ def test_a_goal_without_heading_is_reached_in_any_heading(rig: Rig, midspan: Mid
         assert "heading" in goal.goal["behavior_tree"]
         rig.planner.reach(goal)
 
-    outcome = beside(midspan, ["1", "2"], reach_goal)
+    outcome = run_with_script(midspan, ["1", "2"], reach_goal)
     assert (outcome.code, outcome.out.splitlines()[0]) == (0, "to 1.00, 2.00 m in map, in any heading")
 
 
@@ -211,10 +213,10 @@ def test_ctrl_c_and_timeout_cancel_the_goal(rig: Rig, midspan: Midspan) -> None:
         rig.planner.until(1)
         os.kill(os.getpid(), signal.SIGINT)
 
-    outcome = beside(midspan, ["the hall"], interrupt)
+    outcome = run_with_script(midspan, ["the hall"], interrupt)
     assert outcome.code == 130
     assert "Ctrl-C: the goal is being canceled" in outcome.err
-    outcome = beside(midspan, ["--timeout", "0.5", "kitchen"], lambda: None)
+    outcome = run_with_script(midspan, ["--timeout", "0.5", "kitchen"], lambda: None)
     assert outcome.code == 1
     assert "0.5 s have passed" in outcome.err
     until(lambda: not rig.gateway.driving, "nothing drives")

@@ -24,7 +24,7 @@ def run(folder: Path, *words: str) -> int:
     return main(["keys", *words, "--folder", str(folder)])
 
 
-def test_make_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_show_lists_the_certificates_that_make_created(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "keys"
     assert run(folder, "make", "robot1", "10.1.2.3", "robot1.lab") == 0
     output = capsys.readouterr().out
@@ -119,7 +119,7 @@ def test_invalid_machine_names_are_refused(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     "address", ["tls/robot1:7448", "10.1.2.3:7448", "a..b", "*", "10.0.0.0/8", "räuber", "192.168.1.256", "192.168.1"]
 )
-def test_addresses_that_are_none(tmp_path: Path, address: str) -> None:
+def test_invalid_addresses_are_refused(tmp_path: Path, address: str) -> None:
     Authority(tmp_path).make()
     with pytest.raises(CertificateError, match="neither a host name nor an IP address"):
         Authority(tmp_path).issue("robot1", [address])
@@ -140,7 +140,7 @@ def test_a_certificate_ends_with_its_authority(tmp_path: Path) -> None:
     assert Authority(tmp_path).issue("robot1", days=1000).until == authority.until
 
 
-def test_an_authority_that_cannot_sign(tmp_path: Path) -> None:
+def test_an_authority_that_cannot_sign_is_reported(tmp_path: Path) -> None:
     with pytest.raises(CertificateError, match="No such file"):
         Authority(tmp_path).issue("robot1")
     Authority(tmp_path).make()
@@ -162,14 +162,14 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def looked_at(folder: Path, **more: str) -> list[tuple[Result, str]]:
+def key_findings(folder: Path, **more: str) -> list[tuple[Result, str]]:
     opened = {"listen": ["tls/0.0.0.0:7448"], "keys": str(folder), **more}
     findings = every(key_checks.check_keys(around({"hub": {"open": opened}})))
     return [(finding.result, finding.seen) for finding in findings]
 
 
-def test_doctor_is_content(folder: Path) -> None:
-    ((result, seen),) = looked_at(folder)
+def test_doctor_accepts_valid_keys(folder: Path) -> None:
+    ((result, seen),) = key_findings(folder)
     assert result is Result.OK
     assert "robot1" in seen
     assert results(key_checks.check_keys(around({}))) == [Result.SKIP]
@@ -177,25 +177,25 @@ def test_doctor_is_content(folder: Path) -> None:
 
 def test_doctor_finds_what_is_wrong_with_the_files(folder: Path) -> None:
     (folder / "robot1.key").chmod(0o644)
-    assert [result for result, _ in looked_at(folder)] == [Result.WARN]
+    assert [result for result, _ in key_findings(folder)] == [Result.WARN]
     (folder / "robot1.key").chmod(0o600)
     Authority(folder / "other").make()
-    ((result, seen),) = looked_at(folder, ca=str(folder / "other" / "ca.pem"))
+    ((result, seen),) = key_findings(folder, ca=str(folder / "other" / "ca.pem"))
     assert (result, "was not signed by" in seen) == (Result.FAIL, True)
     Authority(folder).issue("robot2")
-    assert "names it 'robot2'" in looked_at(folder, certificate=str(folder / "robot2.pem"))[-1][1]
+    assert "certificate has the name 'robot2'" in key_findings(folder, certificate=str(folder / "robot2.pem"))[-1][1]
     (folder / "robot1.pem").unlink()
-    ((result, seen),) = looked_at(folder)
+    ((result, seen),) = key_findings(folder)
     assert (result, "there is no" in seen) == (Result.FAIL, True)
 
 
 def test_doctor_finds_a_key_that_does_not_fit(folder: Path) -> None:
     Authority(folder).issue("robot2")
     (folder / "robot1.key").write_bytes((folder / "robot2.key").read_bytes())
-    ((result, seen),) = looked_at(folder)
+    ((result, seen),) = key_findings(folder)
     assert (result, seen) == (Result.FAIL, f"{folder / 'robot1.key'} is not the key of {folder / 'robot1.pem'}")
     (folder / "robot1.key").write_text("rubbish")
-    ((result, seen),) = looked_at(folder)
+    ((result, seen),) = key_findings(folder)
     assert (result, seen.startswith(f"{folder / 'robot1.key'} cannot be used: ")) == (Result.FAIL, True)
 
 
@@ -213,21 +213,21 @@ def test_doctor_names_machines_that_refuse_commands(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(("days", "expected"), [(31, Result.OK), (20, Result.WARN)])
-def test_doctor_warns_before_the_end(folder: Path, days: int, expected: Result) -> None:
+def test_doctor_warns_before_a_certificate_expires(folder: Path, days: int, expected: Result) -> None:
     Authority(folder).issue("robot1", days=days, replace=True)
-    assert [result for result, _ in looked_at(folder)] == [expected]
+    assert [result for result, _ in key_findings(folder)] == [expected]
     assert read_certificate(folder / "robot1.pem").until > datetime.now(UTC) + timedelta(days=days - 1)
 
 
 def test_an_expired_certificate_is_reported(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Authority(folder).issue("robot1", days=-1, replace=True)
-    assert looked_at(folder)[0][0] is Result.FAIL
+    assert key_findings(folder)[0][0] is Result.FAIL
     assert run(folder, "show") == 1
     assert "expired" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("which", ["robot1", "ca"])
-def test_certificate_that_is_not_valid_yet(
+def test_a_certificate_that_is_not_valid_yet_is_reported(
     folder: Path, which: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for file in folder.glob("ca.*" if which == "ca" else "robot1.*"):
@@ -242,7 +242,7 @@ def test_certificate_that_is_not_valid_yet(
         Authority(folder).issue("robot1", replace=True)
     since = read_certificate(folder / f"{which}.pem").since
     text = f"not before {since:%Y-%m-%d %H:%M} UTC"
-    ((result, seen),) = looked_at(folder)
+    ((result, seen),) = key_findings(folder)
     assert result is Result.FAIL
     assert seen.startswith(f"{folder / which}.pem is not valid before {since:%Y-%m-%d %H:%M} UTC")
     assert run(folder, "show") == 1

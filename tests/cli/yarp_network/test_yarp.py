@@ -281,7 +281,7 @@ def test_server_keeps_its_names_over_a_restart(tmp_path: Path, monkeypatch: pyte
     assert json.loads((tmp_path / "yarp.names.json").read_text())["ports"][0][0] == "/p"
 
 
-def test_name_server_that_cannot_start(yarp: Yarp, server: NameServer) -> None:
+def test_a_name_server_that_cannot_start_reports_the_reason(yarp: Yarp, server: NameServer) -> None:
     """Its address is in use, or its port number is invalid."""
     assert "Another one may be running there" in yarp("server").err
     assert "--port must be a number" in yarp("server", "--port", "70000").err
