@@ -250,18 +250,18 @@ def _copy(
     *, skip_bad: bool = False, on_progress: OnProgress,
 ) -> None:  # fmt: skip
     try:
-        places = {topic: writer.add(topic, form) for topic, form in forms.items()}
+        handles = {topic: writer.add(topic, form) for topic, form in forms.items()}
         changes = {topic: form.convert for topic, form in forms.items()}
-        for some in columns:
+        for block in columns:
             try:
-                data = _convert_all(some, changes)
+                data = _convert_all(block, changes)
             except ConversionError:
-                some, data = _valid_only(bag, some, changes, done, skip_bad=skip_bad)
-            writer.write([places[topic] for topic in some.topics], some.times, some.publish_times, data)
+                block, data = _valid_only(bag, block, changes, done, skip_bad=skip_bad)
+            writer.write([handles[topic] for topic in block.topics], block.times, block.publish_times, data)
             done.messages += len(data)
-            done.data += sum(map(len, some.data))
+            done.data += sum(map(len, block.data))
             if done.undefined:
-                for topic, count in Counter(some.topics).items():
+                for topic, count in Counter(block.topics).items():
                     if topic.name in done.undefined:
                         done.undefined[topic.name].messages += count
             on_progress(done.messages, done.data)
@@ -271,21 +271,21 @@ def _copy(
         raise
 
 
-def _convert_all(some: Columns, changes: Mapping[BagTopic, Convert | None]) -> list[bytes]:
+def _convert_all(block: Columns, changes: Mapping[BagTopic, Convert | None]) -> list[bytes]:
     """Return the messages' data in the forms of their topics; raises `ConversionError`."""
-    pairs = zip(map(changes.__getitem__, some.topics), some.data, strict=True)
+    pairs = zip(map(changes.__getitem__, block.topics), block.data, strict=True)
     return [data if change is None else change(data) for change, data in pairs]
 
 
 def _valid_only(
-    bag: Bag, some: Columns, changes: Mapping[BagTopic, Convert | None], done: CopyResult, *, skip_bad: bool
+    bag: Bag, block: Columns, changes: Mapping[BagTopic, Convert | None], done: CopyResult, *, skip_bad: bool
 ) -> tuple[Columns, list[bytes]]:
     """Return the messages that match their types, and their converted data.
 
     The others are counted and left out; without ``skip_bad``, raise `BagError` for the first of them.
     """
     sound, converted = list[BagMessage](), list[bytes]()
-    for message in map(BagMessage, *some):
+    for message in map(BagMessage, *block):
         topic, change = message.topic, changes[message.topic]
         try:
             converted.append(message.data if change is None else change(message.data))

@@ -96,11 +96,11 @@ class ChunkedMcap(BagWriter):
 
     @override
     def write(
-        self, places: Sequence[int], times: Sequence[int], publish_times: Sequence[int], data: Sequence[bytes]
+        self, channels: Sequence[int], times: Sequence[int], publish_times: Sequence[int], data: Sequence[bytes]
     ) -> None:
         heads = np.zeros(len(data), _HEAD)
         sizes = np.fromiter(map(len, data), np.uint64, len(data))
-        heads["opcode"], heads["length"], heads["channel"] = Opcode.MESSAGE, sizes + _BODY, places
+        heads["opcode"], heads["length"], heads["channel"] = Opcode.MESSAGE, sizes + _BODY, channels
         heads["time"], heads["publish_time"] = np.array(times, np.uint64), np.array(publish_times, np.uint64)
         packed, width = heads.tobytes(), _HEAD.itemsize
         ends = np.cumsum(sizes + _HEAD.itemsize).tolist()
@@ -263,8 +263,8 @@ def _message_indexes(heads: NDArray[Any]) -> tuple[bytes, dict[int, int], dict[i
     channels, firsts, counts_ = np.unique(heads["channel"], return_index=True, return_counts=True)
     ends = np.cumsum(counts_)
     indexes, offsets, counts = bytearray(), dict[int, int](), dict[int, int]()
-    for place in np.argsort(firsts).tolist():
-        number, count, end = int(channels[place]), int(counts_[place]), int(ends[place])
+    for index in np.argsort(firsts).tolist():
+        number, count, end = int(channels[index]), int(counts_[index]), int(ends[index])
         offsets[number], counts[number] = len(indexes), count
         own_bytes = entries[end - count : end].tobytes()
         indexes += _INDEX.pack(Opcode.MESSAGE_INDEX, len(own_bytes) + 6, number, len(own_bytes)) + own_bytes

@@ -122,8 +122,8 @@ class McapBag(SpanBag):
         if not span.chunk:
             return None
         with reading(self.path, span.offset):
-            whole = self._read(span.offset, _HEAD.size + span.length)
-            plain, compression = self._unpacked(span, memoryview(whole)[_HEAD.size :])
+            record = self._read(span.offset, _HEAD.size + span.length)
+            plain, compression = self._unpacked(span, memoryview(record)[_HEAD.size :])
             at = span.offset + _HEAD.size + span.length
             indexes, offsets, counts = bytearray(), dict[int, int](), dict[int, int]()
             while at + _HEAD.size < self.size:
@@ -140,7 +140,7 @@ class McapBag(SpanBag):
                 return None
             packed = span.length - _CHUNK.size - len(compression) - 8
             return WholeChunk(
-                whole, bytes(indexes), offsets, counts, compression, packed, len(plain), span.start, span.end
+                record, bytes(indexes), offsets, counts, compression, packed, len(plain), span.start, span.end
             )
 
     def _walk(self) -> None:

@@ -138,15 +138,15 @@ class Ros1Bag(SpanBag):
     def _scan(self) -> Counter[int]:
         """Return the message counts and set the times of all chunks, from the index or else from the chunk itself."""
         counts: Counter[int] = Counter()
-        for place, span in enumerate(self._spans):
+        for index, span in enumerate(self._spans):
             if span.offset in self._infos:
                 start, end, own_counts = self._infos[span.offset]
-                self._spans[place] = span._replace(start=start, end=max(start, end))
+                self._spans[index] = span._replace(start=start, end=max(start, end))
                 counts.update(own_counts)
                 continue
             try:
                 with reading(self.path, span.offset):
-                    self._spans[place] = count_rows(self._split(span, self._note), counts, span)
+                    self._spans[index] = count_rows(self._split(span, self._note), counts, span)
             except BagError as err:
                 self._note(err)
         return counts
@@ -207,13 +207,13 @@ class Ros1Bag(SpanBag):
         """
         start = int(table[filled - 1, 3]) if filled else at + 1
         row = new_table(0)
-        place = data.find(_MESSAGE_FIELD, start)
-        while place >= 0:
+        position = data.find(_MESSAGE_FIELD, start)
+        while position >= 0:
             for before in _FIELDS_BEFORE:
-                head = place - 4 - before
+                head = position - 4 - before
                 if head >= start and split_ros1(data, row, head, 0)[1] and int(row[0, 0]) in self._connections:
                     return head, filled - (head < at)
-            place = data.find(_MESSAGE_FIELD, place + 1)
+            position = data.find(_MESSAGE_FIELD, position + 1)
         return len(data), filled
 
     def _plain(self, span: FileSpan, on_damage: Callable[[BagError], None]) -> bytes:

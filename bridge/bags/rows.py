@@ -33,9 +33,9 @@ class Rows(NamedTuple):
         """The times by which messages are ordered."""
         return self.table[:, 1]
 
-    def select(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Rows:
+    def select(self, selection: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Rows:
         """Return some of the messages, by index or by mask."""
-        return Rows(self.data, self.table[which])
+        return Rows(self.data, self.table[selection])
 
     def ordered(self) -> Rows:
         """Return the messages in order of time; messages of the same time keep their order."""
@@ -94,9 +94,9 @@ class Rows(NamedTuple):
     def that_start_with(self, start: bytes) -> list[int]:
         """Return the indexes of the messages whose data start with these bytes."""
         data, sizes = np.frombuffer(self.data, np.uint8), self.table[:, 4]
-        places = np.flatnonzero(sizes >= len(start))
-        places = places[data[self.table[places, 3].astype(np.intp)] == start[0]]
-        return [place for place in places.tolist() if self.data.startswith(start, int(self.table[place, 3]))]
+        indexes = np.flatnonzero(sizes >= len(start))
+        indexes = indexes[data[self.table[indexes, 3].astype(np.intp)] == start[0]]
+        return [index for index in indexes.tolist() if self.data.startswith(start, int(self.table[index, 3]))]
 
     def lists(self) -> tuple[list[int], list[int], list[int], list[bytes]]:
         """Return channels, times, publish times and data."""

@@ -74,14 +74,14 @@ class SpanBag(Bag):
             if (start_ns is None or span.end >= start_ns) and (end_ns is None or span.start < end_ns)
         ]
         waiting: Rows | None = None
-        for place, span in enumerate(spans):
+        for index, span in enumerate(spans):
             rows = self._read_span(span).of_channels(numbers).within(start_ns, end_ns)
             if waiting is not None:
                 rows = rows.behind(waiting)
             rows = rows.ordered()
             due = len(rows.table)
-            if place + 1 < len(spans):
-                due = _due(rows, spans[place + 1].start)
+            if index + 1 < len(spans):
+                due = _due(rows, spans[index + 1].start)
             for block in rows.select(slice(due)).blocks():
                 yield self._columns(block)
             waiting = rows.select(slice(due, None)).compact() if due < len(rows.table) else None
@@ -96,13 +96,13 @@ class SpanBag(Bag):
     def _columns(self, block: Rows) -> Columns:
         """Return the messages of a block, and unpack ROS 2 messages that rosbag2 compressed one by one."""
         columns = block.columns(self.topic_of)
-        packed = [place for place in block.that_start_with(ZSTD) if columns.topics[place].world is World.ROS2]
+        packed = [index for index in block.that_start_with(ZSTD) if columns.topics[index].world is World.ROS2]
         if not packed:
             return columns
         data = list(columns.data)
         with reading(self.path):
-            for place in packed:
-                data[place] = unpacked_message(data[place])
+            for index in packed:
+                data[index] = unpacked_message(data[index])
         return columns._replace(data=data)
 
     def _read_span(self, span: FileSpan) -> Rows:

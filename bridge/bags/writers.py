@@ -39,11 +39,11 @@ class BagWriter(ABC):
 
     @abstractmethod
     def add(self, topic: BagTopic, form: TopicForm) -> Any:
-        """Add a topic in its form; return the place to pass to `write`."""
+        """Add a topic in its form; return the handle to pass to `write`."""
 
     @abstractmethod
     def write(
-        self, places: Sequence[Any], times: Sequence[int], publish_times: Sequence[int], data: Sequence[bytes]
+        self, handles: Sequence[Any], times: Sequence[int], publish_times: Sequence[int], data: Sequence[bytes]
     ) -> None:
         """Add messages, in the forms of their topics."""
 
@@ -92,13 +92,13 @@ class Ros1(BagWriter):
 
     @override
     def write(
-        self, places: Sequence[Any], times: Sequence[int], _publish_times: Sequence[int], data: Sequence[bytes]
+        self, handles: Sequence[Any], times: Sequence[int], _publish_times: Sequence[int], data: Sequence[bytes]
     ) -> None:
-        for place, time_ns, message in zip(places, times, data, strict=True):
+        for handle, time_ns, message in zip(handles, times, data, strict=True):
             if not 0 <= time_ns < _MAX_SECONDS * _NS:
-                problem = f"a message of {place.topic} has time {time_ns} ns, which no ROS 1 bag can hold"
+                problem = f"a message of {handle.topic} has time {time_ns} ns, which no ROS 1 bag can hold"
                 raise BagError(self._path, problem)
-            self._writer.write(place, time_ns, message)
+            self._writer.write(handle, time_ns, message)
 
     @override
     def finish(self) -> None:
@@ -131,12 +131,12 @@ class Db3(BagWriter):
 
     @override
     def write(
-        self, places: Sequence[Any], times: Sequence[int], _publish_times: Sequence[int], data: Sequence[bytes]
+        self, handles: Sequence[Any], times: Sequence[int], _publish_times: Sequence[int], data: Sequence[bytes]
     ) -> None:
         if not self._connections:
             self._connect()
-        for place, time_ns, message in zip(places, times, data, strict=True):
-            self._writer.write(self._connections[place], time_ns, message)
+        for handle, time_ns, message in zip(handles, times, data, strict=True):
+            self._writer.write(self._connections[handle], time_ns, message)
 
     def _connect(self) -> None:
         stored: dict[str, tuple[str, str]] = {}

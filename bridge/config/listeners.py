@@ -44,8 +44,8 @@ class Listener:
 def listeners(config: Config) -> Iterator[Listener]:
     """Yield the addresses that the configuration opens."""
     yield from _zenoh(("hub", "listen"), config.hub.listen)
-    for index, place in enumerate(config.hub.open.listen):
-        yield from _zenoh(("hub", "open", "listen", index), place)
+    for index, endpoint in enumerate(config.hub.open.listen):
+        yield from _zenoh(("hub", "open", "listen", index), endpoint)
     for name, section in config:
         if isinstance(section, ServerSection) and section.enabled:
             host, port = split(section.listen)

@@ -38,7 +38,7 @@ FORMAT = 1
 class Default:
     """Creates a section with all defaults; imports its model, ``package.module:Model``, at the first use."""
 
-    place: str
+    target: str
 
     @property
     def model(self) -> type[Section]:
@@ -49,9 +49,9 @@ class Default:
         return self.model()
 
 
-def _later(place: str, description: str) -> Any:
+def _later(target: str, description: str) -> Any:
     """Define a section whose model is imported at the first use."""
-    return Field(default_factory=Default(place), description=description)
+    return Field(default_factory=Default(target), description=description)
 
 
 class TypesSection(Section):
@@ -140,17 +140,17 @@ class Config(Section):
 
     def section(self, model: type[SomeSection]) -> SomeSection:
         """Return the section of a worker or a module, by its model."""
-        place = f"{model.__module__}:{model.__name__}"
+        target = f"{model.__module__}:{model.__name__}"
         section: SomeSection
         for worker in all_workers():
-            if worker.section == place:
+            if worker.section == target:
                 section = getattr(self, worker.name)
                 return section
         for module in all_modules().values():
-            if module.section == place:
+            if module.section == target:
                 section = getattr(self.modules, module.name)
                 return section
-        raise LookupError(f"{place} is not the section of a worker or a module")
+        raise LookupError(f"{target} is not the section of a worker or a module")
 
     @property
     def rules(self) -> RoutingSection:
@@ -198,7 +198,7 @@ def _with_registered_sections() -> type[Config]:
     sections = {worker.name: (worker.section, worker.about) for worker in all_workers() if worker.section}
     sections |= {side.name: (side.section, f"The {side.label} side.") for side in own_sides()}
     fields: dict[str, Any] = {
-        name: (ForwardRef(f"{name}_section"), _later(place, about)) for name, (place, about) in sections.items()
+        name: (ForwardRef(f"{name}_section"), _later(target, about)) for name, (target, about) in sections.items()
     }
     return create_model("Config", __base__=Config, __doc__=Config.__doc__, **fields)
 

@@ -47,9 +47,9 @@ def draw(
             pen.text((x, y), name, fill=AREA_COLOR, font=font, anchor="mm")
     if len(path) > 1:
         pen.line([_pixel(grid, x, y, scale) for x, y in path], fill=PATH_COLOR, width=3, joint="curve")
-    for name, place in locations.items():
-        x, y = _pixel(grid, place.x, place.y, scale)
-        dx, dy = heading(grid, place)
+    for name, location in locations.items():
+        x, y = _pixel(grid, location.x, location.y, scale)
+        dx, dy = heading(grid, location)
         pen.ellipse((x - 4, y - 4, x + 4, y + 4), outline=LOCATION_COLOR, width=2)
         pen.line((x, y, x + _ARROW * dx, y + _ARROW * dy), fill=LOCATION_COLOR, width=2)
         pen.text((x + 7, y + 7), name, fill=LOCATION_COLOR, font=font)
@@ -64,10 +64,10 @@ def colors(grid: MapGrid2D) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     return picture
 
 
-def heading(grid: MapGrid2D, place: Map2DLocation) -> tuple[float, float]:
+def heading(grid: MapGrid2D, location: Map2DLocation) -> tuple[float, float]:
     """Return the direction of a location on the picture: right and down, of length 1."""
-    theta = math.radians(place.theta)
-    ends = grid.in_cells([(place.x, place.y), (place.x + math.cos(theta), place.y + math.sin(theta))])
+    theta = math.radians(location.theta)
+    ends = grid.in_cells([(location.x, location.y), (location.x + math.cos(theta), location.y + math.sin(theta))])
     dx, dy = (ends[1] - ends[0]) * grid.resolution
     return float(dx), float(dy)
 
@@ -160,9 +160,9 @@ Marks = dict[tuple[int, int], tuple[str, tuple[int, int, int]]]
 
 def _location_marks(grid: MapGrid2D, locations: Mapping[str, Map2DLocation], step: int) -> Marks:
     marks: Marks = {}
-    for number, place in enumerate(locations.values()):
-        column, row = np.clip(grid.in_cells((place.x, place.y)) / step, -1e6, 1e6)
-        right, down = heading(grid, place)
+    for number, location in enumerate(locations.values()):
+        column, row = np.clip(grid.in_cells((location.x, location.y)) / step, -1e6, 1e6)
+        right, down = heading(grid, location)
         arrow = _ARROWS[round(math.atan2(-down, right) / (math.pi / 4)) % 8]
         at = (int(row // 2), int(column))
         marks[at] = (arrow, LOCATION_COLOR)
@@ -199,8 +199,8 @@ def _legend(
     present = [flag for flag in MapFlag if (grid.flags == flag).any()]
     names = [flag.name.lower().replace("_", " ") for flag in present]
     entries = [] if colored else [Text(", ".join(f"'{_LETTERS[f]}' {w}" for f, w in zip(present, names, strict=True)))]
-    for number, (name, place) in enumerate(locations.items()):
+    for number, (name, location) in enumerate(locations.items()):
         mark = _MARKS[number % len(_MARKS)]
-        entries.append(Text(f"{mark} {clean(name)}: {place.x:g}, {place.y:g} m, {place.theta:g} degrees"))
+        entries.append(Text(f"{mark} {clean(name)}: {location.x:g}, {location.y:g} m, {location.theta:g} degrees"))
     entries += [Text(f"· {clean(name)}: area of {len(area.points)} corners") for name, area in areas.items()]
     return entries

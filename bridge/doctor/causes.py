@@ -31,8 +31,8 @@ def one_line(texts: Sequence[str]) -> str:
     if not others:
         return first
     rows = [_NAME.findall(text) for text in (first, *others)]
-    place = next(place for place, names in enumerate(zip(*rows, strict=True)) if len(set(names)) > 1)
-    names = [name for name in dict.fromkeys(row[place] for row in rows) if name != rows[0][place]]
+    column = next(column for column, names in enumerate(zip(*rows, strict=True)) if len(set(names)) > 1)
+    names = [name for name in dict.fromkeys(row[column] for row in rows) if name != rows[0][column]]
     return first + same_for(names)
 
 

@@ -41,11 +41,11 @@ def default_cache() -> Path:
 
 def digest(parts: Iterable[str]) -> str:
     """Return a short key for a list of texts."""
-    whole = hashlib.sha256()
+    hasher = hashlib.sha256()
     for part in parts:
         data = part.encode()
-        whole.update(len(data).to_bytes(8, "little") + data)
-    return whole.hexdigest()[:16]
+        hasher.update(len(data).to_bytes(8, "little") + data)
+    return hasher.hexdigest()[:16]
 
 
 class BuildCache:

@@ -124,15 +124,15 @@ def _numpy_headers() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class _Unit:
-    """The files of one compiler call: included by one common file, or compiled separately if ``apart``."""
+    """The files of one compiler call: included by one common file, or, if ``separately``, compiled one by one."""
 
     folder: Path
     language: str
     files: tuple[Path, ...]
-    apart: bool = False
+    separately: bool = False
 
     def sources(self) -> list[str]:
-        if self.apart:
+        if self.separately:
             return [str(file) for file in self.files]
         whole = self.folder / f"whole{self.language}"
         whole.write_text("".join(f'#include "{file}"\n' for file in self.files), encoding="utf-8")
@@ -144,13 +144,13 @@ def _units(job: Job, generator: str) -> Iterable[_Unit]:
     for language in _STANDARD:
         for form in ("msg", "srv", "action"):
             files = sorted((root / form).rglob(f"*{language}"))
-            apart = [file for file in files if file.stem.endswith("__description")]
-            together = [file for file in files if file not in apart]
+            descriptions = [file for file in files if file.stem.endswith("__description")]
+            together = [file for file in files if file not in descriptions]
             name = f"{generator}-{form}{language}"
             if together:
                 yield _Unit(_fresh(job.work / name), language, tuple(together))
-            for number, part in enumerate(_cut(apart, job.jobs)):
-                yield _Unit(_fresh(job.work / f"{name}-descriptions{number}"), language, part, apart=True)
+            for number, part in enumerate(_cut(descriptions, job.jobs)):
+                yield _Unit(_fresh(job.work / f"{name}-descriptions{number}"), language, part, separately=True)
         entries = sorted(root.glob(f"*{language}"))
         if entries:
             yield _Unit(_fresh(job.work / f"{generator}-entry"), language, tuple(entries))

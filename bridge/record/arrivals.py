@@ -38,12 +38,12 @@ class TopicCounts:
     pending: tuple[int, int] = (0, 0)
     dropped: Counter[str] = field(default_factory=Counter)
 
-    def wrote(self) -> None:
+    def count_written(self) -> None:
         """Count the pending messages as written."""
         messages, size = self.pending
         self.messages, self.bytes, self.pending = self.messages + messages, self.bytes + size, (0, 0)
 
-    def failed(self, reason: str) -> None:
+    def count_dropped(self, reason: str) -> None:
         """Count the pending messages as dropped."""
         self.dropped[reason] += self.pending[0]
         self.pending = (0, 0)
@@ -78,14 +78,14 @@ class ArrivalQueue:
         limit: maximum size of the waiting messages in bytes.
 
     Attributes:
-        most: maximum size of the waiting messages so far, in bytes.
+        max_bytes: maximum size of the waiting messages so far, in bytes.
     """
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._condition = Condition(Lock())
         self._waiting: deque[RecordedMessage] = deque()
-        self._bytes = self.most = 0
+        self._bytes = self.max_bytes = 0
         self._batch = min(_BATCH, limit // 4)
         self._woken = self._waits = False
 
@@ -118,10 +118,10 @@ class ArrivalQueue:
                 self._condition.wait(seconds)
             self._woken = self._waits = False
             waiting, self._waiting = self._waiting, deque()
-            self.most = max(self.most, self._bytes)
+            self.max_bytes = max(self.max_bytes, self._bytes)
             return waiting
 
-    def wrote(self, arrival: RecordedMessage) -> None:
+    def release(self, arrival: RecordedMessage) -> None:
         """Free the bytes of a message that `pop_all` returned."""
         with self._condition:
             self._bytes -= len(arrival.data) + _OVERHEAD

@@ -174,7 +174,7 @@ class RecordFile:
     def _on_written(self) -> None:
         self.safe, self.messages = self._out.position, self._writer.messages
         for counts in self._pending.values():
-            counts.wrote()
+            counts.count_written()
         self._pending.clear()
         for number, fresh in self._fresh.items():
             self._counts[number] = self._counts.get(number, 0) + fresh
@@ -195,7 +195,7 @@ class RecordFile:
         The messages of the open chunk are lost.
         """
         for counts in self._pending.values():
-            counts.failed("disk")
+            counts.count_dropped("disk")
         self._pending.clear()
         try:
             self._out.cut(self.safe)

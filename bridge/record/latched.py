@@ -26,7 +26,7 @@ class LatchedState:
         self._unknown: set[tuple[TopicKey, bytes]] = set()
         self._bytes = 0
 
-    def saw(self, arrival: RecordedMessage) -> None:
+    def add(self, arrival: RecordedMessage) -> None:
         """Store a recorded message if its publisher is latched."""
         gid = arrival.gid
         if gid in self._plain:

@@ -28,7 +28,7 @@ class RecordPlace(Protocol):
         """Return the path of the next file and create its folder; raises `OSError`."""
         ...
 
-    def closed(self, written: WrittenFile, /) -> None:
+    def on_closed(self, written: WrittenFile, /) -> None:
         """Handle a closed file."""
         ...
 
@@ -53,7 +53,7 @@ class Files:
         name = f"{self._base.name}_{number}" if self._split or number else self._base.name
         return self._base.with_name(f"{name}.mcap")
 
-    def closed(self, _written: WrittenFile) -> None:
+    def on_closed(self, _written: WrittenFile) -> None:
         """Increment the file number, only now so that a file that could not be created leaves no gap."""
         self._number += 1
 
@@ -74,10 +74,10 @@ class BagFolder:
             self._made = True
         return self._files.next()
 
-    def closed(self, written: WrittenFile) -> None:
+    def on_closed(self, written: WrittenFile) -> None:
         """Add the file to the metadata; raises `OSError`."""
         self._written.append(written)
-        self._files.closed(written)
+        self._files.on_closed(written)
         write_metadata(self._folder, self._written)
 
 
@@ -107,7 +107,7 @@ class KeptFolder:
         self.prune()
         return self._now
 
-    def closed(self, _written: WrittenFile) -> None:
+    def on_closed(self, _written: WrittenFile) -> None:
         """Delete old recordings."""
         self.prune()
 

@@ -125,11 +125,11 @@ class Recorder:
                 self._last_step = time.monotonic()
                 arrival = waiting.popleft()
                 # else the recording is paused, and the message was received before the pause
-                if self._files.file is not None or self._recorded.on or self._ending:
+                if self._files.file is not None or self._recorded.subscribes or self._ending:
                     self._files.write(arrival)
-                self._queue.wrote(arrival)
+                self._queue.release(arrival)
             self._run_commands()
-            self._files.maintain(on=self._recorded.on)
+            self._files.maintain(recording=self._recorded.subscribes)
             self._last_step = time.monotonic()
             if ending:
                 break
@@ -163,7 +163,7 @@ class Recorder:
         counts = list(self._recorded.counts.values())
         messages, size, dropped = total(counts)
         return RecordingStatus(
-            state="blocked" if files.trouble else "recording" if self._recorded.on else "stopped",
+            state="blocked" if files.trouble else "recording" if self._recorded.subscribes else "stopped",
             file=str(file.path if file is not None else files.last_path or ""),
             file_bytes=file.safe if file is not None else 0,
             file_messages=file.messages if file is not None else 0,

@@ -63,7 +63,7 @@ class Ring:
             self._ready = True
         return self._folder / f"{time.time_ns()}.mcap"
 
-    def closed(self, written: WrittenFile) -> None:
+    def on_closed(self, written: WrittenFile) -> None:
         """Add a file, and delete the oldest files if the ring is too long or too large."""
         self._segments.append(written)
         self.prune()

@@ -75,13 +75,13 @@ class FileSeries:
             if file is None:
                 arrival.counts.dropped["disk"] += 1
                 return
-            self._have_channel(file, arrival)
+            self._ensure_channel(file, arrival)
             file.write(arrival, arrival.log_time)
         except OSError as err:
             arrival.counts.dropped["disk"] += 1
             self._failed(err)
         else:
-            self._latched.saw(arrival)
+            self._latched.add(arrival)
 
     def open(self) -> Path | None:
         """Open a file unless one is open, and return its path; raises `OSError` if that fails, and retries later."""
@@ -93,8 +93,8 @@ class FileSeries:
             raise
         return file.path if file is not None else None
 
-    def maintain(self, *, on: bool) -> None:
-        """Write the open chunk if it is due, delete old files of a ring, and, if recording is ``on``, retry to open."""
+    def maintain(self, *, recording: bool) -> None:
+        """Write the open chunk if it is due, delete old files of a ring, and, while ``recording``, retry to open one."""
         now = time.monotonic()
         if self.file is not None and now - self._flushed >= FLUSH_SECONDS:
             self._flushed = now
@@ -104,7 +104,7 @@ class FileSeries:
                 self._failed(err)
         if self.ring is not None:
             self.ring.prune()
-        if self.file is None and on and self.trouble and now >= self._retry:
+        if self.file is None and recording and self.trouble and now >= self._retry:
             try:
                 self._next_file()
             except OSError as err:
@@ -132,7 +132,7 @@ class FileSeries:
             except OSError as err:
                 _log.warning("%s ends without its summary: %s", file.path, err.strerror or err)
                 written = file.abandon()
-            self._place.closed(written)
+            self._place.on_closed(written)
         except OSError as err:
             _log.error("%s: %s", file.path, err.strerror or err)
         return file.path
@@ -172,14 +172,14 @@ class FileSeries:
         self.last_path, self._flushed = path, time.monotonic()
         now = time.time_ns()
         for kept in self._latched.all():
-            self._have_channel(file, kept)
+            self._ensure_channel(file, kept)
             file.write(kept, now, again=True)
         if self.trouble:
             _log.warning("recording continues in %s", path)
         self.trouble = ""
         return file
 
-    def _have_channel(self, file: RecordFile, arrival: RecordedMessage) -> None:
+    def _ensure_channel(self, file: RecordFile, arrival: RecordedMessage) -> None:
         key: ChannelKey = arrival.counts.key, arrival.origin
         if file.has(key):
             return

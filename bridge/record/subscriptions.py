@@ -30,7 +30,7 @@ class RecordedTopics:
     Attributes:
         topics: the topics on the hub.
         counts: the counts of each topic that was subscribed to.
-        on: whether the selected topics are subscribed to.
+        subscribes: whether the selected topics are subscribed to.
     """
 
     def __init__(
@@ -38,34 +38,34 @@ class RecordedTopics:
     ) -> None:
         self.topics = HubTopics(hub, registry, changed, taps=True)
         self.counts: dict[TopicKey, TopicCounts] = {}
-        self.on = False
+        self.subscribes = False
         self._selection, self._queue = selection, queue
         self._lock = threading.Lock()
         self._gone: dict[TopicKey, float] = {}
         self._lost = self._refused = 0
 
     def start(self) -> None:
-        self.on = True
+        self.subscribes = True
         self.refresh()
 
     def pause(self) -> None:
         """Unsubscribe from all topics."""
         with self._lock:
-            self.on = False
+            self.subscribes = False
             for topic in self.topics.subscribed():
                 self._unsubscribe(topic.key)
 
     def close(self) -> None:
         """Unsubscribe from all topics permanently."""
         with self._lock:
-            self.on = False
+            self.subscribes = False
             self.topics.close()
 
     def refresh(self) -> dict[TopicKey, HubTopic]:
         """Subscribe to new selected topics, drop those that left the hub, and return all topics on the hub."""
         with self._lock:
             topics = self.topics.refresh()
-            if not self.on:
+            if not self.subscribes:
                 return topics
             subscribed = {end.key for end in self.topics.subscribed()}
             for key, topic in topics.items():

@@ -48,21 +48,21 @@ def stored(state: LatchedState) -> list[int]:
 
 
 def test_a_message_may_arrive_before_its_publisher_is_in_the_graph(graph: Graph, state: LatchedState) -> None:
-    state.saw(message(1))
+    state.add(message(1))
     graph.ends.append(endpoint("/map", GID, LATCHED))
     assert stored(state) == [1]
-    state.saw(message(2))
+    state.add(message(2))
     assert stored(state) == [2]
     graph.ends.clear()
     assert stored(state) == []
 
 
 def test_messages_of_a_volatile_publisher_are_dropped_once_it_is_known(graph: Graph, state: LatchedState) -> None:
-    state.saw(message(1))
-    state.saw(message(2))
+    state.add(message(1))
+    state.add(message(2))
     graph.ends.append(endpoint("/map", GID, STREAM))
     assert stored(state) == []
-    state.saw(message(3))
+    state.add(message(3))
     assert stored(state) == []
 
 
@@ -72,9 +72,9 @@ def test_messages_of_unknown_publishers_are_limited(
     monkeypatch.setattr(latched, "MAX_UNKNOWN", 2)
     gids = [bytes([number]) * 16 for number in range(4)]
     for number, gid in enumerate(gids):
-        state.saw(message(number, gid))
+        state.add(message(number, gid))
     known = b"k" * 16
     graph.ends.append(endpoint("/map", known, LATCHED))
-    state.saw(message(9, known))  # unknown publishers do not displace the message
+    state.add(message(9, known))  # unknown publishers do not displace the message
     graph.ends += [endpoint("/map", gid, LATCHED) for gid in gids]
     assert stored(state) == [0, 1, 9]

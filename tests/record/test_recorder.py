@@ -361,7 +361,7 @@ def test_a_full_queue_drops_and_counts_messages_large_ones_first() -> None:
     waiting = queue.pop_all(0.0)
     assert len(waiting) == 109
     for arrival in waiting:
-        queue.wrote(arrival)
+        queue.release(arrival)
     put(images, 100_000)
     assert len(queue.pop_all(0.0)) == 1
 
@@ -398,7 +398,7 @@ def test_a_ring_does_not_depend_on_the_system_clock(
         path = ring.next()
         file = record_file.RecordFile(path, "none", {})
         closed.append(file.close())
-        ring.closed(closed[-1])
+        ring.on_closed(closed[-1])
     assert [written.path.exists() for written in closed] == [True] * 3
     later = time.monotonic() + 31.0
     monkeypatch.setattr(time, "monotonic", lambda: later)

@@ -77,16 +77,16 @@ class PlaySource:
         return self._merged(lambda topic: not topic.static, self.begin_ns, self.end_ns + 1)
 
     def _static(self) -> Iterator[PlayMessage]:
-        whole: dict[tuple[str, str], tuple[PlayTopic, StaticTransforms, bytes]] = {}
+        merged: dict[tuple[str, str], tuple[PlayTopic, StaticTransforms, bytes]] = {}
         for topic, _, data, _ in self._selected(lambda topic: topic.static, None):
             key = topic.name, topic.type_hash
-            first, transforms, before = whole.get(key, (topic, StaticTransforms(), b""))
+            first, transforms, before = merged.get(key, (topic, StaticTransforms(), b""))
             try:
                 before = transforms.merge(topic.convert(data) if topic.convert else data)
             except (ConversionError, ValueError) as err:
                 self.bad.append((topic, str(err)))
-            whole[key] = first, transforms, before
-        for topic, _, data in whole.values():
+            merged[key] = first, transforms, before
+        for topic, _, data in merged.values():
             if data:
                 yield PlayMessage(topic, self.begin_ns, data, ready=True)
 

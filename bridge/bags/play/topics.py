@@ -128,23 +128,23 @@ class PlayChoice:
 
 
 def choose(
-    bags: Iterable[Bag], registry: Registry, config: Config, wanted: PlayChoice
+    bags: Iterable[Bag], registry: Registry, config: Config, choice: PlayChoice
 ) -> tuple[dict[Bag, list[PlayTopic]], list[LeftOut]]:
     """Return the topics of each bag to play, and those that were selected but are left out."""
-    moving = CommandTopics(config)
+    command_topics = CommandTopics(config)
     playable: dict[Bag, list[PlayTopic]] = {}
-    left: dict[LeftOut, None] = {}
+    left_out: dict[LeftOut, None] = {}
     for bag in bags:
         playable[bag] = []
-        chosen = [topic for topic in bag.topics if wanted.name(_absolute(topic.name))]
+        chosen = [topic for topic in bag.topics if choice.name(_absolute(topic.name))]
         unfit = misfits(bag, chosen, registry)
         for topic in chosen:
-            topic_ = _resolve(bag.path, topic, registry, moving, wanted, unfit.get(topic))
+            topic_ = _resolve(bag.path, topic, registry, command_topics, choice, unfit.get(topic))
             if isinstance(topic_, PlayTopic):
                 playable[bag].append(topic_)
             else:
-                left[topic_] = None
-    return playable, list(left)
+                left_out[topic_] = None
+    return playable, list(left_out)
 
 
 def _absolute(name: str) -> str:
@@ -152,27 +152,27 @@ def _absolute(name: str) -> str:
 
 
 def _resolve(
-    path: Path, topic: BagTopic, registry: Registry, moving: CommandTopics, wanted: PlayChoice, unfit: BagError | None
+    path: Path, topic: BagTopic, registry: Registry, commands: CommandTopics, choice: PlayChoice, unfit: BagError | None
 ) -> PlayTopic | LeftOut:
     source = _absolute(topic.name)
-    name = wanted.remap.get(source, source)
+    name = choice.remap.get(source, source)
 
-    def left(why: str, *, command: bool = False) -> LeftOut:
+    def leave_out(why: str, *, command: bool = False) -> LeftOut:
         return LeftOut(name, topic.type_name, why, command)  # with the type's name in the bag
 
-    if wanted.clock and name == CLOCK_TOPIC:
-        return left("--clock replaces it")
+    if choice.clock and name == CLOCK_TOPIC:
+        return leave_out("--clock replaces it")
     if name.startswith(TAPS) or not ROS2_NAME.fullmatch(name):
-        return left("not a valid topic name (letters, digits and underscores between slashes); --remap renames it")
+        return leave_out("not a valid topic name (letters, digits and underscores between slashes); --remap renames it")
     try:
         if unfit is not None:
             raise unfit
         form = to_hub(registry, topic, path)
     except BagError as err:
-        return left(err.what + (f"; {err.cure}" if err.cure else ""))
-    command = moving.has(name, form.type_name)
-    if command and not wanted.commands:
-        return left("it moves the robot (--commands plays it)", command=True)
+        return leave_out(err.what + (f"; {err.cure}" if err.cure else ""))
+    command = commands.has(name, form.type_name)
+    if command and not choice.commands:
+        return leave_out("it moves the robot (--commands plays it)", command=True)
     type_hash, convert = form.type_hash or UNKNOWN_HASH, form.convert
     if convert is None:
         # bytes of an unknown type pass unchecked

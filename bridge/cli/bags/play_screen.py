@@ -56,8 +56,8 @@ class Screen:
         """Return the progress: ``12.3 of 60.0 s, rate 1, 456 messages, paused``."""
         source, timeline = self._source, self._player.timeline
         at = max(0.0, (timeline.now_ns() - source.begin_ns) / 1e9)
-        whole = (source.end_ns - source.begin_ns) / 1e9
-        parts = [f"{at:.1f} of {whole:.1f} s", f"rate {timeline.rate:g}", f"{self._player.played.total()} messages"]
+        total = (source.end_ns - source.begin_ns) / 1e9
+        parts = [f"{at:.1f} of {total:.1f} s", f"rate {timeline.rate:g}", f"{self._player.played.total()} messages"]
         if dropped := self._player.dropped.total():
             parts.append(f"{dropped} dropped")
         if timeline.paused:

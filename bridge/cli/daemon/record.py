@@ -70,26 +70,26 @@ def register(parser: argparse.ArgumentParser) -> None:
         " repeated",
     )  # fmt: skip
     group.add_argument("--duration", type=span, metavar="TIME", help="exit after this time, such as 30s or 10m")
-    where = parser.add_argument_group("where")
-    where.add_argument(
+    files = parser.add_argument_group("where")
+    files.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="file to write (default: midspan_<time>.mcap in this folder)"
     )
-    where.add_argument(
+    files.add_argument(
         "--folder", action="store_true", help="write a folder of that name with a metadata.yaml, as rosbag2 does"
     )
-    where.add_argument(
+    files.add_argument(
         "--split-size", type=megabytes, default=0, metavar="SIZE", help="start a new file at this size, such as 1GB"
     )
-    where.add_argument(
+    files.add_argument(
         "--split-time", type=span, default=0.0, metavar="TIME", help="start a new file after this time, such as 10m"
     )
-    where.add_argument(
+    files.add_argument(
         "--compression",
         choices=["zstd", "lz4", "none"],
         default="zstd",
         help="compression of the file's chunks (default zstd)",
     )
-    where.add_argument(
+    files.add_argument(
         "--queue",
         type=megabytes,
         default=128,

@@ -172,27 +172,27 @@ def _next(args: argparse.Namespace, listener: TransformListener) -> Transform:
         listener.refresh()
 
 
-def _print_pose(args: argparse.Namespace, listener: TransformListener, found: Transform) -> None:
-    age = (listener.clock.now_ns() - found.stamp) / 1e9 if found.stamp else None
+def _print_pose(args: argparse.Namespace, listener: TransformListener, transform: Transform) -> None:
+    age = (listener.clock.now_ns() - transform.stamp) / 1e9 if transform.stamp else None
     if args.json:
         print_json(
             {
-                "reference": found.frame_id,
-                "frame": found.child_frame_id,
-                "time_ns": found.stamp,
+                "reference": transform.frame_id,
+                "frame": transform.child_frame_id,
+                "time_ns": transform.stamp,
                 "age": age,
-                "translation": dict(zip("xyz", found.translation, strict=True)),
-                "rotation": dict(zip("xyzw", found.rotation, strict=True)),
+                "translation": dict(zip("xyz", transform.translation, strict=True)),
+                "rotation": dict(zip("xyzw", transform.rotation, strict=True)),
             },
             lines=True,
         )
         return
-    when = "static" if age is None else f"at {found.stamp / 1e9:.3f} s, {age:.3f} s ago"
-    moved = ", ".join(f"{part:.3f}" for part in found.translation)
-    turned = ", ".join(f"{part:.4f}" for part in found.rotation)
-    angles = ", ".join(f"{math.degrees(part):.2f}" for part in angles_of(found.rotation))
-    print(f"{when}\n  x, y, z:          {moved} m", flush=False)
-    print(f"  roll, pitch, yaw: {angles} degrees\n  quaternion:       {turned}", flush=True)
+    when = "static" if age is None else f"at {transform.stamp / 1e9:.3f} s, {age:.3f} s ago"
+    translation = ", ".join(f"{part:.3f}" for part in transform.translation)
+    rotation = ", ".join(f"{part:.4f}" for part in transform.rotation)
+    angles = ", ".join(f"{math.degrees(part):.2f}" for part in angles_of(transform.rotation))
+    print(f"{when}\n  x, y, z:          {translation} m", flush=False)
+    print(f"  roll, pitch, yaw: {angles} degrees\n  quaternion:       {rotation}", flush=True)
 
 
 _INTERVAL = 2.0

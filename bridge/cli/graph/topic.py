@@ -283,11 +283,11 @@ class _Meter:
         if len(self._arrivals) < 2:
             return None
         gaps = [later[0] - earlier[0] for earlier, later in pairwise(self._arrivals)]
-        whole = max(self._arrivals[-1][0] - self._arrivals[0][0], 1e-9)
+        duration = max(self._arrivals[-1][0] - self._arrivals[0][0], 1e-9)
         sizes = sum(size for _, size in self._arrivals) - self._arrivals[0][1]
         return Rate(
-            self.topic, self.messages, len(self._arrivals), len(gaps) / whole,
-            min(gaps), max(gaps), statistics.pstdev(gaps), sizes / whole, lost,
+            self.topic, self.messages, len(self._arrivals), len(gaps) / duration,
+            min(gaps), max(gaps), statistics.pstdev(gaps), sizes / duration, lost,
         )  # fmt: skip
 
 

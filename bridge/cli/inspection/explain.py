@@ -275,8 +275,8 @@ def _hub_lines(explanation: Explanation) -> list[str]:
 def _decision_lines(decision: Decision, route: RouteStatus | None, whose: str) -> list[str]:
     verdict = _VERDICTS.get(decision.decision, decision.decision)
     name = decision.topic if decision.direction == "in" else decision.hub_topic
-    lands = decision.hub_topic if decision.direction == "in" else decision.topic
-    renamed = f" as {lands}" if decision.decision == "bridged" and name != lands else ""
+    target = decision.hub_topic if decision.direction == "in" else decision.topic
+    renamed = f" as {target}" if decision.decision == "bridged" and name != target else ""
     sides = arrow(decision.worker, decision.direction)
     text = f"{sides}{whose}: {name} ({decision.type}) {verdict}{renamed}: {decision.why}."
     lines = [clean(text)]
@@ -284,13 +284,13 @@ def _decision_lines(decision: Decision, route: RouteStatus | None, whose: str) -
         lines.append(f"    cure: {clean(decision.cure)}")
     lines += [f"    {clean(users)}" for users in decision.users]
     if route is not None:
-        lines.append(f"    {_flow(route)}")
+        lines.append(f"    {_traffic(route)}")
         if route.error:
             lines.append(f"    last error: {clean(route.error)}")
     return lines
 
 
-def _flow(route: RouteStatus) -> str:
+def _traffic(route: RouteStatus) -> str:
     if route.kind == "service":
         return _calls(route)
     transport = f"; {transport_text(route)}" if transport_text(route) else ""

@@ -185,12 +185,12 @@ def _refusal_lines(document: StatusDocument) -> list[tuple[str, str]]:
 
 def _endpoint(endpoint: EndpointStatus) -> list[Text]:
     """Return the lines of one endpoint of hub.open: its state, and a cure if other machines cannot join through it."""
-    way, place, state = (clean(text or "?") for text in (endpoint.way, endpoint.endpoint, endpoint.state))
+    direction, address, state = (clean(text or "?") for text in (endpoint.way, endpoint.endpoint, endpoint.state))
     age = "" if endpoint.since is None else f" for {duration(max(time.time() - endpoint.since, 0.0))}"
     machine = f" to {clean(endpoint.machine)}" if state == "connected" and endpoint.machine else ""
     reason = f": {clean(endpoint.reason)}" if endpoint.reason else ""
     good = state in ("connected", "connecting", "listening")
-    lines = [Text(f"           hub.open.{way} {place} {state}{machine}{age}{reason}", "" if good else "yellow")]
+    lines = [Text(f"           hub.open.{direction} {address} {state}{machine}{age}{reason}", "" if good else "yellow")]
     if endpoint.cure:
         lines.append(Text(f"             cure: {clean(endpoint.cure)}"))
     return lines

@@ -48,7 +48,7 @@ def register_map_files(verbs: Any) -> None:
 def _import_maps(args: argparse.Namespace) -> int:
     writes = [write for file in args.files for write in read_files(file)]
     if args.name is not None:
-        named = [place for place, write in enumerate(writes) if write.kind in (MAP, MAP3D)]
+        named = [index for index, write in enumerate(writes) if write.kind in (MAP, MAP3D)]
         if len(named) != 1:
             raise CliError(f"--name names one map, but the files have {len(named)}")
         writes[named[0]] = replace(writes[named[0]], name=args.name)
@@ -60,9 +60,9 @@ def _import_maps(args: argparse.Namespace) -> int:
     names = [(write.kind.name, write.name) for write in writes]
     twice = {key for key in names if names.count(key) > 1}
     with open_stored(args) as (_, stored):
-        taken = stored.keys().intersection(names) - {(CURRENT.name, THE_MAP)} if not args.replace else set()
-        if twice or taken:
-            kind, name = min(twice or taken)
+        existing = stored.keys().intersection(names) - {(CURRENT.name, THE_MAP)} if not args.replace else set()
+        if twice or existing:
+            kind, name = min(twice or existing)
             where = "twice in the files" if twice else "already stored; --replace replaces it"
             raise CliError(f"{kind} {name!r} is {where}; nothing is imported")
         stored.write(writes)

@@ -138,13 +138,13 @@ def _where(kind: str, value: dict[str, Any]) -> str:
 def _behavior(row: dict[str, Any]) -> str:
     if "dock" in row:
         return clean(f"dock {row['dock']['type']}".strip())
-    found = row.get("behaviour")
-    if found is None:
+    behavior = row.get("behaviour")
+    if behavior is None:
         return ""
-    parts = [] if found["max_speed"] is None else [f"up to {found['max_speed']:g} m/s"]
-    if found["on_obstacle"]:
-        parts.append(f"obstacle: {found['on_obstacle']}")
-    if found["keep_out"]:
+    parts = [] if behavior["max_speed"] is None else [f"up to {behavior['max_speed']:g} m/s"]
+    if behavior["on_obstacle"]:
+        parts.append(f"obstacle: {behavior['on_obstacle']}")
+    if behavior["keep_out"]:
         parts.append("keep out")
     return ", ".join(parts)
 

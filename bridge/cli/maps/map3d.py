@@ -26,8 +26,8 @@ def described(name: str, value: Map3D) -> dict[str, Any]:
     if isinstance(value, PointCloud):
         kind = PointType(value.getPointType()).name.lower().replace("_", " ")
         description = {"form": "cloud", "type": kind, "points": value.size()}
-        places = value.numpy()
-        corners = np.stack([places[axis] for axis in "xyz"], axis=1)
+        fields = value.numpy()
+        corners = np.stack([fields[axis] for axis in "xyz"], axis=1)
         corners = corners[np.isfinite(corners).all(axis=1)]
         low, high = (corners, corners)
     else:

@@ -151,9 +151,9 @@ class GoalProgress:
 
 def _drive(sent: FollowedGoal, goal: dict[str, Any], progress: GoalProgress, timeout: float | None) -> int:
     if not progress.as_json:
-        anyhow = ", in any heading" if "behavior_tree" in goal else ""
-        places = (place_text(pose, heading=not anyhow) for pose in goal.get("poses") or [goal["pose"]])
-        print(f"to {clean('; '.join(places))}{anyhow}", flush=True)
+        any_heading = ", in any heading" if "behavior_tree" in goal else ""
+        places = (place_text(pose, heading=not any_heading) for pose in goal.get("poses") or [goal["pose"]])
+        print(f"to {clean('; '.join(places))}{any_heading}", flush=True)
     try:
         end, signaled = sent.run(goal, timeout, progress.feedback, progress.refresh, progress.end)
     except ClientError:

@@ -138,10 +138,10 @@ def _snippet(folder: Path, name: str) -> str:
     ]
     if not listening:
         return _EITHER
-    places = ", ".join(_endpoint(certificate) for certificate in listening)
+    endpoints = ", ".join(_endpoint(certificate) for certificate in listening)
     names = ", ".join(certificate.name for certificate in listening)
     return f"""\
-      connect: [{places}]
+      connect: [{endpoints}]
       trusted: [{names}]
 and on {names}, so that it may command there: hub.open.trusted: [{name}]"""
 
@@ -153,14 +153,14 @@ def _endpoint(certificate: Certificate) -> str:
     return f"'tls/[{address}]:7448'" if ":" in address else f"tls/{address}:7448"
 
 
-def _show(places: list[Path], *, as_json: bool) -> int:
-    shown = [certificate for place in places for certificate in _certificates(place)]
+def _show(paths: list[Path], *, as_json: bool) -> int:
+    shown = [certificate for path in paths for certificate in _certificates(path)]
     invalid = any(certificate.days_left() < 0 or certificate.begins_later() for certificate in shown)
     if as_json:
         print(json.dumps([_document(certificate) for certificate in shown], indent=2))
         return int(invalid)
     if not shown:
-        raise CliError(f"no certificates in {', '.join(map(str, places))}; 'midspan keys make NAME' makes them")
+        raise CliError(f"no certificates in {', '.join(map(str, paths))}; 'midspan keys make NAME' makes them")
     rows = [("NAME", "VALID UNTIL", "LEFT", "CONNECT BY", "FILE"), *(_row(entry) for entry in shown)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
@@ -180,11 +180,11 @@ def _row(certificate: Certificate) -> tuple[str, ...]:
     )
 
 
-def _certificates(place: Path) -> list[Certificate]:
+def _certificates(path: Path) -> list[Certificate]:
     from bridge.hub.security.certificates import read_certificate
 
     # decided by the suffix, because the default folder may be missing
-    files = [place] if place.suffix else sorted(place.glob("*.pem"))
+    files = [path] if path.suffix else sorted(path.glob("*.pem"))
     return [read_certificate(file) for file in files]
 
 

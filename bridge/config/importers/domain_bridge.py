@@ -225,19 +225,19 @@ def _without_repeats(job: _Import, routes: list[_Route]) -> list[_Route]:
 def _draft(job: _Import, domain: int, domains: list[int], routes: list[_Route]) -> Draft:
     file = job.document.file
     bridge = job.node
-    these = ", ".join(str(other) for other in domains if other != domain)
+    other_domains = ", ".join(str(other) for other in domains if other != domain)
     head = [
         f"Midspan's configuration for ROS 2 domain {domain}, made from {file.name} by 'midspan import domain_bridge'.",
-        f"{_HEAD} {these}.",
+        f"{_HEAD} {other_domains}.",
     ]
     sections = {
         "name": f"{bridge}_{domain}"[:63],
         "ros1": {"enabled": False},
         "ros2": {"domain": domain, "node": f"{bridge}_{domain}"},
     }
-    wide = ["localhost_only: false   # also nodes of other machines, as with domain_bridge"]
+    hint = ["localhost_only: false   # also nodes of other machines, as with domain_bridge"]
     rules = [*_rules_to_hub(job, domain, routes), *_rules_to_domain(job, domain, routes)]
-    return Draft(f"{bridge}_domain{domain}", head + missing(job.notes), sections, {"ros2": wide}, rules)
+    return Draft(f"{bridge}_domain{domain}", head + missing(job.notes), sections, {"ros2": hint}, rules)
 
 
 def _rules_to_hub(job: _Import, domain: int, routes: list[_Route]) -> Iterator[RuleDraft]:
@@ -260,5 +260,5 @@ def _rules_to_domain(job: _Import, domain: int, routes: list[_Route]) -> Iterato
 
 
 def _source(job: _Import, route: _Route) -> str:
-    place = job.document.keys[route.path].line
-    return f"{job.document.file.name}:{place}, domain {route.origin} to {route.target}"
+    line = job.document.keys[route.path].line
+    return f"{job.document.file.name}:{line}, domain {route.origin} to {route.target}"

@@ -102,13 +102,13 @@ def draft(file: Path, mapping_rules: Sequence[Path] = ()) -> tuple[Draft, list[P
     _others(job)
     if job.problems:
         raise ConfigError(job.problems)
-    everything = sorted((*job.notes, *(n for r in job.rules for n in r.notes)), key=lambda n: (n.line, n.column))
+    notes = sorted((*job.notes, *(n for r in job.rules for n in r.notes)), key=lambda n: (n.line, n.column))
     sections: dict[str, Any] = {"ros1": {"enabled": True}, "ros2": {"enabled": True}}
     if mapping_rules:
         sections["types"] = {"mapping_rules": [str(path.absolute()) for path in mapping_rules]}
     head = [f"Midspan's configuration, made from ros1_bridge's {file.name} by 'midspan import ros1_bridge'.", _HEAD]
-    wide = ["localhost_only: false   # also nodes of other machines, as with ros1_bridge"]
-    return Draft(file.stem, head + missing(job.notes), sections, {"ros2": wide}, job.rules), everything
+    hint = ["localhost_only: false   # also nodes of other machines, as with ros1_bridge"]
+    return Draft(file.stem, head + missing(job.notes), sections, {"ros2": hint}, job.rules), notes
 
 
 def _topics(job: _Import) -> None:

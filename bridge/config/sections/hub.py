@@ -96,7 +96,7 @@ class HubSection(Section):
 
     @model_validator(mode="after")
     def _check_open(self) -> HubSection:
-        taken = [endpoint for endpoint in self.open.listen if same_port(endpoint, self.listen)]
+        same = [endpoint for endpoint in self.open.listen if same_port(endpoint, self.listen)]
         if self.open.opened and self.router is False:
             msg = "hub.open needs the daemon's router, but hub.router is false"
         elif self.open.opened and self.listen.startswith(("tls/", "quic/")):
@@ -104,9 +104,9 @@ class HubSection(Section):
                 "hub.listen cannot use TLS if hub.open is set, because this machine's own programs join without TLS;"
                 " write hub.listen: tcp/127.0.0.1:7447"
             )
-        elif taken:
+        elif same:
             free = 7449 if same_port(self.listen, "tcp/127.0.0.1:7448") else 7448
-            msg = f"{taken[0]} uses the same port as hub.listen ({self.listen}); choose another, such as {free}"
+            msg = f"{same[0]} uses the same port as hub.listen ({self.listen}); choose another, such as {free}"
         else:
             return self
         raise ValueError(msg)

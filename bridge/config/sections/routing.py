@@ -82,9 +82,9 @@ def rename_trouble(rename: str, topic: str | None, regex: str | None, *, ros1: b
                 return f"uses group {number or name}, which the regular expression does not have"
         examples = [_GROUP.sub("x", rename), _GROUP.sub("/x", rename)]
     else:
-        had, taken = len(_WILDCARD.findall(topic or "")), len(_WILDCARD.findall(rename))
-        if taken > had:
-            return f"has {taken} wildcards, but the topic has only {had} to fill them from"
+        available, used = len(_WILDCARD.findall(topic or "")), len(_WILDCARD.findall(rename))
+        if used > available:
+            return f"has {used} wildcards, but the topic has only {available} to fill them from"
         examples = [_WILDCARD.sub("x", rename)]
     if not any((_ROS1_NAME if ros1 else ROS2_NAME).fullmatch(example) for example in examples):
         return "is not a topic name: begin it with a slash; letters, digits and underscores make its parts" + (

@@ -72,7 +72,7 @@ def subsection(section: type[Section], description: str) -> Any:
 
 def fields_of(sections: Mapping[str, tuple[str, str]]) -> dict[str, Any]:
     """Return fields for `pydantic.create_model`, from the ``package.module:Model`` and the description of each."""
-    models = {name: (imported(place), about) for name, (place, about) in sections.items()}
+    models = {name: (imported(target), about) for name, (target, about) in sections.items()}
     return {name: (model, subsection(model, about)) for name, (model, about) in models.items()}
 
 
@@ -157,10 +157,10 @@ def zenoh_endpoint(endpoint: str) -> str:
     if not re.fullmatch(r"[a-z][a-z0-9_-]*/\S+", endpoint):
         mistake = "is not a zenoh endpoint; give protocol and address, for example tcp/127.0.0.1:7447"
         raise ValueError(f"{endpoint!r} {mistake}")
-    protocol, _, place = endpoint.partition("/")
+    protocol, _, rest = endpoint.partition("/")
     if protocol not in {"tcp", "udp", "tls", "quic", "ws"}:
         return endpoint
-    address = re.fullmatch(r"(\[.+\]|[^:\[\]]*)(?::(\w*))?", re.split(r"[?#]", place)[0])
+    address = re.fullmatch(r"(\[.+\]|[^:\[\]]*)(?::(\w*))?", re.split(r"[?#]", rest)[0])
     if address is None:
         raise ValueError(
             f"{endpoint!r} has no valid address; write it like {protocol}/robot1:7447 or {protocol}/[::1]:7447"

@@ -43,28 +43,28 @@ def check_connections(context: CheckContext) -> Findings:
     # daemon threads, because the resolver may still hang when the command ends
     pool = WorkerPool(_AT_ONCE, "doctor-endpoints")
     tests = [
-        pool.submit(partial(_test, direction, place, identity, reported.get((direction, place))))
-        for direction, place in ends
+        pool.submit(partial(_test, direction, endpoint, identity, reported.get((direction, endpoint))))
+        for direction, endpoint in ends
     ]
     return [*findings, *(test.result() for test in tests)]
 
 
-def _test(way: str, endpoint: str, identity: Identity | None, reported: EndpointStatus | None) -> Finding:
+def _test(direction: str, endpoint: str, identity: Identity | None, reported: EndpointStatus | None) -> Finding:
     """Test one endpoint; the router's report covers what a test cannot show, such as refused machines."""
-    name = f"hub.open.{way} {endpoint}"
-    place = HostPort.of(connect_endpoint(endpoint))
-    if place is None or not place.can_be_tested:
+    name = f"hub.open.{direction} {endpoint}"
+    address = HostPort.of(connect_endpoint(endpoint))
+    if address is None or not address.can_be_tested:
         return ok(f"{name}: only the router can test it") if reported is None else _of_router(reported)
-    if way == "listen" and reported is None:
+    if direction == "listen" and reported is None:
         return Finding(Result.SKIP, f"{name}: the router does not run")
-    if way == "listen" and identity is not None:
+    if direction == "listen" and identity is not None:
         identity = replace(identity, verify_name=False)  # the certificate names this machine as others reach it
-    result = attempt(place, identity)
+    result = attempt(address, identity)
     if result.reason.state is not EndpointState.CONNECTING:
         return _finding(f"{name}: {result.reason.state}: {result.reason.text}", result.reason)
     if reported is not None and not _good(reported):
         return _of_router(reported)
-    tls = f"TLS with {result.machine or 'the other machine'} succeeds" if place.protocol == "tls" else "it answers"
+    tls = f"TLS with {result.machine or 'the other machine'} succeeds" if address.protocol == "tls" else "it answers"
     state = "" if reported is None else f", and the router reports {reported.state}"
     return ok(f"{name}: {tls}{state}")
 

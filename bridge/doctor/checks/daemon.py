@@ -62,10 +62,10 @@ def _shared_settings(configs: Mapping[str, Config]) -> Iterator[Finding]:
     """Yield a finding for each name and address that several daemons have, except the address of a shared hub."""
     claims: dict[tuple[str, str], list[str]] = {}
     for unit, config in configs.items():
-        places = [
+        addresses = [
             (listener.key, listener.text) for listener in listeners(config) if listener.port and listener.key != _HUB
         ]
-        for claim in dict.fromkeys([("name", config.name), *places]):
+        for claim in dict.fromkeys([("name", config.name), *addresses]):
             claims.setdefault(claim, []).append(unit)
     for (key, value), owners in claims.items():
         if len(owners) > 1:
@@ -79,11 +79,11 @@ def _shared_ports(configs: Mapping[str, Config]) -> Iterator[Finding]:
     This leaves out pairs that `_shared_settings` reports, and pairs of ``hub.listen``, because daemons may share a hub.
     """
     for (first_unit, first), (other, second) in combinations(configs.items(), 2):
-        for place, taken in product(listeners(second), listeners(first)):
-            alike = place.key == taken.key and (place.text == taken.text or place.key == _HUB)
-            if place.excludes(taken) and not alike:
+        for listener, taken in product(listeners(second), listeners(first)):
+            alike = listener.key == taken.key and (listener.text == taken.text or listener.key == _HUB)
+            if listener.excludes(taken) and not alike:
                 seen = (
-                    f"{place.key} of {other} ({place.text}) uses the same port as {taken.key} of {first_unit}"
+                    f"{listener.key} of {other} ({listener.text}) uses the same port as {taken.key} of {first_unit}"
                     f" ({taken.text})"
                 )
                 yield fail(seen, "change one of the ports")

@@ -67,7 +67,7 @@ def check_environment(context: CheckContext) -> Findings:
     shell = context.environ.get("ROS_MASTER_URI")
     config = context.config.ros1.embedded_uri or context.config.ros1.master
     findings: list[Finding] = []
-    if shell and config and not _same_place(shell, config):
+    if shell and config and not _is_same_master(shell, config):
         cure = "set both to the same master: export ROS_MASTER_URI, or change ros1.master"
         findings.append(warn(f"this shell's ROS_MASTER_URI is {shell}, but ros1.master is {config}", cure))
     findings += _against_worker(context, shell or master_uri(context.config, {}))
@@ -92,14 +92,14 @@ def _network(uri: str) -> str | None:
     return None if isinstance(state, Ros1Error) else state.network
 
 
-def _same_place(one: str, other: str) -> bool:
-    def place(uri: str) -> tuple[str | None, int | None]:
+def _is_same_master(one: str, other: str) -> bool:
+    def host_and_port(uri: str) -> tuple[str | None, int | None]:
         parts = urlsplit(uri)
         host = "localhost" if parts.hostname == "127.0.0.1" else parts.hostname
         return host, parts.port
 
     try:
-        return place(one) == place(other)
+        return host_and_port(one) == host_and_port(other)
     except ValueError:
         return one == other
 

@@ -70,11 +70,11 @@ def check_size(context: CheckContext) -> Findings:
 
 def _check_size(context: CheckContext) -> Finding:
     stat = os.statvfs(context.shm)
-    whole, free = stat.f_blocks * stat.f_frsize, stat.f_bavail * stat.f_frsize
-    text = f"{context.shm}: {free / 1e6:.0f} MB free of {whole / 1e6:.0f} MB"
+    total, free = stat.f_blocks * stat.f_frsize, stat.f_bavail * stat.f_frsize
+    text = f"{context.shm}: {free / 1e6:.0f} MB free of {total / 1e6:.0f} MB"
     if free < FULL_BYTES:
         return fail(f"{text}; large messages use slower transports, and programs fail to start", _CURE_SIZE)
-    if whole < SMALL_BYTES:
+    if total < SMALL_BYTES:
         return warn(f"{text}; large ROS 2 messages are fragmented or use UDP", _CURE_SIZE)
     return ok(text)
 

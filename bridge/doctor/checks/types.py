@@ -33,8 +33,8 @@ def check_hashes(context: CheckContext) -> Findings:
     workers = {document.zid for document in context.hub.documents}
     notes = conflicts(context.hub.endpoints, workers, lambda: Registry.of(context.config.types).releases)
     findings += merged([fail(note.text, note.cure) for note in notes])[:_SHOWN]
-    apart = separated(context.hub.endpoints, workers)
-    findings += merged([warn(note.text, note.cure) for note in apart])[:_SHOWN]
+    separate = separated(context.hub.endpoints, workers)
+    findings += merged([warn(note.text, note.cure) for note in separate])[:_SHOWN]
     return findings or ok("no definitions differ")
 
 
