@@ -94,7 +94,7 @@ class FileSeries:
         return file.path if file is not None else None
 
     def maintain(self, *, recording: bool) -> None:
-        """Write the open chunk if it is due, delete old files of a ring, and, while ``recording``, retry to open one."""
+        """Write the open chunk if it is due, delete old files of a ring, and retry to open a file if ``recording``."""
         now = time.monotonic()
         if self.file is not None and now - self._flushed >= FLUSH_SECONDS:
             self._flushed = now
