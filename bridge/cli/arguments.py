@@ -15,7 +15,7 @@ Run = Callable[[argparse.Namespace], int]
 
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|m|h|)", re.IGNORECASE)
 _LONGEST = 9e9
-"""Seconds: about the longest wait of a thread; as a clock time it is the year 2255."""
+"""The longest time that an argument may give, in seconds: about the longest wait of a thread, and the year 2255."""
 
 _NEGATIVE = re.compile(r"-\.?(\d|inf\b|nan\b)", re.IGNORECASE)
 _SECONDS = {"": 1.0, "s": 1.0, "ms": 0.001, "m": 60.0, "min": 60.0, "h": 3600.0}
@@ -49,7 +49,7 @@ class VerbParser(argparse.ArgumentParser):
         return parsed
 
     def _refuse_before_verb(self, words: Sequence[str]) -> None:
-        """Refuse a command's option that precedes the command: argparse would read its value as the command."""
+        """Refuse a command's option that precedes the command, because argparse would read its value as the command."""
         option = words[0].partition("=")[0] if words else ""
         known = any(name.startswith(option) for name in self._option_string_actions)
         verb = next((argument for argument in words if self._of_verb([argument]) is not self), None)

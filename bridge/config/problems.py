@@ -55,8 +55,8 @@ def _model_at(model: type[BaseModel], path: KeyPath) -> type[BaseModel] | None:
 def _field_at(model: type[BaseModel], path: KeyPath) -> FieldInfo | None:
     """Return the field with the value at ``path``, which may be an item of a list; None in a map with free keys."""
     names = [part for part in path if not isinstance(part, int)]
-    around = _model_at(model, tuple(names[:-1])) if names else None
-    fields = around.model_fields.items() if around else ()
+    section = _model_at(model, tuple(names[:-1])) if names else None
+    fields = section.model_fields.items() if section else ()
     return next((info for name, info in fields if key_name(name, info) == names[-1]), None)
 
 
@@ -64,8 +64,8 @@ def _unknown_key(model: type[BaseModel], path: KeyPath) -> str:
     name = str(path[-1])
     if path in REMOVED:
         return f"is a key of an older Midspan; '{COMMAND}' updates the file"
-    around = _model_at(model, path[:-1])
-    names = [key_name(n, info) for n, info in around.model_fields.items()] if around else []
+    section = _model_at(model, path[:-1])
+    names = [key_name(n, info) for n, info in section.model_fields.items()] if section else []
     elsewhere = [key_text(key) for key in all_keys(model) if key[-1] == name]
     near = elsewhere or difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     if near:
@@ -90,7 +90,7 @@ def _short(value: Any) -> str:
 
 
 def _in_data(data: Any, location: tuple[str | int, ...]) -> KeyPath:
-    """Return the part of an error's location that is a path in the data: pydantic also names the arms of unions."""
+    """Return the part of an error's location that is a path in the data, without the arms of unions."""
     path: list[str | int] = []
     for part in location:
         inside = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))

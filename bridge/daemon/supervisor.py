@@ -194,10 +194,10 @@ class Supervisor:
     def _first(self) -> str:
         """Return the workers that must finish starting before another process may start, "" if it may start now.
 
-        Starting all workers at once only slows each of them; this is also true of restarts. They start in the order of
-        `workers`: those that outlive the daemon, such as the router, the sides, then the others, such as the modules.
+        Starting all workers at once, or restarting them, only slows each of them. They start in the order of `workers`:
+        first those that outlive the daemon, such as the router; then the sides; then others, such as the modules.
         """
-        starting = [worker.name for worker in self.workers if worker.comes_up]
+        starting = [worker.name for worker in self.workers if worker.is_starting]
         return " and ".join(starting) if len(starting) >= self._cores else ""
 
     def _step(self) -> None:

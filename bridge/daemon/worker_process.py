@@ -97,7 +97,7 @@ class WorkerProcess:
         return self._run.still if self.phase in {Phase.STARTING, Phase.UP} else 0.0
 
     @property
-    def comes_up(self) -> bool:
+    def is_starting(self) -> bool:
         """Whether the worker's process was started by this daemon, is still starting, and makes progress."""
         started_here = self.channel is not None and self.channel.started_here
         return self.phase is Phase.STARTING and started_here and self.still <= self._timing.patience
@@ -268,7 +268,7 @@ class WorkerProcess:
                 self._kill(self._silence())
             case Progress.LATE if (
                 self.phase is Phase.UP or self.text
-            ):  # before the first report the signal kills the process
+            ):  # before its first report a process has no handler, so the signal would kill it
                 if self.channel is not None:
                     self.channel.dump_stacks()
 
@@ -293,7 +293,7 @@ class WorkerProcess:
         self.kill()
 
     def kill(self) -> None:
-        """Send SIGKILL."""
+        """Kill the process and its own child processes at once."""
         if self.channel is None:
             return
         if self.channel.pid:
@@ -315,7 +315,7 @@ class WorkerProcess:
         self._start_again = True
 
     def stop(self, why: str, seconds: float | None = None) -> None:
-        """Ask the worker to stop; it is killed after ``seconds``, by default after `Timing.stop`."""
+        """Ask the worker to stop, and kill it after ``seconds`` if it has not; default: `Timing.stop`."""
         self._start_again = False
         if self.channel is None:
             self._enter(WorkerEvent.DISABLE)
