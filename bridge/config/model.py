@@ -42,7 +42,7 @@ class Default:
 
     @property
     def model(self) -> type[Section]:
-        model: type[Section] = imported(self.place)
+        model: type[Section] = imported(self.target)
         return model
 
     def __call__(self) -> Section:

@@ -107,26 +107,26 @@ class DaemonState:
 def daemon_state(config: Config, documents: Iterable[StatusDocument] = (), file: Path | None = None) -> DaemonState:
     """Find out whether a configuration's daemon runs, given its file and the status documents on its hub."""
     unit, down = units.unit_of(file), None
-    candidates = places(config)
-    for place in candidates:
-        document = ask_daemon(place)
+    candidates = state_candidates(config)
+    for candidate in candidates:
+        document = ask_daemon(candidate)
         if document is not None:
             unit = units.unit_of(document.config or file)
             return DaemonState(config.name, Life.RUNNING, document.pid, document=document, unit=unit)
-    for place in candidates:
-        lock = state_file.daemon_lock(place)
+    for candidate in candidates:
+        lock = state_file.daemon_lock(candidate)
         pid = _holder(lock)
         if pid and _holds(pid, lock):
             return DaemonState(config.name, Life.SILENT, pid, unit=unit)
         if pid and down is None:
-            down = DaemonState(config.name, Life.DOWN, pid, router=_router_process(place), unit=unit)
+            down = DaemonState(config.name, Life.DOWN, pid, router=_router_process(candidate), unit=unit)
     if down is not None:
         return down
     orphan = _orphaned_router([document for document in documents if document.daemon == config.name], config)
     return DaemonState(config.name, Life.DOWN if orphan else Life.UNKNOWN, router=orphan, unit=unit)
 
 
-def places(config: Config) -> list[Config]:
+def state_candidates(config: Config) -> list[Config]:
     """Return the configuration with each state folder that its daemon may have: this user's, and the services'."""
     folders = [state_folder(config).absolute()]
     if config.state is None and units.STATE not in folders:
@@ -143,7 +143,7 @@ def unresponsive_router(config: Config) -> str:
     from bridge.hub.router import port_holder  # many commands need no router
 
     holder = port_holder(config.hub.listen)
-    routers = [_router_process(place) for place in places(config)]
+    routers = [_router_process(candidate) for candidate in state_candidates(config)]
     if holder is None or holder.pid not in routers:
         return ""
     place = connect_endpoint(config.hub.listen)

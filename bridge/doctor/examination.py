@@ -21,10 +21,10 @@ _MAX_CLOCKS = 50
 
 def context_from(client: Client, file: Path | None) -> CheckContext:
     """Return what the checks examine, for a program of the daemon that is on the hub; ``file``: the configuration."""
-    return gathered(client.config, snapshot(client), daemon_state(client.config, file=file), file)
+    return make_context(client.config, snapshot(client), daemon_state(client.config, file=file), file)
 
 
-def gathered(config: Config, hub: HubSnapshot, state: DaemonState, file: Path | None) -> CheckContext:
+def make_context(config: Config, hub: HubSnapshot, state: DaemonState, file: Path | None) -> CheckContext:
     """Return what the checks examine, with the workers that only their daemon reports."""
     documents = with_silent(hub.documents, absent(state.document, looping=True))
     hub = dataclasses.replace(hub, documents=with_restarts(documents, state.document))

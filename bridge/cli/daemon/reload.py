@@ -21,12 +21,12 @@ def run(args: argparse.Namespace) -> int:
     """Reload the daemon; raises `CliError` if it does not run, or rejects its file."""
     from bridge.config.load import load
     from bridge.daemon.query import reload_daemon
-    from bridge.doctor.daemon_state import daemon_state, places
+    from bridge.doctor.daemon_state import daemon_state, state_candidates
     from bridge.state_file import named
 
     config = named(load(args.config))
-    for place in places(config):
-        rejected = reload_daemon(place)
+    for candidate in state_candidates(config):
+        rejected = reload_daemon(candidate)
         if rejected:
             raise CliError(f"the daemon {config.name} keeps its running configuration:\n{rejected}")
         if rejected is not None:
@@ -34,5 +34,5 @@ def run(args: argparse.Namespace) -> int:
             return 0
     state = daemon_state(config)
     raise CliError(
-        state.trouble or f"no daemon named {config.name} runs with the state folder {places(config)[0].state}"
+        state.trouble or f"no daemon named {config.name} runs with the state folder {state_candidates(config)[0].state}"
     )

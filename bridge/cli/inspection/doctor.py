@@ -19,7 +19,7 @@ from bridge.doctor.check import Report, Result, as_json, examine
 from bridge.doctor.checks import CHECKS
 from bridge.doctor.context import CheckContext, HubSnapshot
 from bridge.doctor.daemon_state import DaemonState, daemon_state
-from bridge.doctor.examination import gathered, snapshot
+from bridge.doctor.examination import make_context, snapshot
 from bridge.text import clean, make_console
 
 _STYLES = {Result.OK: "green", Result.WARN: "yellow", Result.FAIL: "bold red", Result.SKIP: "dim"}
@@ -65,7 +65,7 @@ def _gathered_context(args: argparse.Namespace) -> CheckContext:
         return CheckContext(config_text=str(err), config_good=False, environ=dict(os.environ), hub=hub)
     config, hub = _hub_snapshot(config, here=of_this_machine(args))
     state = daemon_state(config, hub.documents, config_file(args)) if of_this_machine(args) else DaemonState("")
-    return gathered(config, hub, state, args.config)
+    return make_context(config, hub, state, args.config)
 
 
 def _hub_snapshot(config: Config, *, here: bool) -> tuple[Config, HubSnapshot]:

@@ -315,8 +315,8 @@ class _Explorer:
     def _show_goal(self, goal: FrontierGoal) -> None:
         pose, number = goal.pose, self.exploration.sent
         text = f"goal {number}: {pose.x:.2f}, {pose.y:.2f} m, to a frontier of {goal.size:.1f} m"
-        place = {"x": round(pose.x, 3), "y": round(pose.y, 3), "degrees": round(math.degrees(pose.theta), 1)}
-        self._show("goal", text, number=number, **place, frontier=round(goal.size, 2))
+        goal_pose = {"x": round(pose.x, 3), "y": round(pose.y, 3), "degrees": round(math.degrees(pose.theta), 1)}
+        self._show("goal", text, number=number, **goal_pose, frontier=round(goal.size, 2))
 
     def _show(self, event: str, text: str, **values: Any) -> None:
         if self.args.json:
