@@ -56,7 +56,7 @@ def humble_db3(path: Path, *topics: Recorded) -> Path:
         for number, recorded in enumerate(topics, 1):
             assert recorded.text is None
             file.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (number, recorded.topic, recorded.type_name))
-            rows = [(number, TIME + place, data) for place, data in enumerate(recorded.messages)]
+            rows = [(number, TIME + index, data) for index, data in enumerate(recorded.messages)]
             file.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
     file.close()
     return path

@@ -48,7 +48,7 @@ def registry() -> Registry:
     return Registry()
 
 
-def copied(source: Path, target: Path, registry: Registry, **more: Any) -> CopyResult:
+def copy_bag(source: Path, target: Path, registry: Registry, **more: Any) -> CopyResult:
     with open_bag(source) as bag:
         return convert(bag, target, _KINDS[target.suffix], registry, **more)
 
@@ -67,7 +67,7 @@ def raw_of(path: Path) -> list[tuple[str, str, int, bytes]]:
 def test_a_bag_is_unchanged_after_all_formats(registry: Registry, tmp_path: Path) -> None:
     steps = [ros1_bag(tmp_path / "a.bag"), *(tmp_path / name for name in ("b.mcap", "c.db3", "d", "e.bag"))]
     for source, target in pairwise(steps):
-        assert copied(source, target, registry).messages == 21
+        assert copy_bag(source, target, registry).messages == 21
     first, last = messages_of(steps[0]), messages_of(steps[-1])
     assert str(first) == str(last)  # rosbags creates separate classes for each bag
     assert len(first) == 21
@@ -85,7 +85,7 @@ def test_a_bag_is_unchanged_after_all_formats(registry: Registry, tmp_path: Path
 
 
 def test_ros2s_own_decoder_reads_converted_mcap(registry: Registry, tmp_path: Path) -> None:
-    copied(ros1_bag(tmp_path / "a.bag"), tmp_path / "b.mcap", registry)
+    copy_bag(ros1_bag(tmp_path / "a.bag"), tmp_path / "b.mcap", registry)
     with (tmp_path / "b.mcap").open("rb") as stream:
         decoded = list(make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/pose"]))
     assert [(d.message.log_time, d.decoded_message.pose.position.x) for d in decoded] == [
@@ -105,8 +105,8 @@ def test_large_and_nested_messages_are_converted_both_ways(registry: Registry, t
         for topic, message in {"/image": image, "/scan": scan}.items():
             connection = writer.add_connection(topic, message.__msgtype__, typestore=ROS1)
             writer.write(connection, START, ROS1.serialize_ros1(message, message.__msgtype__))
-    copied(tmp_path / "a.bag", tmp_path / "b.mcap", registry)
-    copied(tmp_path / "b.mcap", tmp_path / "c.bag", registry, compression="lz4")
+    copy_bag(tmp_path / "a.bag", tmp_path / "b.mcap", registry)
+    copy_bag(tmp_path / "b.mcap", tmp_path / "c.bag", registry, compression="lz4")
     assert raw_of(tmp_path / "a.bag") == raw_of(tmp_path / "c.bag")
 
 
@@ -125,21 +125,21 @@ def custom_bag(path: Path) -> Path:
 
 def test_a_type_defined_only_in_the_bag_is_converted_and_back(tmp_path: Path) -> None:
     source = custom_bag(tmp_path / "a.bag")
-    copied(source, tmp_path / "b.mcap", Registry())  # as in another process, which has not seen the bag's types
-    copied(tmp_path / "b.mcap", tmp_path / "c.db3", Registry())
-    copied(tmp_path / "c.db3", tmp_path / "d.bag", Registry())
+    copy_bag(source, tmp_path / "b.mcap", Registry())  # as in another process, which has not seen the bag's types
+    copy_bag(tmp_path / "b.mcap", tmp_path / "c.db3", Registry())
+    copy_bag(tmp_path / "c.db3", tmp_path / "d.bag", Registry())
     assert raw_of(source) == raw_of(tmp_path / "d.bag")
 
 
 def test_a_type_without_counterpart_is_named_or_left_out(registry: Registry, tmp_path: Path) -> None:
     source = nobody_knows(tmp_path / "a.mcap")
     with pytest.raises(BagError, match=r"/odd has type none_msgs/msg/None.*--skip-unknown"):
-        copied(source, tmp_path / "b.bag", registry)
+        copy_bag(source, tmp_path / "b.bag", registry)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
-    done = copied(source, tmp_path / "b.bag", registry, skip_unknown=True)
+    done = copy_bag(source, tmp_path / "b.bag", registry, skip_unknown=True)
     assert (done.messages, list(done.unknown)) == (1, ["/odd"])
     assert [name for name, *_ in raw_of(tmp_path / "b.bag")] == ["/known"]
-    assert copied(source, tmp_path / "c.db3", registry).messages == 2  # CDR can be copied even if the type is unknown
+    assert copy_bag(source, tmp_path / "c.db3", registry).messages == 2  # CDR can be copied even if the type is unknown
 
 
 def test_a_message_that_is_not_of_its_type_is_named_or_left_out(registry: Registry, tmp_path: Path) -> None:
@@ -148,8 +148,8 @@ def test_a_message_that_is_not_of_its_type_is_named_or_left_out(registry: Regist
         writer.write(connection, START, b"\xff\xff\xff\x7fhi")
         writer.write(connection, START + 1, b"\x02\0\0\0hi")
     with pytest.raises(BagError, match=rf"a message of /text at {START} ns is bad.*--skip-bad"):
-        copied(tmp_path / "a.bag", tmp_path / "b.mcap", registry)
-    done = copied(tmp_path / "a.bag", tmp_path / "b.mcap", registry, skip_bad=True)
+        copy_bag(tmp_path / "a.bag", tmp_path / "b.mcap", registry)
+    done = copy_bag(tmp_path / "a.bag", tmp_path / "b.mcap", registry, skip_bad=True)
     assert (done.messages, done.refused) == (1, {"/text": 1})
 
 
@@ -158,9 +158,9 @@ def test_a_failed_write_leaves_nothing(registry: Registry, tmp_path: Path) -> No
     (tmp_path / "there.bag").write_text("mine")
     for name, text in {"there.bag": "exists already", "gone/b.bag": "cannot be written"}.items():
         with pytest.raises(BagError, match=text):
-            copied(source, tmp_path / name, registry)
+            copy_bag(source, tmp_path / name, registry)
     with pytest.raises(BagError, match="bag has none, lz4, bz2"):
-        copied(source, tmp_path / "b.bag", registry, compression="zstd")
+        copy_bag(source, tmp_path / "b.bag", registry, compression="zstd")
 
     def interrupt(_messages: int, _data: int) -> None:
         raise KeyboardInterrupt
@@ -168,7 +168,7 @@ def test_a_failed_write_leaves_nothing(registry: Registry, tmp_path: Path) -> No
     big = long_mcap(tmp_path / "big.mcap", 100, 5000)
     for name in ("b.bag", "b.mcap", "b.db3", "folder"):
         with pytest.raises(KeyboardInterrupt):
-            copied(big, tmp_path / name, registry, on_progress=interrupt)
+            copy_bag(big, tmp_path / name, registry, on_progress=interrupt)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "big.mcap", "there.bag"]
     assert (tmp_path / "there.bag").read_text() == "mine"
 
@@ -217,11 +217,11 @@ def test_a_cut_of_mcap_keeps_channels_of_other_encodings(tmp_path: Path) -> None
 
 def test_topics_are_selected_by_name_and_glob(registry: Registry, tmp_path: Path) -> None:
     source = mcap_file(tmp_path / "a.mcap")
-    assert copied(source, tmp_path / "b.mcap", registry, choice=BagSelection(NameFilter(["map*"]))).messages == 1
+    assert copy_bag(source, tmp_path / "b.mcap", registry, choice=BagSelection(NameFilter(["map*"]))).messages == 1
     others = BagSelection(NameFilter(exclude=["^/map"]))
-    assert copied(source, tmp_path / "c.mcap", registry, choice=others).messages == 20
+    assert copy_bag(source, tmp_path / "c.mcap", registry, choice=others).messages == 20
     with pytest.raises(BagError, match="has no topic /nowhere"):
-        copied(source, tmp_path / "d.mcap", registry, choice=BagSelection(NameFilter(["/pose", "/nowhere"])))
+        copy_bag(source, tmp_path / "d.mcap", registry, choice=BagSelection(NameFilter(["/pose", "/nowhere"])))
 
 
 def test_each_publishers_qos_is_kept(registry: Registry, tmp_path: Path) -> None:
@@ -229,9 +229,9 @@ def test_each_publishers_qos_is_kept(registry: Registry, tmp_path: Path) -> None
         for caller, latching in {"/one": 1, "/two": 0}.items():
             connection = writer.add_connection("/text", STRING, typestore=ROS1, callerid=caller, latching=latching)
             writer.write(connection, START, b"\x02\0\0\0hi")
-    copied(tmp_path / "a.bag", tmp_path / "b", registry)
-    copied(tmp_path / "b", tmp_path / "c.mcap", registry)
-    copied(tmp_path / "c.mcap", tmp_path / "d.db3", registry)
+    copy_bag(tmp_path / "a.bag", tmp_path / "b", registry)
+    copy_bag(tmp_path / "b", tmp_path / "c.mcap", registry)
+    copy_bag(tmp_path / "c.mcap", tmp_path / "d.db3", registry)
     for name in ("b", "c.mcap", "d.db3"):
         with AnyReader([tmp_path / name]) as bag:
             (connection,) = bag.connections

@@ -58,7 +58,7 @@ def ros2_file(path: Path, topics: Sequence[tuple[str, str, str, bytes]], encodin
     return path
 
 
-def converted(source: Path, target: Path, **more: Any) -> CopyResult:
+def convert_file(source: Path, target: Path, **more: Any) -> CopyResult:
     with open_bag(source) as bag:
         return convert(bag, target, kind_of(target), Registry(), **more)
 
@@ -72,19 +72,19 @@ def test_names_invalid_in_ros2_become_the_hubs_names(tmp_path: Path) -> None:
     source = ros1_file(tmp_path / "a.bag", [(name, "std_msgs/String", "string data\n", TEXT) for name in names])
     changed = {old: new for old, new in names.items() if old != new}
     for target in (tmp_path / "b.mcap", tmp_path / "c.db3", tmp_path / "d"):
-        assert converted(source, target).renamed == changed
+        assert convert_file(source, target).renamed == changed
         assert {topic for topic, *_ in rosbags(target)} == set(names.values())
-    assert converted(source, tmp_path / "e.bag").renamed == {}
+    assert convert_file(source, tmp_path / "e.bag").renamed == {}
     assert {topic for topic, *_ in rosbags(tmp_path / "e.bag")} == set(names)
     wanted = BagSelection(NameFilter(["/camera/1/image"]))
-    assert converted(source, tmp_path / "f.mcap", choice=wanted).messages == 1
+    assert convert_file(source, tmp_path / "f.mcap", choice=wanted).messages == 1
 
 
 def test_invalid_names_in_a_ros2_bag_are_changed_too(tmp_path: Path) -> None:
     source = ros2_file(
         tmp_path / "a.mcap", [("/camera/1/image", "std_msgs/msg/String", "string data\n", b"\3\0\0\0hi\0")]
     )
-    assert converted(source, tmp_path / "b.db3").renamed == {"/camera/1/image": "/camera/n1/image"}
+    assert convert_file(source, tmp_path / "b.db3").renamed == {"/camera/1/image": "/camera/n1/image"}
     assert [topic for topic, *_ in rosbags(tmp_path / "b.db3")] == ["/camera/n1/image"]
 
 
@@ -93,8 +93,8 @@ def test_the_first_of_two_topics_gets_a_common_name(target: str, tmp_path: Path)
     topics = [(name, "std_msgs/String", "string data\n", TEXT) for name in ("/a b", "/a-b", "/c")]
     source = ros1_file(tmp_path / "a.bag", topics)
     with pytest.raises(BagError, match=r"/a-b would become /a_b, as /a b does; leave .* -x; --skip-unknown"):
-        converted(source, tmp_path / target)
-    done = converted(source, tmp_path / target, skip_unknown=True)
+        convert_file(source, tmp_path / target)
+    done = convert_file(source, tmp_path / target, skip_unknown=True)
     assert (list(done.unknown), done.messages) == (["/a-b"], 2)
     assert [topic for topic, *_ in rosbags(tmp_path / target)] == ["/a_b", "/c"]
 
@@ -115,16 +115,16 @@ def test_the_first_of_two_definitions_of_a_type_is_kept(case: str, target: str, 
     topics, others, kept = CLASHES[case]
     source = ros1_file(tmp_path / "a.bag", topics)
     with pytest.raises(BagError, match=rf"{others[0]} has another definition of my_msgs/msg/V.*--skip-unknown"):
-        converted(source, tmp_path / target)
+        convert_file(source, tmp_path / target)
     assert not (tmp_path / target).exists()
-    done = converted(source, tmp_path / target, skip_unknown=True)
+    done = convert_file(source, tmp_path / target, skip_unknown=True)
     assert (sorted(done.unknown), done.messages) == (others, kept)
     assert len(rosbags(tmp_path / target)) == kept
 
 
 def test_a_bag_of_ros_1_keeps_two_definitions_of_a_type(tmp_path: Path) -> None:
     source = ros1_file(tmp_path / "a.bag", CLASHES["on a topic"][0])
-    converted(source, tmp_path / "b.bag")
+    convert_file(source, tmp_path / "b.bag")
     (types,) = rosbag([tmp_path / "b.bag"])
     assert types == [
         ("/x", "my_msgs/V", {"a": 1}), ("/x", "my_msgs/V", {"a": 1, "b": 2}), ("/y", "my_msgs/V", {"a": 1, "b": 2}),
@@ -137,15 +137,15 @@ def test_a_bag_of_ros_1_gets_two_definitions_of_a_type_of_ros_2(tmp_path: Path) 
     source = ros2_file(tmp_path / "a.mcap", topics)
     for target in (tmp_path / "b.mcap", tmp_path / "b.db3"):
         with pytest.raises(BagError, match=r"/x has another definition of my_msgs/msg/V than /x.*a \.bag has room"):
-            converted(source, target)
-    converted(source, tmp_path / "b.bag")
+            convert_file(source, target)
+    convert_file(source, tmp_path / "b.bag")
     (types,) = rosbag([tmp_path / "b.bag"])
     assert [message for *_, message in types] == [{"a": 1}, {"a": 1, "b": 2}, {"a": 1}]
 
 
 def test_two_versions_of_an_installed_type_become_the_installed_one(tmp_path: Path) -> None:
     texts = [("/x", "std_msgs/Int8", "int8 data\n", b"\1"), ("/y", "std_msgs/Int8", "# older\nint8 data\n", b"\2")]
-    converted(ros1_file(tmp_path / "a.bag", texts), tmp_path / "b.db3")
+    convert_file(ros1_file(tmp_path / "a.bag", texts), tmp_path / "b.db3")
     assert [message.data for *_, message in rosbags(tmp_path / "b.db3")] == [1, 2]
 
 
@@ -159,9 +159,9 @@ def test_a_channel_without_a_type_is_named_or_left_out(
     text = ("/text", "std_msgs/msg/String", "string data\n", b"\3\0\0\0hi\0")
     source = ros2_file(tmp_path / "a.mcap", [("/raw", type_name, "", b"\1"), text])
     with pytest.raises(BagError, match=f"/raw .*{problem}.*--skip-unknown"):
-        converted(source, tmp_path / target)
+        convert_file(source, tmp_path / target)
     assert not (tmp_path / target).exists()
-    done = converted(source, tmp_path / target, skip_unknown=True)
+    done = convert_file(source, tmp_path / target, skip_unknown=True)
     assert (list(done.unknown), done.messages) == (["/raw"], 1)
     assert [(topic, message.data) for topic, _, message in rosbags(tmp_path / target)] == [("/text", "hi")]
 
@@ -169,7 +169,7 @@ def test_a_channel_without_a_type_is_named_or_left_out(
 def test_a_two_part_type_name_becomes_a_ros2_type(tmp_path: Path) -> None:
     source = ros2_file(tmp_path / "a.mcap", [("/text", "std_msgs/String", "string data\n", b"\3\0\0\0hi\0")])
     for target in (tmp_path / "b.db3", tmp_path / "b.bag"):
-        converted(source, target)
+        convert_file(source, target)
         assert [(type_name, m.data) for _, type_name, m in rosbags(target)] == [("std_msgs/msg/String", "hi")]
 
 
@@ -187,7 +187,7 @@ def test_a_definition_that_readers_refuse_does_not_affect_other_topics(case: str
         ("/odd", "my_msgs/msg/Odd", text, data),
         ("/text", "std_msgs/msg/String", "string data\n", b"\3\0\0\0hi\0"),
     ]
-    assert converted(ros2_file(tmp_path / "a.mcap", topics), tmp_path / target).messages == 2
+    assert convert_file(ros2_file(tmp_path / "a.mcap", topics), tmp_path / target).messages == 2
     from rosbags.highlevel import AnyReader
 
     with AnyReader([tmp_path / target]) as bag:
@@ -201,7 +201,7 @@ def test_a_definition_that_readers_refuse_does_not_affect_other_topics(case: str
 def test_one_of_several_channels_may_have_the_definition(target: str, tmp_path: Path) -> None:
     topics = [(name, "my_msgs/msg/Own", text, b"\5\0\0\0") for name, text in (("/a", ""), ("/a", OWN))]
     source = ros2_file(tmp_path / "a.mcap", topics)
-    assert converted(source, tmp_path / target).messages == 2
+    assert convert_file(source, tmp_path / target).messages == 2
     assert [message.n for *_, message in rosbags(tmp_path / target)] == [5, 5]
 
 
@@ -233,9 +233,9 @@ def test_the_text_of_a_service_or_action_file_becomes_a_definition(type_name: st
     registry.learn_ros2(type_name, full_definition(type_name, "ros2msg", text))
     data = from_json(registry, type_name, values)
     source = ros2_file(tmp_path / "a.mcap", [("/part", type_name, text, data[4:])])
-    converted(source, tmp_path / target)
+    convert_file(source, tmp_path / target)
     again = tmp_path / f"again-{target}"
-    converted(tmp_path / target, again)  # as in another process, which knows only the definition in the new file
+    convert_file(tmp_path / target, again)  # as in another process, which knows only the definition in the new file
     for file in (tmp_path / target, again):
         assert [(kind, member(message, path)) for _, kind, message in rosbags(file)] == [(type_name, value)]
 
@@ -252,9 +252,9 @@ def test_a_definition_that_an_older_midspan_recorded_is_corrected(tmp_path: Path
         topic = writer.add_connection("/dig/_action/feedback", type_name, msgdef=old, rihs01=known.type_id)
         writer.write(topic, START, data)
     for name in ("b.mcap", "b.db3"):
-        converted(tmp_path / "a", tmp_path / name)
+        convert_file(tmp_path / "a", tmp_path / name)
         assert [member(message, "feedback.part.depth") for *_, message in rosbags(tmp_path / name)] == [1.5]
-    converted(tmp_path / "a", tmp_path / "b.bag")
+    convert_file(tmp_path / "a", tmp_path / "b.bag")
     (types,) = rosbag([tmp_path / "b.bag"])
     ((topic_name, kind, message),) = types
     assert (topic_name, kind) == ("/dig/feedback", "my_robot/DigActionFeedback")
@@ -267,7 +267,7 @@ def test_any_text_of_a_constant_of_ros_1_leaves_the_new_file_readable(text: str,
     definition = f"string S={text}\nstring EMPTY=\nint32 n\nchar c\n"
     source = ros1_file(tmp_path / "a.bag", [("/own", "my_msgs/Own", definition, b"\5\0\0\0A")])
     for target in (tmp_path / "b.mcap", tmp_path / "b.db3"):
-        converted(source, target)
+        convert_file(source, target)
         assert [message.n for *_, message in rosbags(target)] == [5]
     assert [message.n for *_, message in mcap(tmp_path / "b.mcap")] == [5]
 
@@ -276,7 +276,7 @@ def test_a_three_part_type_name_becomes_a_ros1_type(tmp_path: Path) -> None:
     topic = Recorded("/text", "std_msgs/msg/String", "string data\n", [TEXT])
     source = foreign_mcap(tmp_path / "a.mcap", topic, encoding="ros1")
     for target in (tmp_path / "b.db3", tmp_path / "b.bag"):
-        converted(source, target)
+        convert_file(source, target)
         assert [(type_name, m.data) for _, type_name, m in rosbags(target)] == [("std_msgs/msg/String", "hi")]
     (types,) = rosbag([tmp_path / "b.bag"])
     assert types == [("/text", "std_msgs/String", {"data": "hi"})]
@@ -316,10 +316,10 @@ def test_a_definition_in_idl_is_read(tmp_path: Path) -> None:
     registry.learn_ros2("my_msgs/msg/Shape", text)
     data = from_json(registry, "my_msgs/msg/Shape", {"size": [1.0, 2.0], "name": "box"})
     source = ros2_file(tmp_path / "a.mcap", [("/shape", "my_msgs/msg/Shape", IDL, data[4:])], "ros2idl")
-    converted(source, tmp_path / "b.bag")
+    convert_file(source, tmp_path / "b.bag")
     (types,) = rosbag([tmp_path / "b.bag"])
     assert [member(message, "name") for *_, message in types] == ["box"]
-    converted(source, tmp_path / "b.mcap")
+    convert_file(source, tmp_path / "b.mcap")
     assert [member(message, "name") for *_, message in mcap(tmp_path / "b.mcap")] == ["box"]
 
 
@@ -346,6 +346,6 @@ def test_a_stored_definition_keeps_its_authors_text(tmp_path: Path) -> None:
     definition = full_text(Registry().schema("sensor_msgs/msg/LaserScan"))
     assert stored_definition("sensor_msgs/msg/LaserScan", definition) == ("ros2msg", definition)
     # the channel has no definition, but the registry has one of the type
-    converted(ros2_file(tmp_path / "a.mcap", [("/e", "std_msgs/msg/Empty", "", b"\0")]), tmp_path / "b.db3")
+    convert_file(ros2_file(tmp_path / "a.mcap", [("/e", "std_msgs/msg/Empty", "", b"\0")]), tmp_path / "b.db3")
     with sqlite3.connect(tmp_path / "b.db3") as file:
         assert file.execute("SELECT topic_type FROM message_definitions").fetchall() == [("std_msgs/msg/Empty",)]

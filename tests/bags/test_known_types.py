@@ -45,7 +45,7 @@ def newer(tmp_path: Path) -> Registry:
     return Registry(folders=[tmp_path / "installed"])
 
 
-def converted(source: Path, kind: Kind, registry: Registry, **more: bool) -> Path:
+def convert_bag(source: Path, kind: Kind, registry: Registry, **more: bool) -> Path:
     """Convert a bag into another format, in the same folder."""
     target = source.parent / f"made_{source.stem}{'' if kind == 'db3' else '.' + kind}"
     with open_bag(source) as bag:
@@ -57,7 +57,7 @@ def converted(source: Path, kind: Kind, registry: Registry, **more: bool) -> Pat
 @pytest.mark.parametrize("metadata", [{}, {"topic_type_hash": "RIHS01_" + "ab" * 32}, {"topic_type_hash": "INVALID"}])
 def test_a_bags_own_definition_wins(kind: Kind, metadata: dict[str, str], newer: Registry, tmp_path: Path) -> None:
     source = foreign_mcap(tmp_path / "old.mcap", Recorded("/drive", DRIVE, OLD_DRIVE, [OLD_DATA], metadata))
-    [(_, _, message)] = rosbags(converted(source, kind, newer))
+    [(_, _, message)] = rosbags(convert_bag(source, kind, newer))
     assert (message.speed, message.angle) == (1.5, 0.25)
 
 
@@ -66,7 +66,7 @@ def test_nested_types_of_the_bags_definition_win_too(kind: Kind, newer: Registry
     text = f"Drive[] drives\n{SEPARATOR}\nMSG: my_robot/Drive\n{OLD_DRIVE}"
     data = CDR + struct.pack("<Iff", 1, 1.5, 0.25)
     source = foreign_mcap(tmp_path / "old.mcap", Recorded("/drives", "my_robot/msg/Drives", text, [data]))
-    [(_, _, message)] = rosbags(converted(source, kind, newer))
+    [(_, _, message)] = rosbags(convert_bag(source, kind, newer))
     assert [(drive.speed, drive.angle) for drive in message.drives] == [(1.5, 0.25)]
 
 
@@ -74,7 +74,7 @@ def test_nested_types_of_the_bags_definition_win_too(kind: Kind, newer: Registry
 def test_definitions_of_humble_win(kind: Kind, tmp_path: Path) -> None:
     text, _ = HUMBLE_STORE.generate_msgdef(RANGE, ros_version=2)
     source = foreign_mcap(tmp_path / "range.mcap", Recorded("/range", RANGE, text, [humble_range()]))
-    [(_, _, message)] = rosbags(converted(source, kind, Registry()))
+    [(_, _, message)] = rosbags(convert_bag(source, kind, Registry()))
     assert (message.header.frame_id, message.range) == ("laser", 1.25)
     assert not hasattr(message, "variance")
 
@@ -86,7 +86,7 @@ def test_each_ros1_definition_without_md5_is_read_by_itself(kind: Kind, newer: R
         tmp_path / "two.mcap", Recorded("/a", "my_robot/Drive", OLD_DRIVE, [data]),
         Recorded("/b", "my_robot/Drive", NEW_DRIVE, [data]), encoding="ros1",
     )  # fmt: skip
-    target = converted(source, kind, newer)
+    target = convert_bag(source, kind, newer)
     with open_bag(target) as bag:
         types_ = {m.topic.name: (m.topic.definition, m.data.removeprefix(CDR)) for m in bag.messages()}
     if kind == "bag":
@@ -99,7 +99,7 @@ def test_each_ros1_definition_without_md5_is_read_by_itself(kind: Kind, newer: R
 def test_an_unreadable_definition_is_not_replaced_by_another(newer: Registry, tmp_path: Path) -> None:
     source = foreign_mcap(tmp_path / "odd.mcap", Recorded("/drive", DRIVE, "float32 speed [\n", [OLD_DATA]))
     with pytest.raises(BagError, match=r"/drive has type my_robot/msg/Drive.*cannot read the definition.*line 1"):
-        converted(source, "bag", newer)
+        convert_bag(source, "bag", newer)
 
 
 def test_parts_of_an_action_keep_definition_and_hash(tmp_path: Path) -> None:
@@ -133,9 +133,9 @@ def test_without_a_definition_the_messages_must_fit(kind: Kind, humble: Path) ->
     with pytest.raises(
         BagError, match=r"/range has type sensor_msgs/msg/Range.*no complete definition.*do not fit"
     ) as caught:
-        converted(humble, kind, Registry())
+        convert_bag(humble, kind, Registry())
     assert FOLDERS in str(caught.value)
-    target = converted(humble, kind, Registry(), skip_unknown=True)
+    target = convert_bag(humble, kind, Registry(), skip_unknown=True)
     assert [topic for topic, *_ in rosbags(target)] == ["/text"]
 
 
@@ -145,7 +145,7 @@ def test_a_folder_with_the_recorded_version_makes_the_topic_readable(kind: Kind,
     folder = tmp_path / "types" / "sensor_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Range.msg").write_text(text.partition(SEPARATOR)[0])
-    target = converted(humble, kind, Registry(folders=[tmp_path / "types"]))
+    target = convert_bag(humble, kind, Registry(folders=[tmp_path / "types"]))
     assert [message.range for topic, _, message in rosbags(target) if topic == "/range"] == [1.25] * 3
 
 
@@ -163,7 +163,7 @@ def test_definitions_that_do_not_fit_are_noticed(text: str, messages: list[bytes
     (folder / "Drive.msg").write_text(text)
     source = humble_db3(tmp_path / "a.db3", Recorded("/drive", DRIVE, None, messages))
     with pytest.raises(BagError, match=r"/drive.*do not fit.*types\.folders"):
-        converted(source, "mcap", Registry(folders=[tmp_path / "types"]))
+        convert_bag(source, "mcap", Registry(folders=[tmp_path / "types"]))
 
 
 @pytest.mark.parametrize("metadata", [{}, {"topic_type_hash": "RIHS01_" + "ab" * 32}])
@@ -176,10 +176,10 @@ def test_nested_types_that_a_definition_leaves_out_must_fit(metadata: dict[str, 
     source = foreign_mcap(tmp_path / "a.mcap", recorded)
     (folder / "Drive.msg").write_text(f"{OLD_DRIVE}float64 since\n")
     with pytest.raises(BagError, match=r"/drives has type my_robot/msg/Drives.*types\.folders"):
-        converted(source, "bag", registry)
+        convert_bag(source, "bag", registry)
     if not metadata:
         (folder / "Drive.msg").write_text(OLD_DRIVE)
-        [(_, _, message)] = rosbags(converted(source, "bag", Registry(folders=[tmp_path / "types"])))
+        [(_, _, message)] = rosbags(convert_bag(source, "bag", Registry(folders=[tmp_path / "types"])))
         assert [(drive.speed, drive.angle) for drive in message.drives] == [(1.5, 0.25)]
 
 
@@ -187,10 +187,10 @@ def test_a_hash_that_is_unknown_here_is_not_replaced(tmp_path: Path) -> None:
     type_hash = "RIHS01_" + "ab" * 32
     recorded = Recorded("/range", RANGE, None, [humble_range()], {"topic_type_hash": type_hash})
     source = foreign_mcap(tmp_path / "range.mcap", recorded)
-    with open_bag(converted(source, "mcap", Registry())) as bag:
+    with open_bag(convert_bag(source, "mcap", Registry())) as bag:
         assert [(topic.type_hash, topic.definition) for topic in bag.topics] == [(type_hash, "")]
     with pytest.raises(BagError, match=rf"has the hash {type_hash} there.*types\.folders"):
-        converted(source, "bag", Registry())
+        convert_bag(source, "bag", Registry())
 
 
 def test_topics_that_do_not_fit_are_not_played(humble: Path) -> None:
@@ -205,7 +205,7 @@ def test_topics_that_do_not_fit_are_not_played(humble: Path) -> None:
 def test_without_a_definition_a_bag_of_this_version_is_read(tmp_path: Path) -> None:
     text = bytes(ROS2.serialize_cdr(value(ROS2, STRING, 0), STRING))
     padded = [text, text + b"\0", text + b"\1\2\3"]  # DDS pads with arbitrary bytes
-    target = converted(humble_db3(tmp_path / "a.db3", Recorded("/text", STRING, None, padded)), "bag", Registry())
+    target = convert_bag(humble_db3(tmp_path / "a.db3", Recorded("/text", STRING, None, padded)), "bag", Registry())
     assert [message.data for *_, message in rosbags(target)] == ["text 0"] * 3
 
 
@@ -252,7 +252,7 @@ def empty_db3(path: Path) -> Path:
 @SEVERAL
 @pytest.mark.parametrize("source", EMPTY_BAGS)
 def test_an_own_empty_type_is_known(kind: Kind, source: str, tmp_path: Path) -> None:
-    target = converted(EMPTY_BAGS[source](tmp_path), kind, Registry())
+    target = convert_bag(EMPTY_BAGS[source](tmp_path), kind, Registry())
     assert [(topic, type_name) for topic, type_name, _ in rosbags(target)] == [("/ping", PING)]
     with open_bag(target) as bag:
         assert [topic.type_hash for topic in bag.topics] == [EMPTY_MD5 if kind == "bag" else EMPTY_HASH]
@@ -266,7 +266,7 @@ def test_rosbag_reads_types_that_nest_an_empty_type(tmp_path: Path) -> None:
         tmp_path / "a.mcap", Recorded("/ping", PING, "", [CDR + b"\0"]),
         Recorded("/both", "my_robot/msg/Both", text, [CDR + b"\0\1"]),
     )  # fmt: skip
-    assert rosbag([converted(source, "bag", Registry())]) == [
+    assert rosbag([convert_bag(source, "bag", Registry())]) == [
         [("/ping", "my_robot/Ping", None), ("/both", "my_robot/Both", {"ping": None, "flag": {"lit": True}})]
     ]
 

@@ -33,9 +33,9 @@ def value(store: Any, type_name: str, number: int) -> Any:
         return types[STRING](f"text {number}")
     stamp = types["builtin_interfaces/msg/Time"](number, 5)
     header = types["std_msgs/msg/Header"](**({"seq": 0} if store is ROS1 else {}), stamp=stamp, frame_id="map")
-    place = types["geometry_msgs/msg/Point"](float(number), 2.0, 3.0)
+    position = types["geometry_msgs/msg/Point"](float(number), 2.0, 3.0)
     turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    return types[POSE](header, types["geometry_msgs/msg/Pose"](place, turn))
+    return types[POSE](header, types["geometry_msgs/msg/Pose"](position, turn))
 
 
 TOPICS = {"/map_name": STRING, "/pose": POSE}
@@ -91,9 +91,9 @@ def mcap_bytes(count: int = 20, compression: Compression = "zstd", *, finished: 
     writer.write(channels[0], START, START, from_json(registry, STRING, {"data": "text 0"}))
     for number in range(count):
         header = {"stamp": {"sec": number, "nanosec": 5}, "frame_id": "map"}
-        place = {"position": {"x": float(number), "y": 2.0, "z": 3.0}, "orientation": {"w": 1.0}}
+        position = {"position": {"x": float(number), "y": 2.0, "z": 3.0}, "orientation": {"w": 1.0}}
         time = START + number * SECOND // 10
-        writer.write(channels[1], time, time, from_json(registry, POSE, {"header": header, "pose": place}), number)
+        writer.write(channels[1], time, time, from_json(registry, POSE, {"header": header, "pose": position}), number)
     if finished:
         writer.finish()
     else:

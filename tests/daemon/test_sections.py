@@ -53,16 +53,16 @@ USES = {
 TOKEN = {"web": {"tokens": {"anna": {"sha256": "0" * 64}}}}
 
 
-def merged(base: dict[str, Any], change: dict[str, Any]) -> Config:
+def merge(base: dict[str, Any], change: dict[str, Any]) -> Config:
     sections = {key: {**base.get(key, {}), **value} for key, value in change.items() if isinstance(value, dict)}
     return Config.model_validate({"name": "here", "state": "/tmp/here", **base, **change, **sections})
 
 
-def used(worker: str, base: dict[str, Any]) -> set[str]:
+def changes_that_reload(worker: str, base: dict[str, Any]) -> set[str]:
     """Return the configuration changes for which a worker is reloaded."""
-    kind, before = worker_kinds({})[worker], merged(base, {})
+    kind, before = worker_kinds({})[worker], merge(base, {})
     return {
-        name for name, change in CHANGES.items() if kind.config_part(merged(base, change)) != kind.config_part(before)
+        name for name, change in CHANGES.items() if kind.config_part(merge(base, change)) != kind.config_part(before)
     }
 
 
@@ -73,20 +73,20 @@ def test_every_section_and_every_worker_is_listed() -> None:
 
 @pytest.mark.parametrize("worker", USES)
 def test_a_worker_reloads_for_the_sections_that_it_uses(worker: str) -> None:
-    assert used(worker, {}) == USES[worker]
+    assert changes_that_reload(worker, {}) == USES[worker]
 
 
 def test_the_router_of_an_open_hub_reloads_for_rules_too() -> None:
     opened = CHANGES["hub.open"]
-    assert used("router", opened) == {*ALL, "routing"}
-    planner = merged(opened, {"navigation": {"planner": "nav2", "velocity": "/other/cmd_vel"}})
+    assert changes_that_reload("router", opened) == {*ALL, "routing"}
+    planner = merge(opened, {"navigation": {"planner": "nav2", "velocity": "/other/cmd_vel"}})
     router = worker_kinds({})["router"]
-    assert router.config_part(planner) != router.config_part(merged(opened, {}))
+    assert router.config_part(planner) != router.config_part(merge(opened, {}))
 
 
 @pytest.mark.parametrize("worker", [worker for worker in USES if worker != "router"])
 def test_a_server_with_a_login_reloads_for_the_certificate_of_the_hub(worker: str) -> None:
-    before, after = merged(TOKEN, {}), merged(TOKEN, {"hub": {"open": {"key": "/tmp/other.key"}}})
+    before, after = merge(TOKEN, {}), merge(TOKEN, {"hub": {"open": {"key": "/tmp/other.key"}}})
     kind = worker_kinds({})[worker]
     assert (kind.config_part(before) != kind.config_part(after)) == (worker in ("web", "metrics"))
 
@@ -98,13 +98,13 @@ def test_workers_are_enabled_by_their_own_key() -> None:
         "router": "auto", "ros1": "auto", "ros2": "auto", **off,
     }  # fmt: skip
     for name in ("sim", "record", "web", "foxglove", "metrics"):
-        assert worker_kinds({})[name].enabled(merged({}, {name: {"enabled": True}})) is True
+        assert worker_kinds({})[name].enabled(merge({}, {name: {"enabled": True}})) is True
     router = worker_kinds({})["router"]
-    assert router.enabled(merged({}, {"hub": {"router": False}})) is False
+    assert router.enabled(merge({}, {"hub": {"router": False}})) is False
     modules = worker_kinds({})["modules"]
-    assert modules.enabled(merged({}, CHANGES["modules"])) == "auto"
-    assert modules.enabled(merged({}, {"navigation": {"planner": "nav2"}})) == "auto"
-    assert modules.enabled(merged({}, {**CHANGES["store"], "modules": {"enabled": False}})) is False
+    assert modules.enabled(merge({}, CHANGES["modules"])) == "auto"
+    assert modules.enabled(merge({}, {"navigation": {"planner": "nav2"}})) == "auto"
+    assert modules.enabled(merge({}, {**CHANGES["store"], "modules": {"enabled": False}})) is False
 
 
 MODULES = (
@@ -120,7 +120,7 @@ OF_NAVIGATION = {
 
 def running(change: dict[str, Any]) -> Config:
     enabled = {name: {"enabled": True} for name in MODULES}
-    return merged({"modules": enabled, "navigation": {"planner": "nav2"}}, change)
+    return merge({"modules": enabled, "navigation": {"planner": "nav2"}}, change)
 
 
 def test_a_module_restarts_for_its_own_section() -> None:

@@ -123,7 +123,7 @@ def shm_file(folder: Path, name: str, size: int = 4096, age: float = 60.0) -> Pa
 
 
 @contextmanager
-def locked(lock: Path, how: int) -> Iterator[None]:
+def hold_lock(lock: Path, how: int) -> Iterator[None]:
     """Hold a lock as a living process does."""
     with lock.open("rb") as file:
         fcntl.flock(file, how)
@@ -141,7 +141,7 @@ def test_shared_files_are_marked_as_held_young_or_port(tmp_path: Path, proc: Pat
     names = (SEGMENT, "12345.zenoh", *ports, "somebody_elses", OTHER_SEGMENT, SEGMENT_3)
     locks = {name: shm_file(tmp_path, name) for name in names}
     shm_file(tmp_path, "99.zenoh", age=0.0)
-    with locked(locks[SEGMENT], fcntl.LOCK_EX), locked(locks["12345.zenoh"], fcntl.LOCK_SH):
+    with hold_lock(locks[SEGMENT], fcntl.LOCK_EX), hold_lock(locks["12345.zenoh"], fcntl.LOCK_SH):
         finding = {f.path.name: f for f in shared_files(tmp_path, proc)}
     assert finding.keys() == {*names, "99.zenoh"} - {"somebody_elses"}
     assert {name for name, f in finding.items() if f.held} == {SEGMENT, "12345.zenoh"}
@@ -155,7 +155,7 @@ def test_files_of_dead_processes_in_shared_memory_are_reported(tmp_path: Path) -
     assert only(sharedmemory.check_litter(place)).result is Result.OK
     segment = shm_file(tmp_path, SEGMENT, sharedmemory.LITTER_BYTES)
     shm_file(tmp_path, "12345.zenoh", 4096)
-    with locked(segment, fcntl.LOCK_EX):
+    with hold_lock(segment, fcntl.LOCK_EX):
         assert only(sharedmemory.check_litter(place)).result is Result.OK
     finding = only(sharedmemory.check_litter(place))
     assert finding.result is Result.WARN
@@ -172,17 +172,17 @@ def test_shared_memory_of_another_users_fast_dds_is_reported(tmp_path: Path, tra
     place = around({"ros2": {"transport": transport}}, shm=tmp_path, proc=PROC)
     mine, theirs = shm_file(tmp_path, SEGMENT), shm_file(tmp_path, OTHER_SEGMENT)
     os.chown(tmp_path / OTHER_SEGMENT, 65534, -1)
-    with locked(mine, fcntl.LOCK_EX):
+    with hold_lock(mine, fcntl.LOCK_EX):
         assert only(sharedmemory.check_users(place)).result is Result.OK
-    with locked(theirs, fcntl.LOCK_EX):
+    with hold_lock(theirs, fcntl.LOCK_EX):
         finding = only(sharedmemory.check_users(place))
     assert finding.result is result
     assert "nobody" in finding.seen
     kilted = shm_file(tmp_path, SEGMENT_3)
     os.chown(tmp_path / SEGMENT_3, 65534, -1)
-    with locked(kilted, fcntl.LOCK_EX):
+    with hold_lock(kilted, fcntl.LOCK_EX):
         assert only(sharedmemory.check_users(place)).result is result, "no worker is known"
-        with locked(mine, fcntl.LOCK_EX):  # Fast DDS 2, which does not use the memory of Fast DDS 3
+        with hold_lock(mine, fcntl.LOCK_EX):  # Fast DDS 2, which does not use the memory of Fast DDS 3
             assert only(sharedmemory.check_users(place)).result is Result.OK
 
 

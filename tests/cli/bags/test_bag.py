@@ -28,7 +28,7 @@ STRING_MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -143,14 +143,14 @@ def test_convert_names_topics_without_a_definition(target: str, capsys: pytest.C
     assert "types.folders" in undefined["/odd"]["cure"]
 
 
-def test_types_from_the_configuration_are_used(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_types_from_the_configuration_are_used(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nobody_knows(Path("humble.mcap"))  # like a .db3 file of Humble, which has no definitions
     assert main(["bag", "convert", "humble.mcap", "a.db3"]) == 0
     assert main(["bag", "convert", "a.db3", "a.bag"]) == 1
     assert "/odd has type none_msgs/msg/None" in capsys.readouterr().err
     for package, text in {"none_msgs": "string<=9 text\n", "old_msgs": "string text\n"}.items():
-        (here / "types" / package / "msg").mkdir(parents=True)
-        (here / "types" / package / "msg" / "None.msg").write_text(text)
+        (folder / "types" / package / "msg").mkdir(parents=True)
+        (folder / "types" / package / "msg" / "None.msg").write_text(text)
     Path("rules.yaml").write_text("- {ros1_package_name: old_msgs, ros2_package_name: none_msgs}\n", encoding="utf-8")
     Path("midspan.yaml").write_text("types: {folders: [types], mapping_rules: [rules.yaml]}\n", encoding="utf-8")
     assert main(["bag", "convert", "a.db3", "a.bag", "--config", "midspan.yaml"]) == 0
@@ -195,15 +195,15 @@ def test_a_file_of_a_folder_that_cannot_be_opened_is_named(capsys: pytest.Captur
         ("cut a.mcap b.mcap --start 2s --end 1s", "--end is not after --start"),
     ],
 )
-def test_errors_are_reported(words: str, says: str, capsys: pytest.CaptureFixture[str], here: Path) -> None:
+def test_errors_are_reported(words: str, says: str, capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     Path("text.bag").write_text("hello, this is a text", encoding="utf-8")
     mcap_file(Path("a.mcap"))
     assert main(["bag", *words.split()]) == 1
     assert says in capsys.readouterr().err
-    assert sorted(path.name for path in here.iterdir()) == ["a.mcap", "text.bag"]
+    assert sorted(path.name for path in folder.iterdir()) == ["a.mcap", "text.bag"]
 
 
-def copying(verb: str, *before: str) -> subprocess.Popen[bytes]:
+def start_copy(verb: str, *before: str) -> subprocess.Popen[bytes]:
     """A copy that would take ten seconds and has just begun to write."""
     long_mcap(Path("a.mcap"), 1000, 50_000)
     assert main(["bag", "convert", "a.mcap", "a.bag"]) == 0
@@ -216,15 +216,15 @@ def copying(verb: str, *before: str) -> subprocess.Popen[bytes]:
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("verb", ["convert", "cut", "mend"])
-def test_interrupted_conversion_leaves_no_file(verb: str, number: int, code: int, here: Path) -> None:
-    process = copying(verb)
+def test_interrupted_conversion_leaves_no_file(verb: str, number: int, code: int, folder: Path) -> None:
+    process = start_copy(verb)
     process.send_signal(number)
     process.communicate(timeout=20)
     assert process.returncode == code
-    assert sorted(path.name for path in here.iterdir()) == ["a.bag", "a.mcap"]
+    assert sorted(path.name for path in folder.iterdir()) == ["a.bag", "a.mcap"]
 
 
-def test_signals_during_cleanup_leave_no_file(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_signals_during_cleanup_leave_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nobody_knows(Path("a.mcap"))
     remove, removed = shutil.rmtree, list[Path]()
 
@@ -238,14 +238,14 @@ def test_signals_during_cleanup_leave_no_file(here: Path, monkeypatch: pytest.Mo
         main(["bag", "convert", "a.mcap", "b.db3"])
     assert ended.value.code == 130
     assert len(removed) == 1
-    assert sorted(path.name for path in here.iterdir()) == ["a.mcap", "b.db3"]
+    assert sorted(path.name for path in folder.iterdir()) == ["a.mcap", "b.db3"]
 
 
-def test_ignored_signal_does_not_end_the_conversion(here: Path) -> None:
-    process = copying("cut", "sh", "-c", "trap '' INT; exec \"$@\"", "sh")
+def test_ignored_signal_does_not_end_the_conversion(folder: Path) -> None:
+    process = start_copy("cut", "sh", "-c", "trap '' INT; exec \"$@\"", "sh")
 
     def written() -> int:
-        return sum(path.stat().st_size for path in here.glob(".b.*/b.bag"))
+        return sum(path.stat().st_size for path in folder.glob(".b.*/b.bag"))
 
     process.send_signal(signal.SIGINT)
     before = written()
@@ -256,7 +256,7 @@ def test_ignored_signal_does_not_end_the_conversion(here: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["b.bag", "b.mcap", "b.db3"])
-def test_full_disk_is_reported_and_leaves_no_file(name: str, here: Path) -> None:
+def test_full_disk_is_reported_and_leaves_no_file(name: str, folder: Path) -> None:
     long_mcap(Path("a.mcap"), 100, 50_000)
     code = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))\n"
@@ -267,4 +267,4 @@ def test_full_disk_is_reported_and_leaves_no_file(name: str, here: Path) -> None
     done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert f"{name}: cannot be written: " in done.stderr
-    assert sorted(path.name for path in here.iterdir()) == ["a.mcap"]
+    assert sorted(path.name for path in folder.iterdir()) == ["a.mcap"]

@@ -28,14 +28,14 @@ QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 
 
 @contextmanager
-def published_frames(worker: EngineWorker, topic: str, *frames: tuple[str, str], late: float = 0.0) -> Iterator[None]:
+def published_frames(worker: EngineWorker, topic: str, *frames: tuple[str, str], delay: float = 0.0) -> Iterator[None]:
     """A program on the side that publishes frames, 1 m apart, fifty times a second."""
     stop = threading.Event()
     writer = worker.advertise(topic, TF)
 
     def talk() -> None:
         while not stop.wait(0.02):
-            at = time.time_ns() - round(late * 1e9)
+            at = time.time_ns() - round(delay * 1e9)
             transforms = [Stamped(a, b, at + n, (1.0, 0.0, 0.0), QUARTER) for n, (a, b) in enumerate(frames)]
             worker.side.write(writer, write(transforms))
 
@@ -48,7 +48,7 @@ def published_frames(worker: EngineWorker, topic: str, *frames: tuple[str, str],
         thread.join()
 
 
-def bridged(worker: EngineWorker, topic: str) -> None:
+def wait_for_route(worker: EngineWorker, topic: str) -> None:
     until(
         lambda: any((r.topic, r.direction) == (topic, "in") for r in worker.engine.status().routes),
         f"{topic} has its route to the hub",
@@ -65,33 +65,35 @@ def robot(network: HubNetwork, registry: Registry, closing: list[Any]) -> Iterat
     closing.append(fixed)
     cdr = write([Stamped("base_link", "laser", 0, (0.0, 2.0, 0.0), UNIT)])
     fixed.publish("/tf_static", TF, registry.ros2(TF).type_id, cdr)
-    with published_frames(worker, "/tf", ("map", "odom"), ("odom", "base_link"), late=0.5):
-        bridged(worker, "/tf")
+    with published_frames(worker, "/tf", ("map", "odom"), ("odom", "base_link"), delay=0.5):
+        wait_for_route(worker, "/tf")
         yield worker
 
 
 ALL = ["base_link", "laser", "map", "odom"]
 
 
-def seen(midspan: Midspan, *words: str, fits: Callable[[Outcome], object]) -> Outcome:
+def run_until(midspan: Midspan, *words: str, fits: Callable[[Outcome], object]) -> Outcome:
     """Repeat a command until its output meets a condition: on a busy machine, some frames arrive too late."""
     return until(lambda: (done := midspan("tf", *words)).code == 0 and fits(done) and done, f"{words} succeeds", 30)  # type: ignore[return-value]
 
 
 @pytest.mark.usefixtures("robot")
 def test_tree_shows_the_frames_of_all_nodes(midspan: Midspan) -> None:
-    seen(midspan, "list", "--duration", "0.2", fits=lambda done: done.out.split() == ALL)
-    listed = seen(midspan, "list", "--duration", "0.2", "--side", "ros1", fits=lambda done: len(done.out.split()) == 3)
+    run_until(midspan, "list", "--duration", "0.2", fits=lambda done: done.out.split() == ALL)
+    listed = run_until(
+        midspan, "list", "--duration", "0.2", "--side", "ros1", fits=lambda done: len(done.out.split()) == 3
+    )
     assert "laser" not in listed.out
-    tree = seen(midspan, "tree", "--duration", "0.2", fits=lambda done: len(done.out.splitlines()) == 4)
+    tree = run_until(midspan, "tree", "--duration", "0.2", fits=lambda done: len(done.out.splitlines()) == 4)
     lines = tree.out.splitlines()
     assert [line.partition("  (")[0] for line in lines] == ["map", "  odom", "    base_link", "      laser"]
     assert lines[3].endswith("(static, /midspan_mounts)")
     assert lines[1].endswith("ROS 1 by robot1)")
-    dot = seen(midspan, "tree", "--duration", "0.2", "--dot", fits=lambda done: "laser" in done.out)
+    dot = run_until(midspan, "tree", "--duration", "0.2", "--dot", fits=lambda done: "laser" in done.out)
     assert dot.out.startswith("digraph G {")
     assert '"base_link" -> "laser"' in dot.out
-    entries = seen(midspan, "tree", "--duration", "0.2", "--json", fits=lambda done: len(done.json()) == 3).json()
+    entries = run_until(midspan, "tree", "--duration", "0.2", "--json", fits=lambda done: len(done.json()) == 3).json()
     frames = {frame["frame"]: frame for frame in entries}
     assert frames["laser"]["static"]
     assert frames["odom"]["parent"] == "map"
@@ -106,14 +108,14 @@ def test_tree_waits_for_every_publisher(
     for node, (parent, child) in zip(nodes, ("ab", "bc"), strict=True):
         cdr = write([Stamped(parent, child, 0, (0.0, 0.0, 0.0), UNIT)])
         node.publish("/tf_static", TF, registry.ros2(TF).type_id, cdr)
-    done = seen(midspan, "list", fits=lambda done: "listened for 0." in done.err)
+    done = run_until(midspan, "list", fits=lambda done: "listened for 0." in done.err)
     assert done.out.split() == ["a", "b", "c"]
 
 
 @pytest.mark.usefixtures("robot")
 def test_tree_waits_longer_for_transforms_from_a_side(midspan: Midspan) -> None:
     """A side has one publisher on the hub for all of its programs, some of which may publish late."""
-    assert "listened for" not in seen(midspan, "list", fits=lambda done: done.out.split() == ALL).err
+    assert "listened for" not in run_until(midspan, "list", fits=lambda done: done.out.split() == ALL).err
 
 
 @pytest.mark.usefixtures("robot")
@@ -133,7 +135,7 @@ def test_echo_prints_the_pose_of_a_frame(midspan: Midspan) -> None:
 
 @pytest.mark.usefixtures("robot")
 def test_monitor_prints_rates_delays_and_publishers(midspan: Midspan) -> None:
-    done = seen(
+    done = run_until(
         midspan, "monitor", "--duration", "0.5", "--json",
         fits=lambda done: len(done.lines()[-1]) == 3 and done.lines()[-1][0]["rate"] > 0,
     )  # fmt: skip
@@ -143,7 +145,7 @@ def test_monitor_prints_rates_delays_and_publishers(midspan: Midspan) -> None:
     assert base["rate"] > 0
     assert 0.5 < base["delay"] <= base["longest_delay"] < 20
     assert (laser["static"], laser["delay"], laser["count"]) == (True, None, 1)
-    table = seen(
+    table = run_until(
         midspan, "monitor", "odom", "laser", "--duration", "0.2", fits=lambda done: "odom to laser: newest" in done.out
     ).out
     assert "base_link" in table
@@ -169,11 +171,13 @@ def test_errors_are_reported(
     assert midspan("tf", "echo", "map", "", "--timeout", "30").err.strip().endswith("frame_ids cannot be empty")
     assert midspan("tf", "tree", "--namespace", "r2", "--duration", "0.1").out.splitlines()[0] == "a"
     assert midspan("tf", "monitor", "map").err == "midspan: name two frames, or none\n"
-    seen(midspan, "list", "--duration", "0.1", fits=lambda done: "refused: TF_DENORMALIZED_QUATERNION 1" in done.err)
+    run_until(
+        midspan, "list", "--duration", "0.1", fits=lambda done: "refused: TF_DENORMALIZED_QUATERNION 1" in done.err
+    )
     with published_frames(robot, "/r4/tf", ("map", "base"), ("odom", "base")):
-        bridged(robot, "/r4/tf")
+        wait_for_route(robot, "/r4/tf")
         command = "list", "-v", "--namespace", "/r4", "--duration", "0.2"
-        seen(midspan, *command, fits=lambda done: "map, odom" in done.out)
+        run_until(midspan, *command, fits=lambda done: "map, odom" in done.out)
     monkeypatch.setattr("bridge.client.transforms.PATIENCE", 0.1)
     none = midspan("tf", "list", "--namespace", "r3")
     assert (none.code, none.out) == (1, "")

@@ -59,7 +59,7 @@ def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
 
 
 @pytest.fixture
-def decided(network: HubNetwork, closing: list[Any]) -> None:
+def deciding_worker(network: HubNetwork, closing: list[Any]) -> None:
     """A worker that has decided on a service, on a part of an action, and on a topic."""
     base = {"daemon": "robot1", "worker": "ros1", "direction": "in", "cure": "", "kind": "service"}
     private = {"topic": "/node/get_loggers", "hub_topic": "", "type": "roscpp/GetLoggers", "decision": "private"}
@@ -70,7 +70,9 @@ def decided(network: HubNetwork, closing: list[Any]) -> None:
     closing.append(FakeWorker(network, "ros1", explain=[*answer, {**topic, "why": ""}]))
 
 
-def test_services_are_listed_without_the_parts_of_actions(midspan: Midspan, robot: Robot, decided: None) -> None:
+def test_services_are_listed_without_the_parts_of_actions(
+    midspan: Midspan, robot: Robot, deciding_worker: None
+) -> None:
     assert midspan("service", "list").out.split() == ["/lamp", "/node/get_loggers"]
     lamp, logger = midspan("service", "list", "--json").json()
     assert (lamp["service"], lamp["types"], lamp["servers"], lamp["state"]) == ("/lamp", [BOOL], 1, "hub")
@@ -79,7 +81,7 @@ def test_services_are_listed_without_the_parts_of_actions(midspan: Midspan, robo
     assert "/node/get_loggers" not in midspan("topic", "list").out
 
 
-def test_actions_are_listed_whole(midspan: Midspan, robot: Robot, decided: None) -> None:
+def test_actions_are_listed_whole(midspan: Midspan, robot: Robot, deciding_worker: None) -> None:
     assert midspan("action", "list").out.split() == ["/far", "/lookup"]
     far, lookup = midspan("action", "list", "--json").json()
     assert (far["types"], far["state"]) == (["my_msgs/action/Far"], "refused")
@@ -153,7 +155,7 @@ def test_timeout_and_ctrl_c_cancel_the_goal(midspan: Midspan, robot: Robot) -> N
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_cancels_the_goal(midspan: Midspan, robot: Robot, number: signal.Signals, code: int) -> None:
-    outcome = signaled(midspan, robot, number)
+    outcome = send_and_signal(midspan, robot, number)
     assert (outcome.code, outcome.out.split()[0]) == (code, "canceled")
     assert outcome.err == f"midspan: {number.name}: the goal was canceled\n"
 
@@ -163,14 +165,14 @@ def test_a_goal_that_does_not_end_after_a_signal_is_reported(
 ) -> None:
     monkeypatch.setattr("bridge.cli.graph.goal.CONFIRM_SECONDS", 0.5)
     robot.obeys = False
-    outcome = signaled(midspan, robot, signal.SIGTERM)
+    outcome = send_and_signal(midspan, robot, signal.SIGTERM)
     assert (outcome.code, outcome.out.split()[0]) == (143, "unknown")
     assert outcome.err.startswith("midspan: SIGTERM: the goal has not ended within 0.5 s of its cancellation")
 
 
 def test_a_second_signal_does_not_break_off_the_cancellation(midspan: Midspan, robot: Robot) -> None:
     """Both systemd and shells send SIGTERM and SIGHUP together."""
-    outcome = signaled(midspan, robot, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM)
+    outcome = send_and_signal(midspan, robot, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM)
     assert outcome.code in (143, 129)  # Python handles pending signals in the order of their numbers
     assert outcome.err.endswith(": the goal was canceled\n")
     assert len(outcome.err.splitlines()) == 1
@@ -179,13 +181,13 @@ def test_a_second_signal_does_not_break_off_the_cancellation(midspan: Midspan, r
 def test_an_ignored_hangup_stays_ignored(midspan: Midspan, robot: Robot) -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        outcome = signaled(midspan, robot, signal.SIGHUP, signal.SIGTERM)
+        outcome = send_and_signal(midspan, robot, signal.SIGHUP, signal.SIGTERM)
     finally:
         signal.signal(signal.SIGHUP, before)
     assert outcome.code == 143
 
 
-def signaled(midspan: Midspan, robot: Robot, *numbers: signal.Signals) -> Outcome:
+def send_and_signal(midspan: Midspan, robot: Robot, *numbers: signal.Signals) -> Outcome:
     """Send a goal, and these signals to this process once the server has it."""
 
     def send() -> None:

@@ -32,7 +32,7 @@ def worker(network: HubNetwork, registry: Registry, closing: list[Any]) -> Engin
 
 
 @contextmanager
-def talking(worker: EngineWorker, writer: Writer, cdr: bytes) -> Iterator[None]:
+def publishing(worker: EngineWorker, writer: Writer, cdr: bytes) -> Iterator[None]:
     """A native program on the side that publishes repeatedly."""
     stop = threading.Event()
 
@@ -49,14 +49,14 @@ def talking(worker: EngineWorker, writer: Writer, cdr: bytes) -> Iterator[None]:
         thread.join()
 
 
-def bridged(worker: EngineWorker, count: int) -> None:
+def wait_for_routes(worker: EngineWorker, count: int) -> None:
     until(lambda: len(worker.engine.routes()) == count, "all routes exist")
 
 
 def test_list_shows_bridged_and_unbridged_topics(midspan: Midspan, worker: EngineWorker) -> None:
     for topic in ("/chatter", "/secret", "/rosout"):
         worker.advertise(topic, STRING)
-    bridged(worker, 1)
+    wait_for_routes(worker, 1)
     names = ["/chatter", "/rosout", "/secret"]
     until(lambda: midspan("topic", "list").out.split() == names, "the engine has decided on all topics")
     entries = {entry["topic"]: entry for entry in midspan("topic", "list", "--json").json()}
@@ -74,7 +74,7 @@ def test_info_lists_publishers_and_subscribers(
     midspan: Midspan, worker: EngineWorker, network: HubNetwork, closing: list[Any]
 ) -> None:
     worker.advertise("/chatter", STRING, latched=True)
-    bridged(worker, 1)
+    wait_for_routes(worker, 1)
     listener = FakeWorker(network, "listener")
     closing.append(listener)
     listener.subscribe("/chatter", STRING, Qos(depth=7))
@@ -96,7 +96,7 @@ def test_info_lists_publishers_and_subscribers(
 def test_echo_prints_latched_messages_at_once(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
     cdr = from_json(registry, SCAN, {"header": {"frame_id": "laser"}, "ranges": [1.5] * 100})
     worker.side.write(worker.advertise("/scan", SCAN, latched=True), cdr)
-    bridged(worker, 1)
+    wait_for_routes(worker, 1)
     output = midspan("topic", "echo", "/scan", "--count", "1", "--timeout", "10").out
     assert "frame_id: laser" in output
     assert "ranges: [1.5, 1.5" in output
@@ -114,7 +114,7 @@ def test_echo_prints_latched_messages_at_once(midspan: Midspan, worker: EngineWo
 def test_echo_prints_an_unbridged_topic(midspan: Midspan, worker: EngineWorker, registry: Registry, topic: str) -> None:
     writer = worker.advertise(topic, STRING)
     until(lambda: len(worker.engine.decisions()) == 1, "the engine has decided on the topic")
-    with talking(worker, writer, from_json(registry, STRING, {"data": "hidden"})):
+    with publishing(worker, writer, from_json(registry, STRING, {"data": "hidden"})):
         done = midspan("topic", "echo", topic, "--count", "2", "--timeout", "10")
     assert (done.code, done.out.count("data: hidden")) == (0, 2), done
     assert midspan("topic", "list").out.split() == [topic]
@@ -124,12 +124,12 @@ def test_echo_with_a_side_prints_that_sides_messages(
     midspan: Midspan, worker: EngineWorker, network: HubNetwork, registry: Registry
 ) -> None:
     writer = worker.advertise("/chatter", STRING)
-    bridged(worker, 1)
+    wait_for_routes(worker, 1)
     type_hash = registry.ros2(STRING).type_id
     with Hub.open(network.settings("native")) as hub:
         publisher = hub.publisher("/chatter", STRING, type_hash, LATCHED)
         publisher.put(from_json(registry, STRING, {"data": "from the hub"}))
-        with talking(worker, writer, from_json(registry, STRING, {"data": "from the side"})):
+        with publishing(worker, writer, from_json(registry, STRING, {"data": "from the side"})):
             sides = {}
             for side in ("ros1", "zenoh"):
                 args = ("topic", "echo", "/chatter", "--side", side, "--count", "1", "--timeout", "10", "--json")
@@ -139,7 +139,7 @@ def test_echo_with_a_side_prints_that_sides_messages(
 
 def test_echo_suggests_a_similar_topic_and_times_out_without_messages(midspan: Midspan, worker: EngineWorker) -> None:
     worker.advertise("/chatter", STRING)
-    bridged(worker, 1)
+    wait_for_routes(worker, 1)
     done = midspan("topic", "echo", "/chattr")
     assert (done.code, "Did you mean /chatter?" in done.err) == (1, True), done
     done = midspan("topic", "echo", "/chatter", "--timeout", "0.3")
@@ -176,8 +176,8 @@ def test_echo_continues_after_a_bad_message(midspan: Midspan, network: HubNetwor
 
 def test_hz_measures_the_rate(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
     writer = worker.advertise("/chatter", STRING)
-    bridged(worker, 1)
-    with talking(worker, writer, from_json(registry, STRING, {"data": "x"})):
+    wait_for_routes(worker, 1)
+    with publishing(worker, writer, from_json(registry, STRING, {"data": "x"})):
         line = midspan("topic", "hz", "/chatter", "--count", "20", "--json").lines()[-1]
         output = midspan("topic", "hz", "/chatter", "--count", "5").out
     assert line["messages"] == line["window"] == 20
