@@ -43,7 +43,7 @@ _RUN = 1 << 20
 _TEXTS = {"ros1msg", "ros2msg"}
 _WORLDS = {"cdr": World.ROS2, "ros1": World.ROS1}
 _TABLES = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS}
-_MAX_METADATA, _LARGEST_METADATA = 1000, 1 << 16
+_MOST_METADATA, _LARGEST_METADATA = 1000, 1 << 16
 
 
 class WholeChunk(NamedTuple):
@@ -122,8 +122,8 @@ class McapBag(SpanBag):
         if not span.chunk:
             return None
         with reading(self.path, span.offset):
-            record = self._read(span.offset, _HEAD.size + span.length)
-            plain, compression = self._unpacked(span, memoryview(record)[_HEAD.size :])
+            whole = self._read(span.offset, _HEAD.size + span.length)
+            plain, compression = self._unpacked(span, memoryview(whole)[_HEAD.size :])
             at = span.offset + _HEAD.size + span.length
             indexes, offsets, counts = bytearray(), dict[int, int](), dict[int, int]()
             while at + _HEAD.size < self.size:
@@ -140,7 +140,7 @@ class McapBag(SpanBag):
                 return None
             packed = span.length - _CHUNK.size - len(compression) - 8
             return WholeChunk(
-                record, bytes(indexes), offsets, counts, compression, packed, len(plain), span.start, span.end
+                whole, bytes(indexes), offsets, counts, compression, packed, len(plain), span.start, span.end
             )
 
     def _walk(self) -> None:
@@ -171,7 +171,7 @@ class McapBag(SpanBag):
             if length > _LARGEST_TABLE:
                 raise BagError(self.path, f"a record of type {opcode} declares {length} bytes", at)
             self._store_record(opcode, self._read(body, length))
-        elif opcode == Opcode.METADATA and length <= _LARGEST_METADATA and len(self.records) < _MAX_METADATA:
+        elif opcode == Opcode.METADATA and length <= _LARGEST_METADATA and len(self.records) < _MOST_METADATA:
             self.records.append(Metadata.read(ReadDataStream(io.BytesIO(self._read(body, length)))))
             self.about = {record.name: record.metadata for record in self.records}
 

@@ -23,7 +23,7 @@ def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
     Each folder is a package, a package's ``msg``, ``srv`` or ``action``, or contains packages. Raises `BuildError` for
     a folder without definitions, and for two packages with the same name.
     """
-    packages: dict[str, dict[str, str]] = {}
+    definitions: dict[str, dict[str, str]] = {}
     for folder in folders:
         packages = {}
         for entry in _package_folders(folder.resolve()):
@@ -35,10 +35,10 @@ def read_folders(folders: Iterable[Path]) -> dict[str, dict[str, str]]:
                 cure="Name a package's folder (my_msgs with my_msgs/msg/Name.msg), or a folder of such folders",
             )
         for package, files in packages.items():
-            if package in packages:
+            if package in definitions:
                 raise BuildError(f"package {package} is given twice", cure="Leave out one of these folders")
-            packages[package] = files
-    return packages
+            definitions[package] = files
+    return definitions
 
 
 def _package_folders(folder: Path) -> list[Path]:
