@@ -25,8 +25,8 @@ def keep_memory() -> None:
     """Let glibc reuse the memory of large messages; call it before the process starts threads.
 
     By default, glibc returns each block of 128 kB or more to the system, so every large message causes page faults: an
-    image of 6 MB needed up to 9.6 ms from ROS 1 to ROS 2 instead of 5.2 ms (benchmarks/topic_latency.py). Without the
-    pad, the heaps of threads would still be returned.
+    image of 6 MB needed up to 9.6 ms from ROS 1 to ROS 2 instead of 5.2 ms (benchmarks/topic_latency.py). Without
+    `_PAD`, glibc would still return the heaps of threads.
     """
     _mallopt((_MMAP_THRESHOLD, _LARGEST), (_TRIM_THRESHOLD, _KEPT), (_TOP_PAD, _PAD))
 
@@ -42,8 +42,8 @@ def _mallopt(*options: tuple[int, int]) -> None:
 def keep_objects() -> None:
     """Exempt long-lived objects from garbage collection after the first scan.
 
-    With 500 routes, a full collection stops the threads for 60 to 100 ms; one that scans only newer objects stops them
-    for a few milliseconds.
+    With 500 routes, a full collection stops the threads for 60 to 100 ms; a collection that scans only newer objects
+    stops them for a few milliseconds.
     """
     gc.collect()
     gc.freeze()
@@ -51,7 +51,7 @@ def keep_objects() -> None:
 
 
 class _Frozen:
-    """Freezes the survivors of each full collection; if their number has grown by half, the next one scans them all."""
+    """Freezes the survivors of each full collection; once their number has grown by half, all are scanned again."""
 
     def __init__(self) -> None:
         self._limit = self._least_limit()

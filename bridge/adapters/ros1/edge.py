@@ -141,7 +141,7 @@ class Ros1Edge(SideEdge):
 
     def _on_subscriber(self, topic: str) -> None:
         """Handle a new subscriber of a published topic; called on a thread of the node."""
-        if self._actions.awaits(topic):
+        if self._actions.expects_server(topic):
             self._wake_master()
 
     def _peer_changed(self) -> None:
@@ -231,13 +231,13 @@ class Ros1Edge(SideEdge):
         if changed:
             publishers = frozenset(p for p in state.publishers if p.node != self._node.name) if state else frozenset()
             self._publishers = publishers
-            self._actions.seen(state)
+            self._actions.on_master_changed(state)
             links = publishers | state.subscribers | state.servers if state else frozenset()
             self._names.learn({k.topic for k in links} | self._actions.names())
             self._pool.retain({k.uri for k in publishers | (state.servers if state else frozenset())})
         self._topics.take_up(self._publishers)
         self._services.seen(state)
-        self._actions.looked()
+        self._actions.on_master_read()
         self._watch_others(listed)
         if changed:
             self._graph_changed()

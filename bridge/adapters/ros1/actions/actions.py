@@ -53,17 +53,17 @@ class Ros1Actions:
             thread.join(1.0)
         self._publishers.close()
 
-    def seen(self, state: MasterState | None) -> None:
+    def on_master_changed(self, state: MasterState | None) -> None:
         """Adopt a changed state of the master."""
         self._found = discovery.find(state, self._network.own()) if state is not None else NOTHING
         self._guard.seen(state)
 
-    def looked(self) -> None:
+    def on_master_read(self) -> None:
         """Do periodic work after each read of the master, changed or not."""
         self._publishers.tidy()
 
-    def awaits(self, topic: str) -> bool:
-        """Return whether a new subscriber of a published topic may be an action server that is now complete."""
+    def expects_server(self, topic: str) -> bool:
+        """Return whether a new subscriber of this topic may be an action server that is now complete."""
         return topic in self._publishers
 
     def names(self) -> set[str]:
@@ -73,13 +73,13 @@ class Ros1Actions:
     def is_part(self, topic: str, type_name: str) -> bool:
         """Return whether a topic belongs to an action, and therefore is not bridged as a topic.
 
-        That also holds for an action that is served or called here while a node has registered only some of its topics:
-        a second subscription would lose messages, because a rospy publisher accepts one connection from each node.
+        An action that is served or called here counts even while a node has registered only some of its topics. A
+        second subscription would lose messages, because a rospy publisher accepts one connection from each node.
         """
-        wanted = self._found.topics.get(topic) or self._in_use(topic.rpartition("/")[0]).get(topic)
+        wanted = self._found.topics.get(topic) or self._topics_in_use(topic.rpartition("/")[0]).get(topic)
         return wanted is not None and type_name in ("", "*", wanted)
 
-    def _in_use(self, action: str) -> Mapping[str, str]:
+    def _topics_in_use(self, action: str) -> Mapping[str, str]:
         """Return the topics of an action that is served or called here, with their types."""
         served = self._served.get(action)
         types = [served.type] if served is not None else [t for name, t in list(self._callers) if name == action]
@@ -103,13 +103,13 @@ class Ros1Actions:
             learn(self._network, discovery.topics_of(action, servers[0].type))
 
     def warnings(self) -> list[str]:
-        """Return actions that cannot be offered, and recently rejected goals."""
-        held = [
+        """Return the actions that cannot be offered on ROS 1, and the recently rejected goals."""
+        rivals = [
             f"{s.name}: {s.rival} serves this action on ROS 1 itself, so the hub's action is not offered there"
             for s in list(self._served.values())
             if s.rival
         ]
-        return [*held, *self._guard.warnings()]
+        return [*rivals, *self._guard.warnings()]
 
     def caller(self, action: str, part: str, type_name: str) -> PartCaller:
         """Return a client of one service of an actionlib server; raises `MessageTypeError`."""
@@ -134,7 +134,7 @@ class Ros1Actions:
             return self._serve(action).advertise(part)
 
     def _type(self, action: str, part: str, type_name: str) -> str:
-        """Return the action's type, which the types of cancel_goal and status do not contain."""
+        """Return the action's type, for cancel_goal and status that of its server or caller; their types have none."""
         if part not in (ros2_action.CANCEL_GOAL, ros2_action.STATUS):
             return discovery.action_type(type_name, part)
         servers = self._found.servers.get(action)
@@ -156,17 +156,17 @@ class Ros1Actions:
                 lambda server: server in self._natives(action, self._network.facts()),
             )  # fmt: skip
             self._callers[action, type_] = caller
-        self._look_after()
+        self._start_thread()
         return caller
 
     def _serve(self, action: str) -> ServedAction:
         served = self._served.get(action)
         if served is None:
             served = self._served[action] = ServedAction(action, self._network, self._types)
-        self._look_after()
+        self._start_thread()
         return served
 
-    def _look_after(self) -> None:
+    def _start_thread(self) -> None:
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="midspan-ros1-actions", daemon=True)
             self._thread.start()

@@ -29,7 +29,7 @@ GONE = "its action server {} left"
 
 
 class ActionCaller(ActionTopics):
-    """Sends goals to one server of an action at a time, and stores their states and results for later callers."""
+    """Sends goals to one server of an action at a time, and stores their states and results for later clients."""
 
     def __init__(
         self, name: str, types: ActionMessages, network: ActionNetwork, guard: FrameGuard,
@@ -41,9 +41,9 @@ class ActionCaller(ActionTopics):
         self._open: list[object] = []
         self._server: FoundServer | None = None
         self._ready = False
-        self._newest: tuple[bytes, str] | None = None
-        self._early: tuple[bytes, str] | None = None
-        self._unsure: list[tuple[bytes, Done, _StartedCall]] = []
+        self._newest_statuses: tuple[bytes, str] | None = None
+        self._early_statuses: tuple[bytes, str] | None = None
+        self._postponed: list[tuple[bytes, Done, _DeferredCall]] = []
         self._listeners: dict[str, list[Deliver]] = {part: [] for part in ros2_action.TOPICS}
 
     # -- the parts -----------------------------------------------------------------------------------------------------
@@ -61,22 +61,22 @@ class ActionCaller(ActionTopics):
             ros2_action.CANCEL_GOAL: self._client.cancel,
         }[part]
         opened = PartCaller(self._executor, begin, lambda: self._close_caller(opened))
-        self._take_up(opened)
+        self._add_part(opened)
         return opened
 
     def subscribe(self, part: str, deliver: Deliver) -> OpenPart:
         """Subscribe to one of the two topics; the last status list, if any, is delivered at once."""
         opened = OpenPart(lambda: self._unsubscribe(part, deliver, opened))
-        self._executor.submit(lambda: self._listen(part, deliver))
-        self._take_up(opened)
+        self._executor.submit(lambda: self._add_listener(part, deliver))
+        self._add_part(opened)
         return opened
 
-    def _take_up(self, opened: object) -> None:
+    def _add_part(self, opened: object) -> None:
         with self._lock:
             self._open.append(opened)
         self._executor.submit(self._connect)
 
-    def _give_back(self, opened: object) -> None:
+    def _remove_part(self, opened: object) -> None:
         with self._lock:
             self._open.remove(opened)
             last = not self._open
@@ -84,25 +84,25 @@ class ActionCaller(ActionTopics):
             self._executor.submit(self._disconnect)
 
     def _close_caller(self, opened: object) -> None:
-        self._executor.submit(lambda: self._end(STOPS))
-        self._give_back(opened)
+        self._executor.submit(lambda: self._end_goals(STOPS))
+        self._remove_part(opened)
 
-    def _end(self, reason: str) -> None:
+    def _end_goals(self, reason: str) -> None:
         server, self._ready, self._states = self._server, False, b""
-        unsure, self._unsure = self._unsure, []
-        for _, done, _ in unsure:
+        postponed, self._postponed = self._postponed, []
+        for _, done, _ in postponed:
             done(_REJECTED)
         left = server is not None and not self._is_present(server)
         self._client.close(GONE.format(server.node) if server is not None and left else reason)
 
-    def _listen(self, part: str, deliver: Deliver) -> None:
+    def _add_listener(self, part: str, deliver: Deliver) -> None:
         self._listeners[part].append(deliver)
         if part == ros2_action.STATUS and self._states and self._server is not None:
             deliver(self._states, self._source(part), None)
 
     def _unsubscribe(self, part: str, deliver: Deliver, opened: object) -> None:
         self._executor.submit(lambda: self._listeners[part].remove(deliver))
-        self._give_back(opened)
+        self._remove_part(opened)
 
     # -- ROS 1 ---------------------------------------------------------------------------------------------------------
 
@@ -133,23 +133,23 @@ class ActionCaller(ActionTopics):
     def _poll(self, servers: Sequence[FoundServer]) -> None:
         if self._open:
             self._choose(servers)
-            self._watch()
-            self._decide_unsure()
+            self._check_connections()
+            self._retry_postponed()
         self._client.tick()
 
     def _choose(self, servers: Sequence[FoundServer]) -> None:
         if self._server in servers:
             return
         if self._server is not None:
-            self._lose(GONE.format(self._server.node))
+            self._lose_server(GONE.format(self._server.node))
         if servers:
             self._server = servers[0]
             self._client.discovered()
-            if self._early is not None:  # a list that arrived before the master's state was read
-                self._newest, self._early = self._early, None
-                self._take_statuses()
+            if self._early_statuses is not None:  # a list that arrived before the master's state was read
+                self._newest_statuses, self._early_statuses = self._early_statuses, None
+                self._read_statuses()
 
-    def _watch(self) -> None:
+    def _check_connections(self) -> None:
         server = self._server
         if server is None:
             return
@@ -165,7 +165,7 @@ class ActionCaller(ActionTopics):
         self._ready = ready
         self._client.reach(reachable=discovery.CANCEL in listening)
 
-    def _lose(self, reason: str) -> None:
+    def _lose_server(self, reason: str) -> None:
         self._ready = False
         self._client.lost(reason)
         self._server, self._states = None, b""
@@ -179,27 +179,27 @@ class ActionCaller(ActionTopics):
 
     def _on_status(self, payload: bytes, source: str, _time: int | None) -> None:
         """Schedule the newest status list; older lists are skipped, because each list names all goals."""
-        waiting, self._newest = self._newest, (payload, source)
+        waiting, self._newest_statuses = self._newest_statuses, (payload, source)
         if waiting is None:
-            self._executor.submit(self._take_statuses)
+            self._executor.submit(self._read_statuses)
 
-    def _take_statuses(self) -> None:
-        newest, self._newest = self._newest, None
+    def _read_statuses(self) -> None:
+        newest, self._newest_statuses = self._newest_statuses, None
         if newest is None:
             return
         payload, source = newest
         if self._is_ours(source, discovery.STATUS):
             self._read(discovery.STATUS, lambda: self._client.statuses(wire.read_statuses(payload)))
         else:
-            self._early = newest
+            self._early_statuses = newest
 
     def _on_outcome(self, part: str, payload: bytes, source: str, _time: int | None) -> None:
         self._executor.submit(lambda: self._outcome(part, payload, source))
 
     def _outcome(self, part: str, payload: bytes, source: str) -> None:
         if self._is_ours(source, part):
-            take = self._client.feedback if part == discovery.FEEDBACK else self._client.result
-            self._read(part, lambda: take(*wire.read_action_outcome(payload)))
+            accept = self._client.feedback if part == discovery.FEEDBACK else self._client.result
+            self._read(part, lambda: accept(*wire.read_action_outcome(payload)))
 
     # -- goals ---------------------------------------------------------------------------------------------------------
 
@@ -212,21 +212,21 @@ class ActionCaller(ActionTopics):
             done(CallError(str(err)))
             return nothing
         if trouble is None:
-            begun = _StartedCall()
-            self._unsure.append((uuid + body, done, begun))
-            return begun.abandon
+            deferred = _DeferredCall()
+            self._postponed.append((uuid + body, done, deferred))
+            return deferred.abandon
         if trouble:
             self._guard.report(self.name, trouble)
             done(_REJECTED)
             return nothing
         return self._client.send_goal(uuid + body, done)
 
-    def _decide_unsure(self) -> None:
+    def _retry_postponed(self) -> None:
         """Retry goals that were postponed because too few transforms had been received."""
-        unsure, self._unsure = self._unsure, []
-        for request, done, begun in unsure:
-            if not begun.abandoned:
-                begun.begin(self._send_goal(request, done))
+        postponed, self._postponed = self._postponed, []
+        for request, done, deferred in postponed:
+            if not deferred.abandoned:
+                deferred.begin(self._send_goal(request, done))
 
     def deliver(self, part: str, payload: bytes) -> None:
         """Deliver a message of ``status`` or ``feedback`` to the hub."""
@@ -244,8 +244,8 @@ def endpoint_id(server: FoundServer, part: str) -> str:
     return f"action {ros2_action.part_name(server.name, part)} {server.node} {server.uri}"
 
 
-class _StartedCall:
-    """A call that may be abandoned before it has begun."""
+class _DeferredCall:
+    """A call that may be abandoned before it has deferred."""
 
     def __init__(self) -> None:
         self._abandon: Abandon | None = None
@@ -271,14 +271,14 @@ class PartCaller(OpenPart):
 
     def call(self, request: bytes, done: Done) -> Abandon:
         """Begin a call; never blocks."""
-        begun = _StartedCall()
+        deferred = _DeferredCall()
 
         def publish(reply: bytes | CallError) -> None:
-            if not begun.abandoned:
+            if not deferred.abandoned:
                 done(reply)
 
         if self._close is None:
             done(CallError(STOPS))
             return nothing
-        self._executor.submit(lambda: begun.begin(self._begin(request, publish)))
-        return lambda: self._executor.submit(begun.abandon)
+        self._executor.submit(lambda: deferred.begin(self._begin(request, publish)))
+        return lambda: self._executor.submit(deferred.abandon)

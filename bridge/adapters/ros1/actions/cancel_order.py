@@ -5,9 +5,10 @@ connection is read later, or if TCP has to retransmit a segment; therefore a req
 held here until the goal arrives, which is then canceled at once. Nothing else is held: a request for known goals
 cancels them at once.
 
-A request for all goals has neither an id nor a stamp. If its client has an unread goal when the request arrives, the
-goal may have been sent before or after the request. Such a goal is canceled, because a request that misses its goal
-would not stop the robot. An actionlib server handles both in any order (``action_server.py`` in actionlib 1.14).
+A request for all goals has neither an id nor a stamp. If a goal of its client is still unread when the request arrives,
+the goal may have been sent before or after the request. Such a goal is canceled, because a request that misses its goal
+would not stop the robot. An actionlib server, too, handles goals and requests in any order (``action_server.py`` in
+actionlib 1.14).
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class GoalServer(Protocol):
 class UnreadGoals(Protocol):
     """Returns whether a client may have sent a goal that is not delivered yet.
 
-    ``listed``: also if the master lists the client as a publisher but this node is not connected to it yet.
+    With ``listed``, it may also have if the master lists it as a publisher but this node is not connected to it yet.
     """
 
     def __call__(self, client: Client, *, listed: bool) -> bool:
@@ -66,7 +67,7 @@ class _Held:
 
 
 class CancelOrder:
-    """Forwards goals and cancel requests to a server, those of each client in the order in which it sent them.
+    """Forwards goals and cancel requests to a server, in the order in which their client sent them.
 
     ``clock`` returns monotonic seconds.
     """
@@ -76,7 +77,7 @@ class CancelOrder:
         self._held: list[_Held] = []
 
     def goal(self, goal: GoalId, body: bytes, client: Client) -> None:
-        """Forward a goal at once, then the requests that overtook it."""
+        """Forward a goal at once, and then the held requests that concern it."""
         listed = self._server.goal(goal, body)
         if not self._held:
             return

@@ -41,13 +41,13 @@ class _Cancel:
         return self.single and all(goal.refused or goal.state.ended for goal in self.goals)
 
     @property
-    def answerable(self) -> bool:
+    def complete(self) -> bool:
         """Whether the server has reported each goal as canceling or ended."""
         return self.unsent is None and not any(_is_untouched(goal) for goal in self.goals)
 
 
 class CancelRequests:
-    """Sends requests through ``publish`` and ends their calls; ``clock`` returns monotonic seconds.
+    """Sends requests through ``publish``, and answers the clients; ``clock`` returns monotonic seconds.
 
     Attributes:
         reachable: whether the server is connected to the cancel topic.
@@ -66,7 +66,7 @@ class CancelRequests:
         return lambda: self._open.remove(cancel) if cancel in self._open else None
 
     def send(self) -> None:
-        """Send the requests that can be sent now, and end those that the goals' states answer."""
+        """Send the requests that can be sent now, and answer those whose goals are all canceling or ended."""
         for cancel in self._open:
             if cancel.unsent is None:
                 continue
@@ -81,22 +81,22 @@ class CancelRequests:
         crossing = cancel.single and any(goal.unconfirmed for goal in cancel.goals)
         return crossing and self._clock() < cancel.since + CROSSING_SECONDS
 
-    def confirmed(self, goal: TrackedGoal) -> None:
+    def on_confirmed(self, goal: TrackedGoal) -> None:
         """Cancel a goal that the server reports for the first time, if a request included it."""
         if any(goal in c.goals and c.unsent is None and not c.single for c in self._open):
             self._publish(wire.goal_id(GoalId(ZERO, goal.id)))
 
     def _answer(self) -> None:
-        """End the requests whose goals are all canceling or ended."""
-        answerable = [cancel for cancel in self._open if cancel.answerable]
-        self._open = [cancel for cancel in self._open if cancel not in answerable]
-        for cancel in answerable:
+        """Answer the requests whose goals are all canceling or ended."""
+        complete = [cancel for cancel in self._open if cancel.complete]
+        self._open = [cancel for cancel in self._open if cancel not in complete]
+        for cancel in complete:
             canceling = [g.info for g in cancel.goals if g.state in (GoalState.CANCELING, GoalState.CANCELED)]
             missed = cancel.single and not canceling
             cancel.done(TERMINATED if missed else wire.cancel_response(CancelCode.NONE, canceling))
 
     def refuse_unsent(self, before: float) -> None:
-        """Refuse requests from before a time that have not been sent."""
+        """Refuse the requests made until ``before`` that are still unsent."""
         self._refuse([c for c in self._open if c.unsent is not None and c.since <= before])
 
     def refuse_all(self) -> None:

@@ -25,9 +25,9 @@ from bridge.messages.errors import ConversionError
 _log = logging.getLogger(__name__)
 
 RESULT_SECONDS = 2.0
-"""How long after the status list has reported a goal's end its result may arrive.
+"""Time limit for a goal's result after the status list has reported the goal's end.
 
-After that, the result counts as lost, and clients receive an empty one.
+Then the result counts as lost, and clients receive an empty one.
 """
 
 CONNECT_SECONDS = 5.0
@@ -74,11 +74,11 @@ class ActionlibClient:
         self._cancels = CancelRequests(lambda payload: output.publish(CANCEL, payload), clock)
         self._lost_results: deque[tuple[float, TrackedGoal]] = deque()
         self._ready = False
-        self._gone = ""
-        self._listed = False
+        self._lost_reason = ""
+        self._has_list = False
         self._changed = False
-        self._told = float("-inf")
-        self._shown = 0
+        self._published_at = float("-inf")
+        self._shown_goals = 0
 
     # -- calls of the hub ----------------------------------------------------------------------------------------------
 
@@ -89,7 +89,7 @@ class ActionlibClient:
         except ConversionError as err:
             done(CallError(str(err)))
             return nothing
-        reason = self._gone or ("there are too many goals" if self._goals.full else "")
+        reason = self._lost_reason or ("there are too many goals" if self._goals.full else "")
         if not reason and (uuid == ANY or self._goals.by_uuid(uuid) is not None):
             reason = "its UUID was used before"
         if reason:
@@ -102,7 +102,7 @@ class ActionlibClient:
         return lambda: self._abandon(goal)
 
     def get_result(self, request: bytes, done: Done) -> Abandon:
-        """Handle a GetResult call; it ends with the goal, without a time limit."""
+        """Handle a GetResult call, which ends when the goal ends; there is no time limit."""
         try:
             uuid, _ = wire.read_with_uuid(request)
         except ConversionError as err:
@@ -132,7 +132,7 @@ class ActionlibClient:
             done(_NO_SUCH_GOAL)
         elif single and named is not None and named.state.ended:
             done(cancels.TERMINATED)
-        elif self._gone:
+        elif self._lost_reason:
             done(cancels.REFUSED)
         elif single and named is not None and named.lost:
             if self._cancels.reachable:
@@ -154,7 +154,7 @@ class ActionlibClient:
 
     def discovered(self) -> None:
         """Accept goals for a discovered server, which may not be connected yet."""
-        self._gone = ""
+        self._lost_reason = ""
 
     def connected(self) -> None:
         """Send waiting goals, because all five topics are connected."""
@@ -181,7 +181,7 @@ class ActionlibClient:
         not sent yet is rejected. For all other goals no state is published, because they may still be executing;
         clients of get_result receive UNKNOWN, with a text that begins with `LOST`.
         """
-        self._ready, self._gone, self._listed = False, reason, False
+        self._ready, self._lost_reason, self._has_list = False, reason, False
         self._cancels.reachable = False
         self._cancels.refuse_all()
         for goal in self._goals.unfinished():
@@ -203,7 +203,7 @@ class ActionlibClient:
 
     def statuses(self, found: Iterable[GoalStatus]) -> None:
         """Adopt the server's status list; publish the states after the first list even if it has no goals."""
-        self._changed, self._listed = self._changed or not self._listed, True
+        self._changed, self._has_list = self._changed or not self._has_list, True
         named: set[str] = set()
         for status in found:
             named.add(status.goal.id)
@@ -215,7 +215,7 @@ class ActionlibClient:
             if goal.listed and goal.id not in named and not goal.state.ended:
                 self._lose(goal, "the server no longer lists it")
                 self._changed = True
-        if self._clock() >= self._told + ALIVE_SECONDS and self._goals.unfinished():
+        if self._clock() >= self._published_at + ALIVE_SECONDS and self._goals.unfinished():
             self._changed = True
         self._flush()
 
@@ -224,7 +224,7 @@ class ActionlibClient:
         goal = self._goal(status)
         if goal is None or goal.whole or goal.result_delivered or goal.refused:
             return
-        if goal.result is not None:  # the result counted as lost, but no client has received the empty one
+        if goal.result is not None:  # the result counted as lost, but no client has received the empty result yet
             self._goals.remove(goal)
             goal.result = None
             self._goals.add(goal)
@@ -271,12 +271,12 @@ class ActionlibClient:
         return len(self._goals)
 
     def _send(self, goal: TrackedGoal) -> None:
-        # A server cancels a new goal with a stamp that is not after that of the last cancel request, except stamp zero.
+        # Stamp zero, because a server cancels any other new goal whose stamp is not after the last cancel request's.
         body, goal.body = goal.body or b"", None
         self._output.publish(GOAL, wire.action_goal(GoalId(ZERO, goal.id), body))
 
     def _goal(self, status: GoalStatus) -> TrackedGoal | None:
-        """Return the goal of a status; add an entry for a goal of another client."""
+        """Return the goal of a status; add it if another client sent it. None if there are too many goals."""
         id_ = status.goal.id
         goal = self._goals.by_id(id_)
         if goal is not None and not goal.ours and goal.state.ended and goal.stamp != status.goal.stamp:
@@ -319,7 +319,7 @@ class ActionlibClient:
         if asker is not None:
             asker(wire.goal_response(goal.stamp, accepted=True))
         if not state.ended:
-            self._cancels.confirmed(goal)
+            self._cancels.on_confirmed(goal)
             self._cancels.send()
 
     def _refuse(self, done: Done, reason: str) -> None:
@@ -360,11 +360,11 @@ class ActionlibClient:
     def _flush(self) -> None:
         """Publish the states if any has changed."""
         now = self._clock()
-        if not self._changed or (self._shown > FEW_GOALS and now < self._told + CALM_SECONDS):
+        if not self._changed or (self._shown_goals > FEW_GOALS and now < self._published_at + CALM_SECONDS):
             return
         goals = [g for g in self._goals.ended_since(now - SHOWN_SECONDS) if not g.refused and not g.lost]
         goals = [*reversed(goals), *(g for g in self._goals.unfinished() if g.accepted)]
-        self._changed, self._told, self._shown = False, now, len(goals)
+        self._changed, self._published_at, self._shown_goals = False, now, len(goals)
         self._output.deliver(STATUS, wire.goal_states([(g.info, g.state) for g in goals]))
 
 

@@ -43,7 +43,7 @@ class FoundServer:
 class FoundActions:
     """The servers of each action, ordered by node name, and the topics of actions with their types.
 
-    The topics include those of actions that only have clients; none of them is bridged as a topic.
+    ``topics`` also has the topics of actions that only have clients; none of these topics is bridged as a topic.
     """
 
     servers: Mapping[str, tuple[FoundServer, ...]]
@@ -66,12 +66,9 @@ def find(state: MasterState, own: str) -> FoundActions:
     subscribed = _by_node(state.subscribers, own)
     servers: dict[str, list[FoundServer]] = defaultdict(list)
     topics: dict[str, str] = {}
-    for ends, others, has, hears in (
-        (published, subscribed, FROM_SERVER, TO_SERVER),
-        (subscribed, published, FROM_SERVER, TO_SERVER),
-    ):
+    for ends, opposite in ((published, subscribed), (subscribed, published)):  # servers, then clients
         for (name, node, uri), parts in ends.items():
-            if has <= parts and hears <= others.get((name, node, uri), set()):
+            if parts >= FROM_SERVER and opposite.get((name, node, uri), set()) >= TO_SERVER:
                 type_ = _type(name, state.types)
                 if not type_:
                     continue
@@ -92,13 +89,13 @@ def _by_node(links: Iterable[Registration], own: str) -> dict[tuple[str, str, st
 
 
 def _type(name: str, types: Mapping[str, str]) -> str:
-    """Return the action's type from that of its result topic, if all known types of the five topics fit; else ""."""
+    """Derive the action's type from its result topic's; return "" if a known type of the five topics does not fit."""
     result = types.get(f"{name}/{RESULT}", "")
     if not result.endswith(_SUFFIXES[RESULT]):
         return ""
     type_ = result.removesuffix(_SUFFIXES[RESULT])
     known = ((types.get(topic, ""), wanted) for topic, wanted in topics_of(name, type_).items())
-    return type_ if all(is_ in ("", "*", wanted) for is_, wanted in known) else ""
+    return type_ if all(listed in ("", "*", wanted) for listed, wanted in known) else ""
 
 
 def is_native(server: FoundServer, facts: Mapping[Registration, Facts]) -> bool | None:
@@ -108,7 +105,7 @@ def is_native(server: FoundServer, facts: Mapping[Registration, Facts]) -> bool 
 
 
 def part_type(action_type: str, part: str) -> str:
-    """Return the type of one part of an action (``move_base_msgs/MoveBase``)."""
+    """Return the ROS 2 type of one part of an action; ``action_type`` is, for example, ``move_base_msgs/MoveBase``."""
     ending = ros2_action.ENDINGS.get(part)
     if ending is not None:
         return action_type.replace("/", "/action/", 1) + ending

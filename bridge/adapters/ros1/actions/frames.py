@@ -85,7 +85,7 @@ class _Walk:
                 yield from self.message(self.schema.types[kind.base], f"{path}.")
             else:
                 self.skip(self.count())
-            if self.at == before:  # a message without fields; any number of such messages has no bytes
+            if self.at == before:  # a message without fields; more of them would have no bytes either
                 return
 
 
@@ -113,7 +113,7 @@ def without_slashes(data: bytes, frames: list[FrameId]) -> bytes:
 
 
 def empty(schema: Schema) -> bytes:
-    """Return a ROS 1 message whose numbers are zero and whose strings and sequences are empty: all bytes are zero."""
+    """Return a ROS 1 message whose numbers are zero and whose strings and sequences are empty; all its bytes are 0."""
     return bytes(_empty_size(schema, schema.root))
 
 
@@ -178,7 +178,7 @@ KNOW_SECONDS = 2.0
 """A frame counts as unknown only once transforms have been received for this long and none of them has it."""
 
 SILENT_SECONDS = 10.0
-"""How long to wait for a first transform while topics for transforms exist; after that, every frame is accepted."""
+"""How long to wait for the first transform if topics for transforms exist; then every frame is accepted."""
 
 _WARN_SECONDS = 60.0
 _MAX_TOPICS = 100
@@ -197,22 +197,22 @@ class FrameGuard:
         self._topics: frozenset[str] = frozenset()
         self._subscriptions: dict[str, TopicSubscription] = {}
         self._frames = KnownFrames()
-        self._opened = self._heard = float("inf")
+        self._opened = self._first_received = float("inf")
         self._reports: deque[tuple[float, str]] = deque(maxlen=10)
 
     def open(self, user: object) -> None:
         """Start receiving transforms for a user."""
         with self._lock:
             if not self._users:
-                self._opened, self._heard, self._frames = time.monotonic(), float("inf"), KnownFrames()
+                self._opened, self._first_received, self._frames = time.monotonic(), float("inf"), KnownFrames()
             self._users.add(user)
-            self._follow()
+            self._update_subscriptions()
 
     def close(self, user: object) -> None:
         """Stop receiving transforms, unless there are other users."""
         with self._lock:
             self._users.discard(user)
-            removed = self._follow()
+            removed = self._update_subscriptions()
         for subscription in removed:
             subscription.close()
 
@@ -221,11 +221,11 @@ class FrameGuard:
         topics = sorted(t for t, kind in state.types.items() if kind in TF_TYPES) if state is not None else []
         with self._lock:
             self._topics = frozenset(topics[:_MAX_TOPICS])
-            removed = self._follow()
+            removed = self._update_subscriptions()
         for subscription in removed:
             subscription.close()
 
-    def _follow(self) -> list[TopicSubscription]:
+    def _update_subscriptions(self) -> list[TopicSubscription]:
         """Subscribe to missing topics; return superfluous subscriptions, which the caller closes without the lock."""
         wanted = self._topics if self._users and self._network.check_frames else frozenset()
         removed = [self._subscriptions.pop(topic) for topic in self._subscriptions.keys() - wanted]
@@ -236,7 +236,7 @@ class FrameGuard:
     def _on_transforms(self, payload: bytes, _source: str, _time: int | None) -> None:
         self._frames.learn(payload)
         if self._frames:
-            self._heard = min(self._heard, time.monotonic())
+            self._first_received = min(self._first_received, time.monotonic())
 
     def check(self, schema: Schema, body: bytes) -> tuple[bytes, str | None]:
         """Check a goal's frames; raises `ConversionError` if the goal is malformed.
@@ -248,7 +248,7 @@ class FrameGuard:
             return body, ""
         body = without_slashes(body, frames_in(schema, body))
         trouble = self._frames.trouble(frames_in(schema, body)) if self._topics else ""
-        deadline = self._heard + KNOW_SECONDS if self._frames else self._opened + SILENT_SECONDS
+        deadline = self._first_received + KNOW_SECONDS if self._frames else self._opened + SILENT_SECONDS
         if trouble and time.monotonic() < deadline:
             return body, None
         return body, trouble if self._frames else ""

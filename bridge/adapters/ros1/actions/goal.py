@@ -122,7 +122,7 @@ class GoalStore:
         del self._by_uuid[goal.uuid], self._by_id[goal.id]
 
     def ended_since(self, time: float) -> Iterator[TrackedGoal]:
-        """Yield the goals that ended after a time, the last first."""
+        """Yield the goals that ended at or after a time, the last to end first."""
         for ended, goal in reversed(self._ended.values()):
             if ended < time:
                 return

@@ -50,10 +50,10 @@ class ActionNetwork:
     """The edge's services for its actions.
 
     Attributes:
-        own: this node's name.
-        facts: the known properties of all publishers.
+        own: returns this node's name.
+        facts: returns the known properties of all publishers.
         registry: the types.
-        clock: the time of this side.
+        clock: returns the clock of this side.
         subscribe: ``subscribe(topic, side_type, deliver, suffix)``; a rospy publisher accepts one connection from each
             node name, so a second subscription to a topic that may also be bridged appends a suffix to this node's
             name.
@@ -171,7 +171,7 @@ class ActionTopics:
 # Midspan still publishes these topics, the connection shows that a restarted server is complete.
 
 KEPT_SECONDS = 60.0
-"""How long a publication lingers; a later server is discovered by the regular polling of the master."""
+"""How long a publication lingers. A server that starts later is discovered by the regular polling of the master."""
 
 _MOST = 100
 """Maximum number of lingering publications; beyond it, those released first are closed."""
@@ -180,7 +180,7 @@ Publish = Callable[[str, SideType, Qos], TopicPublisher]
 
 
 class LingeringPublishers:
-    """Opens publications, and closes released ones: at once if a server is present, else after a while.
+    """Opens publications, and closes released ones, at once if a server is present, else after `KEPT_SECONDS`.
 
     ``publish`` opens a publication; ``is_gone`` returns whether an action currently has no server.
     """
@@ -188,7 +188,7 @@ class LingeringPublishers:
     def __init__(self, publish: Publish, is_gone: Callable[[str], bool]) -> None:
         self._publish, self._is_gone = publish, is_gone
         self._lock = threading.Lock()
-        self._open: dict[str, _Lent] = {}
+        self._open: dict[str, _LentPublisher] = {}
         """The publications by topic; those that were released are in the order of their release."""
 
     def publish(self, topic: str, side_type: SideType, qos: Qos) -> TopicPublisher:
@@ -199,11 +199,11 @@ class LingeringPublishers:
                 kept.publisher.close()
                 kept = None
             publisher = kept.publisher if kept is not None else self._publish(topic, side_type, qos)
-            lent = self._open[topic] = _Lent(topic, side_type.type_id, publisher, self._give_back)
+            lent = self._open[topic] = _LentPublisher(topic, side_type.type_id, publisher, self._give_back)
         return lent
 
     def __contains__(self, topic: str) -> bool:
-        """Return whether a topic is published here, for a present or expected server."""
+        """Return whether a topic is published here, for a server that is present or expected to return."""
         return topic in self._open
 
     def tidy(self) -> None:
@@ -217,7 +217,7 @@ class LingeringPublishers:
         with self._lock:
             self._close([m for m in self._open.values() if m.until < math.inf])
 
-    def _give_back(self, lent: _Lent) -> None:
+    def _give_back(self, lent: _LentPublisher) -> None:
         absent = self._is_gone(lent.topic.rpartition("/")[0])
         with self._lock:
             if self._open.get(lent.topic) is not lent or lent.until < math.inf:
@@ -231,20 +231,20 @@ class LingeringPublishers:
             kept = [m for m in self._open.values() if m.until < math.inf]
             self._close(kept[:-_MOST])
 
-    def _close(self, kept: list[_Lent]) -> None:
+    def _close(self, kept: list[_LentPublisher]) -> None:
         for lent in kept:
             del self._open[lent.topic]
             lent.publisher.close()
 
 
 @dataclass(eq=False, slots=True)
-class _Lent:
+class _LentPublisher:
     """A publication in use, or one that lingers ``until`` a monotonic time."""
 
     topic: str
     type_id: str
     publisher: TopicPublisher
-    give_back: Callable[[_Lent], None]
+    give_back: Callable[[_LentPublisher], None]
     until: float = math.inf
 
     @property

@@ -26,7 +26,7 @@ GONE = "the action server left"
 
 
 class ServedAction(ActionTopics):
-    """Offers one action while all three of its services exist, and the side has no server of that name."""
+    """Offers one action while all three of its services exist on the hub, and the side has no server of that name."""
 
     def __init__(self, name: str, network: ActionNetwork, types: Callable[[str], ActionMessages]) -> None:
         super().__init__(name, network)
@@ -35,11 +35,11 @@ class ServedAction(ActionTopics):
         self._type = ""
         self._calls: dict[str, Call] = {}
         self._parts = 0
-        self._under_way: dict[object, Abandon] = {}
+        self._pending: dict[object, Abandon] = {}
         self._types: ActionMessages | None = None
         self._server: ActionlibServer | None = None
         self._order: CancelOrder | None = None
-        self._hopeless = False
+        self._unoffered = False
         self._unwatch: Callable[[], object] = lambda: None
 
     @property
@@ -57,7 +57,7 @@ class ServedAction(ActionTopics):
         if part != ros2_action.CANCEL_GOAL:
             self._types_of(discovery.action_type(type_name, part))
         self._count(1)
-        self._executor.submit(lambda: self._give(part, type_name, call))
+        self._executor.submit(lambda: self._add_call(part, type_name, call))
         return OpenPart(lambda: self._close(part, call))
 
     def advertise(self, part: str) -> PartPublisher:
@@ -74,7 +74,7 @@ class ServedAction(ActionTopics):
         self._count(-1)
 
     def _close(self, part: str, call: Call) -> None:
-        self._executor.submit(lambda: self._withdraw(part, call))
+        self._executor.submit(lambda: self._remove_call(part, call))
         self._count(-1)
 
     def _count(self, more: int) -> None:
@@ -86,33 +86,33 @@ class ServedAction(ActionTopics):
         """Number of messages that slow clients missed."""
         return sum(publisher.dropped for publisher in list(self._publishers.values()))
 
-    def _give(self, part: str, type_name: str, call: Call) -> None:
-        self._calls[part], self._hopeless = call, False
+    def _add_call(self, part: str, type_name: str, call: Call) -> None:
+        self._calls[part], self._unoffered = call, False
         if part != ros2_action.CANCEL_GOAL:
             self._type = discovery.action_type(type_name, part)
         self._open()
 
-    def _withdraw(self, part: str, call: Call) -> None:
+    def _remove_call(self, part: str, call: Call) -> None:
         if self._calls.get(part) is call:
             del self._calls[part]
             self._states = b""
-            self._shut(GONE)
+            self._close_server(GONE)
 
     def poll(self, rival: str) -> None:
-        """Do periodic work; ``rival`` is the node that serves an action of this name on the side, or ""."""
+        """Do periodic work; ``rival`` is the node that serves an action of this name on the side, "" if none does."""
         self._executor.submit(lambda: self._poll(rival))
 
     def _poll(self, rival: str) -> None:
         self.rival = rival
         if rival:
-            self._shut(f"{rival} serves {self.name} itself")
+            self._close_server(f"{rival} serves {self.name} itself")
         self._open()
         if self._server is not None and self._order is not None:
             self._order.release()
             self._server.tick()
 
     def _open(self) -> None:
-        if self._server is not None or self._hopeless or self.rival or set(self._calls) != set(ros2_action.SERVICES):
+        if self._server is not None or self._unoffered or self.rival or set(self._calls) != set(ros2_action.SERVICES):
             return
         try:
             self._types = types = self._types_of(self._type)
@@ -121,7 +121,7 @@ class ServedAction(ActionTopics):
             self._advertise(discovery.RESULT, types.result, LATCHED)
         except MessageTypeError as err:
             _log.warning("%s is not offered to ROS 1: %s", self.name, err)
-            self._hopeless = True
+            self._unoffered = True
             self._close_topics()
             return
         self._server = ActionlibServer(
@@ -139,14 +139,14 @@ class ServedAction(ActionTopics):
         self._subscribe(discovery.GOAL, types.goal, self._on_goal)
         self._subscribe(discovery.CANCEL, types.cancel, self._on_cancel)
 
-    def _shut(self, reason: str) -> None:
+    def _close_server(self, reason: str) -> None:
         server, self._server, self._order = self._server, None, None
         if server is None:
             return
         self._unwatch()
         server.close(reason)
-        under_way, self._under_way = self._under_way, {}
-        for abandon in under_way.values():
+        pending, self._pending = self._pending, {}
+        for abandon in pending.values():
             abandon()
         self._close_topics()
 
@@ -173,7 +173,7 @@ class ServedAction(ActionTopics):
 
     def _on_cancel(self, payload: bytes, source: str, _time: int | None) -> None:
         client = node_of(source)
-        unread = self._unread(client, listed=False)  # before `submit`: goals already read are ahead of this job
+        unread = self._unread(client, listed=False)  # before `submit`, because goals read so far run ahead of this job
         self._executor.submit(lambda: self._read(discovery.CANCEL, lambda: self._cancel(payload, client, unread)))
 
     def _cancel(self, payload: bytes, client: Client, unread: bool) -> None:
@@ -201,14 +201,14 @@ class ServedAction(ActionTopics):
         server = self._server
 
         def ended(reply: bytes | CallError) -> None:
-            self._under_way.pop(key, None)
+            self._pending.pop(key, None)
             if self._server is server:
                 done(reply)
 
-        self._under_way[key] = nothing
+        self._pending[key] = nothing
         abandon = self._calls[part](request, lambda reply: self._executor.submit(lambda: ended(reply)))
-        if key in self._under_way:
-            self._under_way[key] = abandon
+        if key in self._pending:
+            self._pending[key] = abandon
 
 
 class PartPublisher(OpenPart):

@@ -73,8 +73,8 @@ class _ListedGoal:
     """One goal of the status list.
 
     ``ours`` is whether a ROS 1 client sent it; otherwise a hub client did, and ROS 1 clients only see its status.
-    ``uuid`` is its id on the hub, None for a cancel request whose goal has not arrived. ``gone`` is the time from which
-    `LIST_SECONDS` count: when the goal ended, an ended goal was sent again, or such a cancel request arrived.
+    ``uuid`` is its id on the hub, None for a cancel request whose goal has not arrived. ``since`` is the time from
+    which `LIST_SECONDS` count: the goal ended, or was sent again after its end, or such a cancel request arrived.
     """
 
     id: str
@@ -84,7 +84,7 @@ class _ListedGoal:
     ours: bool
     text: str = ""
     accepted: bool = False
-    gone: float | None = None
+    since: float | None = None
 
     @property
     def status(self) -> GoalStatus:
@@ -130,7 +130,7 @@ class ActionlibServer:
         listed = goal.id
         known = self._entries.get(goal.id) if goal.id else None
         if known is not None:
-            self._again(known)
+            self._on_known_id(known)
         elif len(self._entries) >= MAX_GOALS:
             _log.warning("%s: a goal is rejected: there are %d already", self.name, MAX_GOALS)
             refused = _ListedGoal(goal.id, goal.stamp, Ros1State.REJECTED, None, ours=True, text="too many goals")
@@ -141,12 +141,12 @@ class ActionlibServer:
         self._flush()
         return listed
 
-    def _again(self, entry: _ListedGoal) -> None:
-        """Handle a goal whose id is listed: end it if its cancel request arrived first, or list an ended one longer."""
+    def _on_known_id(self, entry: _ListedGoal) -> None:
+        """Handle a goal whose id is listed: end it if its cancel request arrived first; list an ended goal longer."""
         if entry.state is Ros1State.RECALLING and entry.uuid is None:
             self._end(entry, Ros1State.RECALLED, self._empty, "")
-        elif entry.gone is not None:
-            entry.gone = self._clock()
+        elif entry.since is not None:
+            entry.since = self._clock()
 
     def knows(self, goal: str) -> bool:
         """Return whether a goal with this id is listed."""
@@ -160,7 +160,7 @@ class ActionlibServer:
             self._end(entry, Ros1State.RECALLED, self._empty, _CANCELED_EARLIER)
             return id_
         assert entry.uuid is not None
-        self._output.call(SEND_GOAL, entry.uuid + body, lambda reply: self._answered(entry, reply))
+        self._output.call(SEND_GOAL, entry.uuid + body, lambda reply: self._on_goal_reply(entry, reply))
         return id_
 
     def cancel(self, request: GoalId) -> None:
@@ -176,7 +176,7 @@ class ActionlibServer:
             if (everything or entry.id == request.id or before) and not entry.state.ended:
                 self._cancel(entry, already_sent=everything)
         if request.id and request.id not in self._entries and len(self._entries) < MAX_GOALS:
-            self._add(_ListedGoal(request.id, request.stamp, Ros1State.RECALLING, None, ours=True, gone=self._clock()))
+            self._add(_ListedGoal(request.id, request.stamp, Ros1State.RECALLING, None, ours=True, since=self._clock()))
         self._last_cancel = max(self._last_cancel, request.stamp)
         self._flush()
 
@@ -208,7 +208,7 @@ class ActionlibServer:
 
     # -- events of the hub's server ------------------------------------------------------------------------------------
 
-    def _answered(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
+    def _on_goal_reply(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
         if entry.state.ended or entry.uuid is None:
             return
         accepted = False
@@ -222,7 +222,7 @@ class ActionlibServer:
             entry.accepted = True
             if entry.state is not Ros1State.PENDING and entry.state is not Ros1State.ACTIVE:
                 self._send_cancel(entry)
-            self._output.call(GET_RESULT, entry.uuid, lambda result: self._ended(entry, result))
+            self._output.call(GET_RESULT, entry.uuid, lambda result: self._on_result_reply(entry, result))
         elif isinstance(error, UnsentCallError):
             self._end(entry, Ros1State.REJECTED, self._empty, str(error))
         elif isinstance(error, CallError):
@@ -231,7 +231,7 @@ class ActionlibServer:
             self._end(entry, Ros1State.REJECTED, self._empty, "the action server rejected the goal")
         self._flush()
 
-    def _ended(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
+    def _on_result_reply(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
         if entry.state.ended:
             return
         state, body, text = GoalState.ABORTED, self._empty, ""
@@ -264,7 +264,7 @@ class ActionlibServer:
         named = {info.uuid for info, _ in goals}
         for entry in [e for e in self._by_uuid.values() if not e.ours and not e.state.ended and e.uuid not in named]:
             self._set(entry, Ros1State.ABORTED, "the action server no longer knows the goal")
-            entry.gone = self._clock()
+            entry.since = self._clock()
         self._flush()
 
     def _follow(self, info: GoalInfo, state: GoalState) -> None:
@@ -282,7 +282,7 @@ class ActionlibServer:
             self._set(entry, _CANCELING[entry.state])
         elif state.ended and not entry.ours:  # goals of ROS 1 clients end with get_result's reply
             self._set(entry, self._final(entry, state))
-            entry.gone = self._clock()
+            entry.since = self._clock()
 
     def feedback(self, uuid: bytes, body: bytes) -> None:
         """Publish feedback from the hub's server."""
@@ -309,7 +309,7 @@ class ActionlibServer:
     def tick(self) -> None:
         """Publish the list when it is due, and drop expired goals and results; called about ten times per second."""
         now = self._clock()
-        for entry in [e for e in self._entries.values() if e.gone is not None and e.gone <= now - LIST_SECONDS]:
+        for entry in [e for e in self._entries.values() if e.since is not None and e.since <= now - LIST_SECONDS]:
             del self._entries[entry.id]
             self._by_uuid.pop(entry.uuid or b"", None)
             self._changed = True
@@ -336,7 +336,7 @@ class ActionlibServer:
 
     def _end(self, entry: _ListedGoal, state: Ros1State, body: bytes, text: str) -> None:
         self._set(entry, state, text)
-        entry.gone = self._clock()
+        entry.since = self._clock()
         if entry.ours:
             self._publish_result(entry, body)
 

@@ -63,7 +63,7 @@ TO_ROS1: Mapping[GoalState, Ros1State] = {
     GoalState.CANCELED: Ros1State.PREEMPTED,
     GoalState.ABORTED: Ros1State.ABORTED,
 }
-"""For executing goals; one that never executed becomes RECALLING and RECALLED instead of PREEMPTING and PREEMPTED."""
+"""For executing goals; a goal that never executed becomes RECALLING and RECALLED, not PREEMPTING and PREEMPTED."""
 
 
 # -- ids ---------------------------------------------------------------------------------------------------------------
