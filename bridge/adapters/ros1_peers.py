@@ -119,8 +119,8 @@ class DeadlineSocket(socket.socket):
 def bracketed(uri: str) -> str:
     """Return a URI with brackets around an IPv6 address; ROS 1 nodes omit the brackets if ROS_IP is the address."""
     scheme, slashes, rest = uri.partition("://")
-    place, slash, path = rest.partition("/")
-    host, _, port = place.rpartition(":")
+    authority, slash, path = rest.partition("/")
+    host, _, port = authority.rpartition(":")
     return f"{scheme}{slashes}[{host}]:{port}{slash}{path}" if ":" in host and "[" not in host else uri
 
 

@@ -107,7 +107,7 @@ def receiver(sock: socket.socket, count: int) -> Callable[[], bytes]:
 
 
 def is_readable(sock: socket.socket) -> bool:
-    """Return whether a socket has data or its end to read."""
+    """Return whether a read would not block: the socket has data, or its peer has closed the connection."""
     if hasattr(select, "poll"):  # unlike select, it accepts any descriptor
         poll = select.poll()
         poll.register(sock, select.POLLIN)

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_LONG = 1.0
+_LONG_GAP = 1.0
 """The watch for other workers is notified if more than this many seconds passed between two reads of the master."""
 
 
@@ -76,7 +76,7 @@ class Ros1Edge(SideEdge):
             self._pool, self._loop, self._timer, self._book, self._caller, config.name, peer_changed, limit
         )
         self._topics = Ros1Topics(context, self._refuse)
-        self._services = Ros1Services(context, self._wake_master, self._doubt_service)
+        self._services = Ros1Services(context, self._wake_master, self._recheck_service)
         check = config.ros1.goal_frames == "check"
         self._actions = Ros1Actions(ActionNetwork(
             self._caller, self._topics.prober.facts, registry, lambda: self.clock,
@@ -98,12 +98,12 @@ class Ros1Edge(SideEdge):
         uri = master_uri(self._config, os.environ)
         name = "/" + self._config.ros1.node.strip("/")
         servers = self._services.servers
-        events = NodeEvents(self._wake_master, self._asked_to_stop, self._links.admit, self._on_subscriber)
+        events = NodeEvents(self._wake_master, self._on_shutdown_request, self._links.admit, self._on_subscriber)
         self._node = Ros1Node(name, uri, self._context, servers, events)
         period, daemon = self._config.ros1.poll, self._config.name
         self._master = Master(
-            uri, self._node, daemon, self._ledger, period, self._seen, listener.edge_failed, self._services.is_gone,
-            simulated=self._config.clock.simulated,
+            uri, self._node, daemon, self._ledger, period, self._on_master_state, listener.edge_failed,
+            self._services.is_gone, simulated=self._config.clock.simulated,
         )  # fmt: skip
         self._master.start()
 
@@ -130,9 +130,9 @@ class Ros1Edge(SideEdge):
     def _caller(self) -> str:
         return self._node.name if self._node is not None else "/midspan"
 
-    def _asked_to_stop(self, reason: str) -> None:
+    def _on_shutdown_request(self, reason: str) -> None:
         if self._master is not None and self._listener is not None:
-            self._master.evicted()
+            self._master.stop_registering()
             self._listener.edge_failed(reason)
 
     def _wake_master(self) -> None:
@@ -153,9 +153,9 @@ class Ros1Edge(SideEdge):
     def _connections(self) -> Connections:
         return Connections(self._topics.connected(), self._book.subscribers(), self._services.connected())
 
-    def _doubt_service(self, name: str) -> None:
+    def _recheck_service(self, name: str) -> None:
         if self._master is not None:
-            self._master.doubt(name)
+            self._master.recheck_service(name)
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
@@ -215,7 +215,7 @@ class Ros1Edge(SideEdge):
         parameters = [] if self._parameters is None else self._parameters.warnings()
         return [*warnings, *self._services.warnings(), *self._actions.warnings(), *parameters]
 
-    def _seen(self, listed: MasterState | None) -> None:
+    def _on_master_state(self, listed: MasterState | None) -> None:
         """Adopt the master's state, None while it is unreachable; called on the master's thread."""
         assert self._node is not None
         if self._stopped:
@@ -235,8 +235,8 @@ class Ros1Edge(SideEdge):
             links = publishers | state.subscribers | state.servers if state else frozenset()
             self._names.learn({k.topic for k in links} | self._actions.names())
             self._pool.retain({k.uri for k in publishers | (state.servers if state else frozenset())})
-        self._topics.take_up(self._publishers)
-        self._services.seen(state)
+        self._topics.update(self._publishers)
+        self._services.on_master_read(state)
         self._actions.on_master_read()
         self._watch_others(listed)
         if changed:
@@ -251,7 +251,9 @@ class Ros1Edge(SideEdge):
             return
         self._links.follow(others(state, entry))
         before, self._settled = self._settled, self._master.polled_at
-        if self._settled - before > _LONG:  # the watch waits for the first read, and for the first after a suspension
+        if (
+            self._settled - before > _LONG_GAP
+        ):  # the watch waits for the first read, and for the first after a suspension
             self._presence_changed()
 
     # -- types and names -----------------------------------------------------------------------------------------------
@@ -328,7 +330,7 @@ class Ros1Edge(SideEdge):
         from bridge.adapters.ros1.parameters.follower import ParameterSharing
 
         self._parameters = sharing = ParameterSharing(rules, hub, self._registry, self._parameter_server(), active)
-        node.parameter_changed = sharing.changed
+        node.parameter_changed = sharing.request_comparison
 
         def stop() -> None:
             self._parameters = node.parameter_changed = None

@@ -35,7 +35,7 @@ _LENGTH = struct.Struct("<I")
 
 
 def encode(fields: Header) -> bytes:
-    """Serialize a TCPROS header: its length, then ``name=value`` fields, each with its length."""
+    """Serialize a TCPROS header."""
     lines = [f"{name}={value}".encode() for name, value in fields.items()]
     body = b"".join(_LENGTH.pack(len(line)) + line for line in lines)
     return _LENGTH.pack(len(body)) + body
@@ -85,8 +85,8 @@ def connect(caller: str, uri: str, topic: str, seconds: float) -> tuple[Deadline
     ``caller`` is this node's name, ``uri`` the publishing node's XML-RPC address; ``seconds`` limit all steps together.
     """
     deadline = time.monotonic() + seconds
-    chosen = ask(uri, seconds, "requestTopic", caller, topic, [["TCPROS"]])
-    host, port = _address(chosen, uri)
+    reply = ask(uri, seconds, "requestTopic", caller, topic, [["TCPROS"]])
+    host, port = _address(reply, uri)
     ours = {"callerid": caller, "topic": topic, "type": "*", "md5sum": "*", "message_definition": ""}
     return _greet(host, port, deadline, {**ours, "tcp_nodelay": "1"}, f"{uri} publishes")
 
@@ -121,13 +121,13 @@ def _greet(host: str, port: int, deadline: float, ours: Header, what: str) -> tu
     except ValueError as err:  # not a host name
         raise Ros1ProtocolError(f"{host!r:.200} is not a host, where {what}: {err}") from None
     try:
-        return sock, _converse(sock, ours, f"{host}:{port}")
+        return sock, _exchange_headers(sock, ours, f"{host}:{port}")
     except BaseException:
         sock.close()
         raise
 
 
-def _converse(sock: DeadlineSocket, ours: Header, peer: str) -> dict[str, str]:
+def _exchange_headers(sock: DeadlineSocket, ours: Header, peer: str) -> dict[str, str]:
     try:
         sock.sendall(encode(ours))
         header = read_header(sock)
@@ -145,8 +145,8 @@ def _converse(sock: DeadlineSocket, ours: Header, peer: str) -> dict[str, str]:
     return header
 
 
-def _address(chosen: Any, uri: str) -> tuple[str, int]:
-    match chosen:
+def _address(reply: Any, uri: str) -> tuple[str, int]:
+    match reply:
         case ["TCPROS", str(host), int(port), *_] if 0 < port < 65536:
             return host, port
-    raise Ros1Error(f"{uri} offers no TCPROS connection: {str(chosen)[:200]}")
+    raise Ros1Error(f"{uri} offers no TCPROS connection: {str(reply)[:200]}")

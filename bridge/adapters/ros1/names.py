@@ -23,7 +23,7 @@ MAX_LENGTH = 247
 """rmw's RMW_TOPIC_MAX_NAME_LENGTH."""
 
 MAX_NAMES = 20000
-"""Maximum number of illegal names in a `NameTable`; beyond it, those that have left the graph are dropped."""
+"""Maximum number of illegal names in a `NameTable`; beyond it, names that have left the graph are dropped."""
 
 _LEGAL = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
@@ -50,31 +50,31 @@ class NameTable:
     """
 
     def __init__(self) -> None:
-        self._here: frozenset[str] = frozenset()
-        self._changed: dict[str, str] = {}
-        self._own: set[str] = set()
-        self._back: Mapping[str, str] = {}
+        self._listed: frozenset[str] = frozenset()
+        self._renamed: dict[str, str] = {}
+        self._unchanged: set[str] = set()
+        self._side_names: Mapping[str, str] = {}
 
     def learn(self, side_names: Iterable[str]) -> None:
         """Update the names that are on the graph."""
-        names, before = frozenset(side_names), self._here
-        self._here = names
+        names, before = frozenset(side_names), self._listed
+        self._listed = names
         new = names - before
         changed = {name: legal for name in new if (legal := hub_name(name)) != name}
-        if len(self._changed) + len(changed) > MAX_NAMES:
-            self._changed = {name: hub_name(name) for name in names if hub_name(name) != name}
-            self._own = set()
+        if len(self._renamed) + len(changed) > MAX_NAMES:
+            self._renamed = {name: hub_name(name) for name in names if hub_name(name) != name}
+            self._unchanged = set()
         else:
-            self._changed |= changed
-        taken = names.intersection(self._changed.values())
-        if changed or not taken <= self._own:
-            self._own |= taken
+            self._renamed |= changed
+        taken = names.intersection(self._renamed.values())
+        if changed or not taken <= self._unchanged:
+            self._unchanged |= taken
             back: dict[str, str] = {}
-            for name in sorted(self._changed):
-                if self._changed[name] not in self._own:
-                    back.setdefault(self._changed[name], name)
-            self._back = back
+            for name in sorted(self._renamed):
+                if self._renamed[name] not in self._unchanged:
+                    back.setdefault(self._renamed[name], name)
+            self._side_names = back
 
     def side_name(self, hub_name: str) -> str:
         """Return the ROS 1 spelling of a hub topic name; unchanged if no ROS 1 name was mapped to it."""
-        return self._back.get(hub_name, hub_name)
+        return self._side_names.get(hub_name, hub_name)

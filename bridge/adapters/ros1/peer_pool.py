@@ -29,43 +29,45 @@ class PeerPool:
         self._fresh = WorkerPool(fresh, "midspan-ros1-fresh")
         self._doubtful = WorkerPool(doubtful, "midspan-ros1-doubtful")
         self._lock = threading.Lock()
-        self._lines: dict[str, _PeerJobs] = {}
+        self._queues: dict[str, _PeerJobs] = {}
         self._failed: set[str] = set()
 
     def submit(self, address: str, job: Job) -> None:
         """Schedule a job that calls ``address``."""
         with self._lock:
-            line = self._lines.setdefault(address, _PeerJobs())
-            line.jobs.append(job)
-            if line.talking == AT_ONCE:
+            queue = self._queues.setdefault(address, _PeerJobs())
+            queue.jobs.append(job)
+            if queue.running == AT_ONCE:
                 return
-            line.talking += 1
-        self._start_next(address, line)
+            queue.running += 1
+        self._start_next(address, queue)
 
-    def _start_next(self, address: str, line: _PeerJobs) -> None:
+    def _start_next(self, address: str, queue: _PeerJobs) -> None:
         if self._is_doubtful(address):
-            self._doubtful.submit(lambda: self._run_next(address, line))
+            self._doubtful.submit(lambda: self._run_next(address, queue))
         else:
             self._fresh.submit(
-                lambda: self._start_next(address, line) if self._is_doubtful(address) else self._run_next(address, line)
+                lambda: (
+                    self._start_next(address, queue) if self._is_doubtful(address) else self._run_next(address, queue)
+                )
             )
 
-    def _run_next(self, address: str, line: _PeerJobs) -> None:
+    def _run_next(self, address: str, queue: _PeerJobs) -> None:
         with self._lock:
-            job = line.jobs.popleft() if line.jobs else lambda: None  # another thread took the job
+            job = queue.jobs.popleft() if queue.jobs else lambda: None  # another thread took the job
         try:
             job()
         except Exception:
             _log.exception("a request to a ROS 1 node failed unexpectedly")
         finally:
             with self._lock:
-                more = bool(line.jobs)
+                more = bool(queue.jobs)
                 if not more:
-                    line.talking -= 1
-                if not line.talking:
-                    del self._lines[address]
+                    queue.running -= 1
+                if not queue.running:
+                    del self._queues[address]
             if more:
-                self._start_next(address, line)
+                self._start_next(address, queue)
 
     def failed(self, address: str) -> None:
         """Mark an address as failed."""
@@ -97,4 +99,4 @@ class _PeerJobs:
 
     def __init__(self) -> None:
         self.jobs: deque[Job] = deque()
-        self.talking = 0
+        self.running = 0

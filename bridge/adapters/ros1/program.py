@@ -99,7 +99,7 @@ class Ros1Program:
         return self._node.publishers(topic)
 
     def wait_for_message(self, topic: str, type_name: str, seconds: float) -> Message | None:
-        """Return a topic's next message, or its latched one; None if none arrives in time."""
+        """Return a topic's next or latched message; None if none arrives within ``seconds``."""
         received: list[bytes] = []
 
         def deliver(payload: bytes, _uri: str) -> None:
@@ -131,7 +131,7 @@ class Ros1Program:
     def wait(self, ready: Callable[[], bool], seconds: float) -> bool:
         """Wait until ``ready()`` is true, and return whether it is.
 
-        It is checked when connections change, and after each message of `wait_for_message` and of action clients.
+        ``ready`` is called when connections change, and after each message of `wait_for_message` and action clients.
         """
         with self.changed:
             return self.changed.wait_for(ready, seconds)

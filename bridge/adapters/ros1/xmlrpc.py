@@ -77,8 +77,8 @@ class XmlRpcServer:
     """An XML-RPC server that calls ``methods`` by name, with the parameters of each request.
 
     Methods run on threads of the pool; the calls of one connection run in order, and those of different connections
-    concurrently. If a method raises an `xmlrpc.client.Fault`, that becomes the reply; any other exception is logged,
-    and reported as a fault.
+    concurrently. An `xmlrpc.client.Fault` that a method raises becomes the reply; any other exception is logged, and
+    reported as a fault.
 
     Args:
         methods: the methods by name.

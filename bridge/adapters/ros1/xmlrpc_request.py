@@ -26,14 +26,14 @@ class Limits:
     """Limits of a server.
 
     Attributes:
-        connections: number of open connections; beyond it, the one that has been idle longest is closed, or, if none
-            is idle, new clients wait.
+        connections: number of open connections; beyond it, the connection that has been idle longest is closed; if no
+            connection is idle, new clients wait.
         body: size of one request in bytes.
         buffered: total size in bytes of all requests that are being received or served.
         head: size of a request's HTTP header in bytes.
         depth: levels of nested arrays and structures.
         values: number of values in one request.
-        seconds: time for a whole request to arrive, and for a whole response to be accepted; large ones get more.
+        seconds: time for a whole request to arrive, and for a whole response to be accepted; see also `SLOWEST`.
         threads: number of threads that run methods.
         response: size of the response to one ``system.multicall`` in bytes.
     """
@@ -52,7 +52,7 @@ class Limits:
 DEFAULT_LIMITS = Limits()
 
 SLOWEST = 100_000
-"""Slowest accepted rate, bytes per second: a request or response has its size divided by this as additional time."""
+"""Slowest accepted rate in bytes per second; a request or response may take its size divided by this rate longer."""
 
 
 class _Decoder(xmlrpc.client.Unmarshaller):

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from bridge.adapters.ros1.actions.actions import Ros1Actions
 from bridge.adapters.ros1.actions.network import ActionNetwork
-from bridge.adapters.ros1.graph.probe import Facts, Follower
+from bridge.adapters.ros1.graph.probe import EndUpdater, Facts
 from bridge.adapters.ros1.graph.state import Registration
 from bridge.clock import SYSTEM
 from bridge.messages.actions import SERVICES
@@ -42,7 +42,7 @@ class LateProber:
 class End:
     """A subscription or a caller."""
 
-    restless = False
+    needs_connection = False
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -51,41 +51,41 @@ class End:
         """Do nothing."""
 
 
-class Following(Follower[End]):
+class RecordingUpdater(EndUpdater[End]):
     """Passes all known facts to its ends."""
 
     def __init__(self, jobs: list[Callable[[], object]]) -> None:
         pool = SimpleNamespace(submit=lambda _uri, job: jobs.append(job), answered=lambda _uri: None)
-        context: Any = SimpleNamespace(pool=pool, node=lambda: "/me", timer=None, found=lambda: None)
+        context: Any = SimpleNamespace(pool=pool, node=lambda: "/me", timer=None, facts_changed=lambda: None)
         super().__init__(context, lambda *_: (cast("Any", SimpleNamespace(close=lambda: None)), HEADER))
-        self.told: list[tuple[str, Mapping[Registration, Facts]]] = []
+        self.informed: list[tuple[str, Mapping[Registration, Facts]]] = []
 
     def add(self, *names: str) -> None:
         for name in names:
             self._add(End(name))
 
     def _notify(self, end: End, known: Mapping[Registration, Facts]) -> None:
-        self.told.append((end.name, known))
+        self.informed.append((end.name, known))
 
 
 def test_older_facts_are_not_passed_on_after_newer_ones() -> None:
-    following = Following([])
-    following.prober = late = LateProber(following.follow)  # type: ignore[assignment]
-    following.add("/t")
+    updater = RecordingUpdater([])
+    updater.prober = late = LateProber(updater.inform)  # type: ignore[assignment]
+    updater.add("/t")
     late.other.join()
-    assert following.told == [("/t", {}), ("/t", {LINK: FACTS})]
+    assert updater.informed == [("/t", {}), ("/t", {LINK: FACTS})]
 
 
 def test_facts_about_one_topic_are_not_passed_to_others() -> None:
     """Otherwise, with a thousand topics, each of a thousand responses would update a thousand subscriptions."""
     jobs: list[Callable[[], object]] = []
-    following = Following(jobs)
-    following.add("/t", "/u")
-    following.take_up(frozenset({LINK, Registration("/b", "/u", "http://b:1/")}))
+    updater = RecordingUpdater(jobs)
+    updater.add("/t", "/u")
+    updater.update(frozenset({LINK, Registration("/b", "/u", "http://b:1/")}))
     for job in jobs:
-        following.told.clear()
+        updater.informed.clear()
         job()
-        ((name, known),) = following.told
+        ((name, known),) = updater.informed
         assert {link.topic: facts for link, facts in known.items()} == {name: FACTS}
 
 

@@ -1,8 +1,8 @@
 """The thread that calls the master: reads its graph, and maintains this node's registrations.
 
-A rospy node registers once and never again. Here the node's wanted registrations are compared with the master's state
-at each read, and the differences are corrected. Therefore a master that was restarted, or that lost the registrations,
-has them again after one read.
+A rospy node registers only once. Midspan compares its node's wanted registrations with the master's state at each
+read, and corrects the differences. Therefore a master that was restarted, or that lost the registrations, has them
+again after one read.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _TIMEOUT = 2.0
 _STOP_TIMEOUT = 0.7
 _RETRY = 0.1
 _FAILURES = 2
-_PATIENCE = 5.0
+_UNREACHABLE_SECONDS = 5.0
 """Seconds without a response after which the master counts as unreachable; on a busy machine it may respond late.
 
 If it refuses connections, `_FAILURES` failures in a row suffice.
@@ -60,7 +60,7 @@ class Master:
         self._registrations = NodeRegistrations(node, is_dead)
         self._run_id: str | None = None
         self._failures = 0
-        self._answered = time.monotonic()
+        self._answered_at = time.monotonic()
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="midspan-ros1-master", daemon=True)
@@ -79,12 +79,12 @@ class Master:
         """Read the master again at once."""
         self._wake.set()
 
-    def doubt(self, service: str) -> None:
+    def recheck_service(self, service: str) -> None:
         """Look up a service's address again in the next read, because the known address failed."""
-        self._reader.doubt(service)
+        self._reader.recheck_service(service)
 
-    def evicted(self) -> None:
-        """Stop registering: another node has this name, and the two would shut each other down in turn."""
+    def stop_registering(self) -> None:
+        """Stop registering, because another node has this name, and the two would shut each other down in turn."""
         self._evicted = True
 
     def presence(self) -> NodeEntry:
@@ -118,7 +118,7 @@ class Master:
                 _log.exception("the state of the ROS 1 master cannot be used")
                 self._failed(Ros1ProtocolError(f"{self.uri} has a state that cannot be used: {type(err).__name__}"))
             else:
-                self._failures, self.trouble, self._answered = 0, "", time.monotonic()
+                self._failures, self.trouble, self._answered_at = 0, "", time.monotonic()
                 self._seen(state)
 
     def _poll(self) -> MasterState:
@@ -129,14 +129,14 @@ class Master:
             self.polled_at = time.monotonic()
             state = self._reader.read()
             self._run_id = state.run
-        self._guard_name(state)
+        self._check_name(state)
         calls = [] if self._evicted else self._registrations.corrections(state, self.presence())
         for batch in batches(calls):
             if self._stopping.is_set():
                 break
             self._registrations.on_replies(batch, self._client.calls(batch))
         else:
-            self._registrations.corrected()
+            self._registrations.clear_ended()
         if calls:
             self.polled_at = time.monotonic()
             state = self._reader.read()
@@ -145,7 +145,7 @@ class Master:
     def _failed(self, err: Ros1Error) -> None:
         self._failures += 1
         refused = isinstance(err, UnreachableError) and err.refused and self._failures >= _FAILURES
-        if refused or time.monotonic() - self._answered > _PATIENCE:
+        if refused or time.monotonic() - self._answered_at > _UNREACHABLE_SECONDS:
             if not self.trouble:
                 level = logging.INFO if self._run_id is None else logging.WARNING
                 _log.log(level, "the ROS 1 master is unreachable: %s", err)
@@ -153,8 +153,8 @@ class Master:
             self._run_id = None
             self._seen(None)
 
-    def _guard_name(self, state: MasterState) -> None:
+    def _check_name(self, state: MasterState) -> None:
         uri = state.uris.get(self._node.name, self._node.uri)
-        if uri != self._node.uri and not self._evicted and self._membership.answers(uri):
-            self.evicted()
+        if uri != self._node.uri and not self._evicted and self._membership.responds(uri):
+            self.stop_registering()
             self._lost_name(f"another node, at {uri}, took the name {self._node.name} on this ROS 1 network")

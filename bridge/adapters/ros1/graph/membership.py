@@ -72,7 +72,7 @@ class Membership:
             client.calls(batch)
         self._ledger.remember(None)
 
-    def answers(self, uri: str) -> bool:
+    def responds(self, uri: str) -> bool:
         """Return whether a node responds at this URI. Blocks up to a second."""
         try:
             ask(uri, 1.0, "getPid", self._node.name)
@@ -88,13 +88,13 @@ class Membership:
             (self.simulated,) = (bool(v) for v in self._client.calls([("getParam", (self._node.name, SIM_TIME))]))
 
     def _free_name(self, state: MasterState, dead: set[str]) -> str:
-        """Return this node's name, or a variant if a live node has it: the master would shut that node down."""
+        """Return this node's name, or a variant if a live node has it, as the master would shut that node down."""
         first = self._node.name
         second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
         for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):
             entries = [NodeEntry.parse(entry) for entry in state.presence.values()]
             uris = {state.uris.get(name), *(e.uri for e in entries if e is not None and e.node == name)}
             holders = {u for u in uris if u and u != self._node.uri and u not in dead}
-            if not any(self.answers(holder) for holder in holders):
+            if not any(self.responds(holder) for holder in holders):
                 return name
         return f"{second}_{os.getpid()}"

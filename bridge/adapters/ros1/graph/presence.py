@@ -2,8 +2,8 @@
 
 Each Midspan node has an entry below ``/midspan/nodes`` on the master: ``{owner, daemon, node, uri, pid, port}``. Its
 key depends only on the node's address, so that two nodes with the same name never overwrite each other's entry.
-``owner`` is a random identity in the state folder, by which a daemon recognizes its dead predecessors; it removes their
-registrations from the master, but no others.
+``owner`` is a random identity in the state folder, by which a daemon recognizes its dead predecessors. The daemon
+removes only their registrations from the master.
 
 The nodes exchange everything else over direct connections, so that a crash, which breaks the connection, is noticed at
 once. Each node connects to every other node's TCPROS port with the header field ``midspan_presence`` (the URI of the
@@ -96,7 +96,7 @@ def removal_calls(state: MasterState, dead: Iterable[NodeEntry]) -> list[Call]:
     calls: list[Call] = []
     for entry in dead:
         node, uri = entry.node, entry.uri
-        # The master ignores these if another process has taken the node's name meanwhile, because its address differs.
+        # The master ignores these calls if another process has the node's name by now, because its address differs.
         for method, links in (("unregisterPublisher", state.publishers), ("unregisterSubscriber", state.subscribers)):
             calls += [(method, (node, k.topic, uri)) for k in links if k.node == node and k.uri == uri]
         calls += [
@@ -153,7 +153,7 @@ MAX_RECORD = 1 << 18
 _MAX_LINKS = 64
 _CONNECT_SECONDS = 1.0
 _RETRY_SECONDS = 0.3
-_AGAIN_SECONDS = 0.02
+_RECONNECT_SECONDS = 0.02
 _LENGTH = struct.Struct("<I")
 
 Caller = Callable[[], str]
@@ -239,7 +239,7 @@ class _NodeConnection:
         self.entry, self._caller, self._changed = entry, caller, changed
         self.alive = True
         self._record: bytes | None = None
-        self._heard = time.monotonic()
+        self._received_at = time.monotonic()
         self._sock: DeadlineSocket | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="midspan-ros1-link", daemon=True)
@@ -248,7 +248,7 @@ class _NodeConnection:
         self._thread.start()
 
     def sighting(self) -> Sighting:
-        return Sighting(self.entry.uri, self._record, self._heard)
+        return Sighting(self.entry.uri, self._record, self._received_at)
 
     def close(self) -> None:
         self._closing.set()
@@ -266,14 +266,14 @@ class _NodeConnection:
                 # the node neither responds nor refuses; its sighting keeps the time of its last record
                 pass
             except (OSError, OverflowError, ValueError, Ros1Error) as err:
-                self._live(False, str(err))
+                self._set_alive(False, str(err))
             else:
-                before = self._heard
+                before = self._received_at
                 with sock, contextlib.suppress(OSError, Ros1ProtocolError):
                     self._receive(sock)
-                if self._heard != before:
-                    # reconnect to a live node at once; a dead one refuses
-                    self._closing.wait(_AGAIN_SECONDS)
+                if self._received_at != before:
+                    # reconnect at once, because the node may be alive; a dead node refuses the connection
+                    self._closing.wait(_RECONNECT_SECONDS)
                     continue
             self._closing.wait(_RETRY_SECONDS)
 
@@ -299,11 +299,11 @@ class _NodeConnection:
             (length,) = _LENGTH.unpack(read_exactly(sock, _LENGTH.size))
             if length > MAX_RECORD:
                 raise Ros1ProtocolError(f"a record of {length} bytes")
-            self._record, self._heard = read_exactly(sock, length), time.monotonic()
-            self._live(True)
+            self._record, self._received_at = read_exactly(sock, length), time.monotonic()
+            self._set_alive(True)
             self._changed()
 
-    def _live(self, alive: bool, why: str = "") -> None:
+    def _set_alive(self, alive: bool, why: str = "") -> None:
         if alive != self.alive:
             self.alive = alive
             state = "is connected" if alive else f"is disconnected: {why}"

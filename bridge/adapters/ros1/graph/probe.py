@@ -3,7 +3,7 @@
 The connection to a publisher stays open for a moment, and the next subscription reuses it. To the publisher, this
 connection is a subscriber. Programs that wait for a subscriber before they publish (with ``get_num_connections`` of
 rospy or ``getOutputCount`` of a YARP port, which counts a closed connection until its next write) send their first
-message over it, and for some that is the only message.
+message over it, and some programs send only that message.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Ros1Context:
     """The shared state of the edge's endpoints.
 
     ``pool`` calls other nodes, ``loop`` reads connections, ``timer`` delays calls; ``book`` has this node's topics;
-    ``node`` returns this node's name, ``origin`` is the daemon's name; ``found`` is called when the facts about a
-    publisher or server have changed; ``limit`` is the maximum message size in bytes.
+    ``node`` returns this node's name, ``origin`` is the daemon's name; ``facts_changed`` is called when the facts about
+    a publisher or server have changed; ``limit`` is the maximum message size in bytes.
     """
 
     pool: PeerPool
@@ -56,7 +56,7 @@ class Ros1Context:
     book: TopicBook
     node: Callable[[], str]
     origin: str
-    found: Callable[[], None]
+    facts_changed: Callable[[], None]
     limit: int
 
 
@@ -84,12 +84,16 @@ class Facts:
 
 @dataclass(slots=True)
 class _Attempt:
-    """The probing of one peer: the next attempt and the last error; ``refused``: nothing listens at its address."""
+    """The attempts to probe one peer.
+
+    ``due`` is the monotonic time of the next attempt, ``wait`` the pause in seconds after it, ``failure`` the last
+    error; ``refused``: nothing listens at the peer's address.
+    """
 
     due: float = 0.0
     wait: float = _FIRST_WAIT
     under_way: bool = False
-    trouble: str = ""
+    failure: str = ""
     refused: bool = False
 
 
@@ -115,182 +119,190 @@ class Prober:
         self._changed, self._handshake, self._kind, self._holds = changed, handshake, kind, holds
         self._lock = threading.Lock()
         self._facts: dict[Registration, Facts] = {}
-        self._open: dict[Registration, _Attempt] = {}
+        self._unprobed: dict[Registration, _Attempt] = {}
         self._held: dict[Registration, ProbedConnection] = {}
         self._closed = False
 
     def close(self) -> None:
         with self._lock:
             self._closed = True
-            for link in list(self._held):
-                self._release(link)
+            for registration in list(self._held):
+                self._release(registration)
 
-    def follow(self, links: frozenset[Registration]) -> None:
+    def update(self, registrations: frozenset[Registration]) -> None:
         """Update the publishers that are on the graph, and probe those that are due."""
         now = time.monotonic()
         with self._lock:
-            for removed in self._facts.keys() - links:
+            for removed in self._facts.keys() - registrations:
                 del self._facts[removed]
                 self._release(removed)
-            for removed in self._open.keys() - links:
-                del self._open[removed]
-            for new in links - self._facts.keys() - self._open.keys():
-                self._open[new] = _Attempt()
-            due = [link for link, a in self._open.items() if link.uri and not a.under_way and a.due <= now]
-            for link in due:
-                self._open[link].under_way = True
-        for link in due:
-            self._pool.submit(link.uri, lambda link=link: self._probe(link))  # type: ignore[misc]
+            for removed in self._unprobed.keys() - registrations:
+                del self._unprobed[removed]
+            for new in registrations - self._facts.keys() - self._unprobed.keys():
+                self._unprobed[new] = _Attempt()
+            due = [
+                registration
+                for registration, a in self._unprobed.items()
+                if registration.uri and not a.under_way and a.due <= now
+            ]
+            for registration in due:
+                self._unprobed[registration].under_way = True
+        for registration in due:
+            self._pool.submit(registration.uri, lambda registration=registration: self._probe(registration))  # type: ignore[misc]
 
     @property
-    def waiting(self) -> bool:
+    def has_unprobed(self) -> bool:
         """Whether there are publishers without known facts."""
-        return bool(self._open)
+        return bool(self._unprobed)
 
     def facts(self, topic: str = "") -> Mapping[Registration, Facts]:
-        """Return the known facts, of one topic if one is given."""
+        """Return the known facts, of all topics or of one."""
         with self._lock:
-            return {link: facts for link, facts in self._facts.items() if topic in ("", link.topic)}
+            return {
+                registration: facts for registration, facts in self._facts.items() if topic in ("", registration.topic)
+            }
 
-    def discard(self, link: Registration) -> None:
+    def discard(self, registration: Registration) -> None:
         """Close a publisher's held connection with its unread messages: a base must not execute old commands."""
         with self._lock:
-            self._release(link)
+            self._release(registration)
 
-    def take(self, link: Registration) -> ProbedConnection | None:
+    def take(self, registration: Registration) -> ProbedConnection | None:
         """Return a publisher's held connection, which the caller then owns; None if it is no longer held."""
         with self._lock:
-            return self._held.pop(link, None)
+            return self._held.pop(registration, None)
 
-    def doubt(self, link: Registration, trouble: str) -> None:
+    def drop_facts(self, registration: Registration, failure: str) -> None:
         """Drop the facts of a publisher that disconnected or changed, and probe it again later."""
         with self._lock:
-            if self._facts.pop(link, None) is None:
+            if self._facts.pop(registration, None) is None:
                 return
-            self._release(link)
-            self._open[link] = _Attempt(due=time.monotonic() + _FIRST_WAIT, trouble=trouble)
-        self._changed(link)
+            self._release(registration)
+            self._unprobed[registration] = _Attempt(due=time.monotonic() + _FIRST_WAIT, failure=failure)
+        self._changed(registration)
 
-    def check(self, link: Registration) -> None:
+    def check(self, registration: Registration) -> None:
         """Probe a known peer again; drop its facts if it does not respond."""
-        self._pool.submit(link.uri, lambda: self._check(link))
+        self._pool.submit(registration.uri, lambda: self._check(registration))
 
-    def _check(self, link: Registration) -> None:
+    def _check(self, registration: Registration) -> None:
         try:
-            sock, header = self._shake(link)
+            sock, header = self._do_handshake(registration)
         except Ros1Error as err:
-            self.doubt(link, str(err))
+            self.drop_facts(registration, str(err))
         else:
             sock.close()
-            self.learned(link, Facts.of(header))
+            self.adopt(registration, Facts.of(header))
 
-    def _check_latching(self, link: Registration) -> None:
+    def _check_latching(self, registration: Registration) -> None:
         """Read a publisher's header again; ignore a failure."""
         with self._lock:
-            if link not in self._facts:
+            if registration not in self._facts:
                 return
         with contextlib.suppress(Ros1Error):
-            sock, header = self._shake(link)
+            sock, header = self._do_handshake(registration)
             sock.close()
-            self.learned(link, Facts.of(header))
+            self.adopt(registration, Facts.of(header))
 
-    def learned(self, link: Registration, facts: Facts) -> None:
+    def adopt(self, registration: Registration, facts: Facts) -> None:
         """Adopt the header that a subscription received, because the publisher may have advertised again."""
         with self._lock:
-            if self._facts.get(link) in (None, facts):
+            if self._facts.get(registration) in (None, facts):
                 return
-            self._facts[link] = facts
-        self._changed(link)
+            self._facts[registration] = facts
+        self._changed(registration)
 
-    def troubles(self) -> dict[Registration, str]:
+    def failures(self) -> dict[Registration, str]:
         """Return the publishers that did not respond, and why."""
         with self._lock:
-            return {link: a.trouble for link, a in self._open.items() if a.trouble}
+            return {registration: a.failure for registration, a in self._unprobed.items() if a.failure}
 
-    def is_waiting(self, link: Registration) -> bool:
+    def is_unprobed(self, registration: Registration) -> bool:
         """Return whether a listed peer has not been probed successfully yet."""
         with self._lock:
-            return link in self._open
+            return registration in self._unprobed
 
-    def is_gone(self, link: Registration) -> bool:
+    def is_gone(self, registration: Registration) -> bool:
         """Return whether the last connection was refused because nothing listens at the address."""
         with self._lock:
-            attempt = self._open.get(link)
+            attempt = self._unprobed.get(registration)
         return attempt is not None and attempt.refused
 
-    def _shake(self, link: Registration, *, held: bool = False) -> ProbedConnection:
-        # rospy drops an older connection of the same caller, so a connection that is not held needs another name.
+    def _do_handshake(self, registration: Registration, *, held: bool = False) -> ProbedConnection:
+        # rospy drops an older connection of the same caller name, so a connection that is not held needs another name.
         caller = self._caller() if held else f"{self._caller()}_probe"
-        return self._handshake(caller, link.uri, link.topic, HANDSHAKE_SECONDS)
+        return self._handshake(caller, registration.uri, registration.topic, HANDSHAKE_SECONDS)
 
-    def _probe(self, link: Registration) -> None:
+    def _probe(self, registration: Registration) -> None:
         try:
-            sock, header = self._shake(link, held=self._holds)
+            sock, header = self._do_handshake(registration, held=self._holds)
         except Ros1Error as err:
             if isinstance(err, UnreachableError):
-                self._pool.failed(link.uri)
-            self._again(link, str(err), refused=isinstance(err, UnreachableError) and err.refused)
+                self._pool.failed(registration.uri)
+            self._retry_later(registration, str(err), refused=isinstance(err, UnreachableError) and err.refused)
             return
         except Exception as err:
-            self._again(link, f"{type(err).__name__}: {err}")
+            self._retry_later(registration, f"{type(err).__name__}: {err}")
             raise
-        self._pool.answered(link.uri)
+        self._pool.answered(registration.uri)
         facts = Facts.of(header)
         with self._lock:
-            known = self._open.pop(link, None) is not None
+            known = self._unprobed.pop(registration, None) is not None
             if known:
-                self._facts[link] = facts
+                self._facts[registration] = facts
             if known and facts.native and self._holds and not self._closed:
-                self._release(link)
-                self._held[link] = sock, header
-                self._timer.after(HOLD_SECONDS, lambda: self._expire(link, sock))
+                self._release(registration)
+                self._held[registration] = sock, header
+                self._timer.after(HOLD_SECONDS, lambda: self._expire(registration, sock))
             else:
                 sock.close()
         # a YARP port does not announce latching, and its program may count the second probe as a subscriber
         if known and facts.native and self._holds and not facts.latching and "latching" in header:
-            self._timer.after(LATCH_SECONDS, lambda: self._pool.submit(link.uri, lambda: self._check_latching(link)))
+            self._timer.after(
+                LATCH_SECONDS, lambda: self._pool.submit(registration.uri, lambda: self._check_latching(registration))
+            )
         if known:
-            self._changed(link)
+            self._changed(registration)
 
-    def _expire(self, link: Registration, sock: DeadlineSocket) -> None:
+    def _expire(self, registration: Registration, sock: DeadlineSocket) -> None:
         with self._lock:
-            if link in self._held and self._held[link][0] is sock:
-                self._release(link)
+            if registration in self._held and self._held[registration][0] is sock:
+                self._release(registration)
 
-    def _release(self, link: Registration) -> None:
+    def _release(self, registration: Registration) -> None:
         """Close a connection that no subscription has reused; called with the lock held."""
-        if (held := self._held.pop(link, None)) is not None:
+        if (held := self._held.pop(registration, None)) is not None:
             held[0].close()
 
-    def _again(self, link: Registration, trouble: str, *, refused: bool = False) -> None:
+    def _retry_later(self, registration: Registration, failure: str, *, refused: bool = False) -> None:
         with self._lock:
-            attempt = self._open.get(link)
+            attempt = self._unprobed.get(registration)
             if attempt is None:
                 return
-            if trouble != attempt.trouble:
-                peer = f"{self._kind} of {link.topic} in {link.node}"
-                _log.info("the %s does not announce its type: %s", peer, trouble)
-            attempt.trouble, attempt.refused, attempt.under_way = trouble, refused, False
+            if failure != attempt.failure:
+                peer = f"{self._kind} of {registration.topic} in {registration.node}"
+                _log.info("cannot learn the type from the %s: %s", peer, failure)
+            attempt.failure, attempt.refused, attempt.under_way = failure, refused, False
             attempt.due, attempt.wait = time.monotonic() + attempt.wait, min(2 * attempt.wait, _LONGEST_WAIT)
 
 
-class FollowingEnd(Protocol):
+class UpdatedEnd(Protocol):
     """A subscription or caller of this node."""
 
     name: str
 
     @property
-    def restless(self) -> bool:
+    def needs_connection(self) -> bool:
         """Whether the subscription or caller needs to connect."""
 
     def close(self) -> None:
         """Close it. Safe to call twice."""
 
 
-AnyEnd = TypeVar("AnyEnd", bound=FollowingEnd)
+AnyEnd = TypeVar("AnyEnd", bound=UpdatedEnd)
 
 
-class Follower(ABC, Generic[AnyEnd]):
+class EndUpdater(ABC, Generic[AnyEnd]):
     """Informs subscriptions (or callers) about the publishers (or servers) of their names; see `Prober`."""
 
     def __init__(
@@ -299,54 +311,54 @@ class Follower(ABC, Generic[AnyEnd]):
         self._context = context
         self.prober = Prober(context, self._probed, handshake, kind, holds=holds)
         self._lock = threading.Lock()
-        self._following = threading.Lock()  # facts must be passed on in order
-        self._links: frozenset[Registration] = frozenset()
+        self._updating = threading.Lock()  # so that each end receives the facts in order
+        self._registrations: frozenset[Registration] = frozenset()
         self._ends: set[AnyEnd] = set()
 
     @abstractmethod
     def _notify(self, end: AnyEnd, known: Mapping[Registration, Facts]) -> None:
-        """Inform one end."""
+        """Inform one end about the publishers, or servers, of its name."""
 
-    def take_up(self, links: frozenset[Registration]) -> None:
+    def update(self, registrations: frozenset[Registration]) -> None:
         """Update the publishers, or servers, that the master lists; called on the master's thread."""
-        changed, self._links = links != self._links, links
-        if changed or self.prober.waiting:
-            self.prober.follow(links)
+        changed, self._registrations = registrations != self._registrations, registrations
+        if changed or self.prober.has_unprobed:
+            self.prober.update(registrations)
         with self._lock:
-            restless = any(end.restless for end in self._ends)
-        if changed or restless:
-            self.follow()
+            needs_connection = any(end.needs_connection for end in self._ends)
+        if changed or needs_connection:
+            self.inform()
 
-    def follow(self, name: str = "") -> None:
+    def inform(self, name: str = "") -> None:
         """Inform all ends, or the ends of one name."""
         with self._lock:
             ends = [end for end in self._ends if name in ("", end.name)]
         if not ends:
             return
-        with self._following:
+        with self._updating:
             known: dict[str, dict[Registration, Facts]] = {}
-            for link, facts in self.prober.facts(name).items():
-                known.setdefault(link.topic, {})[link] = facts
+            for registration, facts in self.prober.facts(name).items():
+                known.setdefault(registration.topic, {})[registration] = facts
             for end in ends:
                 self._notify(end, known.get(end.name, {}))
 
-    def _followers(self) -> list[AnyEnd]:
+    def _current_ends(self) -> list[AnyEnd]:
         with self._lock:
             return list(self._ends)
 
     def _add(self, end: AnyEnd) -> AnyEnd:
         with self._lock:
             self._ends.add(end)
-        self.follow(end.name)
+        self.inform(end.name)
         return end
 
     def _remove(self, end: AnyEnd) -> None:
         with self._lock:
             self._ends.discard(end)
 
-    def _probed(self, link: Registration) -> None:
-        self.follow(link.topic)
-        self._context.found()
+    def _probed(self, registration: Registration) -> None:
+        self.inform(registration.topic)
+        self._context.facts_changed()
 
     def close(self) -> None:
         with self._lock:

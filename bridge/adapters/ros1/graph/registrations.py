@@ -73,7 +73,7 @@ class NodeRegistrations:
             elif value is not None:
                 self._refused.discard(action)
 
-    def corrected(self) -> None:
+    def clear_ended(self) -> None:
         """Clear the record of ended publications, after all calls of `corrections` were made."""
         self._ended.clear()
 

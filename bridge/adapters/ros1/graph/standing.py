@@ -8,7 +8,7 @@ shows that a node has left.
 Publishers and servers whose connections end are probed again, and are unknown if they do not respond
 (`bridge.adapters.ros1.graph.probe`).
 - A registration that a master no longer lists stays while its connection exists. For a service this holds only after a
-restart of the master: a server that unregisters may leave its connections open.
+restart of the master, because a server that unregisters may leave its connections open.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _UNKNOWN = ("", "*")
 
 @dataclass(frozen=True, slots=True)
 class Connections:
-    """The registrations of other nodes that a connection proves; subscribers are named by node and topic."""
+    """The registrations of other nodes that a connection proves; for a subscriber, its node and topic."""
 
     publishers: frozenset[Registration]
     subscribers: frozenset[tuple[str, str]]

@@ -11,9 +11,9 @@ from bridge.adapters.ros1_peers import Ros1ProtocolError, XmlRpcClient
 _TRIES = 3
 
 _RATE = 200_000
-"""Most bytes of state that are read from a master per second, on average, up to `_LONGEST`. The state of 500 topics has
-250 kB, which costs ``rosmaster`` 4 ms of CPU time. Each read delays messages, and less than 1 % of them may be
-affected."""
+"""Average bytes of state that are read from a master per second: the larger the state, the longer the pauses between
+reads, up to `_LONGEST`. The state of 500 topics has 250 kB, which costs ``rosmaster`` 4 ms of CPU time. Each read
+delays messages, and less than 1 % of them may be affected."""
 
 _LONGEST = 2.0
 """Longest time between two reads in seconds, unless the configuration sets a longer one."""
@@ -34,7 +34,7 @@ class Registration(NamedTuple):
 
 
 def publisher_id(link: Registration, *, latching: bool) -> str:
-    """Return the id of a publisher's endpoint; a node that advertises again, now latched, is another publisher."""
+    """Return the id of a publisher's endpoint; if a node advertises again, now latched, this is another publisher."""
     return f"publisher {link.topic} {link.node} {link.uri}{' latched' if latching else ''}"
 
 
@@ -74,29 +74,29 @@ class MasterReader:
         self._answers: list[Any] = []
         self._state: MasterState | None = None
         self._servers: dict[Registration, str] = {}
-        self._doubted: set[str] = set()
+        self._to_recheck: set[str] = set()
 
-    def doubt(self, service: str) -> None:
+    def recheck_service(self, service: str) -> None:
         """Look up a service's address again in the next read. Thread-safe."""
-        self._doubted.add(service)
+        self._to_recheck.add(service)
 
     def pause(self, period: float) -> float:
-        """Return the seconds to the next read, at least ``period``: a master with a large state is read less often."""
+        """Return the seconds to the next read: at least ``period``, and longer if the master's state is large."""
         return max(period, min(self._size / _RATE, _LONGEST))
 
     def read(self) -> MasterState:
         """Return the master's state; the same object as before if nothing changed. Raises `Ros1Error`."""
         try:
-            return self._try()
+            return self._try_read()
         except (LookupError, TypeError, ValueError) as err:
             self._nodes, self._answers, self._state = (), [], None
             raise Ros1ProtocolError(f"the master's state is malformed: {err}") from None
 
-    def _try(self) -> MasterState:
+    def _try_read(self) -> MasterState:
         for _ in range(_TRIES):
             nodes = self._nodes
             answers = self._ask()
-            if answers == self._answers and self._state is not None and not self._doubted:
+            if answers == self._answers and self._state is not None and not self._to_recheck:
                 return self._state
             self._nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
             if self._nodes == nodes:
@@ -111,10 +111,10 @@ class MasterReader:
         return self._state
 
     def _addresses(self, services: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Registration]:
-        """Return each service's server; look up an address once, and again if its node changes or it is doubted."""
+        """Return each service's server; look up an address once, and again if the node changes or on request."""
         listed = {Registration(nodes[0], name, uris.get(nodes[0], "")) for name, nodes in services if nodes}
-        doubted, self._doubted = self._doubted, set()
-        self._servers = {k: uri for k, uri in self._servers.items() if k in listed and k.topic not in doubted}
+        recheck, self._to_recheck = self._to_recheck, set()
+        self._servers = {k: uri for k, uri in self._servers.items() if k in listed and k.topic not in recheck}
         new = sorted(listed - self._servers.keys())
         addresses = self._client.calls([("lookupService", (self.caller, link.topic)) for link in new]) if new else []
         self._servers |= {link: uri for link, uri in zip(new, addresses, strict=True) if isinstance(uri, str)}

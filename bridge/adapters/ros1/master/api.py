@@ -33,10 +33,9 @@ The node may not have noticed its replacement yet, and would shut its successor 
 """
 
 NEW_SECONDS = 5.0
-"""For this many seconds a subscriber counts as new: a publisher update may overtake the reply to its registration.
-
-rospy then drops the update, and roscpp disconnects from the publisher. The update is repeated after `REPEAT_SECONDS`.
-"""
+"""For this many seconds a subscriber counts as new, because an update of the publishers may overtake the reply to its
+registration. rospy then drops the update, and roscpp disconnects from the publisher. So the update is repeated after
+`REPEAT_SECONDS`."""
 
 REPEAT_SECONDS = 2.0
 
@@ -92,7 +91,7 @@ class MasterApi:
         self._repeats: set[_Subscriber] = set()
         """Subscribers to which the update will be repeated."""
         key, api, any_name = checks.text("key"), checks.address("caller_api"), checks.name("node", root=True)
-        topic, kind = checks.name("topic"), checks.type_name("topic_type")
+        topic, type_name = checks.name("topic"), checks.type_name("topic_type")
         service, service_api = checks.name("service"), checks.address("service_api")
         self.methods: dict[str, Callable[..., Reply]] = {
             "shutdown": self._checked(self.shut_down, 0, checks.anything),
@@ -109,9 +108,9 @@ class MasterApi:
             "registerService": self._checked(self.register_service, 0, service, service_api, api),
             "lookupService": self._checked(self.lookup_service, "", service),
             "unregisterService": self._checked(self.unregister_service, 0, service, service_api),
-            "registerSubscriber": self._checked(self.register_subscriber, [], topic, kind, api),
+            "registerSubscriber": self._checked(self.register_subscriber, [], topic, type_name, api),
             "unregisterSubscriber": self._checked(self.unregister_subscriber, 0, topic, api),
-            "registerPublisher": self._checked(self.register_publisher, [], topic, kind, api),
+            "registerPublisher": self._checked(self.register_publisher, [], topic, type_name, api),
             "unregisterPublisher": self._checked(self.unregister_publisher, 0, topic, api),
             "lookupNode": self._checked(self.lookup_node, "", any_name),
             "getPublishedTopics": self._checked(self.published_topics, 0, checks.namespace("subgraph")),
@@ -192,7 +191,7 @@ class MasterApi:
             return [-1, f"Parameter [{key}] is not set", 0]
 
     def search_param(self, caller: str, key: str) -> Reply:
-        """Return the full name of a key, searched in the calling node's namespace and then in those that contain it."""
+        """Return the full name of a key, searched from the calling node's namespace upwards."""
         name = self.parameters.search(caller, key)
         if not name:
             return [-1, f"Cannot find parameter [{key}] in an upwards search", ""]
@@ -238,10 +237,10 @@ class MasterApi:
         """Unregister the server of a service."""
         return self._unregister(Kind.SERVICE, service, caller, service_api)
 
-    def register_subscriber(self, caller: str, topic: str, kind: str, api: str) -> Reply:
+    def register_subscriber(self, caller: str, topic: str, type_name: str, api: str) -> Reply:
         """Register a subscriber; return the publishers."""
         self._register(Kind.SUBSCRIBER, topic, caller, api)
-        self.registrations.set_type(topic, kind, publisher=False)
+        self.registrations.set_type(topic, type_name, publisher=False)
         self._add_new_subscriber(_Subscriber(topic, api))
         self._changed()
         return [1, f"Subscribed to [{topic}]", self.registrations.apis(Kind.PUBLISHER, topic)]
@@ -250,10 +249,10 @@ class MasterApi:
         """Unregister a subscriber."""
         return self._unregister(Kind.SUBSCRIBER, topic, caller, api)
 
-    def register_publisher(self, caller: str, topic: str, kind: str, api: str) -> Reply:
+    def register_publisher(self, caller: str, topic: str, type_name: str, api: str) -> Reply:
         """Register a publisher, and report it to the topic's subscribers; return the subscribers."""
         self._register(Kind.PUBLISHER, topic, caller, api)
-        self.registrations.set_type(topic, kind, publisher=True)
+        self.registrations.set_type(topic, type_name, publisher=True)
         self._report_publishers([topic])
         self._changed()
         subscribers = self.registrations.apis(Kind.SUBSCRIBER, topic)
@@ -282,7 +281,7 @@ class MasterApi:
         if removal is not None:
             self._replaced[Link(node, removal.api)] = now
             self._outbox.shut_down(removal.api, node, "new node registered with same name")
-            reported = key if kind is Kind.PUBLISHER else ""  # the calling method reports it
+            reported = key if kind is Kind.PUBLISHER else ""  # the caller of this method reports this topic
             self._report_publishers([topic for topic in removal.topics if topic != reported])
 
     def _add_new_subscriber(self, subscriber: _Subscriber) -> None:
@@ -312,7 +311,7 @@ class MasterApi:
                 self._outbox.publisher_update(api, topic, self.registrations.apis(Kind.PUBLISHER, topic))
 
     def set_reachable(self, node: str, api: str) -> None:
-        """Store that a node has answered this master."""
+        """Record that a node has answered this master."""
         with self.lock:
             entry = self.registrations.nodes.get(node)
             if entry is not None and entry.api == api and not entry.reachable:

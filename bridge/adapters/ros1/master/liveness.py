@@ -5,7 +5,7 @@ tools show it. Here each node is asked for its process id now and then. If its m
 process has ended. A node that is only unreachable may come back with its network, so it is given more time.
 
 A node that has never answered stays. Its address may lead elsewhere from this machine, for example ``localhost`` or a
-host name that only the robot's own machines resolve, while the nodes there reach each other.
+host name that only the robot's own machines resolve, while the nodes on those machines reach each other.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _TIMEOUT = 2.0
 _THREADS = 8
 _PERIODS = (0.1, 10.0)
 _HASTY_PERIOD = 1.0
-"""Longest time until the first check of a new node and, unless there are many, between two checks of restored nodes."""
+"""Longest time until a new node's first check and, unless there are many nodes, between checks of restored nodes."""
 
 _CHECKS_PER_SECOND = 20.0
 _JOIN_SECONDS = 1.0
@@ -73,7 +73,7 @@ class Liveness:
         self._failures: dict[tuple[str, str], _Failures] = {}
         self._answered: set[tuple[str, str]] = set()
         self._restored: set[tuple[str, str]] = set()
-        self._checked: set[tuple[str, str]] = set()
+        self._in_check: set[tuple[str, str]] = set()
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._pool = WorkerPool(_THREADS, "midspan-ros1-node-checks")
@@ -105,8 +105,8 @@ class Liveness:
                 if (now := time.monotonic()) >= next_round:
                     pause = self._pause(len(nodes))
                     due, next_round = nodes, now + pause - min(pause, _HASTY_PERIOD) / 2
-                due = due - self._checked
-                self._checked |= due
+                due = due - self._in_check
+                self._in_check |= due
             for node in due:
                 self._pool.submit(lambda node=node: self._check(*node))  # type: ignore[misc]
 
@@ -131,7 +131,7 @@ class Liveness:
             self._on_answer(node)
         finally:
             with self._lock:
-                self._checked.discard(node)
+                self._in_check.discard(node)
 
     def _on_answer(self, node: tuple[str, str]) -> None:
         with self._lock:

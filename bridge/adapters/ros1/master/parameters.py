@@ -23,7 +23,7 @@ class Update(NamedTuple):
 
     Attributes:
         subscribed_key: the key that they subscribe to.
-        key: the key that has the value: the subscribed key, or a key below it.
+        key: the key of the new value: the subscribed key itself, or a key below it.
         value: the new value, ``{}`` for a deleted parameter.
         inner: whether the value is only a part of the value that was set.
     """
@@ -96,7 +96,7 @@ class ParameterTree:
         self._size -= size
 
     def search(self, node: str, key: str) -> str:
-        """Return a key's full name in the closest namespace of a node that has the key's first part, else "".
+        """Return a key's full name in the closest namespace around a node that has the key's first part, else "".
 
         The search begins in the node's own namespace; a global key is returned if it is set. Raises `ValueError` if the
         key is private or the node's name is not global.
@@ -121,7 +121,7 @@ class ParameterTree:
         return list(_names("/", self._values))
 
     def updates(self, key: str, value: Any, subscribed: Sequence[str]) -> list[Update]:
-        """Return the updates for subscribers that follow from a new value, ``{}`` for a deleted parameter.
+        """Return the updates that a new value causes; ``value`` is ``{}`` for a deleted parameter.
 
         ``subscribed`` are the keys with subscribers. All keys end with a slash.
         """

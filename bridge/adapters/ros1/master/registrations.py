@@ -21,7 +21,7 @@ class Kind(Enum):
 
 
 class Link(NamedTuple):
-    """A node that has registered, by name and XML-RPC address."""
+    """The name and the XML-RPC address of a node that has registered."""
 
     node: str
     api: str
@@ -32,8 +32,8 @@ class Node:
 
     Attributes:
         api: the node's XML-RPC address.
-        reachable: whether it has answered this master since it registered.
-        keys: for each kind, the names that it has registered, in order.
+        reachable: whether the node has answered this master since it registered.
+        keys: for each kind, the names that the node has registered, in order.
     """
 
     def __init__(self, api: str) -> None:
@@ -131,11 +131,11 @@ class Registrations:
                 del self.service_apis[service]
         return Removal(entry.api, list(entry.keys[Kind.PUBLISHER]))
 
-    def set_type(self, topic: str, kind: str, *, publisher: bool) -> None:
+    def set_type(self, topic: str, type_name: str, *, publisher: bool) -> None:
         """Store a topic's type; a publisher's type has precedence, and ``*`` never replaces a type."""
-        unknown, definite = topic not in self.types, kind != "*"
+        unknown, definite = topic not in self.types, type_name != "*"
         if (unknown or definite) if publisher else (unknown and definite):
-            self.types[topic] = kind
+            self.types[topic] = type_name
         if len(self.types) > MAX_TYPES:
             used = self._links[Kind.PUBLISHER].keys() | self._links[Kind.SUBSCRIBER].keys()
             self.types = {name: value for name, value in self.types.items() if name in used}

@@ -1,6 +1,6 @@
 """The node ``/rosout``, which publishes all messages of the topic ``/rosout`` on ``/rosout_agg``.
 
-Tools subscribe to the latter, so that each node sends its log only once. ``roscore`` starts such a node, too.
+Tools subscribe to ``/rosout_agg``, so that each node sends its log only once. ``roscore`` starts such a node, too.
 """
 
 from __future__ import annotations

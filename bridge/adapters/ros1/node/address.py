@@ -33,10 +33,10 @@ class NodeAddress:
     def of(cls, environ: Mapping[str, str]) -> NodeAddress:
         """Return the address for an environment."""
         ipv6 = environ.get("ROS_IPV6") == "on"
-        given = environ.get("ROS_HOSTNAME") if "ROS_HOSTNAME" in environ else environ.get("ROS_IP")
-        if given:
-            _check(given, "ROS_HOSTNAME" if "ROS_HOSTNAME" in environ else "ROS_IP")
-        return cls(given or _machine(ipv6=ipv6), _bind(given or "", ipv6=ipv6), ipv6)
+        configured = environ.get("ROS_HOSTNAME") if "ROS_HOSTNAME" in environ else environ.get("ROS_IP")
+        if configured:
+            _check(configured, "ROS_HOSTNAME" if "ROS_HOSTNAME" in environ else "ROS_IP")
+        return cls(configured or _machine_host(ipv6=ipv6), _bind_address(configured or "", ipv6=ipv6), ipv6)
 
     @property
     def in_uri(self) -> str:
@@ -50,17 +50,17 @@ class NodeAddress:
         return socket.create_server((self.bind, 0), family=family, backlog=_BACKLOG, dualstack_ipv6=dual)
 
 
-def _check(given: str, name: str) -> None:
+def _check(configured: str, name: str) -> None:
     """Log a value that other nodes cannot connect to."""
     trouble = ""
-    if "://" in given:
+    if "://" in configured:
         trouble = "it must not contain a protocol"
-    elif name == "ROS_HOSTNAME" and ":" in given and not _is_ipv6(given):
+    elif name == "ROS_HOSTNAME" and ":" in configured and not _is_ipv6(configured):
         trouble = "it must not contain a port"
-    elif name == "ROS_IP" and not _is_address(given):
+    elif name == "ROS_IP" and not _is_address(configured):
         trouble = "it must be an IPv4 or IPv6 address, without a port"
     if trouble:
-        _log.warning("%s is %r: %s; ROS 1 nodes cannot connect to this one", name, given, trouble)
+        _log.warning("%s is %r: %s; ROS 1 nodes cannot connect to this one", name, configured, trouble)
 
 
 def _is_address(text: str) -> bool:
@@ -75,24 +75,24 @@ def _is_ipv6(text: str) -> bool:
     return ":" in text and _is_address(text)
 
 
-def _bind(given: str, *, ipv6: bool) -> str:
-    if given != "localhost" and given != "::1" and not given.startswith("127."):
+def _bind_address(configured: str, *, ipv6: bool) -> str:
+    if configured != "localhost" and configured != "::1" and not configured.startswith("127."):
         return "::" if ipv6 else "0.0.0.0"  # noqa: S104 - all interfaces, like every ROS 1 node
     if ipv6:
         return "::1"
-    return given if given.startswith("127.") else "127.0.0.1"
+    return configured if configured.startswith("127.") else "127.0.0.1"
 
 
-def _machine(*, ipv6: bool) -> str:
+def _machine_host(*, ipv6: bool) -> str:
     name = socket.gethostname()
     if name and name != "localhost" and not name.startswith("127."):
         return name
-    addresses = list(_interfaces(ipv6=ipv6))
+    addresses = list(_interface_addresses(ipv6=ipv6))
     others = [a for a in addresses if not ipaddress.ip_address(a).is_loopback]
     return next(iter(others or addresses), "::1" if ipv6 else "127.0.0.1")
 
 
-def _interfaces(*, ipv6: bool) -> Iterator[str]:
+def _interface_addresses(*, ipv6: bool) -> Iterator[str]:
     """Yield the network interfaces' addresses, IPv6 first if ``ipv6``.
 
     IPv6 link-local addresses are left out, because they are valid only with the name of an interface.

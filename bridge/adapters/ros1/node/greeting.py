@@ -111,17 +111,17 @@ class TcprosServer(PolledConnection):
     # -- called by the greetings, on the loop's thread -----------------------------------------------------------------
 
     def has_room(self, count: int) -> bool:
-        """Account for received bytes of a header; return False if the incomplete headers have too many in all."""
+        """Count received bytes of a header; return False if all incomplete headers together are too large."""
         self._bytes += count
         return self._bytes <= _MAX_BYTES
 
     def ended(self, greeting: _Greeting, count: int) -> None:
-        """Account for the end of a greeting with ``count`` received bytes."""
+        """Count out a greeting that has ended, with its ``count`` received bytes."""
         self._open.discard(greeting)
         self._bytes -= count
 
     def complete(self, sock: socket.socket, body: bytes) -> None:
-        """Admit a peer that has sent its header; disconnect it if the server closes first, or no thread can start."""
+        """Admit a peer that has sent its header; disconnect it if the server closes first or no thread can start."""
         admission = self._pool.submit(lambda: self._complete(sock, body))
         admission.add_done_callback(lambda future: sock.close() if future.cancelled() else None)
 

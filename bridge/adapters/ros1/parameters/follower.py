@@ -28,7 +28,7 @@ _SETTLE = 0.02
 """Minimum seconds between two comparisons, because several parameters are often set together."""
 
 MAX_JOBS = 1000
-"""Maximum number of jobs that wait for the thread; beyond it, calls are rejected, but nodes' replies still wait."""
+"""Maximum number of jobs that wait for the thread; beyond it, calls are rejected, but nodes' replies still queue."""
 
 _BUSY = "too many calls of parameter services wait for ROS 1's parameter server"
 _MAX_SHOWN = 20
@@ -47,7 +47,9 @@ class ParameterSharing:
         self._offered = [
             OfferedNode([r for r in rules if r.node == node], context, number) for number, node in enumerate(nodes, 1)
         ]
-        self._mirrored = [MirroredNode(rule, context, self.changed) for rule in rules if rule.owner == "ros2"]
+        self._mirrored = [
+            MirroredNode(rule, context, self.request_comparison) for rule in rules if rule.owner == "ros2"
+        ]
         self._parts: tuple[OfferedNode | MirroredNode, ...] = (*self._offered, *self._mirrored)
         self._keys = [rule.ros1 for offered in self._offered for rule in offered.rules]
         self._watched = [rule.ros1 for rule in rules if rule.owner == "ros2"]
@@ -59,7 +61,7 @@ class ParameterSharing:
         self._thread = threading.Thread(target=self._run, name="midspan-ros1-parameters", daemon=True)
         self._thread.start()
 
-    def changed(self) -> None:
+    def request_comparison(self) -> None:
         """Schedule a comparison; may be called from any thread."""
         self._due = True
         self._wake.set()
@@ -128,8 +130,8 @@ class ParameterSharing:
         trees = self._store.watch([*self._keys, *self._watched])
         self._trouble = ""
         copies = self._store.copies
-        left = [key for key in copies if not any(mirrored.covers(key) for mirrored in self._mirrored)]
-        self._store.copy(dict.fromkeys(left), copies.difference(left))  # copies that a former rule made
+        stale = [key for key in copies if not any(mirrored.covers(key) for mirrored in self._mirrored)]
+        self._store.copy(dict.fromkeys(stale), copies.difference(stale))  # deletes the copies of former rules
         for offered in self._offered:
             offered.follow(trees)
         for mirrored in self._mirrored:

@@ -74,7 +74,7 @@ class MirroredNode:
         """Return whether a name on ROS 1's parameter server can be a copy that this rule made."""
         ros1 = self.rule.ros1
         inside = key == ros1 or key.startswith(f"{ros1}/")
-        return inside and self._names.takes(key.removeprefix(ros1).removeprefix("/"))
+        return inside and self._names.covers(key.removeprefix(ros1).removeprefix("/"))
 
     def follow(self) -> None:
         """Begin a comparison with the node, unless one is running."""
@@ -231,7 +231,7 @@ class MirroredNode:
         """Report names in ROS 1 that the node lacks; they are not deleted, since another program may have set them."""
         known = [self._names.ros2(path) for path in self._declared]
         unknown = {
-            path for path in ros1 if path not in self._declared and self._names.takes(path) and self._names.ros2(path)
+            path for path in ros1 if path not in self._declared and self._names.covers(path) and self._names.ros2(path)
         } - {path for path in ros1 if self._names.ros1(path) in self._store.copies}
         for path in unknown:
             name = self._names.ros2(path)

@@ -49,20 +49,20 @@ class OfferedNode:
         self._token = node_key(NodeToken(self._hub.domain, self._hub.zid, str(token), namespace or "/", name))
         self._closers: list[Callable[[], object]] = []
         self._publish: Callable[[bytes], None] | None = None
-        self._told: dict[str, ParameterValue] | None = None
+        self._published: dict[str, ParameterValue] | None = None
         self.troubles: dict[str, str] = {}
 
     @property
     def count(self) -> int:
         """Number of the node's parameters."""
-        return len(self._told or ())
+        return len(self._published or ())
 
     def follow(self, trees: Mapping[str, Any]) -> None:
         """Serve the node, and publish changes; ``trees`` has ROS 1's values below each rule's name."""
         if not self._closers:
             self._open()
-        now = dict(self._all(trees))
-        before, self._told = self._told, now
+        now = dict(self._parameters(trees))
+        before, self._published = self._published, now
         if before is not None and before != now:
             self._publish_event(before, now)
 
@@ -71,7 +71,7 @@ class OfferedNode:
         closers, self._closers = self._closers, []
         for closer in closers:
             closer()
-        self._told = self._publish = None
+        self._published = self._publish = None
         self.troubles = {}
 
     def _open(self) -> None:
@@ -84,19 +84,19 @@ class OfferedNode:
         self._publish = publisher.put
         self._closers.append(publisher.close)
 
-    def _all(self, trees: Mapping[str, Any]) -> Iterator[tuple[str, ParameterValue]]:
-        """Yield the parameters by their names on the node; record those that ROS 2 cannot represent."""
+    def _parameters(self, trees: Mapping[str, Any]) -> Iterator[tuple[str, ParameterValue]]:
+        """Yield each parameter with its name on the node; record the parameters that ROS 2 cannot represent."""
         self.troubles = {}
         for names in reversed(self._names):
             for path, value in flatten(trees.get(names.rule.ros1, {})):
-                if names.takes(path) and names.ros2(path):
+                if names.covers(path) and names.ros2(path):
                     try:
                         yield names.ros2(path), to_ros2(value)
                     except UnrepresentableError as err:
                         self.troubles[names.ros1(path)] = str(err)
 
     def _read(self) -> dict[str, ParameterValue]:
-        return dict(self._all(self._store.watch([rule.ros1 for rule in self.rules])))
+        return dict(self._parameters(self._store.watch([rule.ros1 for rule in self.rules])))
 
     def _publish_event(self, before: Mapping[str, ParameterValue], now: Mapping[str, ParameterValue]) -> None:
         message = {
@@ -137,9 +137,9 @@ class OfferedNode:
         return {"descriptors": [self._descriptor(name, known.get(name, NOT_SET)) for name in request["names"]]}
 
     def _descriptor(self, name: str, value: ParameterValue) -> dict[str, Any]:
-        place = self._place(name)
-        where = "" if place is None else f"ROS 1 parameter {place[0].ros1(place[1])}"
-        read_only = place is not None and not place[0].rule.write
+        found = self._rule_for(name)
+        where = "" if found is None else f"ROS 1 parameter {found[0].ros1(found[1])}"
+        read_only = found is not None and not found[0].rule.write
         return {
             "name": name, "type": int(value.kind), "description": where, "read_only": read_only, "dynamic_typing": True,
         }  # fmt: skip
@@ -170,23 +170,25 @@ class OfferedNode:
         wanted: dict[str, Any] = {}
         for parameter in parameters:
             name, value = parameter["name"], ParameterValue.read(parameter["value"])
-            place = self._place(name)
-            if place is None:
-                return _no(f"no rule of routing.parameters shares {name}")
-            names, path = place
+            found = self._rule_for(name)
+            if found is None:
+                return _failure(f"no rule of routing.parameters shares {name}")
+            names, path = found
             if not names.rule.write:
-                return _no(f"{name} is read-only (write: false in routing.parameters)")
+                return _failure(f"{name} is read-only (write: false in routing.parameters)")
             if any(other.startswith(f"{name}.") for other in known):
-                return _no(f"{names.ros1(path)} is a namespace in ROS 1")
+                return _failure(f"{names.ros1(path)} is a namespace in ROS 1")
             try:
                 wanted[names.ros1(path)] = None if value.kind is ParameterType.NOT_SET else to_ros1(value)
             except UnrepresentableError as err:
-                return _no(f"{name}: {err}")
+                return _failure(f"{name}: {err}")
         refused = self._store.write(wanted)
-        return _no(f"ROS 1's master rejects {', '.join(refused)}") if refused else {"successful": True, "reason": ""}
+        return (
+            _failure(f"ROS 1's master rejects {', '.join(refused)}") if refused else {"successful": True, "reason": ""}
+        )
 
-    def _place(self, name: str) -> tuple[ParameterNames, str] | None:
-        """Return the rule that shares a name, and the part of the name after the prefix of the rule."""
+    def _rule_for(self, name: str) -> tuple[ParameterNames, str] | None:
+        """Return the rule that shares a name, and the path after the rule's prefix; None if no rule shares it."""
         for names in self._names:
             path = names.rest(name)
             if path is not None:
@@ -198,5 +200,5 @@ def _parameter(name: str, value: ParameterValue) -> dict[str, Any]:
     return {"name": name, "value": value.message()}
 
 
-def _no(reason: str) -> dict[str, Any]:
+def _failure(reason: str) -> dict[str, Any]:
     return {"successful": False, "reason": reason}

@@ -170,7 +170,7 @@ class ParameterNames:
         self.rule = rule
         self._globs = [glob_regex(glob.strip("/")) for glob in rule.names]
 
-    def takes(self, path: str) -> bool:
+    def covers(self, path: str) -> bool:
         """Return whether the rule covers a parameter."""
         return any(glob.fullmatch(path) for glob in self._globs)
 
@@ -194,4 +194,4 @@ class ParameterNames:
         if name and not all(_PART.fullmatch(part) for part in name.split(".")):
             return None
         rest = name.replace(".", "/")
-        return rest if self.takes(rest) else None
+        return rest if self.covers(rest) else None

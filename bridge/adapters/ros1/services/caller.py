@@ -30,7 +30,7 @@ MAX_CALLS = 1000
 """Maximum number of pending calls of one service; each uses a connection."""
 
 _MAX_ERROR = 64 * 1024
-_KEPT = 8
+_MAX_IDLE = 8
 _CONNECT_SECONDS = 10.0
 _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
@@ -50,7 +50,7 @@ class _Pending:
         self._lock = threading.Lock()
 
     @property
-    def waits(self) -> bool:
+    def is_pending(self) -> bool:
         return self._done is not None
 
     def attach(self, connection: _ServerConnection) -> bool:
@@ -88,10 +88,10 @@ class _ServerConnection(ServiceConnection):
     head = 5
 
     def __init__(
-        self, sock: socket.socket, link: Registration, owner: Ros1Caller, loop: ConnectionLoop, limit: int
+        self, sock: socket.socket, registration: Registration, owner: Ros1Caller, loop: ConnectionLoop, limit: int
     ) -> None:
         super().__init__(sock, loop, limit)
-        self.link = link
+        self.registration = registration
         self._owner = owner
         self._pending: _Pending | None = None
 
@@ -131,7 +131,7 @@ class _ServerConnection(ServiceConnection):
         pending, self._pending = self._pending, None
         trouble = f"announced a reply of {size} bytes, limits.message allows {self._limit}"
         if pending is not None:
-            pending.finish(CallError(f"the server {self.link.node} {trouble}"))
+            pending.finish(CallError(f"the server {self.registration.node} {trouble}"))
         self.end(trouble)
         return False
 
@@ -140,12 +140,12 @@ class _ServerConnection(ServiceConnection):
         with self._lock:
             pending, self._pending = self._pending, None
         if pending is not None:
-            pending.finish(CallError(f"the server {self.link.node} {trouble} before it answered"))
+            pending.finish(CallError(f"the server {self.registration.node} {trouble} before it answered"))
         self._owner.lost(self, trouble)
 
 
 class CallerLoad(NamedTuple):
-    """The load of a caller: its pending calls, its connections, and the idle ones among these."""
+    """The numbers of a caller's pending calls, of its connections, and of the idle connections among these."""
 
     calls: int
     connections: int
@@ -166,7 +166,7 @@ class Ros1Caller:
         self.name, self.md5 = name, side_type.type_id
         self._context, self._pool, self._on_outdated, self._on_closed = context, context.pool, on_outdated, closed
         self._lock = threading.Lock()
-        self._link: Registration | None = None
+        self._registration: Registration | None = None
         self._connections: set[_ServerConnection] = set()
         self._free: list[_ServerConnection] = []
         self._calls: set[_Pending] = set()
@@ -175,29 +175,29 @@ class Ros1Caller:
         self._closed = False
 
     @property
-    def restless(self) -> bool:
+    def needs_connection(self) -> bool:
         """Whether there is a server, but no connection to it, nor an attempt to connect in advance."""
-        return self._link is not None and not self._connections and not self._warming
+        return self._registration is not None and not self._connections and not self._warming
 
     @property
     def connected(self) -> frozenset[Registration]:
         """The registrations to which connections are open."""
         with self._lock:
-            return frozenset(connection.link for connection in self._connections)
+            return frozenset(connection.registration for connection in self._connections)
 
     @property
     def load(self) -> CallerLoad:
         with self._lock:
             return CallerLoad(len(self._calls), len(self._connections), len(self._free))
 
-    def follow(self, link: Registration | None) -> None:
+    def follow(self, registration: Registration | None) -> None:
         """Adopt the server's registration; None without a server."""
         with self._lock:
             if self._closed:
                 return
-            moved = link != self._link
+            moved = registration != self._registration
             if moved:
-                self._link, self._due, self._wait = link, 0.0, _FIRST_WAIT
+                self._registration, self._due, self._wait = registration, 0.0, _FIRST_WAIT
             old, self._free = (self._free, []) if moved else ([], self._free)
         for connection in old:
             connection.cut()
@@ -207,7 +207,7 @@ class Ros1Caller:
         """Begin a call; never blocks."""
         pending = _Pending(request, done, self._over)
         with self._lock:
-            trouble = self._why_not()
+            trouble = self._obstacle()
             if not trouble:
                 self._calls.add(pending)
         if trouble:
@@ -220,7 +220,7 @@ class Ros1Caller:
         """End all pending calls with an error, and disconnect. Safe to call twice."""
         self._on_closed(self)
         with self._lock:
-            self._closed, self._link = True, None
+            self._closed, self._registration = True, None
             calls, connections = list(self._calls), list(self._connections)
         for pending in calls:
             pending.finish(CallError(f"{self.name} is no longer bridged"))
@@ -231,7 +231,7 @@ class Ros1Caller:
     def freed(self, connection: _ServerConnection, *, served: bool) -> None:
         """Reuse or close an idle connection; ``served``: the connection has carried a call."""
         with self._lock:
-            keep = not self._closed and connection.link == self._link and len(self._free) < _KEPT
+            keep = not self._closed and connection.registration == self._registration and len(self._free) < _MAX_IDLE
             if keep:
                 self._free.append(connection)
             if served:
@@ -240,19 +240,19 @@ class Ros1Caller:
             connection.cut()
 
     def lost(self, connection: _ServerConnection, trouble: str) -> None:
-        """Handle the end of a connection."""
-        _log.debug("%s: the server %s %s", self.name, connection.link.node, trouble)
+        """Handle the loss of a connection."""
+        _log.debug("%s: the server %s %s", self.name, connection.registration.node, trouble)
         with self._lock:
             self._connections.discard(connection)
             if connection in self._free:
                 self._free.remove(connection)
         self._warm()
 
-    def _why_not(self) -> str:
+    def _obstacle(self) -> str:
         """Return why a call cannot begin now, "" if it can. The lock is held."""
         if self._closed:
             return f"{self.name} is no longer bridged"
-        if self._link is None:
+        if self._registration is None:
             return f"{self.name} has no server on ROS 1 now"
         if len(self._calls) >= MAX_CALLS:
             return f"{self.name} is busy: {MAX_CALLS} calls are pending"
@@ -266,27 +266,29 @@ class Ros1Caller:
         while (connection := self._take_connection()) is not None:
             if connection.begin(pending):
                 return
-            if not pending.waits:
+            if not pending.is_pending:
                 connection.cut()
                 return
-        threading.Thread(target=self._begin_anew, args=(pending,), name="midspan-ros1-call", daemon=True).start()
+        threading.Thread(
+            target=self._begin_on_new_connection, args=(pending,), name="midspan-ros1-call", daemon=True
+        ).start()
 
     def _take_connection(self) -> _ServerConnection | None:
         with self._lock:
             return self._free.pop() if self._free else None
 
-    def _begin_anew(self, pending: _Pending) -> None:
-        link = self._link
-        if link is None:
+    def _begin_on_new_connection(self, pending: _Pending) -> None:
+        registration = self._registration
+        if registration is None:
             pending.finish(CallError(f"{self.name} no longer has a server on ROS 1"))
             return
         try:
-            connection = self._connect(link)
+            connection = self._connect(registration)
         except Ros1Error as err:
-            pending.finish(CallError(f"the server {link.node} of {self.name} cannot be called: {err}"))
-            self._suspect(link, err)
+            pending.finish(CallError(f"the server {registration.node} of {self.name} cannot be called: {err}"))
+            self._suspect(registration, err)
             return
-        if not pending.waits:
+        if not pending.is_pending:
             connection.start()
             self.freed(connection, served=False)
         elif connection.begin(pending):
@@ -295,27 +297,29 @@ class Ros1Caller:
             exhausted = not resources.has_descriptor()
             connection.end("closed the connection")
             reason = f"cannot be called: {EXHAUSTED}" if exhausted else "closed the connection at once"
-            pending.finish(CallError(f"the server {link.node} of {self.name} {reason}"))
+            pending.finish(CallError(f"the server {registration.node} of {self.name} {reason}"))
 
-    def _connect(self, link: Registration) -> _ServerConnection:
+    def _connect(self, registration: Registration) -> _ServerConnection:
         """Open a connection; raises `Ros1Error`. Blocks up to `_CONNECT_SECONDS`."""
         fields = {"md5sum": self.md5, "persistent": "1"}
-        sock, _ = connect_service(self._context.node(), link.uri, link.topic, _CONNECT_SECONDS, **fields)
+        sock, _ = connect_service(
+            self._context.node(), registration.uri, registration.topic, _CONNECT_SECONDS, **fields
+        )
         with sock:  # closes the socket unless the connection has taken it over
             try:
-                connection = _ServerConnection(sock, link, self, self._context.loop, self._context.limit)
+                connection = _ServerConnection(sock, registration, self, self._context.loop, self._context.limit)
             except OSError as err:
-                raise unanswered(f"{link.topic} broke off", err) from None
+                raise unanswered(f"{registration.topic} broke off", err) from None
         with self._lock:
             self._connections.add(connection)
         return connection
 
-    def _suspect(self, link: Registration, err: Ros1Error) -> None:
+    def _suspect(self, registration: Registration, err: Ros1Error) -> None:
         if isinstance(err, ExhaustedError):
             return
         if isinstance(err, UnreachableError):
-            self._pool.failed(link.uri)
-        self._on_outdated(link, str(err))
+            self._pool.failed(registration.uri)
+        self._on_outdated(registration, str(err))
 
     # -- the persistent connection -------------------------------------------------------------------------------------
 
@@ -326,21 +330,21 @@ class Ros1Caller:
         """
         now = time.monotonic()
         with self._lock:
-            link = self._link
-            if link is None or self._connections or self._warming or self._due > now:
+            registration = self._registration
+            if registration is None or self._connections or self._warming or self._due > now:
                 return
             self._warming = True
             self._due, self._wait = now + self._wait, min(2 * self._wait, _LONGEST_WAIT)
-        self._pool.submit(link.uri, lambda: self._connect_in_advance(link))
+        self._pool.submit(registration.uri, lambda: self._connect_in_advance(registration))
 
-    def _connect_in_advance(self, link: Registration) -> None:
+    def _connect_in_advance(self, registration: Registration) -> None:
         try:
-            connection = self._connect(link)
+            connection = self._connect(registration)
         except Ros1Error as err:
-            self._suspect(link, err)
+            self._suspect(registration, err)
             return
         finally:
             self._warming = False
-        self._pool.answered(link.uri)
+        self._pool.answered(registration.uri)
         connection.start()
         self.freed(connection, served=False)

@@ -36,7 +36,7 @@ class _ClientConnection(ServiceConnection):
         super().__init__(sock, loop, limit)
         self._server, self._persistent = server, persistent
         self._state = threading.Lock()
-        self._turn = self._left = 0
+        self._call_number = self._abandoned = 0
         self._waits = False
         self._abandon: Abandon | None = None
 
@@ -50,10 +50,10 @@ class _ClientConnection(ServiceConnection):
 
     def close(self, why: str) -> None:
         """End a pending call with an error, and close."""
-        abandon, turn = self._end_wait()
+        abandon, number = self._end_wait()
         if abandon is not None:
             abandon()
-        if turn:
+        if number:
             self._persistent = False
             self._reply(CallError(why))
         else:
@@ -63,24 +63,24 @@ class _ClientConnection(ServiceConnection):
     def _message(self, head: bytes, body: bytes) -> None:
         self._server.traffic.add(calls=1, received=len(head) + len(body))
         with self._state:
-            self._turn += 1
-            turn = self._turn
+            self._call_number += 1
+            number = self._call_number
             self._waits = True
         self._loop.listen(self, data=False)
         if not self._server.is_open:
-            self._done(turn, CallError(self._server.gone))
+            self._done(number, CallError(self._server.gone))
             return
         try:
-            abandon = self._server.call(body, lambda result: self._done(turn, result))
+            abandon = self._server.call(body, lambda result: self._done(number, result))
         except Exception as err:
             _log.exception("a call of %s failed unexpectedly", self._server.name)
-            self._done(turn, CallError(f"failed here: {type(err).__name__}: {err}"))
+            self._done(number, CallError(f"failed here: {type(err).__name__}: {err}"))
             return
         with self._state:
-            if self._waits and self._turn == turn:
+            if self._waits and self._call_number == number:
                 self._abandon = abandon
-            left = self._left == turn
-        if left:
+            abandoned_early = self._abandoned == number
+        if abandoned_early:
             abandon()
 
     @override
@@ -93,24 +93,24 @@ class _ClientConnection(ServiceConnection):
         self._loop.listen(self, data=False)
         self._reply(CallError(f"the request has {size} bytes, limits.message allows {self._limit}"))
 
-    def _done(self, turn: int, result: bytes | CallError) -> None:
+    def _done(self, number: int, result: bytes | CallError) -> None:
         """Send a call's reply, from any thread; drop a second reply, and a reply after the client has left."""
-        if self._end_wait(turn)[1]:
+        if self._end_wait(number)[1]:
             self._reply(result)
 
-    def _end_wait(self, turn: int = 0) -> tuple[Abandon | None, int]:
-        """End the wait for the pending call's reply, if ``turn`` is that call or 0.
+    def _end_wait(self, number: int = 0) -> tuple[Abandon | None, int]:
+        """End the wait for the reply of the pending call, if ``number`` is that call's or 0.
 
-        Returns the call's abandon function and its turn; None and 0 if no such call is pending.
+        Returns the call's abandon function and its number; None and 0 if no such call is pending.
         """
         with self._state:
-            if not self._waits or turn not in (0, self._turn):
+            if not self._waits or number not in (0, self._call_number):
                 return None, 0
             self._waits = False
             abandon, self._abandon = self._abandon, None
-            if not turn and abandon is None:
-                self._left = self._turn  # the call is being started; the thread that starts it will abandon it
-            return abandon, self._turn
+            if not number and abandon is None:
+                self._abandoned = self._call_number  # the thread that starts the call will abandon it
+            return abandon, self._call_number
 
     def _reply(self, result: bytes | CallError) -> None:
         if isinstance(result, bytes) and len(result) > self._limit:
@@ -130,12 +130,12 @@ class _ClientConnection(ServiceConnection):
 
     @override
     def _ended(self, trouble: str) -> None:
-        abandon, turn = self._end_wait()
-        if turn:
+        abandon, number = self._end_wait()
+        if number:
             _log.debug("a client of %s %s", self._server.name, trouble)
         if abandon is not None:
             abandon()
-        self._server.left(self)
+        self._server.remove(self)
 
 
 class Traffic:
@@ -191,7 +191,7 @@ class Ros1Server:
                 self._clients.add(client)
             return self._open
 
-    def left(self, client: _ClientConnection) -> None:
+    def remove(self, client: _ClientConnection) -> None:
         """Remove a client whose connection has ended."""
         with self._lock:
             self._clients.discard(client)

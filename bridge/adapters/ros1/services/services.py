@@ -1,7 +1,7 @@
 """The services of a ROS 1 graph: native servers, clients of them, and this node's servers.
 
 A master lists only a service's node and address. Its type and md5 sum are in the server's connection header, so each
-new server is probed once. Clients do not appear on the graph, so none are listed.
+new server is probed once. Clients are not listed, because they do not appear on the graph.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.graph.probe import Facts, Follower, Ros1Context
+from bridge.adapters.ros1.graph.probe import EndUpdater, Facts, Ros1Context
 from bridge.adapters.ros1.graph.state import MasterState, Registration
 from bridge.adapters.ros1.handshake import Header, connect_service
 from bridge.adapters.ros1.services.caller import Ros1Caller
@@ -27,12 +27,12 @@ _OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")
 _CHECK_PERIOD = 2.0
 
 
-class Ros1Services(Follower[Ros1Caller]):
-    """The services of one edge; ``wake`` has the master read, ``doubt`` reports a service's address as outdated."""
+class Ros1Services(EndUpdater[Ros1Caller]):
+    """The services of one edge; ``wake`` has the master read, ``recheck`` has a service's address looked up again."""
 
-    def __init__(self, context: Ros1Context, wake: Callable[[], None], doubt: Callable[[str], None]) -> None:
+    def __init__(self, context: Ros1Context, wake: Callable[[], None], recheck: Callable[[str], None]) -> None:
         super().__init__(context, self._handshake, "server")
-        self._doubt = doubt
+        self._recheck = recheck
         self._check_due = 0.0
         self.servers = ServiceServers(context, wake)
 
@@ -40,10 +40,10 @@ class Ros1Services(Follower[Ros1Caller]):
         self.close()
         self.servers.close()
 
-    def seen(self, state: MasterState | None) -> None:
+    def on_master_read(self, state: MasterState | None) -> None:
         """Adopt the master's state; called on the master's thread."""
         node = self._context.node()
-        self.take_up(frozenset(s for s in state.servers if s.node != node) if state is not None else frozenset())
+        self.update(frozenset(s for s in state.servers if s.node != node) if state is not None else frozenset())
         self._check_rivals()
 
     def _check_rivals(self) -> None:
@@ -58,7 +58,7 @@ class Ros1Services(Follower[Ros1Caller]):
 
     def _rivals(self) -> list[Registration]:
         ours = frozenset(self.servers.names())
-        return sorted(link for link in self._links if link.topic in ours) if ours else []
+        return sorted(link for link in self._registrations if link.topic in ours) if ours else []
 
     def endpoints(self, state: MasterState) -> Iterator[Endpoint]:
         """Yield the other nodes' servers."""
@@ -70,7 +70,7 @@ class Ros1Services(Follower[Ros1Caller]):
 
     def connected(self) -> frozenset[Registration]:
         """Return the servers to which a caller is connected."""
-        return frozenset(link for end in self._followers() for link in end.connected)
+        return frozenset(link for end in self._current_ends() for link in end.connected)
 
     def is_gone(self, link: Registration) -> bool:
         """Return whether a server is known to be dead although the master still lists it."""
@@ -78,9 +78,9 @@ class Ros1Services(Follower[Ros1Caller]):
 
     def warnings(self) -> Iterator[str]:
         """Yield servers that do not announce their type, and hub services with a native rival."""
-        for link, trouble in sorted(self.prober.troubles().items()):
+        for link, failure in sorted(self.prober.failures().items()):
             if not link.topic.endswith(_OF_EVERY_NODE):
-                yield f"{link.topic}: its server {link.node} does not announce its type: {trouble}"
+                yield f"{link.topic}: its server {link.node} does not announce its type: {failure}"
         for link in self._rivals():
             if not self.is_gone(link):
                 yield f"{link.topic}: {link.node} serves it on ROS 1 itself, so the hub's service is not offered there"
@@ -91,16 +91,16 @@ class Ros1Services(Follower[Ros1Caller]):
         except ExhaustedError:
             raise
         except Ros1Error:
-            self._doubt(service)
+            self._recheck(service)
             raise
 
-    def _doubted(self, link: Registration, trouble: str) -> None:
-        self._doubt(link.topic)
-        self.prober.doubt(link, trouble)
+    def _on_outdated(self, link: Registration, failure: str) -> None:
+        self._recheck(link.topic)
+        self.prober.drop_facts(link, failure)
 
     def caller(self, name: str, side_type: SideType) -> Ros1Caller:
         """Return a client of the native server of a service."""
-        return self._add(Ros1Caller(self._context, name, side_type, self._doubted, self._remove))
+        return self._add(Ros1Caller(self._context, name, side_type, self._on_outdated, self._remove))
 
     @override
     def _notify(self, end: Ros1Caller, known: Mapping[Registration, Facts]) -> None:

@@ -42,6 +42,6 @@ class TopicConnection(PolledConnection):
 
     def bus_info(self, topic: str) -> list[Any]:
         """Return an entry of ``getBusInfo``; its text has the form that ``rosnode info`` parses."""
-        place = f"[{self._far[0]}:{self._far[1]} on socket {self.fileno()}]"
-        text = f"{self.transport} connection on port {self._near[1]} to {place}"
+        peer = f"[{self._far[0]}:{self._far[1]} on socket {self.fileno()}]"
+        text = f"{self.transport} connection on port {self._near[1]} to {peer}"
         return [self.id, self.peer, self.direction, self.transport, topic, not self.done, text]

@@ -25,7 +25,7 @@ _LENGTH = struct.Struct("<I")
 _CHUNK = 64 * 1024
 _LARGE = 32 * 1024
 _TRUSTED = 16 * 2**20
-"""Maximum number of bytes that are allocated when a length is announced; more only after these have arrived."""
+"""Maximum number of bytes that are allocated when a length is announced; more are allocated once these have arrived."""
 
 Refused = Callable[[str, str], None]
 """``refused(reason, why)``: a message is not delivered; ``reason`` is ``bad`` or ``large``."""
@@ -46,9 +46,9 @@ class PublisherConnection(TopicConnection):
     ) -> None:  # fmt: skip
         super().__init__(sock, uri)  # its lock decides which thread closes the socket
         self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
-        self._loop, self._taken = loop, b""
+        self._loop, self._partial = loop, b""
         self._receive = receiver(self._sock, _CHUNK)
-        self._started = self._midway = False
+        self._started = self._has_partial = False
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
 
     def start(self) -> None:
@@ -65,7 +65,7 @@ class PublisherConnection(TopicConnection):
                     return
             except OSError as err:
                 _log.warning("%s is read on a separate thread: %s", self._thread.name, err)
-        self._go_on_alone()
+        self._read_on_own_thread()
 
     @property
     def unread(self) -> bool:
@@ -73,7 +73,7 @@ class PublisherConnection(TopicConnection):
         with self._lock:  # prevents closing the socket meanwhile
             if self.done:
                 return False
-            return not self._started or self._midway or bool(self._taken) or is_readable(self._sock)
+            return not self._started or self._has_partial or bool(self._partial) or is_readable(self._sock)
 
     def close(self) -> None:
         """Stop reading; nothing is delivered from now on."""
@@ -86,9 +86,9 @@ class PublisherConnection(TopicConnection):
 
     @override
     def on_ready(self) -> Callable[[], None] | None:
-        """Deliver small messages; return a function that handles a large message or the end, None if there is none."""
+        """Deliver small messages; if a large message or the end is next, return a function that handles it."""
         try:
-            alone = self._take_small()
+            has_large = self._deliver_small()
         except BlockingIOError:
             return None
         except OSError as err:
@@ -96,9 +96,9 @@ class PublisherConnection(TopicConnection):
         except Exception as err:
             _log.exception("reading %s failed", self._thread.name)
             return lambda err=err: self._end(f"{type(err).__name__}: {err}")  # type: ignore[misc]
-        return self._go_on_alone if alone else None
+        return self._read_on_own_thread if has_large else None
 
-    def _go_on_alone(self) -> None:
+    def _read_on_own_thread(self) -> None:
         try:
             self._thread.start()
         except RuntimeError as err:  # the system is out of threads
@@ -113,8 +113,8 @@ class PublisherConnection(TopicConnection):
     def _run(self) -> None:
         trouble = _CLOSED
         try:
-            taken, self._taken = self._taken, b""
-            self._read(taken)
+            partial, self._partial = self._partial, b""
+            self._read(partial)
         except OSError as err:
             trouble = str(err)
         except Ros1ProtocolError as err:
@@ -132,13 +132,13 @@ class PublisherConnection(TopicConnection):
             self.done = True
             self._ended(trouble)
 
-    def _take_small(self) -> bool:
+    def _deliver_small(self) -> bool:
         """Deliver small messages; return whether a large one is next. Raises `BlockingIOError` without data."""
         more = self._receive()
         if not more:
             raise ConnectionResetError(_CLOSED)
-        self._midway = True
-        buffer, at, small = self._taken + more if self._taken else more, 0, min(self._limit, MAX_MESSAGE, _LARGE)
+        self._has_partial = True
+        buffer, at, small = self._partial + more if self._partial else more, 0, min(self._limit, MAX_MESSAGE, _LARGE)
         end = len(buffer)
         while (begin := at + 4) <= end:
             (size,) = _LENGTH.unpack_from(buffer, at)
@@ -151,9 +151,9 @@ class PublisherConnection(TopicConnection):
                 self._deliver(buffer[begin:at])
         else:
             size = 0
-        self._taken = buffer[at:]
-        self._midway = bool(size > small)
-        return self._midway
+        self._partial = buffer[at:]
+        self._has_partial = bool(size > small)
+        return self._has_partial
 
     def _hand_over(self, payload: bytes) -> None:
         self.bytes += len(payload) + 4
@@ -167,11 +167,11 @@ class PublisherConnection(TopicConnection):
         while not self.done:
             left = len(buffer) - at
             if left < 4:
-                self._midway = left > 0
+                self._has_partial = left > 0
                 more = self._sock.recv(4 - left if size > _LARGE else _CHUNK)
                 if not more:
                     return
-                self._midway = True
+                self._has_partial = True
                 buffer, at = buffer[at:] + more, 0
                 continue
             (size,) = _LENGTH.unpack_from(buffer, at)

@@ -25,8 +25,8 @@ MAX_MESSAGES = 20_000
 
 _LENGTH = struct.Struct("<I")
 _MAX_UNEXPECTED = 64 * 1024
-"""Most bytes that a subscriber may send after its header without being disconnected; TCPROS defines none, so they are
-discarded."""
+"""Maximum number of bytes that a subscriber may send after its header; more disconnect it. TCPROS defines no such
+bytes, so they are discarded."""
 
 
 class SubscriberConnection(TopicConnection):

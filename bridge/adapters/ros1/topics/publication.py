@@ -29,7 +29,7 @@ class Publication:
 
     Attributes:
         users: number of publishers that share the publication.
-        latches: number of those that latch.
+        latches: number of these publishers that latch.
         published: bytes of all published messages.
     """
 
@@ -84,8 +84,8 @@ class Publication:
     def admit(self, sock: DeadlineSocket, subscriber: str) -> None:
         """Send the header and the retained messages to a new subscriber; raises `OSError`.
 
-        The connection replaces an earlier one of the same node, which the peer may have lost. A subscriber that is
-        admitted while the publication ends is disconnected after the header.
+        The new connection replaces an earlier connection of the same node, which the peer may have lost. A subscriber
+        that is admitted while the publication ends is disconnected after the header.
         """
         sock.sendall(encode(self.header()))
         connection = SubscriberConnection(sock, f"midspan-ros1-out{self.topic}", subscriber, self.remove)

@@ -76,7 +76,7 @@ class Ros1Subscription:
         self._entry = context.book.subscribe(topic)
 
     @property
-    def restless(self) -> bool:
+    def needs_connection(self) -> bool:
         """Whether the subscription needs to connect to a publisher."""
         return any(source.reader is None for source in list(self._publishers.values()))
 
@@ -89,14 +89,14 @@ class Ros1Subscription:
     def unread(self, node: str, uri: str, *, listed: bool) -> bool:
         """Return whether a node may have published a message that is not delivered yet.
 
-        That is the case if the connection to the node is not read yet, or has unread bytes. ``listed``: also if there
-        is no connection to the node yet, although the master lists it as a publisher of the topic.
+        It may have if the connection to it is not read yet, or has unread bytes; with ``listed`` also if there is no
+        connection to it yet, although the master lists it as a publisher of the topic.
         """
         link = Registration(node, self.topic, uri)
         with self._lock:
             source = self._publishers.get(link)
         if source is None:
-            return listed and self._prober.is_waiting(link)
+            return listed and self._prober.is_unprobed(link)
         return (source.fresh or listed) if source.reader is None else source.reader.unread
 
     def follow(self, publishers: Mapping[Registration, Facts]) -> None:
@@ -140,9 +140,9 @@ class Ros1Subscription:
         facts = Facts.of(header)
         with sock:  # closes the socket unless the reader has taken it over
             if not facts.fits(self._md5):
-                self._prober.doubt(link, "the publisher changed its type or its origin")
+                self._prober.drop_facts(link, "the publisher changed its type or its origin")
                 return
-            self._prober.learned(link, facts)
+            self._prober.adopt(link, facts)
             endpoint = publisher_id(link, latching=facts.latching)
             try:
                 reader = PublisherConnection(
@@ -182,7 +182,7 @@ class Ros1Subscription:
             self._context.pool.failed(link.uri)
         if not isinstance(err, ExhaustedError):
             # the publisher may be dead although it is listed, so it is unknown until it responds to a probe
-            self._prober.doubt(link, str(err))
+            self._prober.drop_facts(link, str(err))
 
     def _ended(self, link: Registration, source: _PublisherState, reader: PublisherConnection, trouble: str) -> None:
         _log.debug("%s: connection to %s ended: %s", self.topic, link.node, trouble)
@@ -192,7 +192,7 @@ class Ros1Subscription:
                 return
             source.reader = None
             source.postpone()
-        self._context.found()
+        self._context.facts_changed()
 
     def _drop(self, reader: PublisherConnection | None) -> None:
         if reader is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.graph.probe import Facts, Follower, Ros1Context
+from bridge.adapters.ros1.graph.probe import EndUpdater, Facts, Ros1Context
 from bridge.adapters.ros1.graph.state import MasterState, Registration, publisher_id
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.transcode.conversion import SideType
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _VOLATILE = Qos()
 
 
-class Ros1Topics(Follower["Ros1Subscription"]):
+class Ros1Topics(EndUpdater["Ros1Subscription"]):
     """The topics of one edge; ``refused(topic, reason, why)`` reports a message that is not delivered."""
 
     def __init__(self, context: Ros1Context, refused: Callable[[str, str, str], None]) -> None:
@@ -41,12 +41,12 @@ class Ros1Topics(Follower["Ros1Subscription"]):
 
     def connected(self) -> frozenset[Registration]:
         """Return the publishers to which a subscription is connected."""
-        return frozenset(link for end in self._followers() for link in end.connected)
+        return frozenset(link for end in self._current_ends() for link in end.connected)
 
     def warnings(self) -> Iterator[str]:
         """Yield publishers that do not announce their type."""
-        for link, trouble in sorted(self.prober.troubles().items()):
-            yield f"{link.topic}: its publisher {link.node} does not announce its type: {trouble}"
+        for link, failure in sorted(self.prober.failures().items()):
+            yield f"{link.topic}: its publisher {link.node} does not announce its type: {failure}"
 
     def subscribe(
         self, topic: str, side_type: SideType, deliver: Deliver, suffix: str = "", *, fresh: bool = False,

@@ -45,7 +45,7 @@ def serve(**more: str):
 
 def known(prober, links, link):
     def poll() -> Facts | None:
-        prober.follow(links)
+        prober.update(links)
         return prober.facts().get(link)
 
     return until(poll, f"{link} is known")
@@ -58,7 +58,7 @@ def test_a_publishers_header_gives_type_latching_and_origin(prober):
         assert facts == Facts("std_msgs/String", "992c", "string data\n", latching=True, native=True)
         facts = known(prober, links, Registration("/b", "/t", ours))
         assert (facts.latching, facts.native) == (False, False)
-        prober.follow(frozenset())
+        prober.update(frozenset())
         assert prober.facts() == {}
 
 
@@ -93,13 +93,13 @@ def test_dead_publishers_do_not_delay_others(prober):
         odd = stack.enter_context(node(requestTopic=lambda *_: "what?"))
         dead.add(Registration("/odd", "/odd", odd))
         dead.add(Registration("/nowhere", "/nowhere", ""))
-        prober.follow(frozenset(dead))
+        prober.update(frozenset(dead))
         good = Registration("/good", "/t", stack.enter_context(publisher(serve())))
         assert known(prober, frozenset({*dead, good}), good).native
         assert not prober.facts().keys() & dead
-        until(lambda: len(prober.troubles()) >= 6, "the problems are reported")
+        until(lambda: len(prober.failures()) >= 6, "the problems are reported")
         assert "not a ROS 1 answer" in until(
-            lambda: prober.troubles().get(Registration("/odd", "/odd", odd)), "the malformed publisher is reported"
+            lambda: prober.failures().get(Registration("/odd", "/odd", odd)), "the malformed publisher is reported"
         )
 
 
@@ -111,11 +111,11 @@ def test_a_publisher_that_is_late_is_probed_again(prober):
 
     with tcp_server(serve()) as address, node(requestTopic=request) as uri:
         link = Registration("/late", "/t", uri)
-        prober.follow(frozenset({link}))
-        until(lambda: prober.troubles().get(link) == "not yet", "the publisher is probed")
+        prober.update(frozenset({link}))
+        until(lambda: prober.failures().get(link) == "not yet", "the publisher is probed")
         listening.set()
         assert known(prober, frozenset({link}), link).native
-        assert not prober.troubles()
+        assert not prober.failures()
 
 
 def test_a_doubted_publisher_is_probed_again(prober):
@@ -123,9 +123,9 @@ def test_a_doubted_publisher_is_probed_again(prober):
         link = Registration("/a", "/t", uri)
         links = frozenset({link})
         known(prober, links, link)
-        prober.doubt(link, "it broke off")
+        prober.drop_facts(link, "it broke off")
         assert prober.facts() == {}
-        assert prober.troubles() == {link: "it broke off"}
+        assert prober.failures() == {link: "it broke off"}
         known(prober, links, link)
 
 
@@ -191,9 +191,9 @@ def test_connections_that_are_not_reused_are_closed(holding, end, monkeypatch):
         link = Registration("/a", "/t", uri)
         known(holding, frozenset({link}), link)
         if end == "gone":
-            holding.follow(frozenset())
+            holding.update(frozenset())
         elif end == "doubt":
-            holding.doubt(link, "it broke off")
+            holding.drop_facts(link, "it broke off")
         elif end == "close":
             holding.close()
         assert closed.wait(10)
@@ -213,8 +213,8 @@ def test_a_yarp_port_without_a_type_is_probed_again(prober):
     with publisher(port) as uri:
         link = Registration("/talker", "/t", uri)
         links = frozenset({link})
-        prober.follow(links)
-        until(lambda: "has no type" in prober.troubles().get(link, ""), "the missing type is reported")
+        prober.update(links)
+        until(lambda: "has no type" in prober.failures().get(link, ""), "the missing type is reported")
         port.type = "std_msgs/String"
         assert known(prober, links, link).type == "std_msgs/String"
 
@@ -232,7 +232,7 @@ def test_a_connection_that_completes_after_the_end_is_closed():
     pool, timer, known = PeerPool(), DelayedCalls("test-later"), threading.Event()
     prober = Prober(asking(pool, timer), lambda _link: known.set(), shake, holds=True)
     with far:
-        prober.follow(frozenset({link}))
+        prober.update(frozenset({link}))
         assert shaken.wait(20)
         timer.close()
         prober.close()

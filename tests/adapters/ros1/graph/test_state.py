@@ -113,11 +113,11 @@ def test_a_services_address_is_looked_up_once(master, reader):
 
 def test_a_doubted_service_is_looked_up_again(master, reader):
     first = reader.read()
-    reader.doubt("/serve")
+    reader.recheck_service("/serve")
     assert reader.read() is first, "the service's address is unchanged"
     master.services["/serve"] = ("/a", "rosrpc://a:7")
     assert reader.read() is first, "a new address is not visible in a master's state"
-    reader.doubt("/serve")
+    reader.recheck_service("/serve")
     assert reader.read().servers == {Registration("/a", "/serve", "rosrpc://a:7")}
 
 

@@ -85,7 +85,7 @@ class Bench:
 
     def poll(self) -> None:
         """Do what the edge does after each read of the master."""
-        if self.caller.restless:
+        if self.caller.needs_connection:
             self.caller.follow(self.link)
 
     def call(self, request: bytes = b"abc") -> Ends:
