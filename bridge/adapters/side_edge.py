@@ -72,12 +72,12 @@ class SideEdge(Edge):
 
     @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """Return a conversion that keeps the bytes and validates them: programs on the side may send anything."""
+        """Return a conversion that keeps the bytes but validates them, as programs on the side may send anything."""
         return self.from_hub(endpoint.type, endpoint.type_id)
 
     @override
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
-        """Return a conversion that keeps the bytes and validates them: DDS drops malformed messages silently."""
+        """Return a conversion that keeps the bytes but validates them, as DDS silently drops malformed messages."""
         known = self._own_type(type_name, type_hash)
         return Conversion(known, known, self._registry.hub_check(type_name))
 

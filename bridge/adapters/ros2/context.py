@@ -27,7 +27,7 @@ Replied = Callable[[int, bytes], None]
 
 
 class Joined(NamedTuple):
-    """The participant, its GUID prefix, and the bytes of its shared memory."""
+    """The participant, its GUID prefix, and the size of its shared memory in bytes; 0 if it has none."""
 
     participant: Participant
     prefix: bytes
@@ -62,11 +62,11 @@ class Dds(ABC):
         """Create a client's endpoints; raises `MessageTypeError`.
 
         Args:
-            name: of the service.
-            service_class: its type, from ``types``.
+            name: the service's name.
+            service_class: the service's type, from ``types``.
             context: the edge's shared state.
             replied: called with each reply that does not arrive at the client's own reader.
-            type_id: the version of the type that the requests have; None if the type has only one.
+            type_id: the version of the type that the requests have; None if the type has only one version.
         """
 
     @abstractmethod
@@ -75,11 +75,11 @@ class Dds(ABC):
 
     @abstractmethod
     def follow(self, heartbeats: Heartbeats, endpoints: Iterable[Endpoint]) -> None:
-        """Prepare the writers for the readers on the graph."""
+        """Record the endpoints on the graph, so that writers can be prepared for new readers."""
 
     @abstractmethod
     def refresh(self, prefix: bytes, dead: Sequence[bytes], also: int) -> None:
-        """Dispose dead participants, and prompt all others to announce themselves, ``also`` at this port unless 0."""
+        """Dispose dead participants; prompt all others to announce themselves, also to the port ``also`` if not 0."""
 
     @abstractmethod
     def clean(self, prefix: bytes, past: Iterable[bytes]) -> None:

@@ -39,7 +39,7 @@ from bridge.messages.errors import MessageTypeError
 URI = "CYCLONEDDS_URI"
 _LOOPBACK = "127.0.0.1"
 _PORTS = 2 * PARTICIPANTS
-"""Number of participants of this machine that are addressed by unicast; those of Midspan on Fast DDS are above 31."""
+"""Number of this machine's participants addressed by unicast; Midspan's on Fast DDS have numbers from 32 on."""
 
 _ANNOUNCEMENT, _LEASE = "500ms", "20s"
 """As on Fast DDS (`bridge.adapters.ros2.profile`), so that Midspan daemons discover each other equally fast on both."""
@@ -48,8 +48,8 @@ _ANNOUNCEMENT, _LEASE = "500ms", "20s"
 def settings(*, localhost_only: bool, interfaces: Iterable[str], peers: Iterable[str] = ()) -> str:
     """Return the XML settings of the participant.
 
-    With ``localhost_only`` it announces itself on loopback only, but has an address on each interface: programs with
-    Cyclone DDS's own default settings have none on loopback.
+    With ``localhost_only`` it announces itself on loopback only, but has an address on each interface, because programs
+    with Cyclone DDS's own default settings have none on loopback.
 
     Args:
         localhost_only: discover nodes of this machine only.
@@ -80,16 +80,16 @@ def settings(*, localhost_only: bool, interfaces: Iterable[str], peers: Iterable
 def use_settings(config: Config, peers: Iterable[str]) -> None:
     """Set this process's environment for its participant.
 
-    Cyclone DDS reads a ``CYCLONEDDS_URI`` of the user after Midspan's settings; with ``localhost_only``, the user's is
-    ignored, because it could undo that restriction.
+    Cyclone DDS reads a user's ``CYCLONEDDS_URI`` after Midspan's settings; with ``localhost_only`` the user's variable
+    is ignored, because it could undo that restriction.
     """
     local = config.ros2.localhost_only
     own = "" if local else os.environ.get(URI, "")
     names = [] if own else sorted({name for name, _ in ipv4_addresses()})
-    made = settings(localhost_only=local, interfaces=names, peers=peers)
+    xml = settings(localhost_only=local, interfaces=names, peers=peers)
     for name in UNSET:
         os.environ.pop(name, None)
-    os.environ.update(SWITCHES[config.ros2.rmw] | {URI: ",".join(filter(None, (made, own)))})
+    os.environ.update(SWITCHES[config.ros2.rmw] | {URI: ",".join(filter(None, (xml, own)))})
 
 
 # -- built-in topics ---------------------------------------------------------------------------------------------------
@@ -100,7 +100,7 @@ _ALIVE = 16
 """``DDS_ALIVE_INSTANCE_STATE``."""
 _BATCH = 64
 _DEPARTED = 1000
-"""Number of participants, writers or readers that are remembered after they left: their last messages may wait."""
+"""Number of departed participants, writers or readers to remember, because their last messages may still be unread."""
 _GUID_BYTES = 16
 _MATCHED = 64
 """Room for the readers that a writer has matched; it grows as needed."""
@@ -143,7 +143,7 @@ def _library() -> CDLL:
 
 
 class _Endpoints:
-    """The GUIDs of all writers, or of all readers, by their instance handles, which ``reader`` reads."""
+    """The GUIDs of all writers, or of all readers, by instance handle; ``reader`` is the built-in topic's reader."""
 
     def __init__(self, reader: int) -> None:
         self.reader = reader
@@ -169,18 +169,18 @@ class Discovery:
 
     def __init__(self, domain: int) -> None:
         self._dds = _library()
-        found = (c_int32 * 2)()
-        count = self._dds.dds_lookup_participant(domain, found, len(found))
+        participants = (c_int32 * 2)()
+        count = self._dds.dds_lookup_participant(domain, participants, len(participants))
         if count != 1:
             raise RuntimeError(f"{count} participants of Cyclone DDS on domain {domain} in this process, instead of 1")
         guid = (c_ubyte * _GUID_BYTES)()
-        self._check("dds_get_guid", self._dds.dds_get_guid(found[0], guid))
+        self._check("dds_get_guid", self._dds.dds_get_guid(participants[0], guid))
         self.prefix = bytes(guid)[:PREFIX_BYTES]
         self._lock = threading.Lock()
-        self._participants = self._reader(found[0], _PARTICIPANTS)
+        self._participants = self._reader(participants[0], _PARTICIPANTS)
         self._writers, self._readers = (
-            _Endpoints(self._reader(found[0], _WRITERS)),
-            _Endpoints(self._reader(found[0], _READERS)),
+            _Endpoints(self._reader(participants[0], _WRITERS)),
+            _Endpoints(self._reader(participants[0], _READERS)),
         )
         self._buffers, self._infos = (c_void_p * _BATCH)(), (_Info * _BATCH)()
         self._enclaves: dict[bytes, str] = {}
@@ -205,7 +205,7 @@ class Discovery:
         return known
 
     def writer(self, handle: bytes) -> bytes:
-        """Return the GUID of the writer that rmw_cyclonedds_cpp calls by this GID; b"" before it is discovered."""
+        """Return the GUID of the writer with this GID (rmw_cyclonedds_cpp's instance handle); b"" if unknown yet."""
         return self._guid(self._writers, int.from_bytes(handle[:8], "little"))
 
     def entity(self, data: int, gid: bytes) -> int:
@@ -225,7 +225,7 @@ class Discovery:
         return writer
 
     def matched_readers(self, writer: int) -> frozenset[bytes]:
-        """Return the GUIDs of the readers that a writer has matched, by its `entity`; b"" for an unknown one."""
+        """Return the GUIDs of the readers that a writer (its `entity`) has matched; b"" for an unknown reader."""
         call, room, count = self._dds.dds_get_matched_subscriptions, 0, _MATCHED
         while count > room:
             room, handles = count, (c_uint64 * count)()
@@ -236,13 +236,13 @@ class Discovery:
         known = endpoints.guids.get(handle)
         if known is None:
             with self._lock:
-                for info, sample in self._taken(endpoints.reader):
+                for info, sample in self._samples(endpoints.reader):
                     endpoints.add(info.instance, string_at(sample, _GUID_BYTES), alive=info.instance_state == _ALIVE)
             known = endpoints.guids.get(handle, b"")
         return known
 
     def _read_participants(self) -> None:
-        for info, sample in self._taken(self._participants):
+        for info, sample in self._samples(self._participants):
             participant = _Participant.from_address(sample)
             prefix = bytes(participant.guid)[:PREFIX_BYTES]
             if info.valid:
@@ -252,7 +252,7 @@ class Discovery:
         while len(self._departed) > _DEPARTED:
             self._enclaves.pop(self._departed.popleft(), None)
 
-    def _taken(self, reader: int) -> Iterator[tuple[_Info, int]]:
+    def _samples(self, reader: int) -> Iterator[tuple[_Info, int]]:
         """Yield all samples, each with its address; none once the participant is destroyed. The lock is held."""
         while True:
             self._buffers[0] = None  # Cyclone DDS lends the samples

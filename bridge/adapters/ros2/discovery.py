@@ -4,9 +4,9 @@ Servers are probed with an RTPS header without submessages, which they ignore. I
 server's machine reports that by ICMP, which the next use of the socket returns as an error. If a firewall drops such
 reports, it is not known whether the server runs.
 
-A client of Fast DDS (2.14.5) that has not noticed the end of its server discards what the next one sends as duplicates:
-both have the same GUID, and number their messages from 1. A server that ends without SIGKILL announces its end, and
-after its lease a client forgets a killed one; then the client connects to the next server.
+If a client of Fast DDS (2.14.5) has not noticed the end of its server, it discards what the next server sends as
+duplicates, because both servers have the same GUID, and number their messages from 1. A server that ends without
+SIGKILL announces its end, and a killed server is forgotten after its lease; the client then connects to the next one.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Probe:
         self._socket: socket.socket | None = None
 
     def fails(self, seconds: float = 0.0) -> bool:
-        """Return whether a report about the previous probe has arrived, or about a new one within ``seconds``."""
+        """Send a probe; return whether a failure is reported, of the previous probe or, within ``seconds``, of this."""
         self.refused = False
         failed = self._raises(self._receive)
         failed = self._raises(self._send) or failed
@@ -140,13 +140,13 @@ class Probe:
 
 def failing(listed: Iterable[Server], seconds: float = 0.3) -> list[Server]:
     """Return the servers that do not run, as far as that is reported within ``seconds``."""
-    found: list[Server] = []
+    failed: list[Server] = []
     for server in listed:
         probe = Probe(server)
         if probe.fails(seconds):
-            found.append(server)
+            failed.append(server)
         probe.close()
-    return found
+    return failed
 
 
 def _resolved(server: Server) -> Server:
@@ -157,7 +157,7 @@ def _resolved(server: Server) -> Server:
 
 
 def _sockets(server: Server) -> frozenset[str]:
-    """Return the inodes of this machine's sockets at the port of a server here; empty if they are unknown."""
+    """Return the inodes of this machine's sockets at a server's port; empty if unknown or on another machine."""
     if not _is_here(server.host):
         return frozenset()
     return frozenset(inode for port, inode in udp_sockets() or () if port == server.port)
@@ -216,7 +216,7 @@ class ServerWatch:
     def texts(self) -> list[str]:
         """Warnings about servers that are excluded, do not run, or have been restarted."""
         texts = [f"{self._excluded}; {LOCALHOST_CURE}"] if self._excluded else []
-        texts += (f"{silent(server)}; {START_CURE}" for server, of in self._servers.items() if of.fails)
+        texts += (f"{silent(server)}; {START_CURE}" for server, watched in self._servers.items() if watched.fails)
         restarted = tuple(self._restarted)
         return texts + [f"the discovery server at {server} {RESTARTED}; {RESTARTED_CURE}" for server in restarted]
 

@@ -69,8 +69,8 @@ _log = logging.getLogger(__name__)
 
 _End = TypeVar("_End", Ros2Subscription, Ros2Publisher, VersionedPublisher, Ros2Caller, Ros2Server)
 
-_FORGOTTEN = 15.0
-"""Seconds of suspension after which others may have dropped this participant: Fast DDS's default lease is 20 s."""
+_FORGOTTEN_SECONDS = 15.0
+"""Seconds of suspension after which others may have dropped this participant; Fast DDS's default lease is 20 s."""
 
 
 class Ros2Edge(SideEdge):
@@ -127,12 +127,12 @@ class Ros2Edge(SideEdge):
         processes = ProcessWatch(self._prefix)
         self._context = Ros2Context(participant, loop, graph, processes, later, heartbeats, self._dds, held)
 
-        def seen() -> frozenset[bytes]:
+        def current_participants() -> frozenset[bytes]:
             return graph.snapshot.participants
 
-        self._origins = Origins(self._prefix, self._state / "ros2", seen, listener.graph_changed, later)
+        self._origins = Origins(self._prefix, self._state / "ros2", current_participants, listener.graph_changed, later)
         self._announcements = Announcements(
-            self._prefix, number, seen, partial(self._dds.refresh, self._prefix, ()), later,
+            self._prefix, number, current_participants, partial(self._dds.refresh, self._prefix, ()), later,
             localhost_only=self._localhost_only,
         )  # fmt: skip
         self._dds.refresh(self._prefix, self._origins.predecessors, self._announcements.port)
@@ -141,7 +141,7 @@ class Ros2Edge(SideEdge):
         self._dds.follow(heartbeats, graph.snapshot.endpoints)
         string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
         past, changed = self._origins.past, listener.presence_changed
-        self._presence = PresenceTopic(participant, loop, string, seen, past, changed)
+        self._presence = PresenceTopic(participant, loop, string, current_participants, past, changed)
 
     @property
     def _localhost_only(self) -> bool:
@@ -171,7 +171,7 @@ class Ros2Edge(SideEdge):
     def carry_parameters(
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
-        """Create the nodes whose parameters ROS 1 owns: `ros2 param` calls services only of nodes on the graph."""
+        """Create the nodes whose parameters ROS 1 owns; `ros2 param` calls only services of nodes on the graph."""
         del hub, active
         participant = self._started().participant
         names = dict.fromkeys(rule.node for rule in rules if rule.owner == "ros1")
@@ -309,7 +309,7 @@ class Ros2Edge(SideEdge):
         return self._versions.converter(side_type.name, side_type.type_id, version)
 
     def _announced(self, side_type: SideType) -> str:
-        """Return the hash that an endpoint announces: for Humble's version, which has none, this machine's."""
+        """Return the hash that an endpoint announces; Humble's version has none, and announces this machine's."""
         return side_type.type_id or self._registry.ros2(side_type.name).type_id
 
     def _check_one_type(self, topic: str, type_name: str) -> None:
@@ -319,7 +319,7 @@ class Ros2Edge(SideEdge):
         other = next((e.type_name for e in topic_ends if e.topic == topic and e.type_name != type_name), None)
         if other is not None:
             raise MessageTypeError(
-                f"{topic} is already bridged to ROS 2 as {other}, it cannot also be {type_name}",
+                f"{topic} is already bridged to ROS 2 as {other}, so it cannot also be {type_name}",
                 f"rename one of the two by a rule with 'type: {type_name}': a ROS 2 program has one type per topic",
             )
 
@@ -357,11 +357,11 @@ class Ros2Edge(SideEdge):
 
     @override
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
-        """Serve a name; after a failed call, a client gets an action's rejection, or no reply for any other service."""
+        """Serve a service; after a failed call, a client of an action gets a rejection, any other client no reply."""
         service_class = self._service_class(side_type)
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
         if split(name)[1] == GET_RESULT:
-            call, refuse = partial(_call_for_end, call), _ended_refusal(refuse)
+            call, refuse = partial(_call_with_final_state, call), _refusal_with_final_state(refuse)
         replaced, (request, _) = partial(self._is_served, name), self._part_hashes(side_type)
         converters = partial(self._versions.of_client, side_type.name, side_type.type_id, request)
         context = self._started()
@@ -370,7 +370,7 @@ class Ros2Edge(SideEdge):
         )
 
     def _is_served(self, name: str) -> bool:
-        """Return whether a service has an open server here, or one of another participant; reads the graph."""
+        """Return whether this edge or another participant has an open server of a service; reads the graph."""
         with self._lock:
             if any(isinstance(end, Ros2Server) and end.name == name for end in self._ends):
                 return True
@@ -395,7 +395,7 @@ class Ros2Edge(SideEdge):
     def resumed(self, seconds: float) -> None:
         """Restart after a long suspension: others that dropped this participant never rediscover it."""
         reason = f"suspended for {seconds:.0f} s, ROS 2 nodes may have dropped this participant: restarting"
-        if seconds > _FORGOTTEN and self._listener is not None:
+        if seconds > _FORGOTTEN_SECONDS and self._listener is not None:
             self._listener.edge_failed(reason)
 
     @override
@@ -423,8 +423,8 @@ class Ros2Edge(SideEdge):
         if context is None or announcements is None:
             return {}
         snapshot = context.graph.snapshot
-        found = middlewares.programs(snapshot.endpoints, snapshot.participants, announcements.versions())
-        return {end.id: str(program) for program, ends in found.values() for end in ends}
+        by_prefix = middlewares.programs(snapshot.endpoints, snapshot.participants, announcements.versions())
+        return {end.id: str(program) for program, ends in by_prefix.values() for end in ends}
 
     @override
     def warnings(self) -> list[str]:
@@ -470,16 +470,16 @@ _STATUS = 4
 """Offset of the goal's status in a GetResult response in CDR."""
 
 
-def _ended(response: bytes) -> bytes:
+def _with_final_state(response: bytes) -> bytes:
     """Return a GetResult response with a final state: UNKNOWN on the hub becomes ABORTED for a ROS 2 client."""
     if response[_STATUS : _STATUS + 1] != bytes([GoalState.UNKNOWN]):
         return response
     return response[:_STATUS] + bytes([GoalState.ABORTED]) + response[_STATUS + 1 :]
 
 
-def _ended_refusal(refuse: Callable[[], bytes] | None) -> Callable[[], bytes] | None:
-    return None if refuse is None else lambda: _ended(refuse())
+def _refusal_with_final_state(refuse: Callable[[], bytes] | None) -> Callable[[], bytes] | None:
+    return None if refuse is None else lambda: _with_final_state(refuse())
 
 
-def _call_for_end(call: Call, request: bytes, done: Done) -> Abandon:
-    return call(request, lambda reply: done(_ended(reply) if isinstance(reply, bytes) else reply))
+def _call_with_final_state(call: Call, request: bytes, done: Done) -> Abandon:
+    return call(request, lambda reply: done(_with_final_state(reply) if isinstance(reply, bytes) else reply))

@@ -30,7 +30,8 @@ SWITCHES: Mapping[str, dict[str, str]] = {
 }
 """Variables of the worker, by ``ros2.rmw``."""
 STATIC_PEERS = "ROS_STATIC_PEERS"
-"""Machines to announce to without multicast: rmw_fastrtps ignores it with SYSTEM_DEFAULT, so the profile has them."""
+"""Variable with the machines to announce to without multicast. With SYSTEM_DEFAULT rmw_fastrtps ignores the variable,
+so the profile has the machines."""
 UNSET = ("ROS_LOCALHOST_ONLY", "FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_USE_QOS_FROM_XML")
 _PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
 _REACHED = "Nodes of other releases are reached over the network, without their installation"
@@ -161,7 +162,7 @@ def _foreign(environ: Mapping[str, str]) -> list[Path]:
 
 
 def _without_ros1(environ: dict[str, str]) -> None:
-    """Remove ROS 1's packages from the path: they have the names of ROS 2's, and would be imported instead."""
+    """Remove ROS 1's packages from the path, because they would be imported instead of ROS 2's of the same names."""
     folders = [p for p in environ.get("PYTHONPATH", "").split(os.pathsep) if p and not (Path(p) / "rospy").is_dir()]
     environ.pop("PYTHONPATH", None)
     if folders:

@@ -63,7 +63,7 @@ class VersionFilter:
     def attach(self, publisher: int) -> object:
         """Restrict the writer of ``rcl_publisher_t *``; keep the result until the writer is destroyed.
 
-        Raises `MessageTypeError` if Fast DDS does not have it as a reliable writer.
+        Raises `MessageTypeError` if Fast DDS has no such writer, or the writer is not reliable.
         """
         attached = reader_filter.VersionFilter(*self._arguments)
         if not attached.attach(rmw.publisher_gid(publisher)):

@@ -29,8 +29,8 @@ _log = logging.getLogger(__name__)
 class EndpointReader(ABC):
     """An endpoint that the loop serves: a subscription, unless a class overrides `wake`.
 
-    It holds rclpy's inner object (``handle``) until `destroy`, so that its ``pointer`` (``rcl_subscription_t *``, or
-    that of its kind) stays valid whichever thread closes it.
+    It holds rclpy's inner object (``handle``) until `destroy`, so that its ``pointer`` (``rcl_subscription_t *`` for a
+    subscription) stays valid whichever thread closes it.
     """
 
     def __init__(self, participant: Participant, handle: Any) -> None:
@@ -44,7 +44,7 @@ class EndpointReader(ABC):
         return 0
 
     def wake(self, waker: rcl.Waker | None) -> None:
-        """Report new messages to a waker; None stops that before returning."""
+        """Report new messages to a waker from now on; with None, stop the reports before returning."""
         rcl.wake("subscription", self.pointer, waker)
 
     @abstractmethod
@@ -65,7 +65,7 @@ class ReadLoop(ABC):
     """A thread, and the readers that it serves.
 
     Args:
-        resolve: of its `bridge.adapters.ros2.rcl.Taker`.
+        resolve: see `bridge.adapters.ros2.rcl.Taker`.
     """
 
     def __init__(self, resolve: Callable[[bytes], bytes] | None = None) -> None:
@@ -232,9 +232,9 @@ class WaitSetReadLoop(ReadLoop):
     def _apply_changes(self) -> bool:
         changed = False
         while self._changes:
-            reader, joins = self._changes.popleft()
+            reader, is_new = self._changes.popleft()
             changed = True
-            if joins:
+            if is_new:
                 self._readers[reader.pointer] = reader
             else:
                 self._readers.pop(reader.pointer, None)

@@ -32,7 +32,7 @@ _DISCOVERY = "ros_discovery_info"
 
 
 @contextlib.contextmanager
-def _explained(topic: str, message_class: Any) -> Iterator[None]:
+def _explaining_errors(topic: str, message_class: Any) -> Iterator[None]:
     """Add the topic and type to rcl's error, which mentions only types and allocators."""
     try:
         yield
@@ -50,7 +50,7 @@ class Participant:
 
     Attributes:
         marks: who created the endpoints on the network.
-        resolve: returns a publisher's GID for that in a message; None if they are the same.
+        resolve: returns a publisher's GUID for the GID in a message; None if they are the same.
     """
 
     rmw: ClassVar[str] = FAST_DDS
@@ -110,12 +110,12 @@ class Participant:
 
     def make_writer(self, message_class: Any, topic: str, qos: Qos) -> Any:
         """Create a DDS writer; its ``pointer`` is ``rcl_publisher_t *``."""
-        with self._lock, _explained(topic, message_class):
+        with self._lock, _explaining_errors(topic, message_class):
             return _rclpy.Publisher(self._node, message_class, topic, to_rclpy(qos))
 
     def make_reader(self, message_class: Any, topic: str, qos: Qos) -> Any:
         """Create a DDS reader; its ``pointer`` is ``rcl_subscription_t *``."""
-        with self._lock, _explained(topic, message_class):
+        with self._lock, _explaining_errors(topic, message_class):
             return _rclpy.Subscription(self._node, message_class, topic, to_rclpy(qos))
 
     def service_topics(self) -> list[tuple[str, str]]:
@@ -130,7 +130,7 @@ class Participant:
 
     def make_client(self, service_class: Any, service: str, qos: Qos) -> Any:
         """Create a client; its ``pointer`` is ``rcl_client_t *``."""
-        with self._lock, _explained(service, service_class):
+        with self._lock, _explaining_errors(service, service_class):
             return _rclpy.Client(self._node, service_class, service, to_rclpy(qos))
 
     def make_raw_reader(self, support: int, dds_topic: str) -> RmwSubscription:
@@ -140,7 +140,7 @@ class Participant:
 
     def make_server(self, service_class: Any, service: str, qos: Qos) -> Any:
         """Create a server; its ``pointer`` is ``rcl_service_t *``."""
-        with self._lock, _explained(service, service_class):
+        with self._lock, _explaining_errors(service, service_class):
             return _rclpy.Service(self._node, service_class, service, to_rclpy(qos))
 
     def make_guard_condition(self) -> Any:
@@ -168,10 +168,10 @@ class Participant:
 # Midspan's enumerations have rmw's numbers, like rclpy's inner module.
 
 UNKNOWN_DEPTH = 10
-"""Assumed depth of a volatile remote endpoint; a latched one counts as 1, its last message."""
+"""Assumed depth of a volatile remote endpoint; for a latched endpoint 1 is assumed, its last message."""
 
 _LONGEST_NS = 2**62
-"""Durations from here on count as infinite: DDS reports the largest number, and no finite one is near it."""
+"""Longer durations count as infinite; for infinity DDS reports the largest number, far above any finite duration."""
 
 
 def from_rclpy(profile: Mapping[str, Any]) -> Qos:

@@ -63,7 +63,7 @@ _PROPERTIES = {
     # the participant's own writers and readers ignore each other
     "fastdds.ignore_local_endpoints": "true",
     # Fast DDS 3 announces the definitions of types, and matches endpoints only if they are equal; here they are those
-    # of a lent type support (`bridge.adapters.ros2.types`). Without them it compares the names, like Fast DDS 2.
+    # of a lent type support (`bridge.adapters.ros2.types`). Without definitions it compares names, like Fast DDS 2.
     "fastdds.type_propagation": "disabled",
 }
 
@@ -75,6 +75,7 @@ class FastDdsProfile:
     Attributes:
         prefix: its marked GUID prefix (12 bytes).
         segment: its shared memory in bytes; 0: only UDP.
+        localhost_only: whether it communicates only with participants on this machine.
         peers: addresses of machines to announce itself to, see `static_peers`.
     """
 
@@ -177,7 +178,7 @@ def _add_texts(parent: ET.Element, **texts: str) -> None:
 
 
 def use_profile(config: Config, state: Path) -> FastDdsProfile:
-    """Write this process's Fast DDS profile. Fast DDS reads it once, so later calls return the first one."""
+    """Write this process's Fast DDS profile. Fast DDS reads it once, so later calls return the first profile."""
     if _loaded:
         return _loaded[0]
     prefix = new_prefix(rcl.host_prefix(), stored_prefixes(state / "ros2"))

@@ -45,7 +45,7 @@ RET_TAKE_FAILED = 401
 """``RCL_RET_SUBSCRIPTION_TAKE_FAILED``: the subscription has no message."""
 
 LARGE = 32 * 1024
-"""Least bytes of a message for which a call releases the GIL, so that copying it does not stop the other threads."""
+"""Size in bytes from which a message's call releases the GIL, so that copying it does not stop the other threads."""
 
 _GID_BYTES = 16
 
@@ -138,7 +138,7 @@ class Taker:
     """Takes serialized messages into a reused buffer; not thread-safe.
 
     Args:
-        resolve: returns a publisher's GID for that of rmw; None if they are the same.
+        resolve: returns a publisher's GUID for the GID that rmw reports; None if they are the same.
 
     Attributes:
         buffer: a reference to the ``rmw_serialized_message_t``.
@@ -164,7 +164,7 @@ class Taker:
         return Taken(self.payload(), gid if self._resolve is None else self._resolve(gid), source_ns, sequence)
 
     def taken(self) -> Taken:
-        """Return the last message, taken with `info` (`take` does the same without a further call)."""
+        """Return the message that was last taken into `buffer` and `info` (`take` includes this)."""
         source_ns, _, sequence, _, _, gid, _ = _INFO.unpack(self.info)
         return Taken(self.payload(), gid if self._resolve is None else self._resolve(gid), source_ns, sequence)
 
@@ -224,7 +224,7 @@ class Waker(NamedTuple):
 
 
 def wake(kind: str, pointer: int, waker: Waker | None) -> None:
-    """Report each new message, reply or request of an endpoint to a waker; None stops that before returning.
+    """Report each new message, reply or request of an endpoint to a waker; with None, stop that before returning.
 
     ``kind`` is ``subscription``, ``client`` or ``service``; ``pointer`` is ``rcl_subscription_t *``, or that of its
     kind.
@@ -243,7 +243,7 @@ def new_queue() -> taking.Queue:
 
 
 def queue_waker(data: int) -> Waker:
-    """Return what adds a reader to its queue, by the data that the queue returned for it."""
+    """Return the waker that adds a reader to its queue; ``data`` is what the queue returned for the reader."""
     return Waker(taking.ON_NEW_MESSAGES, data)
 
 
@@ -296,15 +296,15 @@ NOT_COMPILED = (
     "ROS 2 services and actions are not bridged: the extension for their bytes (service_callbacks) is not compiled"
 )
 
-_KEPT = 64 * 1024
-"""Bytes of a reused buffer; a larger one is freed after each message."""
+_MAX_REUSED = 64 * 1024
+"""Maximum size of a reused buffer in bytes; a larger buffer is freed after each message."""
 
 _APPEND = "_ZN8eprosima7fastcdr3Cdr15serialize_arrayEPKcm"
 _BEGIN = "_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv"
 
 
 class Wire(Structure):
-    """A whole message in memory; for a taken one libc allocates ``capacity`` bytes, which grow as needed.
+    """A whole message in memory; for a taken message libc allocates ``capacity`` bytes, which grow as needed.
 
     A taken message of ``exact_length`` bytes goes to ``exact`` instead (``taking.c``).
     """
@@ -333,7 +333,7 @@ class Incoming:
     def payload(self) -> bytes:
         """Return a copy of the last message."""
         payload = ctypes.string_at(self._wire.start or 0, self._wire.length)
-        if self._wire.capacity > _KEPT:
+        if self._wire.capacity > _MAX_REUSED:
             self.close()
         return payload
 

@@ -39,12 +39,12 @@ class Release:
 
     @property
     def fast_dds_major(self) -> int:
-        """The major version of Fast DDS: only participants of the same one share memory."""
+        """The major version of Fast DDS; only participants with the same major version share memory."""
         return int(self.fast_dds.partition(".")[0])
 
     @property
     def profile_variables(self) -> tuple[str, ...]:
-        """The variables that name the Fast DDS profile; Fast DDS 3 warns of the one that 2 needs."""
+        """The variables that name the Fast DDS profile; Fast DDS 3 warns about the variable that Fast DDS 2 needs."""
         return ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")[self.fast_dds_major - 2 :]
 
     @property

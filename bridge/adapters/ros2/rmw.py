@@ -97,17 +97,17 @@ def _service_qos(depth: int) -> _QosProfile:
 class RmwPublisher:
     """A reliable, volatile writer of a DDS topic.
 
-    Raises `MessageTypeError` if the middleware refuses it.
+    Raises `MessageTypeError` if the middleware refuses the writer.
 
     Args:
         node: the address of the ``rcl_node_t``.
         support: the address of the type support of the topic's messages.
         topic: the name of the DDS topic.
-        depth: number of messages in its history.
+        depth: number of messages in the writer's history.
 
     Attributes:
-        gid: its GID.
-        data: the address of the middleware's own structure for it (``rmw_publisher_t.data``).
+        gid: the writer's GID.
+        data: the address of the middleware's own structure for the writer (``rmw_publisher_t.data``).
     """
 
     def __init__(self, node: int, support: int, topic: str, depth: int) -> None:
@@ -169,7 +169,7 @@ class RmwSubscription:
         self._rmw.rmw_destroy_subscription(self._node, self.pointer)
 
     def wake(self, waker: rcl.Waker | None) -> None:
-        """Report each new message to a waker; None stops that before returning."""
+        """Report each new message to a waker; with None, stop that before returning."""
         code = self._rmw.rmw_subscription_set_on_new_message_callback(self.pointer, *(waker or (None, None)))
         if code != rcl.RET_OK:
             raise rcl.RclError("rmw_subscription_set_on_new_message_callback", code)

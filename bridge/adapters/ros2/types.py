@@ -84,7 +84,7 @@ def make_capsule(pointer: int) -> Any:
     return _python.PyCapsule_New(pointer, None, None)
 
 
-def lent(kind: str, name: str) -> int:
+def lent_support(kind: str, name: str) -> int:
     """Return a pointer to rclpy's type support of an rcl_interfaces ``message`` (``msg__Log``) or ``service``."""
     library = ctypes.CDLL("librcl_interfaces__rosidl_typesupport_c.so")
     lend = getattr(library, f"rosidl_typesupport_c__get_{kind}_type_support_handle__rcl_interfaces__{name}")
@@ -96,7 +96,7 @@ class Lender:
     """The type support whose functions the created type supports use."""
 
     def __init__(self) -> None:
-        pointer = lent("message", "msg__Log")
+        pointer = lent_support("message", "msg__Log")
         self.dispatch = TypeSupport.from_address(pointer)
         find = FindSupport(self.dispatch.find)
         self.fast_dds = TypeSupport.from_address(find(pointer, FAST_DDS))
@@ -204,7 +204,7 @@ class _ServiceSupport(Structure):
 
 
 class _ServiceMembers(Structure):
-    """The members structure of either implementation; that of Fast DDS ends before ``event``."""
+    """The members structure of either implementation; Fast DDS's structure ends before ``event``."""
 
     _fields_ = [("namespace", c_char_p), ("name", c_char_p), *_pointers("request", "response", "event")]
 
@@ -303,7 +303,7 @@ class TypeSupports:
         """Load the structures that all services share; raises `MessageTypeError` if services cannot be bridged."""
         with self._lock:
             if self._for_services is None:
-                support = _ServiceSupport.from_address(lent("service", "srv__GetParameters"))
+                support = _ServiceSupport.from_address(lent_support("service", "srv__GetParameters"))
                 self._for_services = support, Callbacks()
 
     def _service_structures(self, name: TypeName, part_hashes: Hashes) -> ServiceParts:
@@ -314,8 +314,8 @@ class TypeSupports:
         """Return a class that rclpy's inner ``Client`` and ``Service`` accept; raises `MessageTypeError`.
 
         Its ``request_support`` and ``response_support`` are the addresses of the type supports of its two messages.
-        The type is ``package/srv/Name`` or ``package/action/Name_SendGoal``; DDS endpoints announce the
-        ``part_hashes``, those of its request and its response.
+        The type is ``package/srv/Name`` or ``package/action/Name_SendGoal``. ``part_hashes`` are the hashes of its
+        request and its response, which DDS endpoints announce.
         """
         self.prepare_services()
         with self._lock:

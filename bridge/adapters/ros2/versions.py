@@ -59,11 +59,11 @@ class EndpointVersions:
         return not endpoint.type_id and self._differs(endpoint.type, NO_HASH)
 
     def of_plain_dds(self, endpoint: Endpoint) -> Endpoint:
-        """Return an endpoint of a program without ROS 2's graph, which has this machine's version if it has no hash."""
+        """Return the endpoint of a program outside ROS 2's graph; without a hash it gets this machine's version."""
         return replace(endpoint, type_id=self._releases.here_hash(endpoint.type)) if not endpoint.type_id else endpoint
 
     def of_service(self, type_name: str, request: str, reply: str) -> str:
-        """Return the hash of a service from those of its request and reply, which its endpoints announce.
+        """Return the hash of a service from the hashes of its request and reply, which its endpoints announce.
 
         If no known version has both, return a hash that belongs to no version. ``reply`` is "" before it is discovered.
         """
@@ -101,7 +101,7 @@ class EndpointVersions:
     def service_to_hub(self, endpoint: Endpoint, here: ServiceConversion) -> ServiceConversion | None:
         """Return the conversion of a server of another version.
 
-        None if the server has this machine's version, whose conversion is ``here``, or one without converters.
+        None if the server has this machine's version, whose conversion is ``here``, or a version without converters.
         """
         name, version, own = endpoint.type, endpoint.type_id, here.hub.type_id
         if version == own or not self._differs(name, version):
@@ -120,10 +120,10 @@ class EndpointVersions:
         )
 
     def called(self, servers: Iterable[Endpoint]) -> list[Endpoint]:
-        """Return those of a service's servers that get its requests: of each type, the servers of one version.
+        """Return the servers that get a service's requests: of each type, the servers of one version.
 
-        That is this machine's if a server has it, or else the most frequent one that can be converted. All servers are
-        returned if there is no such version.
+        This is this machine's version if a server has it, else the most frequent version that can be converted. All
+        servers are returned if there is no such version.
         """
         called: list[Endpoint] = []
         for type_name, of_type in _by_type(servers).items():
@@ -144,9 +144,9 @@ class EndpointVersions:
         return min(convertible, key=lambda v: (-convertible[v], v), default=None)
 
     def with_uncalled(self, servers: Iterable[Endpoint], called: Collection[str]) -> list[Endpoint]:
-        """Return a service's servers, and mark those whose version differs from that of the servers that are called.
+        """Return a service's servers, and mark those whose version differs from the version that is called.
 
-        ``called`` has the ids of the latter.
+        ``called`` has the ids of the servers that are called.
         """
         marked: list[Endpoint] = []
         for type_name, of_type in _by_type(servers).items():
@@ -215,7 +215,8 @@ class EndpointVersions:
     def for_readers(self, here: str, readers: Iterable[Endpoint]) -> str:
         """Return the version for a writer that sends to all readers.
 
-        This machine's (``here``) if any reader has it or no reader's version is known, else the most frequent.
+        This is this machine's version (``here``) if any reader has it or no reader's version is known, else the most
+        frequent version.
         """
         versions = Counter(version for reader in readers if (version := self._known(reader)) is not None)
         if not versions or here in versions:
@@ -234,7 +235,7 @@ class EndpointVersions:
         return None if convert is same else convert
 
     def of_client(self, type_name: str, here: str, request_hash: str, client: str) -> tuple[Convert, Convert] | None:
-        """Return the converters of a client's requests to this machine's version, and of the replies to the client's.
+        """Return the converters of a client's requests to this machine's version, and of the replies from it.
 
         Args:
             type_name: the service.
@@ -252,15 +253,15 @@ class EndpointVersions:
         reply = self._releases.converter(type_name, here, client, "Response")
         return None if request is None or reply is None else (request, reply)
 
-    # -- for people ----------------------------------------------------------------------------------------------------
+    # -- texts for users -----------------------------------------------------------------------------------------------
 
     def obstacle(self, service: str, servers: Iterable[Endpoint], expected: str | None = None) -> Obstacle | None:
-        """Return why servers cannot be called: they have different versions; None if they can.
+        """Return why servers cannot be called because of their versions; None if they can.
 
         Args:
             service: the service's name.
             servers: all servers of the service.
-            expected: the version of a client that is to call them, if it exists.
+            expected: the version of the client that is to call them; None if there is no client yet.
         """
         for type_name, of_type in _by_type(servers).items():
             versions = {self._of_server(server) for server in of_type if server.made_by is MadeBy.NATIVE} - {None}
@@ -331,7 +332,7 @@ class EndpointVersions:
         return warnings + list(self._native_pairs(endpoints))
 
     def _native_pairs(self, endpoints: Iterable[Endpoint]) -> Iterator[str]:
-        """Yield the names of which native nodes have different versions of the type, with these nodes."""
+        """Yield a warning for each name of which native nodes have different versions of the type."""
         ends: dict[tuple[str, str], dict[Kind, list[Endpoint]]] = defaultdict(lambda: defaultdict(list))
         for end in endpoints:
             if end.made_by is MadeBy.NATIVE and self.varies(end.type):
@@ -339,7 +340,7 @@ class EndpointVersions:
         for (name, type_name), kinds in sorted(ends.items()):
             for senders, receivers in ((Kind.PUBLISHER, Kind.SUBSCRIPTION), (Kind.CLIENT, Kind.SERVER)):
                 versions = [{self._of_server(end) for end in kinds[kind]} - {None} for kind in (senders, receivers)]
-                if any(one != other for one in versions[0] for other in versions[1]):
+                if any(sent != received for sent in versions[0] for received in versions[1]):
                     nodes = self._versions_of_nodes(type_name, [*kinds[senders], *kinds[receivers]])
                     yield (
                         f"{name}: native nodes have different versions of {type_name} ({nodes}), and decode each"

@@ -55,7 +55,7 @@ class CyclonePair(RmwSubscription):
         self._writer.publish(payload)
 
     def matched_readers(self) -> frozenset[bytes]:
-        """Return the GUIDs of the readers that the writer has matched; b"" for an unknown one."""
+        """Return the GUIDs of the readers that the writer has matched; b"" for an unknown reader."""
         return self._discovery.matched_readers(self._entity)
 
     @override

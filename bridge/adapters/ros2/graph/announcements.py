@@ -26,7 +26,7 @@ _PERIOD = 2.0
 """Seconds between two reads; the kernel buffers some 150 announcements."""
 _PROMPTS = 3
 """Maximum number of prompts for one participant that has not announced itself."""
-_MOST = 2000
+_MAX_PARTICIPANTS = 2000
 _BATCH = 1000
 _DATAGRAM = 65536
 
@@ -41,7 +41,7 @@ _TEXT = 24
 
 
 class Announcement(NamedTuple):
-    """One participant; ``version`` is that of its middleware, "" if it announces none."""
+    """One participant; ``version`` is its middleware's version, "" if it announces none."""
 
     prefix: bytes
     version: str
@@ -53,14 +53,14 @@ def parse(message: bytes) -> Announcement | None:
         return None
     prefix = message[_HEADER - PREFIX_BYTES : _HEADER]
     try:
-        for parameters in _announced(message):
+        for parameters in _spdp_parameters(message):
             return Announcement(prefix, _version(message[6:8], parameters))
     except (struct.error, IndexError):
         pass
     return None
 
 
-def _announced(message: bytes) -> Iterator[Mapping[int, bytes]]:
+def _spdp_parameters(message: bytes) -> Iterator[Mapping[int, bytes]]:
     """Yield the parameters of each DATA submessage of an SPDP writer (DDSI-RTPS 2.5, 9.4.5)."""
     offset = _HEADER
     while offset + 4 <= len(message):
@@ -80,13 +80,13 @@ def _announced(message: bytes) -> Iterator[Mapping[int, bytes]]:
 
 def _parameters(data: bytes, offset: int, order: str) -> tuple[dict[int, bytes], int]:
     """Return a parameter list (9.4.2.11), and its end."""
-    found: dict[int, bytes] = {}
+    parameters: dict[int, bytes] = {}
     while True:
         number, length = struct.unpack_from(f"{order}HH", data, offset)
         offset += 4
         if number == _SENTINEL:
-            return found, offset
-        found[number] = data[offset : offset + length]
+            return parameters, offset
+        parameters[number] = data[offset : offset + length]
         offset += length
 
 
@@ -102,13 +102,13 @@ def _version(vendor: bytes, parameters: Mapping[int, bytes]) -> str:
 
 
 class Announcements:
-    """Follows the announcements on one domain; `versions` has their versions.
+    """Receives the announcements on one domain; `versions` returns the versions in them.
 
     Args:
         own: the GUID prefix of this process's participant.
         present: returns the GUID prefixes of the other participants on the graph.
         prompt: has all participants announce themselves to a port of the loopback interface.
-        later: the thread that reads.
+        later: the thread that reads the sockets.
     """
 
     def __init__(
@@ -122,20 +122,20 @@ class Announcements:
         self._sockets: list[socket.socket] = []
         self.port = 0
         with contextlib.suppress(OSError):  # a host without loopback or multicast: versions remain unknown
-            responses = self._opened(("127.0.0.1", 0))
+            responses = self._open_socket(("127.0.0.1", 0))
             self.port = int(responses.getsockname()[1])
         with contextlib.suppress(OSError):
-            multicast = self._opened((spdp.MULTICAST, spdp.multicast_port(domain)))
+            multicast = self._open_socket((spdp.MULTICAST, spdp.multicast_port(domain)))
             _join(multicast, localhost_only=localhost_only)
         later.after(_PERIOD, self._poll, once=True)
 
-    def _opened(self, address: tuple[str, int]) -> socket.socket:
-        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._sockets.append(opened)
-        opened.setblocking(False)
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        opened.bind(address)
-        return opened
+    def _open_socket(self, address: tuple[str, int]) -> socket.socket:
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sockets.append(sock)
+        sock.setblocking(False)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind(address)
+        return sock
 
     def versions(self) -> dict[bytes, str]:
         """Return the version of each participant that has announced itself, by GUID prefix; "" if it announced none."""
@@ -162,23 +162,23 @@ class Announcements:
         self._later.after(_PERIOD, self._poll, once=True)
 
     def _drain(self) -> None:
-        for opened in self._sockets:
+        for sock in self._sockets:
             for _ in range(_BATCH):
                 try:
-                    message = opened.recv(_DATAGRAM)
+                    message = sock.recv(_DATAGRAM)
                 except OSError:
                     break
                 prefix = message[_HEADER - PREFIX_BYTES : _HEADER]
                 if prefix in self._versions or prefix == self._own or (announcement := parse(message)) is None:
                     continue
-                if len(self._versions) >= _MOST:
+                if len(self._versions) >= _MAX_PARTICIPANTS:
                     del self._versions[next(iter(self._versions))]
                 self._versions[prefix] = announcement.version
 
 
-def _join(opened: socket.socket, *, localhost_only: bool) -> None:
+def _join(sock: socket.socket, *, localhost_only: bool) -> None:
     for number, name in socket.if_nameindex():
         if name == "lo" or not localhost_only:
             request = struct.pack("@4s4si", socket.inet_aton(spdp.MULTICAST), bytes(4), number)
             with contextlib.suppress(OSError):  # an interface without multicast
-                opened.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, request)
+                sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, request)

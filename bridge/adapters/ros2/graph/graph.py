@@ -1,4 +1,4 @@
-"""The ROS 2 graph as Midspan's participant discovers it, followed by a thread.
+"""The ROS 2 graph as Midspan's participant discovers it, kept up to date by a thread.
 
 The middleware's graph guard condition wakes the thread; it then reads the whole graph, which takes about 20 ms for 500
 topics with two endpoints each, and pauses ten times as long.
@@ -31,7 +31,7 @@ PRESENCE = "/_midspan/presence"
 _SETTLE = 0.02
 _POLL, _LONGEST_POLL = 5.0, 60.0
 _SHARE = 1000
-"""The interval of reads without a change, in multiples of the last one's CPU time: 0.1 % of a core."""
+"""Pause between reads while nothing changes, as a multiple of the last read's CPU time: they use 0.1 % of a core."""
 
 _PAUSE = 10
 
@@ -42,10 +42,10 @@ _log = logging.getLogger(__name__)
 class GraphSnapshot:
     """The graph at one moment, without Midspan's own endpoints.
 
-    ``endpoints`` omits hidden topics except those of actions; ``publishers`` are by topic and GID; ``servers`` are the
-    GIDs of the native servers that are called, by service; ``participants`` are the GUID prefixes of all other ROS
-    participants; ``subscribed`` has the topics that another participant subscribes to; ``obstacles`` are the reasons
-    why native servers of a service cannot be called, by service.
+    ``endpoints`` omits hidden topics except those of actions; ``publishers`` are by topic and GID; ``servers`` has, by
+    service, the GIDs of the native servers that Midspan calls; ``participants`` are the GUID prefixes of all other ROS
+    participants; ``subscribed`` has the topics that another participant subscribes to; ``obstacles`` has, by service,
+    the reason why its native servers cannot be called.
     """
 
     endpoints: tuple[Endpoint, ...] = ()
@@ -107,7 +107,7 @@ class Ros2Graph:
         """Read the whole graph."""
         endpoints: list[Endpoint] = []
         publishers: dict[str, dict[bytes, Endpoint]] = {}
-        self._endpoints_of(PRESENCE, Kind.PUBLISHER)  # shows which participants on Cyclone DDS are Midspan's
+        self._endpoints_of(PRESENCE, Kind.PUBLISHER)  # so that `marks` learns which on Cyclone DDS are Midspan's
         for topic in self._participant.topics():
             if is_hidden(topic):
                 continue
@@ -141,19 +141,19 @@ class Ros2Graph:
         return [e for _, e in self._servers(service, request_topic(service))]
 
     def called(self, servers: Sequence[Endpoint]) -> list[Endpoint]:
-        """Return those of a service's servers that get its requests."""
+        """Return the servers of a service that get its requests."""
         called = vendors.called(servers)
         return self._versions.called(called) if self._versions is not None and self._separates else called
 
     def obstacle(self, service: str, servers: Sequence[Endpoint], expected: str | None = None) -> Obstacle | None:
-        """Return why these servers of a service cannot be called, by a client of the ``expected`` version; or None."""
+        """Return why a client of the ``expected`` version cannot call these servers of a service; None if it can."""
         obstacle = self._vendor_obstacle(service, servers)
         if obstacle is None and self._versions is not None:
             obstacle = self._versions.obstacle(service, self.called(servers), expected)
         return obstacle
 
     def client_types(self, service: str) -> dict[bytes, str]:
-        """Return the types' hashes of a service's clients, by the GUID prefix of their participant; reads the graph.
+        """Return the type hash of each client of a service, by its participant's GUID prefix; reads the graph.
 
         Clients whose version is not known yet are omitted.
         """
@@ -162,7 +162,10 @@ class Ros2Graph:
         return {bytes.fromhex(client.id)[:PREFIX_BYTES]: client.type_id for client in known}
 
     def client_made_by(self, service: str, prefix: bytes) -> MadeBy:
-        """Return who created a participant, by its GUID prefix and its client of a service; reads the graph."""
+        """Return who created the participant with this GUID prefix, judged by its client of a service; reads the graph.
+
+        UNKNOWN if the participant has no such client, or its clients disagree.
+        """
         clients = self._others(service, Kind.CLIENT, self._participant.writers(request_topic(service), dds=True))
         found = {client.made_by for gid, client in clients if gid[:PREFIX_BYTES] == prefix}
         return found.pop() if len(found) == 1 else MadeBy.UNKNOWN
@@ -174,7 +177,7 @@ class Ros2Graph:
     def own_writer(self, dds_topic: str) -> bytes | None:
         """Return the GID of this participant's newest writer of a DDS topic; reads the graph.
 
-        An older one may be that of a closed server. Fast DDS numbers a participant's endpoints upwards.
+        An older writer may belong to a closed server. Fast DDS numbers a participant's endpoints in ascending order.
         """
         gids = (bytes(info["endpoint_gid"]) for info in self._participant.writers(dds_topic, dds=True))
         return max((gid for gid in gids if gid[:PREFIX_BYTES] == self._own), default=None)
@@ -195,9 +198,10 @@ class Ros2Graph:
     def _with_versions(
         self, ends: list[tuple[bytes, Endpoint]], service: str, reply_ends: Callable[..., Sequence[Mapping[str, Any]]]
     ) -> list[tuple[bytes, Endpoint]]:
-        """Return servers or clients with the hash of the service, if its type varies: they announce that of requests.
+        """Return servers or clients, each with the hash of its service's version if the type has several versions.
 
-        That of the replies is announced by the participant's other endpoint.
+        Such an endpoint announces only the hash of the requests; the participant's endpoint of the reply topic
+        announces the hash of the replies.
         """
         versions = self._versions
         if versions is None or not any(end.type_id and versions.varies(end.type) for _, end in ends):
@@ -244,20 +248,20 @@ class Ros2Graph:
                     self._update()
                 except Exception:
                     _log.exception("reading the ROS 2 graph failed")
-                took = time.thread_time() - started
-                self._stopping.wait(max(_SETTLE, _PAUSE * took))
+                duration = time.thread_time() - started
+                self._stopping.wait(max(_SETTLE, _PAUSE * duration))
                 if self._stopping.is_set():
                     break
                 wait_set.clear_entities()
                 wait_set.add_guard_condition(self._guard)
                 rcl.wait_set_add_guard_condition(wait_set.pointer, self._graph_guard)
-                wait_set.wait(int(min(max(_POLL, _SHARE * took), _LONGEST_POLL) * 1e9))
+                wait_set.wait(int(min(max(_POLL, _SHARE * duration), _LONGEST_POLL) * 1e9))
                 self._stopping.wait(_SETTLE)
 
     def _prepare_versions(self) -> None:
         """Find the versions of the services' types.
 
-        That takes up to 20 ms for each type, but once, so the pause after a read does not count it.
+        This takes up to 20 ms per type, but only once, so the pause after a read does not include it.
         """
         if self._versions is not None:
             for type_name in self._participant.service_types():
@@ -274,7 +278,7 @@ _ACTION_TOPICS = tuple(part_name("", part) for part in TOPICS)
 
 
 def is_hidden(topic: str) -> bool:
-    """Return whether ROS 2 hides a name (a part begins with an underscore), except an action's topics."""
+    """Return whether ROS 2 hides a name, because a part begins with an underscore; False for an action's topics."""
     action = next((topic.removesuffix(end) for end in _ACTION_TOPICS if topic.endswith(end)), topic)
     return "/_" in action
 

@@ -2,9 +2,9 @@
 
 A reliable, volatile reader on Cyclone DDS skips everything before the first HEARTBEAT that it receives from a writer
 (``handle_Heartbeat`` in its q_receive.c). Fast DDS sends no HEARTBEAT before the writer's first sample, and after that
-only with a sample. So what is written before the reader has matched is lost although Fast DDS keeps it, and so is the
-first sample that consists of fragments: its HEARTBEAT arrives before it is whole. A HEARTBEAT that announces only what
-was written before (first 1, last the number of samples) prevents both.
+only with a sample. So what is written before the reader has matched is lost although Fast DDS keeps it. The first
+sample that consists of fragments is lost, too, because its HEARTBEAT arrives before the sample is whole. A HEARTBEAT
+that announces only what was written before (first 1, last the number of samples) prevents both losses.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from bridge.routing.edge import Endpoint, Kind
 
 PAUSE_SECONDS = 0.05
 MATCH_SECONDS = 0.3
-"""Seconds until a new endpoint has matched at a participant that has been discovered before: it takes milliseconds. A
-reader ignores heartbeats until then, and DDS does not report when it has matched, so they are repeated."""
+"""Seconds until a new endpoint has surely matched at a participant that was discovered before; milliseconds usually
+suffice. Until then a reader ignores heartbeats, and DDS does not report the match, so heartbeats are repeated."""
 
 _SETTLE_SECONDS = 3.5
-"""Seconds from the discovery of a participant until it knows all endpoints here: Fast DDS repeats an announcement that
-the other was not yet ready to receive after up to 3 s (the heartbeat period of its discovery writers)."""
+"""Seconds from the discovery of a participant until it knows all endpoints here. If the participant was not ready for
+an announcement, Fast DDS repeats it after up to 3 s (the heartbeat period of its discovery writers)."""
 
 
-class _Prepared(NamedTuple):
+class _Preparation(NamedTuple):
     """The number of samples that a writer had written, and the end of its heartbeats on the monotonic clock."""
 
     last: int
@@ -49,10 +49,10 @@ class Heartbeats:
         self._lock = threading.Lock()
         self._discovered: dict[bytes, float] = {}
         self._readers: dict[str, frozenset[bytes]] = {}
-        self._pending: dict[bytes, _Prepared] = {}
+        self._pending: dict[bytes, _Preparation] = {}
 
     def follow(self, endpoints: Iterable[Endpoint]) -> None:
-        """Record the endpoints on Cyclone DDS: when each participant was discovered, and who subscribes to what."""
+        """Record the participants and subscriptions on Cyclone DDS, and when each participant was discovered."""
         readers: dict[str, set[bytes]] = {}
         prefixes: set[bytes] = set()
         for endpoint in endpoints:
@@ -75,8 +75,8 @@ class Heartbeats:
 
         Args:
             writer: the GID of a writer of this participant.
-            last: the number of samples that it has written.
-            peers: GIDs of the participants to prepare; not only those of the readers, any of their endpoints will do.
+            last: the number of samples that the writer has written.
+            peers: a GID of any endpoint of each participant to prepare.
 
         Returns:
             A time on the monotonic clock.
@@ -86,9 +86,9 @@ class Heartbeats:
             discovered = (self._discovered.setdefault(gid[:PREFIX_BYTES], now) for gid in peers)
             end = max(max(discovered, default=now) + _SETTLE_SECONDS, now) + MATCH_SECONDS
             earlier = self._pending.get(writer)
-            if earlier is not None:  # for other readers, which may still match; fewer samples only cost a request
+            if earlier is not None:  # its readers may still have to match; announcing fewer samples costs a request
                 end, last = max(end, earlier.end), min(last, earlier.last)
-            self._pending[writer] = _Prepared(last, end)
+            self._pending[writer] = _Preparation(last, end)
         self._later.after(0.0, self._send, once=True)
         return end
 

@@ -14,7 +14,7 @@ import psutil
 from bridge.concurrency import DelayedCalls
 
 PERIOD = 2.0
-"""Seconds between two checks. An address counts once two checks in a row find the same new ones."""
+"""Seconds between two checks. New addresses count once two checks in a row find the same ones."""
 
 Addresses = frozenset[tuple[str, str]]
 
@@ -36,7 +36,7 @@ def ipv4_addresses() -> Addresses:
 class InterfaceWatch:
     """Calls ``appeared`` once, with a text, when the machine gets addresses that it did not have at construction.
 
-    An address that disappears and returns is not new: the participant's sockets still use it.
+    An address that disappears and returns is not new, because the participant's sockets still use it.
     """
 
     def __init__(

@@ -1,10 +1,11 @@
 """Decides whether Midspan created an endpoint, by its participant's GUID prefix or enclave.
 
-A participant on Fast DDS has a marked GUID prefix (`bridge.adapters.ros2.graph.origins`). Cyclone DDS chooses GUIDs
-itself, so one on Cyclone DDS has only a marked enclave, which rmw announces with each participant. Cyclone DDS reports
-the enclave before any endpoint of the participant. rmw_fastrtps reports it by node only, so on Fast DDS the origin of
-an endpoint on Cyclone DDS is unknown until its participant has announced its nodes. Midspan's participants on Fast DDS
-have the enclave, too, so that their nodes and those of Midspan on Cyclone DDS may have the same name.
+Midspan's participant on Fast DDS has a marked GUID prefix (`bridge.adapters.ros2.graph.origins`). Cyclone DDS chooses
+GUIDs itself, so Midspan's participant on Cyclone DDS has only a marked enclave, which rmw announces with each
+participant. Cyclone DDS reports the enclave before any endpoint of the participant. rmw_fastrtps reports it by node
+only, so on Fast DDS the origin of an endpoint on Cyclone DDS is unknown until its participant has announced its nodes.
+Midspan's participants on Fast DDS have the enclave, too, so that they may have nodes with the same names as Midspan's
+participants on Cyclone DDS.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from bridge.routing.edge import MadeBy
 ENCLAVE = "/_midspan/origin"
 """The marked enclave. Every Midspan daemon takes a node with it for Midspan's, so no other program may use it."""
 
-_MOST = 2000
+_MAX_KNOWN = 2000
 
 
 class Marks(ABC):
-    """What is known of the participants on the network; thread-safe."""
+    """Who created the participants on the network, as far as that is known; thread-safe."""
 
     @abstractmethod
     def made_by(self, gid: bytes) -> MadeBy:
@@ -38,7 +39,7 @@ class Marks(ABC):
 
 
 class NodeMarks(Marks):
-    """On Fast DDS. ``enclaves`` returns the enclaves of all nodes, by the nodes' full names."""
+    """The marks on Fast DDS. ``enclaves`` returns the enclaves of all nodes, by the nodes' full names."""
 
     def __init__(self, enclaves: Callable[[], Mapping[str, Collection[str]]]) -> None:
         self._enclaves = enclaves
@@ -55,7 +56,7 @@ class NodeMarks(Marks):
 
     @override
     def of_endpoint(self, gid: bytes, node: str, *, has_hash: bool) -> MadeBy:
-        """Return who created an endpoint; those without a hash are of plain DDS programs or of Humble."""
+        """Return who created an endpoint; endpoints without a hash are of plain DDS programs or of Humble."""
         made_by = self.made_by(gid)
         if made_by is not MadeBy.UNKNOWN:
             return made_by
@@ -66,14 +67,14 @@ class NodeMarks(Marks):
             return MadeBy.UNKNOWN
         made_by = MadeBy.MIDSPAN if ENCLAVE in enclaves else MadeBy.NATIVE
         with self._lock:
-            while len(self._known) >= _MOST:
+            while len(self._known) >= _MAX_KNOWN:
                 del self._known[next(iter(self._known))]
             self._known[gid[:PREFIX_BYTES]] = made_by
         return made_by
 
 
 class EnclaveMarks(Marks):
-    """On Cyclone DDS. ``enclave`` returns that of a GUID prefix: "" for none, None before it is discovered."""
+    """The marks on Cyclone DDS. ``enclave`` returns the enclave of a GUID prefix, "" for none, None if unknown yet."""
 
     def __init__(self, enclave: Callable[[bytes], str | None]) -> None:
         self._enclave = enclave

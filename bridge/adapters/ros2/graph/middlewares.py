@@ -47,7 +47,7 @@ def dds_name(prefix: bytes, version: str | None) -> str:
 def _by_version(prefix: bytes, version: str | None) -> Releases:
     """Return the releases with this version of Fast DDS.
 
-    All releases if the version is not known, and for another DDS, because the releases share its versions.
+    Returns all releases if the version is not known, and for another DDS, because releases share that DDS's versions.
     """
     if prefix[:2] != _FAST or version is None:
         return releases.ALL

@@ -1,17 +1,17 @@
 """Detects participants on the network that this participant's shared memory cannot reach.
 
-Fast DDS offers shared memory to every participant whose GUID prefix begins with the same four bytes: those of this
-host. It does not notice that one belongs to another user, or to a container with a separate /dev/shm, and then silently
-delivers nothing. The prefix's bytes 4 and 5 are the low half of the process id (observed with Fast DDS 2.14.5). So a
-participant that can share memory has a process on this host with such an id, of the same user, with Fast DDS loaded,
-and with the same /dev/shm.
+Fast DDS offers shared memory to every participant whose GUID prefix begins with this host's four bytes. If such a
+participant belongs to another user, or to a container with a separate /dev/shm, Fast DDS does not notice that, and
+silently delivers nothing. The prefix's bytes 4 and 5 are the low half of the process id (observed with Fast DDS
+2.14.5). So a participant that can share memory has a process on this host with such an id, of the same user, with Fast
+DDS loaded, and with the same /dev/shm.
 
 Fast DDS 2 and 3 announce shared memory in different ways (locators of kind 0x10 and 0x13), and name its files
 differently. Neither uses the other's files: messages between them go over UDP, also between users.
 
 A participant that was killed just after its start has no process either, and stays on the graph until its lease ends.
-While fewer of the domain's ports are bound than participants of this host are known, one of them has died (a container
-with a separate network has another host's prefix).
+While fewer of the domain's ports are bound than participants of this host are known, one of these participants has died
+(a container with a separate network has another host's prefix).
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from bridge.hub.shared_memory import FOLDER, YOUNG_SECONDS, is_locked
 from bridge.state_file import keep
 
 CONFIRM_SECONDS = 1.0
-"""A program that has just ended may still be on the graph without a process."""
+"""Pause before a second check, because a program that has just ended may still be on the graph without a process."""
 
 LEASE_SECONDS = 25.0
-"""By then a dead participant has left the graph, if it had Fast DDS's lease of 20 s."""
+"""Seconds after which a dead participant has left the graph, if it had Fast DDS's lease of 20 s."""
 
 _HOST = slice(0, 4)
 _PID = slice(4, 6)
@@ -44,13 +44,13 @@ _NOTE = "udp-alone"
 
 
 class MemoryNeighbors:
-    """Calls ``stranger`` for a participant that shared memory cannot reach, although Fast DDS offers it.
+    """Calls ``on_unreachable`` for a participant that shared memory cannot reach, although Fast DDS offers it.
 
     Args:
         own: this participant's GUID prefix.
         major: the major version of its Fast DDS.
         domain: its ROS domain.
-        stranger: called once, on a thread of ``later``.
+        on_unreachable: called once, on a thread of ``later``.
         later: for delayed checks.
         proc: the process table.
         folder: the folder of the files in shared memory.
@@ -61,18 +61,18 @@ class MemoryNeighbors:
         own: bytes,
         major: int,
         domain: int,
-        stranger: Callable[[], None],
+        on_unreachable: Callable[[], None],
         later: DelayedCalls,
         *,
         proc: Path = Path("/proc"),
         folder: Path = FOLDER,
     ) -> None:
-        self._own, self._major, self._domain, self._stranger = own, major, domain, stranger
+        self._own, self._major, self._domain, self._on_unreachable = own, major, domain, on_unreachable
         self._later, self._proc, self._folder = later, proc, folder
         self._lock = threading.Lock()
         self._present: frozenset[bytes] = frozenset()
-        self._ours: set[bytes] = set()
-        self._others: set[bytes] = set()
+        self._reachable: set[bytes] = set()
+        self._other_majors: set[bytes] = set()
         self._since = 0.0
         self._confirming = self._done = False
 
@@ -80,8 +80,8 @@ class MemoryNeighbors:
         """Check the participants that are on the network now."""
         with self._lock:
             self._present = frozenset(participants)
-            self._ours &= self._present
-            self._others &= self._present
+            self._reachable &= self._present
+            self._other_majors &= self._present
             if not self._done and not self._confirming and self._suspects():
                 self._since = time.monotonic()
                 self._confirm_later()
@@ -89,7 +89,7 @@ class MemoryNeighbors:
     def on_other_major(self) -> int:
         """Return the number of participants on this host whose Fast DDS has another major version."""
         with self._lock:
-            return len(self._others)
+            return len(self._other_majors)
 
     def _confirm_later(self) -> None:
         self._confirming = True
@@ -97,25 +97,26 @@ class MemoryNeighbors:
 
     def _suspects(self) -> list[bytes]:
         suspects = []
-        for prefix in self._present - self._ours - self._others:
+        for prefix in self._present - self._reachable - self._other_majors:
             if prefix[_HOST] != self._own[_HOST] or is_marked(prefix):
-                self._ours.add(prefix)
+                self._reachable.add(prefix)
                 continue
             processes = candidate_processes(self._proc, int.from_bytes(prefix[_PID], "little"))
             majors = {major for process in processes for major in loaded_majors(process)}
             majors = majors or {major for process in processes for major in self._majors_of_other_user(process)}
             if self._major in majors:
-                self._ours.add(prefix)
+                self._reachable.add(prefix)
             elif majors:
-                self._others.add(prefix)
+                self._other_majors.add(prefix)
             else:
                 suspects.append(prefix)
         return suspects
 
     def _majors_of_other_user(self, process: Path) -> set[int]:
-        """Return the majors of another user's Fast DDS from its live files, as its memory map is not readable.
+        """Return the major versions of another user's Fast DDS, from the user's live files in shared memory.
 
-        Empty if the user has live files of this participant's major version: Fast DDS uses them, but delivers nothing.
+        The memory map of the process is not readable. Empty if the user has live files of this participant's major
+        version, because Fast DDS then uses these files, but delivers nothing.
         """
         try:
             uid = process.stat().st_uid
@@ -135,7 +136,7 @@ class MemoryNeighbors:
                 self._confirm_later()
                 return
             self._done = True
-        self._stranger()
+        self._on_unreachable()
 
     def _has_dead_participant(self) -> bool:
         on_host = {prefix for prefix in self._present if prefix[_HOST] == self._own[_HOST]} | {self._own}
@@ -148,7 +149,7 @@ class MemoryNeighbors:
 
 
 def candidate_processes(proc: Path, low: int) -> list[Path]:
-    """Return the candidate paths in the process table for ids with this low half."""
+    """Return the paths in the process table of all possible process ids with ``low`` as their lower 16 bits."""
     try:
         largest = int((proc / "sys/kernel/pid_max").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -189,18 +190,18 @@ def udp_sockets(proc: Path = Path("/proc")) -> list[tuple[int, str]] | None:
 
 def prefer_udp(folder: Path) -> None:
     """Make later starts use only UDP, until the machine reboots."""
-    keep(folder / _NOTE, _boot(), "the next start tries shared memory again")
+    keep(folder / _NOTE, _boot_id(), "the next start tries shared memory again")
 
 
 def prefers_udp(folder: Path) -> bool:
     """Return whether `prefer_udp` was called since the machine booted."""
     try:
-        return (folder / _NOTE).read_text(encoding="utf-8") == _boot()
+        return (folder / _NOTE).read_text(encoding="utf-8") == _boot_id()
     except OSError:
         return False
 
 
-def _boot() -> str:
+def _boot_id() -> str:
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="utf-8").strip()
     except OSError:
@@ -208,8 +209,8 @@ def _boot() -> str:
 
 
 # -- ended processes ---------------------------------------------------------------------------------------------------
-# DDS itself notices a kill after 20 s. For a participant whose process is not found here, or is another user's, DDS
-# decides.
+# DDS itself notices a kill after 20 s. It decides about participants whose process is not found here, or is another
+# user's.
 
 _MOST = 1000
 
@@ -228,17 +229,17 @@ class ProcessWatch:
             if len(self._processes) >= _MOST:
                 self._processes.clear()
             known = self._processes[prefix] = self._find(prefix)
-        return bool(known) and all(_start(process) != start for process, start in known.items())
+        return bool(known) and all(_start_time(process) != start for process, start in known.items())
 
     def _find(self, prefix: bytes) -> dict[Path, str]:
         if prefix[_HOST] != self._own[_HOST] or is_marked(prefix):
             return {}
         candidates = candidate_processes(self._proc, int.from_bytes(prefix[_PID], "little"))
-        starts = {process: _start(process) for process in candidates if loaded_majors(process)}
+        starts = {process: _start_time(process) for process in candidates if loaded_majors(process)}
         return {process: start for process, start in starts.items() if start}
 
 
-def _start(process: Path) -> str:
+def _start_time(process: Path) -> str:
     """Return a process's start time, "" if it has ended (proc(5): fields 3 and 22 of stat)."""
     try:
         fields = (process / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
@@ -277,7 +278,7 @@ def has_other_users(major: int, folder: Path = FOLDER) -> bool:
 
 
 def live_users(major: int, folder: Path = FOLDER) -> Iterator[int]:
-    """Yield the owner of each file that a live participant of a major version of Fast DDS has in the folder."""
+    """Yield the owner's user id of each live participant's lock file, for participants with this major version."""
     for lock in _locks(folder):
         with contextlib.suppress(OSError):
             if lock.name.startswith(f"{SHARED_MEMORY[major]}_") and is_locked(lock):
@@ -287,8 +288,8 @@ def live_users(major: int, folder: Path = FOLDER) -> Iterator[int]:
 def clean(folder: Path = FOLDER) -> int:
     """Remove the segments of dead participants, and only those; return their number.
 
-    Ports stay: Fast DDS itself replaces a dead one when its number is used again, and might do so at the same time. For
-    those of dead predecessors, see `clean_ports`. A segment's name is never reused.
+    Ports stay, because Fast DDS itself replaces a dead port when its number is used again, and might do so at the same
+    time; for the ports of dead predecessors, see `clean_ports`. A segment's name is never reused.
     """
     removed = 0
     for lock in _locks(folder):
@@ -303,7 +304,7 @@ def clean(folder: Path = FOLDER) -> int:
 
 
 def clean_ports(numbers: Iterable[int], folder: Path = FOLDER) -> None:
-    """Remove dead predecessors' ports, except those in use: others keep them open until they notice the death."""
+    """Remove dead predecessors' ports, except ports that others keep open because they have not noticed the death."""
     import fcntl
 
     for port in (f"{name}_port{number}" for number in numbers for name in SHARED_MEMORY.values()):

@@ -1,8 +1,8 @@
 """Decides which ROS 2 origins on the hub are on this worker's DDS network.
 
 DDS networks have no identity: two networks with "domain 0" are one only if their participants discover each other. So a
-Midspan participant that is discovered here is on this network. An undiscovered one may still appear: its origin counts
-as own for `DISCOVERY_SECONDS`, as nothing may be bridged while its origin is unknown.
+Midspan participant that is discovered here is on this network. An undiscovered participant may still appear. Its origin
+counts as own for `DISCOVERY_SECONDS`, because nothing may be bridged while an origin is unknown.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from bridge.state_file import keep
 DISCOVERY_SECONDS = 1.5
 """A participant announces itself every half second; see `bridge.adapters.ros2.profile`."""
 
-_KEPT = 64
+_MAX_STORED = 64
 _PREDECESSORS = 4
-"""More are not needed: each participant disposed its predecessors when it started, unless it died at once."""
+"""More are not needed, because each participant disposed its predecessors when it started, unless it died at once."""
 _MAX_SEEN = 1000
 """Number of origins whose first sight is remembered; the oldest is dropped, and would count as own again."""
 _FILE = "prefixes"
@@ -32,9 +32,9 @@ class Origins:
     """Distinguishes own origins from foreign ones.
 
     ``own`` is this participant's GUID prefix. ``folder`` stores the prefixes of this daemon's participants: ``past``
-    has all of them, ``predecessors`` the newest dead ones. A hub session may outlive its dead worker for some seconds,
-    and its origin is own. ``participants`` returns the GUID prefixes on this DDS network now; ``settled`` is called,
-    through ``later``, when an origin's `DISCOVERY_SECONDS` are over.
+    has all of them, ``predecessors`` the newest dead ones. Their origins count as own, because a hub session may
+    outlive its dead worker for some seconds. ``participants`` returns the GUID prefixes on this DDS network now;
+    ``settled`` is called, through ``later``, when an origin's `DISCOVERY_SECONDS` are over.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ def stored_prefixes(folder: Path) -> list[bytes]:
 
 def _remember(own: bytes, folder: Path) -> list[bytes]:
     """Store this participant's prefix, and return all stored ones, the new one last."""
-    prefixes = [*(p for p in stored_prefixes(folder) if p != own), own][-_KEPT:]
+    prefixes = [*(p for p in stored_prefixes(folder) if p != own), own][-_MAX_STORED:]
     text = "".join(f"{prefix.hex()}\n" for prefix in prefixes)
     keep(folder / _FILE, text, "for some seconds after a crash, its own topics may loop back")
     return prefixes
@@ -106,9 +106,9 @@ _RECENT = 8
 def new_prefix(host: bytes, past: Sequence[bytes] = ()) -> bytes:
     """Return a new marked prefix; ``host`` is the four bytes that Fast DDS gives to participants of this host.
 
-    A participant's ports follow from its number. If it reused those of a predecessor, others would continue to write
-    into the dead one's shared memory: their first messages would be lost until their heartbeats, up to 3 s later. So
-    the numbers of the newest ``past`` participants are excluded.
+    A participant's ports follow from its number. If it reused a predecessor's ports, others would continue to write
+    into the predecessor's shared memory, and their first messages would be lost until their heartbeats, up to 3 s
+    later. So the numbers of the newest ``past`` participants are excluded.
     """
     taken = {participant_number(prefix) for prefix in past[-_RECENT:]}
     while participant_number(prefix := host + os.urandom(4) + _MARK) in taken:
@@ -122,5 +122,5 @@ def participant_number(prefix: bytes) -> int:
 
 
 def is_marked(gid: bytes) -> bool:
-    """Return whether a GUID, or its prefix, is a Midspan participant's."""
+    """Return whether a GUID, or its prefix, has the mark of Midspan's participants on Fast DDS."""
     return gid[8:PREFIX_BYTES] == _MARK

@@ -2,8 +2,8 @@
 
 The topic is hidden by ROS 2's rule (``/_midspan/presence``) and carries JSON in a ``std_msgs/msg/String``. It is
 latched, so that a new participant receives the records of all others at once; each record replaces the last.
-Participants are known before their first record, by the mark in the GUID prefix. A crashed one stays listed, without
-new records, until its successor disposes it or its lease expires (20 s).
+Participants are known before their first record, by the mark in the GUID prefix. A crashed participant stays listed,
+without new records, until its successor disposes it or its lease expires (20 s).
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ _TEXT = 8
 class PresenceTopic(EndpointReader):
     """The writer and reader of this topic.
 
-    ``message_class`` is that of `TYPE`, for raw use; ``seen`` returns the GUID prefixes of the other participants on
-    the network now; ``past`` are those of this daemon's dead participants; ``changed`` is called on a record of another
-    one.
+    ``message_class`` is the raw class of `TYPE`; ``seen`` returns the GUID prefixes of the other participants on the
+    network now; ``past`` are the prefixes of this daemon's dead participants; ``changed`` is called when another
+    participant has sent a record.
     """
 
     def __init__(

@@ -20,8 +20,8 @@ from bridge.config.model import Config
 from bridge.routing.edge import MadeBy
 
 SECONDS = 4.0
-"""Seconds of discovery. Most participants respond to the first announcement at once, but a stock one may be discovered
-only by its next periodic announcement, up to 3 s later (observed with Fast DDS 2.14.5)."""
+"""Seconds of discovery. Most participants respond to the first announcement at once, but a participant with default
+settings may be discovered only by its next periodic announcement, up to 3 s later (observed with Fast DDS 2.14.5)."""
 
 
 def read_graph(config: Config, state: Path, seconds: float) -> dict[str, Any]:

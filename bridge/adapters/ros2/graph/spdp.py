@@ -6,10 +6,10 @@ such participants match again without ever completing their discovery (observed 
 again). So the lease keeps its default, and the successor of a killed worker sends what a clean exit would send: a
 ``DATA`` submessage with the status "disposed and unregistered" (DDSI-RTPS 2.5, 8.5.5.1, 9.4.5.4, 9.6.4.9).
 
-**Prompt.** A new participant announces itself, and every other one responds once, immediately. Fast DDS receives only
-after its first announcement, so responses within a millisecond are lost, and their senders announce themselves again up
-to 3 s later (this happened at every second start). So once Midspan's participant receives, it announces and disposes a
-pseudo-participant with its own address, to which all others respond.
+**Prompt.** A new participant announces itself, and every other participant responds once, immediately. Fast DDS
+receives only after its first announcement, so responses within a millisecond are lost, and their senders announce
+themselves again up to 3 s later (this happened at every second start). So once Midspan's participant receives, it
+announces and disposes a pseudo-participant with its own address, to which all others respond.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ def disposal(prefix: bytes) -> bytes:
 
 
 def announcement(prefix: bytes, domain: int, number: int, also: int = 0) -> bytes:
-    """Return the RTPS message that announces a participant without endpoints, at the address of another one.
+    """Return the RTPS message that announces a participant without endpoints, at the address of another participant.
 
-    ``prefix`` is the GUID prefix of the announced participant, ``number`` the number of the other one; ``also`` is a
-    further port for responses.
+    ``prefix`` is the GUID prefix of the announced participant, ``number`` the number of the participant at the address;
+    ``also`` is a further port for responses, 0 for none.
     """
     ports = [_unicast_port(domain, number), *([also] if also else [])]
     payload = _PL_CDR_LE + _parameters(

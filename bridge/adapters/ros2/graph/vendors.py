@@ -1,10 +1,10 @@
-"""Nodes on Cyclone DDS: their requests and replies have another form than those of Fast DDS.
+"""Nodes on Cyclone DDS, whose requests and replies have another form than on Fast DDS.
 
 The first two bytes of a GUID prefix are its vendor's (DDSI-RTPS 2.5, 9.3.1.5): 01 0f is eProsima, whose Fast DDS
 Midspan uses, 01 10 is Eclipse Cyclone DDS. A server on Cyclone DDS would execute a request in Fast DDS's form shifted
 by 16 bytes, which for most types means all zeros (see `bridge.adapters.ros2.services.cyclone`). DDS delivers a request
-to all servers of a name, so the clients here filter it (`bridge.adapters.ros2.filters`): if a name has servers of both
-kinds, those on Cyclone DDS are not called. Without the filter, no server of such a name is called.
+to all servers of a service, so the clients here filter requests (`bridge.adapters.ros2.filters`): if a service has
+servers of both kinds, its servers on Cyclone DDS are not called. Without the filter, none of its servers is called.
 """
 
 from __future__ import annotations
@@ -72,14 +72,14 @@ def _is_cyclone_endpoint(endpoint: Endpoint) -> bool:
 
 
 def _by_dds(endpoints: Iterable[Endpoint]) -> tuple[list[Endpoint], list[Endpoint]]:
-    """Return the native servers, or clients, on Cyclone DDS, and the others."""
+    """Return the native servers (or clients) on Cyclone DDS, and the native ones on another DDS."""
     native = [server for server in endpoints if server.made_by is MadeBy.NATIVE]
     cyclone = [server for server in native if _is_cyclone_endpoint(server)]
     return cyclone, [server for server in native if server not in cyclone]
 
 
 def called(servers: Iterable[Endpoint]) -> list[Endpoint]:
-    """Return the native servers of a name that get its requests: those on Cyclone DDS only if all of them are."""
+    """Return the native servers of a service that get its requests: if any is on another DDS, none on Cyclone DDS."""
     cyclone, others = _by_dds(servers)
     return others or cyclone
 
@@ -133,7 +133,7 @@ def notes(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
 
 
 def _called_of_both(endpoints: Iterable[Endpoint]) -> dict[str, str]:
-    """Return which servers are called, by the names that servers on Cyclone DDS and on another DDS serve."""
+    """Return which servers are called, for each name that is served both on Cyclone DDS and on another DDS."""
     by_name: dict[str, list[Endpoint]] = {}
     for endpoint in endpoints:
         if endpoint.kind is Kind.SERVER:
@@ -166,7 +166,7 @@ def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
 
 
 def not_on_cyclone(service: str, servers: Iterable[Endpoint] = ()) -> Obstacle:
-    """Return why a client on Cyclone DDS cannot call a service that these servers on another DDS have, too."""
+    """Return why a client on Cyclone DDS cannot call a service; ``servers`` are its servers on another DDS."""
     reason = (
         f"{service} is served on another DDS than Cyclone DDS ({_nodes(servers) or UNNAMED}): Midspan, which is on"
         " Cyclone DDS, can neither send a request in the other's form nor match its reply, so it was not sent"
@@ -181,10 +181,10 @@ def of_servers_not_on_cyclone(service: str, servers: Iterable[Endpoint]) -> Obst
 
 
 def report(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
-    """Return the ``nodes`` on Cyclone DDS, and the names that ``both`` they and nodes on another DDS serve.
+    """Return a report, empty if no node is on Cyclone DDS.
 
-    Services that every node has, such as those of its parameters, are omitted there. ``mixed`` has the pairs of
-    `mixed`.
+    ``nodes`` are the nodes on Cyclone DDS; ``both`` are the names served both there and on another DDS, without the
+    services that every node has, such as those of its parameters; ``mixed`` has the pairs of `mixed`.
     """
     by_name: dict[str, list[Endpoint]] = {}
     nodes: set[str] = set()
@@ -200,7 +200,7 @@ def report(endpoints: Collection[Endpoint]) -> dict[str, list[str]]:
 
 
 def warning(cyclone: dict[str, Any]) -> str:
-    """Return a one-line warning for the result of `report`, "" without a name that both serve."""
+    """Return a one-line warning for the result of `report`, "" if ``both`` is empty."""
     if not cyclone["both"]:
         return ""
     names = ", ".join(cyclone["both"])

@@ -1,4 +1,4 @@
-"""Clients of the native servers of one name on the DDS network."""
+"""A client that calls the native servers of one service on the DDS network."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class _PendingCall:
 
 
 class Ros2Caller(ServiceEndpoint, EdgeCaller):
-    """A client. DDS delivers a request to every server of the name; the first reply counts."""
+    """A client. DDS delivers a request to every server of the service; the first reply counts."""
 
     def __init__(
         self, name: str, service_class: Any, context: Ros2Context, closed: Closed, type_id: str | None = None
@@ -64,16 +64,16 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
     @override
     def call(self, request: bytes, done: Done) -> Abandon:
         """Begin a call; never blocks. A request that cannot be sent ends with an error at once."""
-        calling = _PendingCall(request, done)
+        pending = _PendingCall(request, done)
         with self._lock:
             refused = self._refused(request)
             if not refused:
-                self._waiting.append(calling)
+                self._waiting.append(pending)
         if refused:
             done(refused)
         else:
             self._advance()
-        return partial(self._abandon, calling)
+        return partial(self._abandon, pending)
 
     def _refused(self, request: bytes) -> CallError | None:
         obstacle = self._graph.snapshot.obstacles.get(self.name)
@@ -90,7 +90,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         return None
 
     def _prepare_cyclone(self) -> None:
-        """Prepare the servers before the first call, if all known ones are on Cyclone DDS."""
+        """If all known servers are on Cyclone DDS, prepare them before the first call: see `RequestSender.prepare`."""
         servers = self._graph.snapshot.servers.get(self.name, frozenset())
         if servers and all(map(vendors.is_cyclone, servers)):
             self._settling_until = time.monotonic() + _MATCH_SECONDS
@@ -98,7 +98,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     def _settle(self) -> None:
         wait = 0.0
-        with self._lock, contextlib.suppress(UnsentCallError):  # a call reports that
+        with self._lock, contextlib.suppress(UnsentCallError):  # the next call fails with the same error
             if not self._closed:
                 wait = self._sender.prepare(self._servers())
         if wait and time.monotonic() < self._settling_until:
@@ -121,8 +121,8 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
                 self._later.after(wait, self._advance_later)
             if self._sent:
                 self._check_soon()
-        for calling, error in failed:
-            _end(calling, error)
+        for pending, error in failed:
+            _end(pending, error)
 
     def _advance_later(self) -> None:
         with self._lock:
@@ -130,7 +130,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._advance()
 
     def _send_waiting(self, failed: list[tuple[_PendingCall, CallError]]) -> float:
-        """Send waiting requests; return the seconds until the next may be sent, 0 without one. The lock is held."""
+        """Send waiting requests; return the seconds until the next may be sent, 0 if none waits. The lock is held."""
         while self._waiting and not self._closed:
             servers = self._servers()
             if not servers:
@@ -157,22 +157,22 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
                 return wait
             if self._sender.outdated:
                 continue
-            calling = self._waiting.popleft()
+            pending = self._waiting.popleft()
             if wait or not self._matched:
-                failed.append((calling, CallError(f"the server of {self.name} on ROS 2 cannot be reached")))
+                failed.append((pending, CallError(f"the server of {self.name} on ROS 2 cannot be reached")))
                 continue
             try:
-                number = self._sender.send(calling.request)
+                number = self._sender.send(pending.request)
             except rcl.RclError as err:
-                failed.append((calling, CallError(f"{self.name}: {err}")))
+                failed.append((pending, CallError(f"{self.name}: {err}")))
                 continue
-            calling.servers, calling.request = servers, b""
-            self._sent[number] = calling
-            self._requests.sent(number)
+            pending.servers, pending.request = servers, b""
+            self._sent[number] = pending
+            self._requests.on_sent(number)
         return 0.0
 
     def _fail_waiting(self, failed: list[tuple[_PendingCall, CallError]], error: CallError) -> None:
-        failed += [(calling, error) for calling in self._waiting]
+        failed += [(pending, error) for pending in self._waiting]
         self._waiting.clear()
 
     @override
@@ -182,11 +182,11 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
 
     def _replied(self, number: int, payload: bytes) -> None:
         with self._lock:
-            calling = self._sent.pop(number, None)
-            self._requests.answered(number)
+            pending = self._sent.pop(number, None)
+            self._requests.on_reply(number)
             waiting = bool(self._waiting)
-        if calling is not None:
-            _end(calling, payload)
+        if pending is not None:
+            _end(pending, payload)
         if waiting:
             self._advance()
 
@@ -197,10 +197,10 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         with self._lock:
             servers = self._servers()
             self._matched = False
-            left = [number for number, calling in self._sent.items() if not calling.servers & servers]
-            ended = [self._sent.pop(number) for number in left]
-        for calling in ended:
-            _end(calling, CallError(f"the server of {self.name} on ROS 2 left before it answered"))
+            departed = [number for number, pending in self._sent.items() if not pending.servers & servers]
+            ended = [self._sent.pop(number) for number in departed]
+        for pending in ended:
+            _end(pending, CallError(f"the server of {self.name} on ROS 2 left before it answered"))
         self._advance()
 
     @override
@@ -218,11 +218,11 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._ended = self._ended_among(self._graph.snapshot.servers.get(self.name, frozenset()))
         return self._ended
 
-    def _abandon(self, calling: _PendingCall) -> None:
+    def _abandon(self, pending: _PendingCall) -> None:
         with self._lock:
-            if calling in self._waiting:
-                self._waiting.remove(calling)
-            for number in [number for number, other in self._sent.items() if other is calling]:
+            if pending in self._waiting:
+                self._waiting.remove(pending)
+            for number in [number for number, other in self._sent.items() if other is pending]:
                 del self._sent[number]
 
     @override
@@ -236,13 +236,13 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             self._waiting.clear()
             self._sender.close()
         self._loop.remove(self)
-        for calling in ended:
-            _end(calling, CallError(f"{self.name} is no longer bridged"))
+        for pending in ended:
+            _end(pending, CallError(f"{self.name} is no longer bridged"))
         self._on_closed(self)
 
 
-def _end(calling: _PendingCall, result: bytes | CallError) -> None:
+def _end(pending: _PendingCall, result: bytes | CallError) -> None:
     try:
-        calling.done(result)
+        pending.done(result)
     except Exception:
         _log.exception("the callback of an ended call failed")

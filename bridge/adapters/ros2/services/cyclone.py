@@ -3,7 +3,7 @@
 rmw_fastrtps sends the identity of a request as inline QoS. rmw_cyclonedds puts it into the payload of the request and
 of its reply: the encapsulation header is followed by the client's id (8 bytes) and the request's number (int64 in the
 payload's byte order; ``cdds_request_header_t`` in rmw_cyclonedds_cpp's serdata.hpp). 16 bytes do not change the
-alignment of what follows. rcl's client drops replies without inline QoS, so another reader receives those.
+alignment of what follows. rcl's client drops replies without inline QoS, so a separate reader receives them.
 """
 
 from __future__ import annotations
@@ -104,12 +104,12 @@ class CycloneCalls(EndpointReader):
             if framed is None:
                 continue
             client, number = HEADER.unpack(framed.header)
-            if client == self._id:  # DDS delivers each reply to all clients of a name
+            if client == self._id:  # DDS delivers each reply to all clients of the service
                 self._replied(number, framed.payload)
 
 
 class ReplyReach:
-    """Whether replies reach a service's clients on Cyclone DDS: rmw_fastrtps checks that only for those on Fast DDS."""
+    """Checks whether replies reach clients on Cyclone DDS; rmw_fastrtps checks this only for clients on Fast DDS."""
 
     def __init__(self, service: str, matches: MatchCounter, context: Ros2Context) -> None:
         self._service, self._matches = service, matches
@@ -117,7 +117,7 @@ class ReplyReach:
         self._lock = threading.Lock()
         self._reached: set[bytes] = set()
         self._tried: dict[bytes, float] = {}
-        self._written = 0
+        self._replies = 0
 
     def reaches(self, gid: bytes) -> bool:
         """Return whether the client with this request writer can receive, as far as can be known.
@@ -136,19 +136,19 @@ class ReplyReach:
             if first == now or (few and now - first < PATIENCE_SECONDS):
                 writer = self._graph.own_writer(reply_topic(self._service))
                 if writer is not None:
-                    self._heartbeats.prepare(writer, self._written, [gid])
+                    self._heartbeats.prepare(writer, self._replies, [gid])
                 return False
             del self._tried[gid]
             self._reached.add(gid)
             return True
 
-    def written(self) -> None:
+    def count_reply(self) -> None:
         """Count a reply to a client on Cyclone DDS.
 
-        Those to other clients do not count: rmw_fastrtps does not report whether it has dropped one, and a heartbeat
-        that announces more than was written would make the client skip its reply.
+        Replies to other clients do not count, because rmw_fastrtps does not report whether it has dropped such a reply,
+        and a heartbeat that announces more than was written would make the client skip its reply.
         """
-        self._written += 1
+        self._replies += 1
 
     def retain(self, gids: set[bytes]) -> None:
         """Remove all clients except these."""

@@ -36,7 +36,7 @@ class FastClient(ClientPort):
     def replies(self, taker: rcl.Taker, limit: int) -> Iterator[tuple[int, bytes]]:
         for _ in range(limit):
             taken = self._taker.response(self._pointer)
-            if taken is not None:  # else a reply to another client: DDS delivers each to all clients of a name
+            if taken is not None:  # else a reply to another client, as DDS delivers each reply to all clients
                 request, payload = taken
                 yield request.number, payload
 
@@ -77,7 +77,7 @@ class FastServer(ServerPort):
             return False
         reached = rcl.send_response(self._pointer, request, payload)
         if of_cyclone:
-            self._reach.written()
+            self._reach.count_reply()
         return reached
 
     @override

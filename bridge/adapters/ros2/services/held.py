@@ -46,8 +46,8 @@ class _Held(NamedTuple):
 class HeldRequests:
     """Decides who created the clients of all servers, and holds their requests until that is known; thread-safe.
 
-    The requests of one participant are executed in the order in which they were read, also those to several servers: a
-    cancel request must not overtake the goal that it cancels.
+    The requests of one participant are executed in the order in which they were read, even if they are for several
+    servers, because a cancel request must not overtake the goal that it cancels.
 
     Args:
         graph: the ROS 2 graph.
@@ -62,7 +62,7 @@ class HeldRequests:
         self._native: set[bytes] = set()
 
     def receive(self, server: RequestHandler, request: RequestId, payload: bytes, backlog: int) -> None:
-        """Let a server execute a request of a native client; hold one of an unknown client, and all that follow it."""
+        """Let a server execute a native client's request; hold an unknown client's, and all that follow it."""
         if self._held and request.gid[:PREFIX_BYTES] in self._held:
             made_by = MadeBy.UNKNOWN
         else:
@@ -71,7 +71,7 @@ class HeldRequests:
             server.execute(request, payload, backlog)
         elif made_by is MadeBy.UNKNOWN:
             self._hold(_Held(server, request, payload, backlog, time.monotonic()))
-        # Midspan's own clients call the native server; DDS delivers their requests to all servers of the name.
+        # Requests of Midspan's own clients are for the native server; DDS delivers them to all servers of the service.
 
     def _created_by(self, service: str, gid: bytes) -> MadeBy:
         """Return who created a client; reads the graph if its participant is unknown."""

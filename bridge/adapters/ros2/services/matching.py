@@ -19,7 +19,7 @@ change, ``current_count``, its change."""
 
 
 class _Functions(NamedTuple):
-    """The function that returns the rmw handle and the one that returns the writer, by kind, and that of the status."""
+    """By kind, the functions that return the rmw handle and the writer; and the function that returns the status."""
 
     handles: dict[str, Any]
     writers: dict[str, Any]
@@ -57,11 +57,11 @@ class MatchCounter:
             self._buffer = ctypes.create_string_buffer(_STATUS_BYTES)
 
     def total(self) -> int | None:
-        """Return the count of all so far, which never decreases; None if the middleware does not provide it."""
+        """Return how many peers have matched so far, which never decreases; None if it is not available."""
         return self._count(0)
 
     def current(self) -> int | None:
-        """Return the count of those that are matched now; None if the middleware does not provide it."""
+        """Return how many peers are matched now; None if it is not available."""
         return self._count(2)
 
     def _count(self, position: int) -> int | None:

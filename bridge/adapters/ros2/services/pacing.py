@@ -22,8 +22,8 @@ ROOM = 8
 """Messages in flight at most, out of the 10: this leaves room for other clients and servers."""
 
 PATIENCE = 0.5
-"""Seconds after which a request counts as taken by a server that does not reply: executing requests may take hours.
-A sequential server that needs longer for each may lose some of more than `ROOM` concurrent requests."""
+"""Seconds after which a request counts as taken by a server that does not reply, because its execution may take hours.
+A sequential server that needs longer for each request may lose some of more than `ROOM` concurrent requests."""
 
 
 class SentRequests:
@@ -33,18 +33,18 @@ class SentRequests:
         self._sent: deque[tuple[int, float]] = deque()
         self._answered = time.monotonic()
 
-    def sent(self, number: int) -> None:
-        """Record a sent request."""
+    def on_sent(self, number: int) -> None:
+        """Record a request that was sent."""
         self._sent.append((number, time.monotonic()))
 
-    def answered(self, number: int) -> None:
+    def on_reply(self, number: int) -> None:
         """Record a reply: a server takes requests in order, so all earlier ones have been taken, too."""
         while self._sent and self._sent[0][0] <= number:
             self._sent.popleft()
             self._answered = time.monotonic()
 
     def wait(self) -> float:
-        """Return the seconds until the next may be sent, 0 for now; a reply may shorten it."""
+        """Return the seconds until the next request may be sent, 0 if now; a reply may shorten the wait."""
         if len(self._sent) < ROOM:
             return 0.0
         left = max(self._sent[0][1], self._answered) + PATIENCE - time.monotonic()
@@ -59,7 +59,7 @@ _REPLY_SECONDS = 0.001
 
 _TRY_SECONDS, _SLOWEST_SECONDS = 0.1, 1.0
 _PATIENCE = 20.0
-"""Seconds until a reply to an undiscovered client is dropped: on a busy machine, discovery may have to wait for the
+"""Seconds until a reply to an undiscovered client is dropped. On a busy machine, discovery may have to wait for the
 client's heartbeats, every 3 s. rmw itself gives up after 0.1 s."""
 
 _log = logging.getLogger(__name__)
@@ -83,14 +83,14 @@ class ClientReplies:
         """Whether calls of the client are pending."""
         return bool(self._asked or self._outbox)
 
-    def requested(self, backlog: int) -> None:
+    def on_request(self, backlog: int) -> None:
         """Record a request; ``backlog`` requests are still to be taken."""
         with self._lock:
             self._asked += 1
             if max(backlog, self._asked + len(self._outbox)) <= ROOM:
                 self._credit = float(ROOM)
 
-    def unanswered(self) -> None:
+    def on_no_reply(self) -> None:
         """Record that a request gets no reply."""
         with self._lock:
             self._asked -= 1
@@ -122,11 +122,11 @@ class ClientReplies:
                 request, payload = self._outbox.popleft()
             if self._write(request, payload):
                 self._reached, self._missed = True, None
-            elif self._waits(request, payload):
+            elif self._retry_later(request, payload):
                 return
 
     def _wait(self) -> float:
-        """Return the seconds until the next reply may be sent; 0 counts it as sent."""
+        """Return the seconds until the next reply may be sent; if that is 0, count it as sent."""
         now = time.monotonic()
         self._credit = min(float(ROOM), self._credit + (now - self._last) / _REPLY_SECONDS)
         self._last = now
@@ -135,7 +135,7 @@ class ClientReplies:
         self._credit -= 1
         return 0.0
 
-    def _waits(self, request: RequestId, payload: bytes) -> bool:
+    def _retry_later(self, request: RequestId, payload: bytes) -> bool:
         """Retry later for an unreachable client; return False if its time is over."""
         now = time.monotonic()
         with self._lock:

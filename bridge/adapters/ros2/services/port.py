@@ -39,7 +39,7 @@ class RequestSender(ABC):
 
     @abstractmethod
     def prepare(self, servers: Collection[bytes]) -> float:
-        """Prepare servers on Cyclone DDS for requests; return the seconds until they are, 0 once they are.
+        """Prepare servers on Cyclone DDS for requests; return the seconds until they are ready, 0 if they are.
 
         Raises `UnsentCallError` if they cannot be called.
         """
@@ -64,7 +64,7 @@ class ServicePort(ABC):
 
     @abstractmethod
     def wake(self, waker: rcl.Waker | None) -> None:
-        """Report new requests or replies to a waker; None stops that before returning."""
+        """Report new requests or replies to a waker; with None, stop that before returning."""
 
     @abstractmethod
     def close(self) -> None:
@@ -85,7 +85,7 @@ class ServerPort(ServicePort):
     """The endpoints of a server.
 
     Attributes:
-        listed_after: seconds after its request from which the graph lists a client, unless it has left.
+        listed_after: seconds after a request by which the graph lists its client, unless the client has left.
     """
 
     listed_after: ClassVar[float]

@@ -1,9 +1,9 @@
-"""Clients and servers on Cyclone DDS: raw endpoints for requests and replies, which carry its header.
+"""Clients and servers on Cyclone DDS: raw endpoints for requests and replies, which carry Cyclone DDS's header.
 
 rmw_cyclonedds_cpp has no serializer that could be replaced (see `bridge.adapters.ros2.rcl`), but its requests and
-replies are ordinary messages (`bridge.adapters.ros2.services.cyclone`). Those of clients and servers on another DDS are
-not: the identity of a request is outside the message, and Cyclone DDS does not report it. So such servers are not
-called, and such clients get no replies.
+replies are ordinary messages (`bridge.adapters.ros2.services.cyclone`). On another DDS the identity of a request is
+outside the message, and Cyclone DDS does not report it. So servers on another DDS are not called, and clients on
+another DDS get no replies.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Pair(Protocol):
     """A reader, and a writer in the other direction: `bridge.adapters.ros2.dds.cyclone.CyclonePair`."""
 
     def wake(self, waker: rcl.Waker | None) -> None:
-        """Report new messages to a waker; None stops that before returning."""
+        """Report new messages to a waker; with None, stop that before returning."""
 
     def take(self, taker: rcl.Taker) -> bytes | None:
         """Return the next message as CDR, or None."""
@@ -48,7 +48,7 @@ class Pair(Protocol):
         """Return the number of writers that the reader has matched."""
 
     def matched_readers(self) -> frozenset[bytes]:
-        """Return the GUIDs of the readers that the writer has matched; b"" for an unknown one."""
+        """Return the GUIDs of the readers that the writer has matched; b"" for an unknown reader."""
 
 
 class RawClient(ClientPort):
@@ -72,7 +72,7 @@ class RawClient(ClientPort):
             framed = unwrap(payload)
             if framed is not None:
                 client, number = HEADER.unpack(framed.header)
-                if client == self._id:  # DDS delivers each reply to all clients of a name
+                if client == self._id:  # DDS delivers each reply to all clients of the service
                     yield number, framed.payload
 
     @override
@@ -81,9 +81,9 @@ class RawClient(ClientPort):
 
 
 class RawSender(RequestSender):
-    """Sends the requests of a client on Cyclone DDS, only while all servers that it has matched are there, too.
+    """Sends the requests of a client, only while all servers that it has matched are on Cyclone DDS.
 
-    DDS delivers a request to all of them, and a server on another DDS would execute it with wrong values.
+    DDS delivers a request to all of these servers, and a server on another DDS would execute it with wrong values.
     """
 
     def __init__(self, name: str, pair: Pair, client: bytes, context: Ros2Context, type_id: str | None) -> None:
@@ -153,7 +153,7 @@ ReplyReaders = Callable[[], list[bytes]]
 class RawServer(ServerPort):
     """The reader of a server's requests, and the writer of its replies."""
 
-    listed_after: ClassVar[float] = 1.0  # Cyclone DDS has discovered it before, and the graph follows in milliseconds
+    listed_after: ClassVar[float] = 1.0  # Cyclone DDS discovers a client before its request, the graph soon after
 
     def __init__(self, pair: Pair, reply_readers: ReplyReaders) -> None:
         self.handle = self._pair = pair
@@ -168,7 +168,7 @@ class RawServer(ServerPort):
 
     @override
     def requests(self, taker: rcl.Taker, limit: int) -> Iterator[tuple[rcl.RequestId, bytes]]:
-        """Take and yield up to ``limit`` requests; the number of a request is that of its header, if it has one."""
+        """Take and yield up to ``limit`` requests; a request's number is in its header, and 0 without a header."""
         for _ in range(limit):
             taken = self._pair.take_with_gid(taker)
             if taken is None:
@@ -193,7 +193,8 @@ class RawServer(ServerPort):
     def _reaches(self, client: bytes) -> bool:
         """Return whether the writer of the replies has matched all readers of replies in the client's participant.
 
-        Which of several is the client's own, DDS does not report. After `PATIENCE_SECONDS` one suffices.
+        DDS does not report which of several readers is the client's. After `PATIENCE_SECONDS` one matched reader
+        suffices.
         """
         with self._lock:
             if client in self._reached:

@@ -26,9 +26,9 @@ MATCH_POLL = 0.01
 class FastSender(RequestSender):
     """Sends the requests of one client on Fast DDS.
 
-    Servers on Cyclone DDS get requests in another form, and their replies arrive at a separate reader. The form
-    is decided from the graph before each request, unless no server has matched or left since the last one. A filter
-    keeps requests from servers that need the other form.
+    Servers on Cyclone DDS get requests in another form, and their replies arrive at a separate reader. If a server has
+    matched or left since the last request, the form is chosen from the graph again. A filter keeps requests from
+    servers that need the other form.
 
     Raises `MessageTypeError` if the requests cannot be filtered.
 
@@ -36,7 +36,7 @@ class FastSender(RequestSender):
         pointer: the client's ``rcl_client_t *``.
         response_support: the address of the type support of the responses.
         replied: called with each reply of a server on Cyclone DDS.
-        type_id: the version of the type that the requests have; None if the type has only one.
+        type_id: the version of the type that the requests have; None if the type has only one version.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class FastSender(RequestSender):
     @property
     @override
     def outdated(self) -> bool:
-        """Whether another server has matched since `obstacle`, which may need another form."""
+        """Whether another server, which may need the other form, has matched since `obstacle`."""
         return self._matches.total() not in (None, self._verified[0])
 
     @override
@@ -125,7 +125,7 @@ def known_obstacle(context: Ros2Context, service: str) -> CallError | None:
 def refused_by(
     servers: Sequence[Endpoint], context: Ros2Context, service: str, type_id: str | None
 ) -> CallError | None:
-    """Return why these servers cannot be called by a client of a version; None if they can."""
+    """Return why a client of the version ``type_id`` cannot call these servers; None if it can."""
     obstacle = context.graph.obstacle(service, servers, type_id)
     if obstacle is not None:
         return refusal(obstacle)

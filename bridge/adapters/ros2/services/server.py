@@ -25,9 +25,9 @@ from bridge.messages.unchanged import same
 from bridge.routing.edge import EdgeServer
 
 _LINGER = 1.0
-"""Seconds that a server stays after its last reply: a client that first notices the server's exit drops the reply. A
-server that can refuse calls stays that long after `close`: a client that has not noticed the close may still call, for
-example for the result of a goal that was accepted just before.
+"""Seconds that a server stays after its last reply, because a client that first notices the server's exit drops the
+reply. A server that can refuse calls stays that long after `close`, because a client that has not noticed the close may
+still call, for example for the result of a goal that was accepted just before.
 """
 
 _CLOSED = "{} is no longer bridged"
@@ -47,8 +47,8 @@ ClientConverters = Callable[[str], tuple[Convert, Convert] | None]
 class _PendingRequest:
     """A request that has no reply yet.
 
-    ``header`` is the one of Cyclone DDS's form, b"" in Fast DDS's. From ``listed`` on (monotonic clock) the graph lists
-    the client unless it has left.
+    ``header`` is Cyclone DDS's, b"" for a client on Fast DDS. From ``listed`` on (monotonic clock) the graph lists the
+    client unless it has left. ``seen``: the graph has listed the client; ``left``: the call is to be abandoned.
     """
 
     __slots__ = ("abandon", "header", "id", "left", "listed", "seen")
@@ -123,7 +123,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             if closed and (self._refusal is None or self._replaced()):
                 return
             self._pending[pending.id] = pending
-            self._client(pending.id.gid).requested(backlog)
+            self._client(pending.id.gid).on_request(backlog)
             if not closed:
                 self._check_soon()
         if closed:
@@ -149,14 +149,14 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             reason = str(result) if isinstance(result, CallError) else "the reply is not little-endian CDR"
             refusal = self._refuse(reason)
             if refusal is None:
-                client.unanswered()
+                client.on_no_reply()
                 return
             result = refusal
         try:
             result = self._for_client(pending.id.gid)[1](result)
         except MessageError as err:
             self._log_failure(str(err))
-            client.unanswered()
+            client.on_no_reply()
             return
         self._replied = time.monotonic()
         client.send(pending.id, cyclone.wrap(pending.header, result) if pending.header else result)

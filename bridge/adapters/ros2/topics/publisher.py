@@ -80,7 +80,7 @@ class _Writer:
 
 
 HasSubscribers = Callable[[str], bool]
-"""Whether another participant subscribes to a topic."""
+"""Returns whether another participant subscribes to a topic."""
 
 ForReaders = Callable[[], Convert | None]
 """Returns the converter of messages to the version of the type that the subscriptions of a topic have."""
@@ -150,9 +150,9 @@ class Ros2Publisher:
             return writer
 
     def _make(self) -> _Writer:
-        """Return a new writer. A latched one first waits until subscriptions on Cyclone DDS have matched.
+        """Return a new writer. A latched writer holds messages until subscriptions on Cyclone DDS have matched.
 
-        Otherwise they would lose a large first message forever (see `bridge.adapters.ros2.graph.heartbeats`).
+        Otherwise these would lose a large first message forever (see `bridge.adapters.ros2.graph.heartbeats`).
         """
         writer = self._new_writer()
         if self._prepared:
@@ -163,7 +163,7 @@ class Ros2Publisher:
         return writer
 
     def refit(self) -> None:
-        """Follow the subscriptions' version of the type, and prepare new ones on Cyclone DDS."""
+        """Follow the subscriptions' version of the type, and prepare new subscriptions on Cyclone DDS."""
         if self._for_readers is not None:
             self._convert = self._for_readers()
         readers = self._heartbeats.readers(self.topic)

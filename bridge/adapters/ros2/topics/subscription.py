@@ -1,9 +1,9 @@
 """A subscription on the ROS 2 side that receives from every native publisher of its topic.
 
 DDS matches a reader with the writers that offer at least the QoS that it requests. So one reader does not suffice if
-publishers differ: requesting the history of a latched one excludes the volatile ones, and a best-effort reader receives
-no history. Publishers are therefore sorted into classes, each class has its own reader, and a message counts only from
-the reader of its publisher's class.
+publishers differ: a reader that requests a latched publisher's history excludes volatile publishers, and a best-effort
+reader receives no history. Publishers are therefore sorted into classes, each class has its own reader, and a message
+counts only if it comes from the reader of its publisher's class.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing.edge import Deliver, Endpoint, MadeBy
 
 LATCHED_DEPTH = 128
-"""Least depth of a reader of latched publishers: KEEP_LAST counts over all its writers, which send at once."""
+"""Minimum depth of a reader of latched publishers, as KEEP_LAST counts over all its writers, which send at once."""
 
 VOLATILE_DEPTH = 32
-"""Least depth of the other readers: room for messages while the loop is delayed by some milliseconds."""
+"""Minimum depth of the other readers: room for messages while the loop is delayed by some milliseconds."""
 
 _SEQUENCES = 32
-"""Number of publishers per reader whose sequence numbers are tracked before those that left are removed."""
+"""Number of publishers per reader whose sequence numbers are tracked before departed publishers are removed."""
 
 _LOG_SECONDS = 10.0
 
@@ -51,13 +51,13 @@ class _Source(NamedTuple):
 
 
 Accepts = Callable[[Endpoint], bool]
-"""Whether a publisher has the subscription's version of the type."""
+"""Returns whether a publisher has the subscription's version of the type."""
 
 
 class Ros2Subscription:
     """Receives from all native publishers of a topic that have its version of the type.
 
-    It has one reader per QoS class. Another version has another subscription: DDS delivers all messages to both.
+    It has one reader per QoS class. Each version has its own subscription, and DDS delivers all messages to each.
     """
 
     def __init__(
@@ -103,8 +103,8 @@ class Ros2Subscription:
                 self._loop.remove(self._readers.pop(old))
 
     def _open(self, reader_class: ReaderClass) -> ClassReader:
-        least = LATCHED_DEPTH if reader_class.durability is Durability.TRANSIENT_LOCAL else VOLATILE_DEPTH
-        depth = max(least, self.qos.depth)
+        min_depth = LATCHED_DEPTH if reader_class.durability is Durability.TRANSIENT_LOCAL else VOLATILE_DEPTH
+        depth = max(min_depth, self.qos.depth)
         qos = replace(self.qos, reliability=reader_class.reliability, durability=reader_class.durability, depth=depth)
         handle = self._participant.make_reader(self._message_class, self.topic, qos)
         reader = ClassReader(self, reader_class, handle, self._participant)
@@ -113,7 +113,7 @@ class Ros2Subscription:
 
     def _class_of(self, publisher: Endpoint, among: Any) -> ReaderClass:
         requested, offer = self.qos, publisher.qos
-        # The engine requests best effort if any publisher offers only that; if none does, a rule forces it.
+        # The engine requests best effort if any publisher offers only that; otherwise a rule has forced it.
         forced = requested.reliability is Reliability.BEST_EFFORT and not any(
             p.qos.reliability is Reliability.BEST_EFFORT for p in among
         )
@@ -129,10 +129,10 @@ class Ros2Subscription:
         source = self._sources.get(gid) or self._resolve(gid, reader_class)
         if source is None:
             return None
-        its_class = source.reader_class
-        # the reader of its class delivers it, or will: a latched one receives the history after its creation
-        if its_class != reader_class and (
-            its_class.durability is Durability.TRANSIENT_LOCAL or its_class in self._readers
+        source_class = source.reader_class
+        # the reader of the source's class delivers it, a latched reader even if it is created only later
+        if source_class != reader_class and (
+            source_class.durability is Durability.TRANSIENT_LOCAL or source_class in self._readers
         ):
             return None
         return source.id
@@ -151,7 +151,7 @@ class Ros2Subscription:
             return None
         known = {**self._graph.publishers(self.topic), gid: publisher}
         source = _Source(gid.hex(), self._class_of(publisher, known.values()))
-        # While its origin is unknown, the engine holds the message, or the latched reader receives it later.
+        # While the publisher's origin is unknown, the engine holds the message, or the latched reader gets it later.
         if publisher.made_by is MadeBy.NATIVE:
             with self._lock:
                 self._sources[gid] = source
@@ -218,7 +218,7 @@ class ClassReader(EndpointReader):
         self._count(source, sequence)
 
     def _count(self, source: str, sequence: int) -> None:
-        """Count the messages missing between two of a publisher: overwritten in a full history, or never received."""
+        """Count a publisher's messages missing since its last one: overwritten in a full history, or never received."""
         if source not in self._sequences and len(self._sequences) >= self._room:
             self._sequences = {s: self._sequences[s] for s in self._sequences.keys() & self._owner.sources()}
             self._room = 2 * len(self._sequences) + _SEQUENCES

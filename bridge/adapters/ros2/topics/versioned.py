@@ -20,8 +20,8 @@ class VersionedPublisher:
 
     Each version has a publisher whose writers send to subscriptions of this version only; the publisher of this
     machine's version also sends to subscriptions whose version is unknown. The other publishers exist while there are
-    subscriptions of their versions. If the topic is latched, a new one publishes the last messages of all sources
-    first.
+    subscriptions of their versions. If the topic is latched, a new publisher first publishes the last messages of all
+    sources.
 
     Args:
         here: the publisher of this machine's version.
@@ -73,7 +73,7 @@ class VersionedPublisher:
         publisher.send(payload if convert is None else convert(payload), source)
 
     def refit(self) -> None:
-        """Follow the versions of the subscriptions."""
+        """Open and close publishers as the versions of the subscriptions change."""
         self._here.refit()
         wanted = self._converters.keys() & set(self._wanted())
         with self._lock:

@@ -20,15 +20,15 @@ def test_requests_wait_for_replies(monkeypatch: pytest.MonkeyPatch) -> None:
     requests = SentRequests()
     for number in range(1, ROOM + 1):
         assert requests.wait() == 0
-        requests.sent(number)
+        requests.on_sent(number)
     assert requests.wait() == pytest.approx(PATIENCE)
     now[0] += PATIENCE / 2
-    requests.answered(3)  # so 1 and 2 were taken before
+    requests.on_reply(3)  # so 1 and 2 were taken before
     assert requests.wait() == 0
     for number in (ROOM + 1, ROOM + 2, ROOM + 3):
-        requests.sent(number)
+        requests.on_sent(number)
     now[0] += PATIENCE / 2
-    requests.answered(1)  # does not show whether queued ones were taken
+    requests.on_reply(1)  # does not show whether queued ones were taken
     assert requests.wait() == pytest.approx(PATIENCE / 2)
     now[0] += PATIENCE / 2 + 0.001
     assert requests.wait() == 0
