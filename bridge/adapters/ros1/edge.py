@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_LONG_GAP = 1.0
+_MAX_GAP = 1.0
 """The watch for other workers is notified if more than this many seconds passed between two reads of the master."""
 
 
@@ -251,9 +251,7 @@ class Ros1Edge(SideEdge):
             return
         self._links.follow(others(state, entry))
         before, self._settled = self._settled, self._master.polled_at
-        if (
-            self._settled - before > _LONG_GAP
-        ):  # the watch waits for the first read, and for the first after a suspension
+        if self._settled - before > _MAX_GAP:  # the watch waits for the first read, and the first after a suspension
             self._presence_changed()
 
     # -- types and names -----------------------------------------------------------------------------------------------
@@ -330,7 +328,7 @@ class Ros1Edge(SideEdge):
         from bridge.adapters.ros1.parameters.follower import ParameterSharing
 
         self._parameters = sharing = ParameterSharing(rules, hub, self._registry, self._parameter_server(), active)
-        node.parameter_changed = sharing.request_comparison
+        node.parameter_changed = sharing.compare_soon
 
         def stop() -> None:
             self._parameters = node.parameter_changed = None

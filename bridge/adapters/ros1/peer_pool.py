@@ -29,45 +29,43 @@ class PeerPool:
         self._fresh = WorkerPool(fresh, "midspan-ros1-fresh")
         self._doubtful = WorkerPool(doubtful, "midspan-ros1-doubtful")
         self._lock = threading.Lock()
-        self._queues: dict[str, _PeerJobs] = {}
+        self._peers: dict[str, _PeerJobs] = {}
         self._failed: set[str] = set()
 
     def submit(self, address: str, job: Job) -> None:
         """Schedule a job that calls ``address``."""
         with self._lock:
-            queue = self._queues.setdefault(address, _PeerJobs())
-            queue.jobs.append(job)
-            if queue.running == AT_ONCE:
+            peer = self._peers.setdefault(address, _PeerJobs())
+            peer.jobs.append(job)
+            if peer.running == AT_ONCE:
                 return
-            queue.running += 1
-        self._start_next(address, queue)
+            peer.running += 1
+        self._start_next(address, peer)
 
-    def _start_next(self, address: str, queue: _PeerJobs) -> None:
+    def _start_next(self, address: str, peer: _PeerJobs) -> None:
         if self._is_doubtful(address):
-            self._doubtful.submit(lambda: self._run_next(address, queue))
+            self._doubtful.submit(lambda: self._run_next(address, peer))
         else:
             self._fresh.submit(
-                lambda: (
-                    self._start_next(address, queue) if self._is_doubtful(address) else self._run_next(address, queue)
-                )
+                lambda: self._start_next(address, peer) if self._is_doubtful(address) else self._run_next(address, peer)
             )
 
-    def _run_next(self, address: str, queue: _PeerJobs) -> None:
+    def _run_next(self, address: str, peer: _PeerJobs) -> None:
         with self._lock:
-            job = queue.jobs.popleft() if queue.jobs else lambda: None  # another thread took the job
+            job = peer.jobs.popleft() if peer.jobs else lambda: None  # another thread took the job
         try:
             job()
         except Exception:
             _log.exception("a request to a ROS 1 node failed unexpectedly")
         finally:
             with self._lock:
-                more = bool(queue.jobs)
+                more = bool(peer.jobs)
                 if not more:
-                    queue.running -= 1
-                if not queue.running:
-                    del self._queues[address]
+                    peer.running -= 1
+                if not peer.running:
+                    del self._peers[address]
             if more:
-                self._start_next(address, queue)
+                self._start_next(address, peer)
 
     def failed(self, address: str) -> None:
         """Mark an address as failed."""

@@ -134,7 +134,7 @@ class Contents:
         self.outgoing = [self._foreign(rule) for rule in foreign if rule.direction == "out"]
         self.declared: Sequence[TopicPort] = [rule for _, rule in self._own if rule.brings]
         self._services = [(glob_regex(rule.service), rule) for rule in section.services if rule.port is None]
-        self.called = [rule for rule in section.services if rule.port is not None]
+        self.port_rules = [rule for rule in section.services if rule.port is not None]
         self._codecs: dict[tuple[str, str, Content, Profile], Codec] = {}
         self._lock = threading.Lock()
 
@@ -159,7 +159,7 @@ class Contents:
 
     def served_by(self, service: str) -> ServiceRule | None:
         """Return the rule that offers a YARP program's port as this service, or None."""
-        return next((rule for rule in self.called if rule.service == service), None)
+        return next((rule for rule in self.port_rules if rule.service == service), None)
 
     def bottles(self, service: str, type_name: str, type_hash: str) -> CallBottles:
         """Return the converter of a service's calls; raises `MessageTypeError`."""

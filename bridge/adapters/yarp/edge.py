@@ -151,7 +151,7 @@ class YarpEdge(SideEdge):
         """Open the ports that the routes need, and connect them."""
         outputs, served = self._topics.published(), self._services.served()
         plan = make_plan(
-            [self._topics.wanted(topic, output.side_type) for topic, output in outputs.items()],
+            [self._topics.routed_topic(topic, output.side_type) for topic, output in outputs.items()],
             self._topics.subscribed(),
             self._contents,
             self._names,
@@ -221,7 +221,7 @@ class YarpEdge(SideEdge):
 
     @override
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """Return no conversion: the adapter itself converts, since the content can differ between ports."""
+        """Return a conversion that does nothing; the adapter itself converts, as ports can have different contents."""
         side_type = self._side_type(endpoint.type, endpoint.type_id)
         return Conversion(side_type, side_type, None)
 
@@ -239,7 +239,7 @@ class YarpEdge(SideEdge):
 
     @override
     def why_not(self, topic: str, type_name: str) -> str:
-        """Exclude the parts of actions: YARP programs send goals through the gateway's ports."""
+        """Exclude the parts of actions, because YARP programs send goals through the gateway's ports."""
         return "part of an action; YARP programs send goals through the ports of the gateway" if split(topic)[1] else ""
 
     # -- services ------------------------------------------------------------------------------------------------------

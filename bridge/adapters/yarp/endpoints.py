@@ -23,17 +23,17 @@ class PortEndpoints:
 
     def all(self) -> Sequence[Endpoint]:
         """Return ports in rules, writers to topics' input ports, and ports opened as ``/topic@/node``."""
-        return [*self._declared(), *self._foreign(), *self._of_nodes(), *self._of_writers(), *self._called()]
+        return [*self._declared(), *self._rule_ports(), *self._node_ports(), *self._writers(), *self._called_ports()]
 
     def untyped(self) -> list[NodePort]:
-        """Return ports of nodes with an unknown type."""
+        """Return the node ports whose type is unknown."""
         return [node for node in self._graph.nodes if not self._type_of(node.topic, node.type)]
 
-    def _called(self) -> list[Endpoint]:
+    def _called_ports(self) -> list[Endpoint]:
         """Return the RPC ports that rules offer as services."""
         return [
             self._endpoint(port, Kind.SERVER, service, type_name, port)
-            for port, service, type_name in self._services.called()
+            for port, service, type_name in self._services.called_ports()
             if self._graph.is_present(port)
         ]
 
@@ -43,7 +43,7 @@ class PortEndpoints:
             for rule in self._contents.declared
         ]
 
-    def _foreign(self) -> list[Endpoint]:
+    def _rule_ports(self) -> list[Endpoint]:
         ports = [(Kind.PUBLISHER, port) for port in self._contents.incoming]
         ports += [(Kind.SUBSCRIPTION, port) for port in self._contents.outgoing]
         return [
@@ -52,7 +52,7 @@ class PortEndpoints:
             if self._graph.is_present(port.port)
         ]
 
-    def _of_nodes(self) -> list[Endpoint]:
+    def _node_ports(self) -> list[Endpoint]:
         return [
             self._endpoint(
                 node.port,
@@ -66,7 +66,7 @@ class PortEndpoints:
             if self._graph.is_present(node.port) and (type_name := self._type_of(node.topic, node.type))
         ]
 
-    def _of_writers(self) -> list[Endpoint]:
+    def _writers(self) -> list[Endpoint]:
         endpoints = []
         for plan, peers in self._ports.inputs():
             if plan.source is None:
@@ -85,7 +85,7 @@ class PortEndpoints:
         return Endpoint(name, kind, topic, type_name, qos, made_by, node, type_id)
 
     def _type_of(self, topic: str, named: str) -> str:
-        """Return the type of a node's port: its own, else the topic's from a rule or route."""
+        """Return the type of a node's port: ``named``, which it announces, else its topic's, by a rule or route."""
         if named:
             return named
         rule = next((rule for rule in self._contents.declared if rule.topic == topic), None)

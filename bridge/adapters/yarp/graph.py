@@ -44,7 +44,7 @@ _CARRIER = "tcpros"
 """A carrier that ports of programs with YARP's ROS support offer; other ports are only registered at the master."""
 
 _ROSOUT = "/rosout"
-"""A node of every roscore, not a YARP port: a name server that resolves this name has queried the master."""
+"""A node of every roscore, but no YARP port; a name server that resolves this name has queried the master."""
 
 
 class Ros1Ports:
@@ -52,7 +52,8 @@ class Ros1Ports:
 
     A ``yarpserver --ros`` also registers the ports ``/topic@/node`` of its programs at a ROS 1 master, and they connect
     to all ROS 1 nodes over TCPROS (``RosNameSpace.cpp``, ``SubscriberOnSql.cpp``, ``Node.cpp`` of 3.9.1). If Midspan's
-    ROS 1 side is on that master, it bridges their topics; if the YARP side did too, messages would arrive twice.
+    ROS 1 side is on that master, it bridges the topics of these ports; if the YARP side bridged them, too, messages
+    would arrive twice.
 
     Args:
         config: determines whether this daemon has a ROS 1 side, and the address of its master.
@@ -62,7 +63,7 @@ class Ros1Ports:
         self._naming = naming
         self._caller = f"/{config.name}_yarp"
         self._config = config
-        self._joined = False
+        self._server_uses_master = False
         self._at_master: frozenset[str] = frozenset()
         self._offers: dict[PortContact, bool] = {}
         self._seen: frozenset[PortContact] = frozenset()
@@ -92,7 +93,7 @@ class Ros1Ports:
             except Ros1Error as err:
                 _log.debug("ports of ROS 1 nodes on the YARP network: %s", err)
                 self._due = now + _PERIOD
-        candidates = {name for name in nested if self._joined or name in self._at_master}
+        candidates = {name for name in nested if self._server_uses_master or name in self._at_master}
         joined = frozenset(name for name in candidates if self._supports_tcpros(contacts[name]))
         if joined - self._ports:
             text = "%s: bridged by the ROS 1 side, because the YARP name server has joined the network to its master"
@@ -114,7 +115,10 @@ class Ros1Ports:
         self._at_master = frozenset(name for name, node in nested.items() if node in same)
         if (number := _number(rosout)) and _ROSOUT not in contacts:
             known = self._naming.query(_ROSOUT)
-            self._joined = known is not None and (known.host, known.port) == (urlsplit(rosout).hostname, number)
+            self._server_uses_master = known is not None and (known.host, known.port) == (
+                urlsplit(rosout).hostname,
+                number,
+            )
 
     def _supports_tcpros(self, contact: PortContact) -> bool:
         """Return whether a port's program supports TCPROS; assume so until it has registered its carriers."""
@@ -180,7 +184,11 @@ class NodePort:
 
 @dataclass(slots=True)
 class KnownPort:
-    """The known facts about a registered port; ``since`` is when it was first listed."""
+    """The known facts about a registered port.
+
+    ``since`` is when it was first listed; ``queried``: it was asked whether it is latched, with the answer in
+    ``announces_latched``; ``read``: its properties were read from the name server.
+    """
 
     contact: PortContact
     since: float
@@ -230,7 +238,7 @@ class YarpGraph:
         self._registry = registry
         self.known: dict[str, KnownPort] = {}
         self._unreachable: dict[str, tuple[PortContact, float]] = {}
-        self._strangers: frozenset[str] = frozenset()
+        self._unregistered: frozenset[str] = frozenset()
         self.contacts: Mapping[str, PortContact] = {}
         self.nodes: Sequence[NodePort] = ()
         self.ros1: frozenset[str] = frozenset()
@@ -244,7 +252,7 @@ class YarpGraph:
         self.contacts = {contact.name: contact for contact in contacts}
         self.ros1 = ros1
         peers = frozenset(peers)
-        self._strangers = peers - self.contacts.keys()
+        self._unregistered = peers - self.contacts.keys()
         for name, known in list(self.known.items()):  # in place, because connection threads remove items, too
             if self.contacts.get(name) != known.contact:
                 self.known.pop(name, None)
@@ -261,7 +269,7 @@ class YarpGraph:
         self.nodes, self.trouble = nodes, trouble
 
     def discard(self, name: str) -> None:
-        """Discard the facts about a port whose connection ended: another program may reuse its name."""
+        """Discard the facts about a port whose connection ended, because another program may reuse its name."""
         self.known.pop(name, None)
 
     # -- who made a port -----------------------------------------------------------------------------------------------
@@ -274,7 +282,7 @@ class YarpGraph:
         if name.startswith(PRESENCE):
             return MadeBy.MIDSPAN
         if name not in self.contacts:
-            return MadeBy.NATIVE if name in self._strangers or not name.startswith("/") else MadeBy.UNKNOWN
+            return MadeBy.NATIVE if name in self._unregistered or not name.startswith("/") else MadeBy.UNKNOWN
         known = self.known.get(name)
         return MadeBy.UNKNOWN if known is None else known.made_by
 

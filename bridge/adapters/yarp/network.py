@@ -32,7 +32,7 @@ DAEMON = "midspan"
 
 
 def new_id(length: int = 32) -> str:
-    """Return a new id, a letter and hexadecimal digits: YARP parses the text ``75e5e286e164`` as a number."""
+    """Return a new id that begins with a letter, because YARP parses a text such as ``75e5e286e164`` as a number."""
     return "m" + uuid.uuid4().hex[: length - 1]
 
 
@@ -45,14 +45,14 @@ class PortNames:
     rpc_scheme: str
     daemon: str
 
-    def may_be(self, name: str) -> bool:
+    def matches(self, name: str) -> bool:
         """Return whether one of the schemes can produce this port name."""
         return any(
             name.startswith(scheme.partition("{topic}")[0]) and name.endswith(scheme.partition("{topic}")[2])
             for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme)
         )
 
-    def spare(self, name: str) -> str:
+    def alternative(self, name: str) -> str:
         """Return an alternative name for a port, used if a daemon on another hub has a port for the same topic."""
         for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme):
             prefix, _, suffix = scheme.partition("{topic}")
@@ -133,31 +133,31 @@ class YarpNetwork:
         if self._section.nameserver != "auto" or self.is_own or now - self._silent_since < PATIENCE:
             return
         try:
-            if _is_here(self._place()):
+            if _is_here(self._server_address()):
                 self._embed()
         except NamingError as err:
             self.trouble = str(err)
 
-    def _place(self) -> Address:
+    def _server_address(self) -> Address:
         return self._address or conf.read(self._section.namespace) or Address("127.0.0.1", conf.DEFAULT_PORT)
 
     def _embed(self) -> None:
-        place = self._place()
+        address = self._server_address()
         namespace = self._section.namespace or conf.namespace()
         self.naming.server = NameServer(
-            place.host, place.port, namespace=namespace, state=self._state, profile=Profile(self._section.profile)
+            address.host, address.port, namespace=namespace, state=self._state, profile=Profile(self._section.profile)
         ).open()
-        _log.info("opened the embedded YARP name server: %s at %s port %d", namespace, place.host, place.port)
+        _log.info("opened the embedded YARP name server: %s at %s port %d", namespace, address.host, address.port)
         if self._address is None and conf.read(self._section.namespace) is None:
-            self._write_address(place)
+            self._write_address(address)
 
-    def _write_address(self, place: Address) -> None:
+    def _write_address(self, address: Address) -> None:
         """Write the name server's address for this user's programs, as ``yarpserver --write`` does."""
         try:
-            _log.info("wrote %s", conf.write(place, self._section.namespace))
+            _log.info("wrote %s", conf.write(address, self._section.namespace))
         except NamingConfigError as err:
             _log.warning("YARP programs cannot find the name server: %s", err)
-            self.naming.use(place)
+            self.naming.use(address)
 
     def _name_network(self) -> None:
         """Read the id of the network, or assign one."""
@@ -184,10 +184,10 @@ def address_of(section: YarpSection) -> Address | None:
     return None if section.place is None else Address(*section.place)
 
 
-def _is_here(place: Address) -> bool:
+def _is_here(address: Address) -> bool:
     """Return whether this address belongs to this machine."""
     try:
-        addresses = {info[4][0] for info in socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)}
+        addresses = {info[4][0] for info in socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)}
     except (OSError, UnicodeError):
         return False
     return all(ipaddress.ip_address(str(ip).partition("%")[0]).is_loopback or _is_own(str(ip)) for ip in addresses)

@@ -33,8 +33,8 @@ class PortPlan:
         type_hash: "" for this machine's definition of the type.
         own: True for the topic's main port, open to any peer; False for a port that serves only the peers in ``links``.
         source: id of the endpoint to which messages are attributed; None attributes them to the sending peers.
-        reply: content of the reply if the port serves a service, whose name is then in ``topic``, while ``content`` is
-            that of the request.
+        reply: content of the reply if the port serves a service; then ``topic`` is the service's name, and ``content``
+            the content of the request.
     """
 
     name: str
@@ -55,7 +55,7 @@ class PortPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class RoutedTopic:
     """A routed topic; ``type_hash`` is "" for this machine's definition of the type."""
 
     topic: str
@@ -64,71 +64,72 @@ class Wanted:
 
 
 def make_plan(
-    outputs: Iterable[Wanted], inputs: Iterable[Wanted], contents: Contents, names: PortNames, graph: YarpGraph
-) -> dict[str, PortPlan]:
+    outputs: Iterable[RoutedTopic], inputs: Iterable[RoutedTopic], contents: Contents, names: PortNames,
+    graph: YarpGraph,
+) -> dict[str, PortPlan]:  # fmt: skip
     """Return the ports by name for the topics that the bridge publishes (``outputs``) or reads (``inputs``) on YARP."""
     plan: dict[str, PortPlan] = {}
-    for wanted in outputs:
-        for port in (*_outputs(wanted, contents, names, graph), _input(wanted, contents, names, None)):
+    for routed in outputs:
+        for port in (*_outputs(routed, contents, names, graph), _input(routed, contents, names, None)):
             plan.setdefault(port.name, port)
-    for wanted in inputs:
-        for port in _inputs(wanted, contents, names, graph):
+    for routed in inputs:
+        for port in _inputs(routed, contents, names, graph):
             plan[port.name] = port
     return plan
 
 
-def _outputs(wanted: Wanted, contents: Contents, names: PortNames, graph: YarpGraph) -> Iterable[PortPlan]:
-    topic, content = wanted.topic, contents.of_topic(wanted.topic)
+def _outputs(routed: RoutedTopic, contents: Contents, names: PortNames, graph: YarpGraph) -> Iterable[PortPlan]:
+    topic, content = routed.topic, contents.of_topic(routed.topic)
     links: dict[str, PlannedLink] = {}
     nodes = {
         node.port: PlannedLink()
         for node in graph.nodes
-        if not node.publishes and node.topic == topic and node.type in ("", wanted.type)
+        if not node.publishes and node.topic == topic and node.type in ("", routed.type)
     }
     for port in contents.outgoing:
-        if port.topic != topic or port.type not in ("", wanted.type):
+        if port.topic != topic or port.type not in ("", routed.type):
             continue
         link = PlannedLink(port.carrier, port.profile)
         if _same(port.content, content):
             links[port.port] = link
         else:
-            yield _output(wanted, names.output(f"{topic}/to{port.port}"), port.content, {port.port: link}, own=False)
+            yield _output(routed, names.output(f"{topic}/to{port.port}"), port.content, {port.port: link}, own=False)
     if _same(content, BOTTLE):
         links |= nodes
     elif nodes:
-        yield _output(wanted, names.output(f"{topic}/nodes"), BOTTLE, nodes, own=False)
-    yield _output(wanted, names.output(topic), content, links)
+        yield _output(routed, names.output(f"{topic}/nodes"), BOTTLE, nodes, own=False)
+    yield _output(routed, names.output(topic), content, links)
 
 
 def _output(
-    wanted: Wanted, name: str, content: Content, links: Mapping[str, PlannedLink], *, own: bool = True
+    routed: RoutedTopic, name: str, content: Content, links: Mapping[str, PlannedLink], *, own: bool = True
 ) -> PortPlan:
-    return PortPlan(name, True, wanted.topic, wanted.type, wanted.type_hash, content, own, links=links)
+    return PortPlan(name, True, routed.topic, routed.type, routed.type_hash, content, own, links=links)
 
 
-def _input(wanted: Wanted, contents: Contents, names: PortNames, source: str | None) -> PortPlan:
-    content = contents.of_topic(wanted.topic)
-    name = names.input(wanted.topic)
-    return PortPlan(name, False, wanted.topic, wanted.type, wanted.type_hash, content, source=source)
+def _input(routed: RoutedTopic, contents: Contents, names: PortNames, source: str | None) -> PortPlan:
+    content = contents.of_topic(routed.topic)
+    name = names.input(routed.topic)
+    return PortPlan(name, False, routed.topic, routed.type, routed.type_hash, content, source=source)
 
 
-def _inputs(wanted: Wanted, contents: Contents, names: PortNames, graph: YarpGraph) -> Iterable[PortPlan]:
-    topic = wanted.topic
-    declared = any(rule.topic == topic and rule.type == wanted.type for rule in contents.declared)
-    yield _input(wanted, contents, names, names.input(topic) if declared else None)
+def _inputs(routed: RoutedTopic, contents: Contents, names: PortNames, graph: YarpGraph) -> Iterable[PortPlan]:
+    topic = routed.topic
+    declared = any(rule.topic == topic and rule.type == routed.type for rule in contents.declared)
+    yield _input(routed, contents, names, names.input(topic) if declared else None)
     for port in contents.incoming:
-        if port.topic == topic and port.type == wanted.type and graph.is_present(port.port):
+        if port.topic == topic and port.type == routed.type and graph.is_present(port.port):
             name = names.input(f"{topic}/from{port.port}")
             links = {port.port: PlannedLink(port.carrier, port.profile)}
-            yield PortPlan(name, False, topic, wanted.type, wanted.type_hash, port.content, False, port.port, links)
+            yield PortPlan(name, False, topic, routed.type, routed.type_hash, port.content, False, port.port, links)
     nodes = {
         node.port: PlannedLink()
         for node in graph.nodes
-        if node.publishes and node.topic == topic and node.type in ("", wanted.type) and graph.is_present(node.port)
+        if node.publishes and node.topic == topic and node.type in ("", routed.type) and graph.is_present(node.port)
     }
     if nodes:
         name = names.input(f"{topic}/nodes")
-        yield PortPlan(name, False, topic, wanted.type, wanted.type_hash, BOTTLE, False, links=nodes)
+        yield PortPlan(name, False, topic, routed.type, routed.type_hash, BOTTLE, False, links=nodes)
 
 
 def _same(first: Content, second: Content) -> bool:
@@ -136,7 +137,7 @@ def _same(first: Content, second: Content) -> bool:
     return (first.form, first.fields, first.missing) == (second.form, second.fields, second.missing)
 
 
-def shown(plan: PortPlan, core: PortCore) -> dict[str, Any]:
+def status_of(plan: PortPlan, core: PortCore) -> dict[str, Any]:
     """Return the port's entry in the worker's status document."""
     connections = core.connections.outputs if plan.writes else core.connections.inputs
     peers = []

@@ -13,7 +13,7 @@ from typing import Any
 
 from bridge.adapters.yarp.graph import YarpContext
 from bridge.adapters.yarp.network import DAEMON, OWNER
-from bridge.adapters.yarp.plan import PlannedLink, PortPlan, shown
+from bridge.adapters.yarp.plan import PlannedLink, PortPlan, status_of
 from bridge.adapters.yarp.services import OfferedService, ServedPort
 from bridge.adapters.yarp.topics import InputPort, OutputPort, TopicOutput
 from bridge.concurrency import WorkerPool
@@ -71,10 +71,10 @@ class OwnPorts:
     def __init__(self, context: YarpContext, awake: Callable[[str], bool], clients: ReconnectingClients) -> None:
         self._context, self._awake, self._clients = context, awake, clients
         self._naming, self._owner, self._graph = context.naming, context.owner, context.graph
-        self._asking: Future[bool] | None = None
+        self._update: Future[bool] | None = None
         self.own: dict[str, OwnPort] = {}
         self._services: Mapping[str, OfferedService] = {}
-        self._taken: frozenset[str] = frozenset()
+        self._own_names: frozenset[str] = frozenset()
         self._stopped = False
         self.trouble: dict[str, tuple[float, str]] = {}
         self._links, self._ends = WorkerPool(_THREADS, "midspan-yarp-links"), WorkerPool(_THREADS, "midspan-yarp-ends")
@@ -104,7 +104,7 @@ class OwnPorts:
 
     def is_ours(self, name: str) -> bool:
         """Return whether this worker opened the port."""
-        return name in self._taken
+        return name in self._own_names
 
     def warnings(self) -> list[str]:
         """Return the errors of ports that cannot be opened or connected."""
@@ -113,7 +113,7 @@ class OwnPorts:
     def status(self) -> list[dict[str, Any]]:
         """Return all ports' entries for the status document."""
         ports = sorted(self.own.values(), key=lambda port: port.core.name)
-        return [shown(port.plan, port.core) for port in ports]
+        return [status_of(port.plan, port.core) for port in ports]
 
     def abandon_calls(self) -> None:
         """Abandon the calls of clients that have left."""
@@ -138,12 +138,12 @@ class OwnPorts:
         for name, planned in plan.items():
             port = self.own.get(name)
             if port is not None:
-                self._leave_to_ros1(port, planned.links)
+                self._disconnect_joined(port, planned.links)
                 port.links = planned.links
             elif now >= self.trouble.get(name, (0.0, ""))[0]:
                 self._open(planned, outputs.get(planned.topic))
 
-    def _leave_to_ros1(self, port: OwnPort, links: Mapping[str, PlannedLink]) -> None:
+    def _disconnect_joined(self, port: OwnPort, links: Mapping[str, PlannedLink]) -> None:
         """Close the connections with ports that have been joined to ROS 1."""
         for peer in (port.links.keys() - links.keys()) & self._graph.ros1:
             end = port.core.remove_output if port.plan.writes else port.core.remove_input
@@ -160,14 +160,14 @@ class OwnPorts:
         try:
             opened = self._create(port, self._free_name(port.name), output)
             self.own[port.name] = opened
-            self._taken |= {opened.core.name}
+            self._own_names |= {opened.core.name}
             if output is not None and port.writes:  # before opening, so that every new reader gets the cached messages
                 output.add(OutputPort(opened.core, port.content))
             opened.core.open()
             if self._stopped:  # `stop` was called before this port was open, and therefore did not close it
                 self._close([opened])
                 return
-            # Mark the port before it has any connection: an unmarked port looks like a YARP program's.
+            # Mark the port before it has any connection, because an unmarked port looks like a YARP program's.
             self._naming.set_property(opened.core.name, OWNER, self._owner)
             if port.rpc:
                 self._clients.watch(opened.core)
@@ -181,7 +181,7 @@ class OwnPorts:
 
     def _free_name(self, name: str) -> str:
         """Return the name for a port; only names of dead or stalled Midspan workers are taken over."""
-        for wanted in (name, self._context.names.spare(name)):
+        for wanted in (name, self._context.names.alternative(name)):
             known = self._naming.query(wanted)
             if known is None or not connections.responds(known, timeout=_CONNECT_SECONDS):
                 return wanted
@@ -245,7 +245,7 @@ class OwnPorts:
         self._context.changed()
 
     def close_replaced(self, contacts: Mapping[str, PortContact]) -> None:
-        """Close ports whose names other programs have registered since: of two ports, the one registered last stays."""
+        """Close ports whose names other programs have registered since: the port that was registered last stays."""
         owned = self.own
         replaced = [
             key
@@ -267,7 +267,7 @@ class OwnPorts:
     def unregister_dead(self, contacts: Mapping[str, PortContact]) -> None:
         """Unregister the ports of a dead predecessor of this worker."""
         for name, contact in contacts.items():
-            if not self._context.names.may_be(name):
+            if not self._context.names.matches(name):
                 continue
             owner = [str(value) for value in self._naming.get_property(name, OWNER)]
             # A worker may have been killed before it marked the port; another program may now use its port number.
@@ -279,8 +279,8 @@ class OwnPorts:
     def connect(self) -> None:
         """Make missing connections, in the background."""
         now = time.monotonic()
-        if (self._asking is None or self._asking.done()) and any(port.served for port in self.own.values()):
-            self._asking = self._links.submit(self._clients.update)
+        if (self._update is None or self._update.done()) and any(port.served for port in self.own.values()):
+            self._update = self._links.submit(self._clients.update)
         for name, port in self.own.items():
             if not port.links:
                 continue
@@ -327,7 +327,7 @@ class OwnPorts:
 
     def _close(self, ports: list[OwnPort]) -> None:
         """Close ports in parallel; those that take too long continue in the background."""
-        self._taken -= {port.core.name for port in ports}
+        self._own_names -= {port.core.name for port in ports}
         for port in ports:
             if port.output is not None:
                 port.output.drop(port.core)

@@ -29,7 +29,7 @@ from yarp_compat.wire.values import Vocab
 _MAX_RECORD = 1 << 20
 _RETRY = 2.0
 _LONGEST_RETRY = 16.0
-"""Maximum seconds before the next attempt to connect to an unreachable worker; dead ones stay registered forever."""
+"""Maximum pause in seconds between attempts to connect to an unreachable worker, as dead workers stay registered."""
 
 
 class WorkerPresence:
@@ -41,7 +41,7 @@ class WorkerPresence:
         self._seen: dict[str, Sighting] = {}
         self._tried: dict[str, tuple[PortContact, Backoff, float]] = {}
         self._listed_since = 0.0
-        self._left = False
+        self._closed = False
         self._core = PortCore(
             PRESENCE + context.owner, naming=context.naming, on_message=self._on_message, on_event=self._on_event,
             host=context.ip,
@@ -54,10 +54,10 @@ class WorkerPresence:
 
     def open(self) -> None:
         """Join the network; raises `NamingError` or `OSError`."""
-        if self._left:
+        if self._closed:
             return
         self._core.open()
-        if self._left:  # `close` was called meanwhile, before it could close the port
+        if self._closed:  # `close` was called meanwhile, before it could close the port
             self._core.close()
             return
         self.mark()
@@ -103,7 +103,7 @@ class WorkerPresence:
 
     def close(self) -> None:
         """Leave the network permanently."""
-        self._left = True
+        self._closed = True
         self._core.close()
 
     def _on_event(self, event: ConnectionEvent) -> None:

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from bridge.adapters.yarp.contents import Contents
-from bridge.adapters.yarp.plan import Wanted
+from bridge.adapters.yarp.plan import RoutedTopic
 from bridge.adapters.yarp.ports import OwnPorts
 from bridge.adapters.yarp.topics import InputPort, TopicOutput, YarpPublisher
 from bridge.hub.wire.qos import Qos
@@ -39,16 +39,16 @@ class RoutedTopics:
         with self._lock:
             return dict(self.outputs)
 
-    def subscribed(self) -> list[Wanted]:
+    def subscribed(self) -> list[RoutedTopic]:
         """Return the topics with a subscription."""
         with self._lock:
             subscriptions = list(self._subscriptions.values())
-        return [self.wanted(subscription.topic, subscription.side_type) for subscription in subscriptions]
+        return [self.routed_topic(subscription.topic, subscription.side_type) for subscription in subscriptions]
 
-    def wanted(self, topic: str, side_type: SideType) -> Wanted:
+    def routed_topic(self, topic: str, side_type: SideType) -> RoutedTopic:
         """Return a topic and its type, as the plan of the ports needs them."""
         local = self._registry.ros2(side_type.name).type_id
-        return Wanted(topic, side_type.name, "" if side_type.type_id == local else side_type.type_id)
+        return RoutedTopic(topic, side_type.name, "" if side_type.type_id == local else side_type.type_id)
 
     def connect(self, input_port: InputPort) -> None:
         """Connect an input port with its topic's subscription."""
@@ -77,12 +77,12 @@ class RoutedTopics:
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> YarpPublisher:
         """Publish a topic; its ports open as soon as the name server registers them. Raises `MessageTypeError`."""
         content = self._contents.of_topic(topic)
-        wanted = self.wanted(topic, side_type)
-        self._contents.codec(content, side_type.name, wanted.type_hash, content.profile)
+        routed_topic = self.routed_topic(topic, side_type)
+        self._contents.codec(content, side_type.name, routed_topic.type_hash, content.profile)
         with self._lock:
             output = self.outputs.get(topic)
             if output is None:
-                stamped = has_header(self._registry.schema(side_type.name, wanted.type_hash))
+                stamped = has_header(self._registry.schema(side_type.name, routed_topic.type_hash))
                 output = self.outputs[topic] = TopicOutput(topic, side_type, stamped, self._contents)
             elif output.side_type != side_type:
                 raise MessageTypeError(

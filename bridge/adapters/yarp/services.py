@@ -116,7 +116,7 @@ class ServedPort:
 
 # -- clients of RPC ports, with one connection for each call -----------------------------------------------------------
 
-MOST = 64
+MAX_CALLS = 64
 """Maximum number of concurrent calls to one port."""
 
 _NUMBERS = itertools.count(1)
@@ -142,8 +142,8 @@ class PortCaller:
             trouble = ""
             if self._closed:
                 trouble = f"{self._port} is no longer called"
-            elif len(self._calls) >= MOST:
-                trouble = f"{self._port} is busy with {MOST} calls"
+            elif len(self._calls) >= MAX_CALLS:
+                trouble = f"{self._port} is busy with {MAX_CALLS} calls"
             else:
                 call = _PortCall(self, request, done)
                 self._calls.add(call)
@@ -284,9 +284,9 @@ class YarpServices:
         self._lock = threading.Lock()
         self._served: dict[str, OfferedService] = {}
 
-    def called(self) -> list[tuple[str, str, str]]:
+    def called_ports(self) -> list[tuple[str, str, str]]:
         """Return port, service and type of each RPC port that a rule names."""
-        return [(rule.port, rule.service, rule.type) for rule in self._contents.called if rule.port and rule.type]
+        return [(rule.port, rule.service, rule.type) for rule in self._contents.port_rules if rule.port and rule.type]
 
     def served(self) -> dict[str, OfferedService]:
         """Return the services that YARP programs can call, by name."""

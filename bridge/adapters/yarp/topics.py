@@ -29,14 +29,14 @@ _DAY_NS = 86_400_000_000_000
 
 
 def envelope(count: int, stamp_ns: int | None) -> str:
-    """Return the envelope of a message with this stamp, "" without one."""
+    """Return the envelope of a message with this stamp, "" if it has no stamp."""
     if stamp_ns is None or stamp_ns <= 0:
         return ""
     return f"{count} {stamp_ns // 1_000_000_000}.{stamp_ns % 1_000_000_000:09d}"
 
 
 def stamp(text: str) -> int | None:
-    """Return the stamp of an envelope in nanoseconds, or None."""
+    """Return the stamp of an envelope in nanoseconds; None if it has no valid stamp."""
     match = _STAMP.fullmatch(text)
     if match is None:
         return None
@@ -69,7 +69,7 @@ class InputPort:
     """An input port, which converts messages and delivers them to its topic's route.
 
     Attributes:
-        only: returns whether messages of a peer are accepted; None accepts those of all peers.
+        only: returns whether messages of a peer are accepted; None accepts the messages of all peers.
         source: the id of the endpoint to which messages are attributed; None attributes them to the sending port.
         made_by: returns who created a port.
         refused: called for each refused message: topic, reason, explanation.
@@ -105,7 +105,7 @@ class InputPort:
         self._pass_on(message, deliver)
 
     def _hold(self, peer: str, message: PortMessage) -> None:
-        """Hold a message in place of an earlier one of its peer, but wait while that is being delivered."""
+        """Hold a message in place of the peer's earlier one; if that is being delivered, wait until it has been."""
         with self._changed:
             self._changed.wait_for(lambda: not ((held := self._held.get(peer)) and held.delivering))
             if peer in self._held or len(self._held) < MAX_HELD:
@@ -136,7 +136,7 @@ class InputPort:
                     self._changed.notify_all()
 
     def _next(self) -> tuple[str, PortMessage, Deliver] | None:
-        """Return a held message that can be delivered; the peer's next message waits until it has been."""
+        """Return a held message that can be delivered; the peer's next message waits until this one is delivered."""
         now, deliver = time.monotonic(), self._deliver
         if deliver is None:
             return None
@@ -261,7 +261,7 @@ class TopicOutput:
 
     @property
     def lock(self) -> threading.RLock:
-        """A lock to hold while publishing and caching a message, so that late joiners receive all in order."""
+        """A lock to hold while publishing and caching a message, so that late joiners receive all messages in order."""
         return self._lock
 
 

@@ -49,7 +49,7 @@ _CLIENT_WAIT_MS = 1500
 """Time limit of one such attempt in milliseconds."""
 
 LINK_SECONDS = 0.5
-"""Seconds after which a new link has delivered all tokens; a query right after the link opens returns none."""
+"""Seconds after which a new link has delivered all tokens; a query right after the link opens returns no tokens."""
 
 
 _WITH_CERTIFICATES = ("tls/", "quic/")
@@ -100,7 +100,7 @@ class KeyEdge(SideEdge):
         """
         self._listener, self._settings = listener, _settings(self._config)
         if self._is_client:
-            self.away = f"waiting for the zenoh router at {self._places}"
+            self.away = f"waiting for the zenoh router at {self._router_addresses}"
         else:
             self._join(_open(self._settings))
         self._ticker.start()
@@ -110,15 +110,15 @@ class KeyEdge(SideEdge):
         return bool(json.loads(self._settings.get_json("mode")) == "client")
 
     @property
-    def _places(self) -> str:
+    def _router_addresses(self) -> str:
         return ", ".join(_endpoints(self._settings, "connect")) or "an unknown address"
 
     def _client_trouble(self, err: zenoh.ZError) -> str:
         """Return why the router of a client does not connect it, with the cure if a certificate is refused."""
-        for place in filter(_has_certificates, _endpoints(self._settings, "connect")):
+        for address in filter(_has_certificates, _endpoints(self._settings, "connect")):
             from bridge.hub.security.handshake import refusal  # imports libraries that only TLS needs
 
-            refused = refusal(place, self._settings)
+            refused = refusal(address, self._settings)
             if refused is not None:
                 return f"{refused.text}; {_CURE}"
         return zenoh_reason(err)
@@ -128,7 +128,7 @@ class KeyEdge(SideEdge):
         try:
             session = watched(zenoh.open(self._settings))
         except zenoh.ZError as err:
-            away = f"waiting for the zenoh router at {self._places}: {self._client_trouble(err)}"
+            away = f"waiting for the zenoh router at {self._router_addresses}: {self._client_trouble(err)}"
             if away != self.away and not self._stopping.is_set():
                 _log.warning("%s: %s", self.side, away)
                 self.away = away
@@ -157,9 +157,9 @@ class KeyEdge(SideEdge):
         past = remember(str(session.zid()), self._file)
         changed = self._listener.graph_changed, self._listener.presence_changed
         self._presence = KeyNeighbors(session, self.side, self._scope, past, *changed)
-        self.opened(session)
+        self.on_open(session)
         self.away = ""
-        connect, listen = (_endpoints(self._settings, way) for way in ("connect", "listen"))
+        connect, listen = (_endpoints(self._settings, purpose) for purpose in ("connect", "listen"))
         if any(map(_has_certificates, (*connect, *listen))):
             self._monitor_endpoints(session, connect, listen)
 
@@ -183,7 +183,7 @@ class KeyEdge(SideEdge):
             endpoints = list(self._endpoints)
         for endpoint in endpoints:
             endpoint.close()
-        self.closing()
+        self.on_close()
         if self._presence is not None:
             self._presence.close()
         if self._monitor is not None:
@@ -196,10 +196,10 @@ class KeyEdge(SideEdge):
         context.bulk.stop()
 
     @abstractmethod
-    def opened(self, session: zenoh.Session) -> None:
+    def on_open(self, session: zenoh.Session) -> None:
         """Start following the graph on the open session."""
 
-    def closing(self) -> None:
+    def on_close(self) -> None:
         """Release the resources of the session before it closes."""
 
     def tick(self, now: float) -> None:
@@ -267,15 +267,15 @@ class KeyEdge(SideEdge):
             self._endpoints.discard(endpoint)
 
 
-def _has_certificates(place: str) -> bool:
-    return place.startswith(_WITH_CERTIFICATES)
+def _has_certificates(address: str) -> bool:
+    return address.startswith(_WITH_CERTIFICATES)
 
 
-def _endpoints(settings: zenoh.Config, way: str) -> list[str]:
-    """Return a session's endpoints for ``connect`` or ``listen``; each mode may have its own list."""
-    places = json.loads(settings.get_json(f"{way}/endpoints"))
-    lists = places.values() if isinstance(places, dict) else [places]
-    return [str(place) for addresses in lists for place in addresses or ()]
+def _endpoints(settings: zenoh.Config, purpose: str) -> list[str]:
+    """Return a session's zenoh endpoints for ``connect`` or ``listen``; each mode may have its own list."""
+    value = json.loads(settings.get_json(f"{purpose}/endpoints"))
+    lists = value.values() if isinstance(value, dict) else [value]
+    return [str(address) for addresses in lists for address in addresses or ()]
 
 
 def _trouble(monitor: EndpointMonitor) -> str:

@@ -31,7 +31,7 @@ from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, ServiceConversion, SideType
 from bridge.routing.edge import Deliver, Endpoint, Kind, MadeBy
 
-_ASK_SECONDS = 5.0
+_QUERY_SECONDS = 5.0
 _JSON = zenoh.Encoding.APPLICATION_JSON
 
 
@@ -48,8 +48,8 @@ class JsonKeysEdge(KeyEdge):
         super().__init__(config, dialect, registry, state, hashlib.sha256(keys.encode()).hexdigest()[:16])
 
     @override
-    def opened(self, session: zenoh.Session) -> None:
-        """Do nothing: programs do not announce keys, but the configuration lists them."""
+    def on_open(self, session: zenoh.Session) -> None:
+        """Do nothing, because programs do not announce keys; the configuration lists them."""
 
     @override
     def endpoints(self) -> Sequence[Endpoint]:
@@ -103,10 +103,10 @@ class JsonKeysEdge(KeyEdge):
         name = str(key.key)
         part = self.register(KeySubscription(self.context, name, qos, deliver, lambda _: name, Announcement()))
         if key.latched and qos.latched:
-            self._ask(name, part)
+            self._query_latched(name, part)
         return part
 
-    def _ask(self, key: str, part: KeySubscription) -> None:
+    def _query_latched(self, key: str, part: KeySubscription) -> None:
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
                 source = part.native(reply.ok)
@@ -114,7 +114,7 @@ class JsonKeysEdge(KeyEdge):
                     part.accept(reply.ok, source)
 
         handler, remote = zenoh.handlers.Callback(on_reply, indirect=False), zenoh.Locality.REMOTE
-        self.context.session.get(key, handler, timeout=_ASK_SECONDS, allowed_destination=remote)
+        self.context.session.get(key, handler, timeout=_QUERY_SECONDS, allowed_destination=remote)
 
     @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> KeyPublisher:

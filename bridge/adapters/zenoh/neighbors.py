@@ -41,7 +41,7 @@ def is_marked(zid: str) -> bool:
 
 
 def sender(sample: zenoh.Sample) -> str:
-    """Return the session that sent or time-stamped a sample (a router may do the latter); "" if it is unknown."""
+    """Return the id of the session that sent a sample, or else time-stamped it (maybe a router); "" if unknown."""
     info = sample.source_info
     if info is not None:
         return str(info.source_id.zid)
@@ -52,26 +52,26 @@ def sender(sample: zenoh.Sample) -> str:
 def time_ns(sample: zenoh.Sample) -> int | None:
     """Return a sample's time stamp in nanoseconds of system time, set by its source or by a router.
 
-    It comes from a hybrid logical clock, which never goes back: after the system clock was set back, the clock only
-    counts stamps (`bridge.routing.stall.AgeGate`).
+    It comes from a hybrid logical clock, which never goes back: if the system clock was set back, the hybrid clock only
+    counts its stamps (`bridge.routing.stall.AgeGate`).
     """
     stamp = sample.timestamp
     return None if stamp is None else int(stamp.get_time_as_ntp64().as_nanos())
 
 
 def ticks(sample: zenoh.Sample) -> int:
-    """Return a sample's time stamp in units of 2^-32 s, 0 without one; a clock that only counts adds one per stamp."""
+    """Return a sample's time stamp in units of 2^-32 s, 0 if it has none; a counting clock adds one unit per stamp."""
     stamp = sample.timestamp
     return 0 if stamp is None else int(str(stamp.get_time_as_ntp64()))
 
 
 SPACE = "@midspan/keys"
 DISCOVERY_SECONDS = 1.5
-"""How long an unknown session counts as being on this network: its token may be delayed."""
+"""How long an unknown session counts as being on this network, because its token may be delayed."""
 
-_KEPT = 64
+_MAX_STORED = 64
 _MAX_RECORD = 1 << 20
-_MAX_UNSURE = 4096
+_MAX_UNDISCOVERED = 4096
 _POLL_SECONDS = 5.0
 
 
@@ -92,20 +92,20 @@ class KeyNeighbors:
         self._session, self._past = session, past
         self._graph_changed, self._presence_changed = graph_changed, presence_changed
         self._own = str(session.zid())
-        self._place = f"{side}/{quote(scope, safe='') or '%'}"
+        self._suffix = f"{side}/{quote(scope, safe='') or '%'}"
         self._lock = threading.Lock()
         self._seen: dict[str, Sighting] = {}
-        self._unsure: dict[str, float] = {}
+        self._undiscovered: dict[str, float] = {}
         self._settled: set[str] = set()
-        self._looking_since: float | None = None
-        self._looked_since = 0.0
-        space = f"{SPACE}/*/{self._place}"
+        self._query_since: float | None = None
+        self._complete_since = 0.0
+        space = f"{SPACE}/*/{self._suffix}"
         self._publisher = session.declare_publisher(
-            f"{SPACE}/{self._own}/{self._place}", express=True, priority=zenoh.Priority.INTERACTIVE_HIGH,
+            f"{SPACE}/{self._own}/{self._suffix}", express=True, priority=zenoh.Priority.INTERACTIVE_HIGH,
             congestion_control=zenoh.CongestionControl.DROP, allowed_destination=zenoh.Locality.REMOTE,
         )  # fmt: skip
         self._subscribers = follow_tokens(session, space, self._on_token), subscribe(session, space, self._on_record)
-        self._token = session.liveliness().declare_token(f"{SPACE}/{self._own}/{self._place}")
+        self._token = session.liveliness().declare_token(f"{SPACE}/{self._own}/{self._suffix}")
 
     def is_own(self, zid: str) -> bool:
         """Return whether the session of a hub origin is on this network."""
@@ -113,17 +113,17 @@ class KeyNeighbors:
             return True
         now = time.monotonic()
         with self._lock:
-            if len(self._unsure) > _MAX_UNSURE:
-                self._unsure.clear()
+            if len(self._undiscovered) > _MAX_UNDISCOVERED:
+                self._undiscovered.clear()
                 self._settled.clear()
-            return now - self._unsure.setdefault(zid, now) < DISCOVERY_SECONDS
+            return now - self._undiscovered.setdefault(zid, now) < DISCOVERY_SECONDS
 
     def tick(self, now: float) -> None:
-        """Report unknown sessions whose time to appear is over."""
+        """Report unknown sessions that have not appeared in time."""
         with self._lock:
-            over = {z for z, since in self._unsure.items() if now - since >= DISCOVERY_SECONDS} - self._settled
-            self._settled |= over
-        if over:
+            expired = {z for z, since in self._undiscovered.items() if now - since >= DISCOVERY_SECONDS} - self._settled
+            self._settled |= expired
+        if expired:
             self._graph_changed()
 
     def announce(self, record: bytes) -> None:
@@ -139,32 +139,32 @@ class KeyNeighbors:
     def settled(self, since: float) -> bool:
         """Return whether all sessions that existed at ``since`` are known; queries the network if unsure."""
         with self._lock:
-            if self._looked_since >= since:
+            if self._complete_since >= since:
                 return True
             now = time.monotonic()
-            if self._looking_since is not None and now - self._looking_since < _POLL_SECONDS:
+            if self._query_since is not None and now - self._query_since < _POLL_SECONDS:
                 return False
-            self._looking_since = now
+            self._query_since = now
         self._session.liveliness().get(
-            f"{SPACE}/*/{self._place}",
-            zenoh.handlers.Callback(self._on_found, lambda: self._looked(now), indirect=False),
+            f"{SPACE}/*/{self._suffix}",
+            zenoh.handlers.Callback(self._on_reply, lambda: self._on_query_done(now), indirect=False),
             timeout=_POLL_SECONDS,
         )
         return False
 
-    def _on_found(self, reply: zenoh.Reply) -> None:
+    def _on_reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
-            self._see(_zid(reply.ok), None)
+            self._add_sighting(_zid(reply.ok), None)
 
-    def _looked(self, since: float) -> None:
+    def _on_query_done(self, since: float) -> None:
         with self._lock:
-            self._looked_since, self._looking_since = max(since, self._looked_since), None
+            self._complete_since, self._query_since = max(since, self._complete_since), None
         self._presence_changed()
 
     def _on_token(self, token: zenoh.Sample) -> None:
         zid = _zid(token)
         if token.kind == zenoh.SampleKind.PUT:
-            self._see(zid, None)
+            self._add_sighting(zid, None)
             return
         with self._lock:
             lost = self._seen.pop(zid, None)
@@ -174,9 +174,9 @@ class KeyNeighbors:
 
     def _on_record(self, sample: zenoh.Sample) -> None:
         if len(sample.payload) <= _MAX_RECORD:
-            self._see(_zid(sample), sample.payload.to_bytes())
+            self._add_sighting(_zid(sample), sample.payload.to_bytes())
 
-    def _see(self, zid: str, record: bytes | None) -> None:
+    def _add_sighting(self, zid: str, record: bytes | None) -> None:
         if zid == self._own or not is_marked(zid):
             return
         with self._lock:
@@ -196,7 +196,7 @@ class KeyNeighbors:
 def remember(own: str, file: Path) -> frozenset[str]:
     """Add this session's id to the ids in a file; return the previous ones."""
     try:
-        past = file.read_text(encoding="utf-8").split()[-_KEPT:]
+        past = file.read_text(encoding="utf-8").split()[-_MAX_STORED:]
     except OSError:
         past = []
     keep(file, "\n".join([*past, own]) + "\n", "for some seconds after a crash, its own topics may loop back")

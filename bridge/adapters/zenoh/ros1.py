@@ -1,7 +1,7 @@
 """The edge of the ros1 dialect: the keys of zenoh-plugin-ros1; see `ros1_discovery`.
 
 Samples do not identify their publisher, so all native bridges of one key count as one publisher. Latching is not
-announced: for the topics in the configuration's ``latched``, the hub retains the last message. ROS 1 actions are
+announced, so the configuration's ``latched`` lists the topics whose last message the hub retains. ROS 1 actions are
 bridged as topics.
 """
 
@@ -53,11 +53,11 @@ class Ros1KeysEdge(KeyEdge):
         self._aloha: Aloha | None = None
 
     @override
-    def opened(self, session: zenoh.Session) -> None:
-        self._aloha = Aloha(session, self._namespace, self._graph_changed, self._newcomer)
+    def on_open(self, session: zenoh.Session) -> None:
+        self._aloha = Aloha(session, self._namespace, self._graph_changed, self._on_new_bridge)
 
     @override
-    def closing(self) -> None:
+    def on_close(self) -> None:
         if self._aloha is not None:
             self._aloha.close()
 
@@ -72,10 +72,10 @@ class Ros1KeysEdge(KeyEdge):
         with self._lock:
             return [part for part in self._endpoints if isinstance(part, Ros1KeyPublisher)]
 
-    def _newcomer(self, topic: str, first: bool) -> None:
+    def _on_new_bridge(self, topic: str, first: bool) -> None:
         for publisher in self._publishers():
             if publisher.topic == topic:
-                publisher.newcomer(first=first)
+                publisher.on_new_bridge(first=first)
 
     @override
     def endpoints(self) -> Sequence[Endpoint]:
@@ -106,7 +106,7 @@ class Ros1KeysEdge(KeyEdge):
 
     @override
     def why_not(self, topic: str, type_name: str) -> str:
-        """Return why a part of a ROS 2 action is not bridged: ROS 1 has no such services and topics."""
+        """Exclude the parts of ROS 2 actions, because ROS 1 has no such services and topics."""
         action = split(topic)[1] and ("/action/" in type_name or type_name.startswith("action_msgs/"))
         return "ROS 2 actions are not bridged to the ros1 dialect" if action else ""
 
@@ -127,7 +127,7 @@ class Ros1KeysEdge(KeyEdge):
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """Return a server's conversion; a reply with an error text becomes an error."""
         known = self._registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
-        return replace(known, response_to_hub=_or_failed(known.response_to_hub))
+        return replace(known, response_to_hub=_with_error_texts(known.response_to_hub))
 
     @override
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
@@ -170,7 +170,7 @@ class Ros1KeysEdge(KeyEdge):
         return data_key(topic, self._namespace), Announcement(partial(self._aloha.announce, kind, topic))
 
 
-def _or_failed(convert: Callable[[bytes], bytes] | None) -> Callable[[bytes], bytes] | None:
+def _with_error_texts(convert: Callable[[bytes], bytes] | None) -> Callable[[bytes], bytes] | None:
     if convert is None:
         return None
 
@@ -207,13 +207,13 @@ class Ros1KeyPublisher(KeyPublisher):
         self._due: float | None = None
         self._last = self._since = -AGAIN
         if qos.latched:
-            self.watch(self._matched)
+            self.watch(self._on_first_subscriber)
 
-    def _matched(self) -> None:
+    def _on_first_subscriber(self) -> None:
         self._due = self._since = time.monotonic()
 
-    def newcomer(self, *, first: bool) -> None:
-        """Schedule the latched messages for a bridge that announces a subscription; ``first``: the topic's first."""
+    def on_new_bridge(self, *, first: bool) -> None:
+        """Schedule the latched messages for a bridge that announces a subscription, the topic's ``first`` or not."""
         now = time.monotonic()
         if not self._qos.latched or self._due is not None:
             return

@@ -96,7 +96,7 @@ _LOST = 4
 """Periods without a beacon after which a topic is dropped: one more than the plugin's limit, because two beacons may
 have collided."""
 
-_SOON = 0.5
+_TOO_SOON = 0.5
 """A second beacon on the same key within this many periods comes from another bridge."""
 
 _FORGOTTEN = 60
@@ -132,15 +132,16 @@ class _Beacon:
 class Aloha:
     """Receives the beacons of native bridges and sends Midspan's own beacons; thread-safe.
 
-    ``changed`` is called when a topic appears or disappears. ``newcomer`` is called when a bridge starts announcing a
-    subscription, with the topic and whether this bridge is the first.
+    ``changed`` is called when a topic appears or disappears. ``on_new_bridge`` is called when a bridge starts
+    announcing a subscription, with the topic and whether this bridge is the first.
     """
 
     def __init__(
-        self, session: zenoh.Session, namespace: str, changed: Callable[[], None], newcomer: Callable[[str, bool], None]
-    ) -> None:
+        self, session: zenoh.Session, namespace: str, changed: Callable[[], None],
+        on_new_bridge: Callable[[str, bool], None],
+    ) -> None:  # fmt: skip
         self._session, self._namespace = session, namespace
-        self._changed, self._newcomer = changed, newcomer
+        self._changed, self._on_new_bridge = changed, on_new_bridge
         self._lock = threading.Lock()
         self._last_beacons: dict[tuple[Kind, AnnouncedTopic], float] = {}
         self._bridges: dict[tuple[Kind, AnnouncedTopic], dict[str, float]] = {}
@@ -178,13 +179,13 @@ class Aloha:
         with self._lock:
             suspended, self._ticked = now - self._ticked, now
             if suspended > PERIOD:
-                self._last_beacons = {place: min(last + suspended, now) for place, last in self._last_beacons.items()}
-            lost = [place for place, last in self._last_beacons.items() if now - last > _LOST * PERIOD]
-            for place in lost:
-                del self._last_beacons[place]
-                self._bridges.pop(place, None)
-            for place, beacon in self._own.items():
-                if now >= beacon.due and place not in self._last_beacons:
+                self._last_beacons = {entry: min(last + suspended, now) for entry, last in self._last_beacons.items()}
+            lost = [entry for entry, last in self._last_beacons.items() if now - last > _LOST * PERIOD]
+            for entry in lost:
+                del self._last_beacons[entry]
+                self._bridges.pop(entry, None)
+            for entry, beacon in self._own.items():
+                if now >= beacon.due and entry not in self._last_beacons:
                     beacon.send(now)
         if lost:
             self._changed()
@@ -205,7 +206,7 @@ class Aloha:
             return
         key = str(sample.key_expr)
         try:
-            place = parse(key)
+            entry = parse(key)
         except HubWireError as err:
             level = logging.DEBUG if self._refused else logging.WARNING
             self._refused += 1
@@ -214,29 +215,29 @@ class Aloha:
         now = time.monotonic()
         if is_marked(sender(sample)):
             with self._lock:
-                if place in self._own:
-                    self._own[place].postpone(now)
+                if entry in self._own:
+                    self._own[entry].postpone(now)
             return
         with self._lock:
-            before = self._last_beacons.get(place)
+            before = self._last_beacons.get(entry)
             if before is None and len(self._last_beacons) >= _MAX_TOPICS:
                 return
-            self._last_beacons[place] = now
-            new = place[0] is Kind.SUBSCRIPTION and self._is_new(place, sender(sample), before, now)
+            self._last_beacons[entry] = now
+            new = entry[0] is Kind.SUBSCRIPTION and self._is_new(entry, sender(sample), before, now)
         if before is None:
             self._changed()
         if new:
-            self._newcomer(place[1].name, before is None)
+            self._on_new_bridge(entry[1].name, before is None)
 
-    def _is_new(self, place: tuple[Kind, AnnouncedTopic], bridge: str, before: float | None, now: float) -> bool:
+    def _is_new(self, entry: tuple[Kind, AnnouncedTopic], bridge: str, before: float | None, now: float) -> bool:
         """Return whether a beacon comes from a new bridge.
 
         A time stamp that the bridge set identifies the bridge. Without time stamps, two beacons in quick succession
         come from two bridges.
         """
-        bridges = self._bridges.setdefault(place, {})
+        bridges = self._bridges.setdefault(entry, {})
         last = bridges.get(bridge, 0.0)
         bridges[bridge] = now
         if len(bridges) > _MAX_BRIDGES:
             del bridges[next(iter(bridges))]
-        return before is None or now - last > _FORGOTTEN * PERIOD or now - before < _SOON * PERIOD
+        return before is None or now - last > _FORGOTTEN * PERIOD or now - before < _TOO_SOON * PERIOD

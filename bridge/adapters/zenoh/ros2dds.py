@@ -62,12 +62,12 @@ class Ros2ddsEdge(KeyEdge):
         self._announcer: TokenAnnouncer | None = None
 
     @override
-    def opened(self, session: zenoh.Session) -> None:
+    def on_open(self, session: zenoh.Session) -> None:
         self._announcer = TokenAnnouncer(session)
         self._graph = Ros2ddsGraph(session, self._prefix, self._tokens_changed)
 
     @override
-    def closing(self) -> None:
+    def on_close(self) -> None:
         self._heartbeats.close(1.0)
         if self._graph is not None and self._announcer is not None:
             self._graph.close()
@@ -96,7 +96,7 @@ class Ros2ddsEdge(KeyEdge):
 
     @override
     def why_not(self, topic: str, type_name: str) -> str:
-        """Return why a key is not available: it cannot carry both CDR and JSON."""
+        """Exclude keys that carry JSON, because a key cannot carry both CDR and JSON."""
         key = self._key(topic)
         return f"the key {key} carries JSON according to zenoh.dialects" if key in self._json_keys else ""
 
@@ -143,10 +143,10 @@ class Ros2ddsEdge(KeyEdge):
     def _source_of(self, graph: Ros2ddsGraph, key: str, side_type: SideType, sample: zenoh.Sample) -> str:
         """Return the endpoint that published a sample.
 
-        A bridge's time stamps have the id of the bridge's session; a plain program's have the id of the program or of a
-        router. A sample of an unknown publisher is attributed to the key's first publisher of this type.
+        A bridge's time stamps have the id of the bridge's session; a plain program's time stamps have the id of the
+        program or of a router. A sample of an unknown publisher is attributed to the key's first publisher of the type.
         """
-        publisher, token = graph.who(key, sample)
+        publisher, token = graph.publisher_of(key, sample)
         if token is not None:
             return publisher if token.type == side_type.name else ""
         if key in self._plain:

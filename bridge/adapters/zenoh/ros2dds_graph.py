@@ -74,7 +74,7 @@ class Ros2ddsGraph:
         with self._lock:
             return {self._publisher_id(zid, key): known[-1] for zid, known in self._publishers.get(key, {}).items()}
 
-    def who(self, key: str, sample: zenoh.Sample) -> tuple[str, Token | None]:
+    def publisher_of(self, key: str, sample: zenoh.Sample) -> tuple[str, Token | None]:
         """Return the id of a sample's publisher, "" if no bridge sent it, and its token, None if not received yet."""
         zid = sender(sample)
         with self._lock:
@@ -111,21 +111,22 @@ class Ros2ddsGraph:
                 _log.log(level, "token ignored, %s: %.200s", err, text)
             return
         with self._lock:
-            self._count(zid, text, put=put)
+            self._track_bridge(zid, text, put=put)
             if not announced or not all(token.key.startswith(self._prefix) for token in announced):
                 return
             changed = self._add(text, announced) if put else self._remove(text)
         if changed:
             self._changed()
 
-    def _count(self, zid: str, text: str, *, put: bool) -> None:
+    def _track_bridge(self, zid: str, text: str, *, put: bool) -> None:
         """Track which sessions are bridges: those that have declared a bridge's token."""
         if text == tokens.alive_key(zid):
             if put and len(self._bridges) < _MAX_TOKENS:
                 self._bridges.add(zid)
             else:
                 self._bridges.discard(zid)
-                for key in [key for of, key in self._numbers if of == zid and zid not in self._publishers.get(key, {})]:
+                departed = [key for bridge, key in self._numbers if bridge == zid]
+                for key in [key for key in departed if zid not in self._publishers.get(key, {})]:
                     del self._numbers[zid, key]
 
     def _add(self, text: str, announced: tuple[Token, ...]) -> bool:
@@ -193,30 +194,30 @@ class TokenAnnouncer:
         """Announce a topic or a service until the returned function is called."""
         token = Token(self._zid, kind, key, side_type.name, side_type.type_id, qos)
         action = action_of(key)
-        place = (action_end(kind), action) if action else (kind, key)
+        entry = (action_end(kind), action) if action else (kind, key)
         with self._lock:
-            self._wanted.setdefault(place, []).append(token)
-            self._settle(place)
+            self._wanted.setdefault(entry, []).append(token)
+            self._update(entry)
 
         def withdraw() -> None:
             with self._lock:
-                self._wanted[place].remove(token)
-                self._settle(place)
+                self._wanted[entry].remove(token)
+                self._update(entry)
 
         return withdraw
 
-    def _settle(self, place: tuple[Kind, str]) -> None:
-        wanted, announced = self._wanted[place], self._announced.get(place)
-        text = _text(wanted, declared=announced is not None)
+    def _update(self, entry: tuple[Kind, str]) -> None:
+        wanted, announced = self._wanted[entry], self._announced.get(entry)
+        text = _token_text(wanted, declared=announced is not None)
         if announced is not None and announced[0] == text:
             return
         if announced is not None:
-            del self._announced[place]
+            del self._announced[entry]
             undeclare(announced[1])
         if text:
-            self._announced[place] = text, self._session.liveliness().declare_token(text)
+            self._announced[entry] = text, self._session.liveliness().declare_token(text)
         if not wanted:
-            del self._wanted[place]
+            del self._wanted[entry]
 
     def close(self) -> None:
         """Withdraw the token that shows that this bridge is alive."""
@@ -224,7 +225,7 @@ class TokenAnnouncer:
             undeclare(self._alive)
 
 
-def _text(wanted: list[Token], *, declared: bool) -> str:
+def _token_text(wanted: list[Token], *, declared: bool) -> str:
     """Return the key of the token for these endpoints; "" while an action is incomplete and not ``declared``."""
     if not wanted:
         return ""

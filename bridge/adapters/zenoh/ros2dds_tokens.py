@@ -1,11 +1,11 @@
 """Liveliness tokens of zenoh-plugin-ros2dds, by which its bridges announce topics, services and actions.
 
 ``@/<zid>/@ros2_lv`` means that a bridge is alive. ``@/<zid>/@ros2_lv/MP/<key>/<type>/<qos>`` is a topic that its ROS 2
-nodes publish, ``MS`` one that they subscribe to; in key and type a slash is written ``§``. The QoS is ``<K if
+nodes publish, ``MS`` a topic to which they subscribe; in key and type a slash is written ``§``. The QoS is ``<K if
 keyed>:<reliability>:<durability>:<history>,<depth>[:<user data>]`` with DDS's numbers; an empty field is DDS's default,
 and the user data is ROS 2's ``typehash=RIHS01_<hex>;`` (since Iron). ``SS/<key>/<type>`` is a service that its nodes
-serve, ``SC`` one that they call; neither has a hash. ``AS`` (served) and ``AC`` (called) are a whole action, whose
-services and topics have no separate tokens. Source: zenoh-plugin-ros2dds, ``src/liveliness_mgt.rs``,
+serve, ``SC`` a service that they call; neither has a hash. ``AS`` (served) and ``AC`` (called) are a whole action,
+whose services and topics have no separate tokens. Source: zenoh-plugin-ros2dds, ``src/liveliness_mgt.rs``,
 ``ros2_utils.rs``, ``route_action_srv.rs`` and ``route_action_cli.rs``, of August 2026.
 """
 

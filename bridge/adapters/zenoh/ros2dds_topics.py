@@ -38,7 +38,7 @@ class Ros2ddsPublisher:
         self._sinks: dict[str, PlainSink | LatchedPublisher] = {}
 
     def send(self, payload: bytes, source: str) -> None:
-        """Publish a message; a latched message is sent through its source's publisher."""
+        """Publish a message; a latched message is published through its source's own publisher."""
         name = source if self._qos.latched else ""
         with self._lock:
             if not self._open:
@@ -90,9 +90,9 @@ class LatchedSubscription(KeySubscription):
         announcement: Announcement, depth: Callable[[str], int], wanted: int,
     ) -> None:  # fmt: skip
         self._depth = depth
-        self._asking = threading.Lock()
-        self._asked: Counter[str] = Counter()
-        self._kept: dict[str, list[tuple[zenoh.Sample, str]]] = {}
+        self._query_lock = threading.Lock()
+        self._pending_queries: Counter[str] = Counter()
+        self._stored: dict[str, list[tuple[zenoh.Sample, str]]] = {}
         self._held: dict[str, list[tuple[zenoh.Sample, str]]] = {}
         self._last: dict[tuple[str, str, str], tuple[int | None, int]] = {}
         super().__init__(context, key, qos, deliver, source_of, announcement)
@@ -115,33 +115,33 @@ class LatchedSubscription(KeySubscription):
     def accept(self, sample: zenoh.Sample, source: str) -> None:
         """Accept a live sample; hold it back while its session is queried."""
         zid = sender(sample)
-        with self._asking:
-            if self._asked[zid] and len(self._held.get(zid, ())) < _MAX_HELD:
+        with self._query_lock:
+            if self._pending_queries[zid] and len(self._held.get(zid, ())) < _MAX_HELD:
                 self._held.setdefault(zid, []).append((sample, source))
             else:
                 self._deliver(sample, source)
 
     def on_query(self, zid: str) -> None:
         """Hold back a session's live samples while its publishers are queried."""
-        with self._asking:
-            self._asked[zid] += 1
+        with self._query_lock:
+            self._pending_queries[zid] += 1
 
     def on_stored(self, sample: zenoh.Sample) -> None:
         """Store a cached sample until its session's reply is complete."""
         source = self.native(sample)
         if source:
-            with self._asking:
-                self._kept.setdefault(sender(sample), []).append((sample, source))
+            with self._query_lock:
+                self._stored.setdefault(sender(sample), []).append((sample, source))
 
     def done(self, zid: str) -> None:
         """Deliver a session's cached samples in order, then the live samples that were held back."""
-        with self._asking:
-            self._asked[zid] -= 1
-            if self._asked[zid] > 0:
+        with self._query_lock:
+            self._pending_queries[zid] -= 1
+            if self._pending_queries[zid] > 0:
                 return
-            del self._asked[zid]
+            del self._pending_queries[zid]
             by_source: dict[str, list[tuple[zenoh.Sample, str]]] = {}
-            for entry in sorted(self._kept.pop(zid, []), key=lambda entry: ticks(entry[0])):
+            for entry in sorted(self._stored.pop(zid, []), key=lambda entry: ticks(entry[0])):
                 by_source.setdefault(entry[1], []).append(entry)
             for source, entries in by_source.items():
                 for entry in entries[-self._depth(source) :]:
@@ -164,7 +164,7 @@ class LatchedSubscription(KeySubscription):
 
 
 def is_later(number: int | None, stamp: int, last_number: int | None, last_stamp: int) -> bool:
-    """Return whether a sample follows its publisher's last one, by source number or, without one, by time stamp.
+    """Return whether a sample follows its publisher's last sample, by source number or, if missing, by time stamp.
 
     A publisher that restarts with the same id starts numbering from 0 again, with later time stamps.
     """

@@ -46,8 +46,8 @@ class KeyContext:
 class Announcement:
     """Announces an endpoint, and withdraws the announcement when the endpoint closes.
 
-    It is published once the endpoint exists, because peers call, publish or query as soon as they receive it. An
-    endpoint that closes before that is not announced. ``announce`` returns the function that withdraws the
+    The announcement is published once the endpoint exists, because peers call, publish or query as soon as they receive
+    it. An endpoint that has closed by then is not announced. ``announce`` returns the function that withdraws the
     announcement; by default, nothing is announced.
     """
 
@@ -73,7 +73,7 @@ class Announcement:
 
 
 def is_command(qos: Qos) -> bool:
-    """Return whether only the newest message counts: volatile with depth 1, the QoS of the engine's commands."""
+    """Return whether only the newest message counts, as for the engine's commands: volatile, with depth 1."""
     return qos.depth == 1 and not qos.latched
 
 
@@ -130,7 +130,7 @@ class KeyPublisher:
         self._queryable = answer(context.session, key, self._on_query) if qos.latched else None
 
     def send(self, payload: bytes, source: str) -> None:
-        """Publish a message; a latched one is also cached."""
+        """Publish a message; a latched message is also cached."""
         with self._lock:
             if self._sink is None:
                 return

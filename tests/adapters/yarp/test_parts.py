@@ -56,10 +56,10 @@ def test_port_names_follow_the_schemes() -> None:
     names = PortNames("/midspan{topic}:o", "/robot/in{topic}", "/midspan{topic}/rpc", "r1")
     assert names.output("/camera/image") == "/midspan/camera/image:o"
     assert names.input("/scan/from/laser:o") == "/robot/in/scan/from/laser:o"
-    assert names.spare(names.output("/scan")) == "/midspan/r1/scan:o"
-    assert names.spare(names.input("/scan")) == "/robot/in/r1/scan"
-    assert names.may_be("/midspan/scan:o")
-    assert not names.may_be("/other/scan:o")
+    assert names.alternative(names.output("/scan")) == "/midspan/r1/scan:o"
+    assert names.alternative(names.input("/scan")) == "/robot/in/r1/scan"
+    assert names.matches("/midspan/scan:o")
+    assert not names.matches("/other/scan:o")
 
 
 def test_worker_runs_if_yarp_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -126,29 +126,25 @@ class Prober:
     def close(self) -> None:
         with self._lock:
             self._closed = True
-            for registration in list(self._held):
-                self._release(registration)
+            for peer in list(self._held):
+                self._release(peer)
 
-    def update(self, registrations: frozenset[Registration]) -> None:
+    def update(self, peers: frozenset[Registration]) -> None:
         """Update the publishers that are on the graph, and probe those that are due."""
         now = time.monotonic()
         with self._lock:
-            for removed in self._facts.keys() - registrations:
+            for removed in self._facts.keys() - peers:
                 del self._facts[removed]
                 self._release(removed)
-            for removed in self._unprobed.keys() - registrations:
+            for removed in self._unprobed.keys() - peers:
                 del self._unprobed[removed]
-            for new in registrations - self._facts.keys() - self._unprobed.keys():
+            for new in peers - self._facts.keys() - self._unprobed.keys():
                 self._unprobed[new] = _Attempt()
-            due = [
-                registration
-                for registration, a in self._unprobed.items()
-                if registration.uri and not a.under_way and a.due <= now
-            ]
-            for registration in due:
-                self._unprobed[registration].under_way = True
-        for registration in due:
-            self._pool.submit(registration.uri, lambda registration=registration: self._probe(registration))  # type: ignore[misc]
+            due = [peer for peer, a in self._unprobed.items() if peer.uri and not a.under_way and a.due <= now]
+            for peer in due:
+                self._unprobed[peer].under_way = True
+        for peer in due:
+            self._pool.submit(peer.uri, lambda peer=peer: self._probe(peer))  # type: ignore[misc]
 
     @property
     def has_unprobed(self) -> bool:
@@ -158,130 +154,126 @@ class Prober:
     def facts(self, topic: str = "") -> Mapping[Registration, Facts]:
         """Return the known facts, of all topics or of one."""
         with self._lock:
-            return {
-                registration: facts for registration, facts in self._facts.items() if topic in ("", registration.topic)
-            }
+            return {peer: facts for peer, facts in self._facts.items() if topic in ("", peer.topic)}
 
-    def discard(self, registration: Registration) -> None:
+    def discard(self, peer: Registration) -> None:
         """Close a publisher's held connection with its unread messages: a base must not execute old commands."""
         with self._lock:
-            self._release(registration)
+            self._release(peer)
 
-    def take(self, registration: Registration) -> ProbedConnection | None:
+    def take(self, peer: Registration) -> ProbedConnection | None:
         """Return a publisher's held connection, which the caller then owns; None if it is no longer held."""
         with self._lock:
-            return self._held.pop(registration, None)
+            return self._held.pop(peer, None)
 
-    def drop_facts(self, registration: Registration, failure: str) -> None:
+    def drop_facts(self, peer: Registration, failure: str) -> None:
         """Drop the facts of a publisher that disconnected or changed, and probe it again later."""
         with self._lock:
-            if self._facts.pop(registration, None) is None:
+            if self._facts.pop(peer, None) is None:
                 return
-            self._release(registration)
-            self._unprobed[registration] = _Attempt(due=time.monotonic() + _FIRST_WAIT, failure=failure)
-        self._changed(registration)
+            self._release(peer)
+            self._unprobed[peer] = _Attempt(due=time.monotonic() + _FIRST_WAIT, failure=failure)
+        self._changed(peer)
 
-    def check(self, registration: Registration) -> None:
+    def check(self, peer: Registration) -> None:
         """Probe a known peer again; drop its facts if it does not respond."""
-        self._pool.submit(registration.uri, lambda: self._check(registration))
+        self._pool.submit(peer.uri, lambda: self._check(peer))
 
-    def _check(self, registration: Registration) -> None:
+    def _check(self, peer: Registration) -> None:
         try:
-            sock, header = self._do_handshake(registration)
+            sock, header = self._do_handshake(peer)
         except Ros1Error as err:
-            self.drop_facts(registration, str(err))
+            self.drop_facts(peer, str(err))
         else:
             sock.close()
-            self.adopt(registration, Facts.of(header))
+            self.adopt(peer, Facts.of(header))
 
-    def _check_latching(self, registration: Registration) -> None:
+    def _check_latching(self, peer: Registration) -> None:
         """Read a publisher's header again; ignore a failure."""
         with self._lock:
-            if registration not in self._facts:
+            if peer not in self._facts:
                 return
         with contextlib.suppress(Ros1Error):
-            sock, header = self._do_handshake(registration)
+            sock, header = self._do_handshake(peer)
             sock.close()
-            self.adopt(registration, Facts.of(header))
+            self.adopt(peer, Facts.of(header))
 
-    def adopt(self, registration: Registration, facts: Facts) -> None:
+    def adopt(self, peer: Registration, facts: Facts) -> None:
         """Adopt the header that a subscription received, because the publisher may have advertised again."""
         with self._lock:
-            if self._facts.get(registration) in (None, facts):
+            if self._facts.get(peer) in (None, facts):
                 return
-            self._facts[registration] = facts
-        self._changed(registration)
+            self._facts[peer] = facts
+        self._changed(peer)
 
     def failures(self) -> dict[Registration, str]:
         """Return the publishers that did not respond, and why."""
         with self._lock:
-            return {registration: a.failure for registration, a in self._unprobed.items() if a.failure}
+            return {peer: a.failure for peer, a in self._unprobed.items() if a.failure}
 
-    def is_unprobed(self, registration: Registration) -> bool:
+    def is_unprobed(self, peer: Registration) -> bool:
         """Return whether a listed peer has not been probed successfully yet."""
         with self._lock:
-            return registration in self._unprobed
+            return peer in self._unprobed
 
-    def is_gone(self, registration: Registration) -> bool:
+    def is_gone(self, peer: Registration) -> bool:
         """Return whether the last connection was refused because nothing listens at the address."""
         with self._lock:
-            attempt = self._unprobed.get(registration)
+            attempt = self._unprobed.get(peer)
         return attempt is not None and attempt.refused
 
-    def _do_handshake(self, registration: Registration, *, held: bool = False) -> ProbedConnection:
+    def _do_handshake(self, peer: Registration, *, held: bool = False) -> ProbedConnection:
         # rospy drops an older connection of the same caller name, so a connection that is not held needs another name.
         caller = self._caller() if held else f"{self._caller()}_probe"
-        return self._handshake(caller, registration.uri, registration.topic, HANDSHAKE_SECONDS)
+        return self._handshake(caller, peer.uri, peer.topic, HANDSHAKE_SECONDS)
 
-    def _probe(self, registration: Registration) -> None:
+    def _probe(self, peer: Registration) -> None:
         try:
-            sock, header = self._do_handshake(registration, held=self._holds)
+            sock, header = self._do_handshake(peer, held=self._holds)
         except Ros1Error as err:
             if isinstance(err, UnreachableError):
-                self._pool.failed(registration.uri)
-            self._retry_later(registration, str(err), refused=isinstance(err, UnreachableError) and err.refused)
+                self._pool.failed(peer.uri)
+            self._retry_later(peer, str(err), refused=isinstance(err, UnreachableError) and err.refused)
             return
         except Exception as err:
-            self._retry_later(registration, f"{type(err).__name__}: {err}")
+            self._retry_later(peer, f"{type(err).__name__}: {err}")
             raise
-        self._pool.answered(registration.uri)
+        self._pool.answered(peer.uri)
         facts = Facts.of(header)
         with self._lock:
-            known = self._unprobed.pop(registration, None) is not None
+            known = self._unprobed.pop(peer, None) is not None
             if known:
-                self._facts[registration] = facts
+                self._facts[peer] = facts
             if known and facts.native and self._holds and not self._closed:
-                self._release(registration)
-                self._held[registration] = sock, header
-                self._timer.after(HOLD_SECONDS, lambda: self._expire(registration, sock))
+                self._release(peer)
+                self._held[peer] = sock, header
+                self._timer.after(HOLD_SECONDS, lambda: self._expire(peer, sock))
             else:
                 sock.close()
         # a YARP port does not announce latching, and its program may count the second probe as a subscriber
         if known and facts.native and self._holds and not facts.latching and "latching" in header:
-            self._timer.after(
-                LATCH_SECONDS, lambda: self._pool.submit(registration.uri, lambda: self._check_latching(registration))
-            )
+            self._timer.after(LATCH_SECONDS, lambda: self._pool.submit(peer.uri, lambda: self._check_latching(peer)))
         if known:
-            self._changed(registration)
+            self._changed(peer)
 
-    def _expire(self, registration: Registration, sock: DeadlineSocket) -> None:
+    def _expire(self, peer: Registration, sock: DeadlineSocket) -> None:
         with self._lock:
-            if registration in self._held and self._held[registration][0] is sock:
-                self._release(registration)
+            if peer in self._held and self._held[peer][0] is sock:
+                self._release(peer)
 
-    def _release(self, registration: Registration) -> None:
+    def _release(self, peer: Registration) -> None:
         """Close a connection that no subscription has reused; called with the lock held."""
-        if (held := self._held.pop(registration, None)) is not None:
+        if (held := self._held.pop(peer, None)) is not None:
             held[0].close()
 
-    def _retry_later(self, registration: Registration, failure: str, *, refused: bool = False) -> None:
+    def _retry_later(self, peer: Registration, failure: str, *, refused: bool = False) -> None:
         with self._lock:
-            attempt = self._unprobed.get(registration)
+            attempt = self._unprobed.get(peer)
             if attempt is None:
                 return
             if failure != attempt.failure:
-                peer = f"{self._kind} of {registration.topic} in {registration.node}"
-                _log.info("cannot learn the type from the %s: %s", peer, failure)
+                description = f"{self._kind} of {peer.topic} in {peer.node}"
+                _log.info("cannot learn the type from the %s: %s", description, failure)
             attempt.failure, attempt.refused, attempt.under_way = failure, refused, False
             attempt.due, attempt.wait = time.monotonic() + attempt.wait, min(2 * attempt.wait, _LONGEST_WAIT)
 
@@ -312,18 +304,18 @@ class EndUpdater(ABC, Generic[AnyEnd]):
         self.prober = Prober(context, self._probed, handshake, kind, holds=holds)
         self._lock = threading.Lock()
         self._updating = threading.Lock()  # so that each end receives the facts in order
-        self._registrations: frozenset[Registration] = frozenset()
+        self._peers: frozenset[Registration] = frozenset()
         self._ends: set[AnyEnd] = set()
 
     @abstractmethod
     def _notify(self, end: AnyEnd, known: Mapping[Registration, Facts]) -> None:
         """Inform one end about the publishers, or servers, of its name."""
 
-    def update(self, registrations: frozenset[Registration]) -> None:
+    def update(self, peers: frozenset[Registration]) -> None:
         """Update the publishers, or servers, that the master lists; called on the master's thread."""
-        changed, self._registrations = registrations != self._registrations, registrations
+        changed, self._peers = peers != self._peers, peers
         if changed or self.prober.has_unprobed:
-            self.prober.update(registrations)
+            self.prober.update(peers)
         with self._lock:
             needs_connection = any(end.needs_connection for end in self._ends)
         if changed or needs_connection:
@@ -337,8 +329,8 @@ class EndUpdater(ABC, Generic[AnyEnd]):
             return
         with self._updating:
             known: dict[str, dict[Registration, Facts]] = {}
-            for registration, facts in self.prober.facts(name).items():
-                known.setdefault(registration.topic, {})[registration] = facts
+            for peer, facts in self.prober.facts(name).items():
+                known.setdefault(peer.topic, {})[peer] = facts
             for end in ends:
                 self._notify(end, known.get(end.name, {}))
 
@@ -356,8 +348,8 @@ class EndUpdater(ABC, Generic[AnyEnd]):
         with self._lock:
             self._ends.discard(end)
 
-    def _probed(self, registration: Registration) -> None:
-        self.inform(registration.topic)
+    def _probed(self, peer: Registration) -> None:
+        self.inform(peer.topic)
         self._context.facts_changed()
 
     def close(self) -> None:

@@ -47,9 +47,7 @@ class ParameterSharing:
         self._offered = [
             OfferedNode([r for r in rules if r.node == node], context, number) for number, node in enumerate(nodes, 1)
         ]
-        self._mirrored = [
-            MirroredNode(rule, context, self.request_comparison) for rule in rules if rule.owner == "ros2"
-        ]
+        self._mirrored = [MirroredNode(rule, context, self.compare_soon) for rule in rules if rule.owner == "ros2"]
         self._parts: tuple[OfferedNode | MirroredNode, ...] = (*self._offered, *self._mirrored)
         self._keys = [rule.ros1 for offered in self._offered for rule in offered.rules]
         self._watched = [rule.ros1 for rule in rules if rule.owner == "ros2"]
@@ -61,7 +59,7 @@ class ParameterSharing:
         self._thread = threading.Thread(target=self._run, name="midspan-ros1-parameters", daemon=True)
         self._thread.start()
 
-    def request_comparison(self) -> None:
+    def compare_soon(self) -> None:
         """Schedule a comparison; may be called from any thread."""
         self._due = True
         self._wake.set()

@@ -172,20 +172,18 @@ class OfferedNode:
             name, value = parameter["name"], ParameterValue.read(parameter["value"])
             found = self._rule_for(name)
             if found is None:
-                return _failure(f"no rule of routing.parameters shares {name}")
+                return _error(f"no rule of routing.parameters shares {name}")
             names, path = found
             if not names.rule.write:
-                return _failure(f"{name} is read-only (write: false in routing.parameters)")
+                return _error(f"{name} is read-only (write: false in routing.parameters)")
             if any(other.startswith(f"{name}.") for other in known):
-                return _failure(f"{names.ros1(path)} is a namespace in ROS 1")
+                return _error(f"{names.ros1(path)} is a namespace in ROS 1")
             try:
                 wanted[names.ros1(path)] = None if value.kind is ParameterType.NOT_SET else to_ros1(value)
             except UnrepresentableError as err:
-                return _failure(f"{name}: {err}")
+                return _error(f"{name}: {err}")
         refused = self._store.write(wanted)
-        return (
-            _failure(f"ROS 1's master rejects {', '.join(refused)}") if refused else {"successful": True, "reason": ""}
-        )
+        return _error(f"ROS 1's master rejects {', '.join(refused)}") if refused else {"successful": True, "reason": ""}
 
     def _rule_for(self, name: str) -> tuple[ParameterNames, str] | None:
         """Return the rule that shares a name, and the path after the rule's prefix; None if no rule shares it."""
@@ -200,5 +198,5 @@ def _parameter(name: str, value: ParameterValue) -> dict[str, Any]:
     return {"name": name, "value": value.message()}
 
 
-def _failure(reason: str) -> dict[str, Any]:
+def _error(reason: str) -> dict[str, Any]:
     return {"successful": False, "reason": reason}

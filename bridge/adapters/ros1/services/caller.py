@@ -36,7 +36,7 @@ _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
 
 OnOutdated = Callable[[Registration, str], None]
-"""Called with a registration that may be outdated, and the reason."""
+"""Called with a server's registration that may be outdated, and the reason."""
 
 
 class _Pending:
@@ -88,10 +88,10 @@ class _ServerConnection(ServiceConnection):
     head = 5
 
     def __init__(
-        self, sock: socket.socket, registration: Registration, owner: Ros1Caller, loop: ConnectionLoop, limit: int
+        self, sock: socket.socket, server: Registration, owner: Ros1Caller, loop: ConnectionLoop, limit: int
     ) -> None:
         super().__init__(sock, loop, limit)
-        self.registration = registration
+        self.server = server
         self._owner = owner
         self._pending: _Pending | None = None
 
@@ -131,7 +131,7 @@ class _ServerConnection(ServiceConnection):
         pending, self._pending = self._pending, None
         trouble = f"announced a reply of {size} bytes, limits.message allows {self._limit}"
         if pending is not None:
-            pending.finish(CallError(f"the server {self.registration.node} {trouble}"))
+            pending.finish(CallError(f"the server {self.server.node} {trouble}"))
         self.end(trouble)
         return False
 
@@ -140,7 +140,7 @@ class _ServerConnection(ServiceConnection):
         with self._lock:
             pending, self._pending = self._pending, None
         if pending is not None:
-            pending.finish(CallError(f"the server {self.registration.node} {trouble} before it answered"))
+            pending.finish(CallError(f"the server {self.server.node} {trouble} before it answered"))
         self._owner.lost(self, trouble)
 
 
@@ -166,7 +166,7 @@ class Ros1Caller:
         self.name, self.md5 = name, side_type.type_id
         self._context, self._pool, self._on_outdated, self._on_closed = context, context.pool, on_outdated, closed
         self._lock = threading.Lock()
-        self._registration: Registration | None = None
+        self._server: Registration | None = None
         self._connections: set[_ServerConnection] = set()
         self._free: list[_ServerConnection] = []
         self._calls: set[_Pending] = set()
@@ -177,27 +177,27 @@ class Ros1Caller:
     @property
     def needs_connection(self) -> bool:
         """Whether there is a server, but no connection to it, nor an attempt to connect in advance."""
-        return self._registration is not None and not self._connections and not self._warming
+        return self._server is not None and not self._connections and not self._warming
 
     @property
     def connected(self) -> frozenset[Registration]:
         """The registrations to which connections are open."""
         with self._lock:
-            return frozenset(connection.registration for connection in self._connections)
+            return frozenset(connection.server for connection in self._connections)
 
     @property
     def load(self) -> CallerLoad:
         with self._lock:
             return CallerLoad(len(self._calls), len(self._connections), len(self._free))
 
-    def follow(self, registration: Registration | None) -> None:
+    def follow(self, server: Registration | None) -> None:
         """Adopt the server's registration; None without a server."""
         with self._lock:
             if self._closed:
                 return
-            moved = registration != self._registration
+            moved = server != self._server
             if moved:
-                self._registration, self._due, self._wait = registration, 0.0, _FIRST_WAIT
+                self._server, self._due, self._wait = server, 0.0, _FIRST_WAIT
             old, self._free = (self._free, []) if moved else ([], self._free)
         for connection in old:
             connection.cut()
@@ -220,7 +220,7 @@ class Ros1Caller:
         """End all pending calls with an error, and disconnect. Safe to call twice."""
         self._on_closed(self)
         with self._lock:
-            self._closed, self._registration = True, None
+            self._closed, self._server = True, None
             calls, connections = list(self._calls), list(self._connections)
         for pending in calls:
             pending.finish(CallError(f"{self.name} is no longer bridged"))
@@ -231,7 +231,7 @@ class Ros1Caller:
     def freed(self, connection: _ServerConnection, *, served: bool) -> None:
         """Reuse or close an idle connection; ``served``: the connection has carried a call."""
         with self._lock:
-            keep = not self._closed and connection.registration == self._registration and len(self._free) < _MAX_IDLE
+            keep = not self._closed and connection.server == self._server and len(self._free) < _MAX_IDLE
             if keep:
                 self._free.append(connection)
             if served:
@@ -241,7 +241,7 @@ class Ros1Caller:
 
     def lost(self, connection: _ServerConnection, trouble: str) -> None:
         """Handle the loss of a connection."""
-        _log.debug("%s: the server %s %s", self.name, connection.registration.node, trouble)
+        _log.debug("%s: the server %s %s", self.name, connection.server.node, trouble)
         with self._lock:
             self._connections.discard(connection)
             if connection in self._free:
@@ -252,7 +252,7 @@ class Ros1Caller:
         """Return why a call cannot begin now, "" if it can. The lock is held."""
         if self._closed:
             return f"{self.name} is no longer bridged"
-        if self._registration is None:
+        if self._server is None:
             return f"{self.name} has no server on ROS 1 now"
         if len(self._calls) >= MAX_CALLS:
             return f"{self.name} is busy: {MAX_CALLS} calls are pending"
@@ -269,24 +269,22 @@ class Ros1Caller:
             if not pending.is_pending:
                 connection.cut()
                 return
-        threading.Thread(
-            target=self._begin_on_new_connection, args=(pending,), name="midspan-ros1-call", daemon=True
-        ).start()
+        threading.Thread(target=self._connect_and_begin, args=(pending,), name="midspan-ros1-call", daemon=True).start()
 
     def _take_connection(self) -> _ServerConnection | None:
         with self._lock:
             return self._free.pop() if self._free else None
 
-    def _begin_on_new_connection(self, pending: _Pending) -> None:
-        registration = self._registration
-        if registration is None:
+    def _connect_and_begin(self, pending: _Pending) -> None:
+        server = self._server
+        if server is None:
             pending.finish(CallError(f"{self.name} no longer has a server on ROS 1"))
             return
         try:
-            connection = self._connect(registration)
+            connection = self._connect(server)
         except Ros1Error as err:
-            pending.finish(CallError(f"the server {registration.node} of {self.name} cannot be called: {err}"))
-            self._suspect(registration, err)
+            pending.finish(CallError(f"the server {server.node} of {self.name} cannot be called: {err}"))
+            self._suspect(server, err)
             return
         if not pending.is_pending:
             connection.start()
@@ -297,29 +295,27 @@ class Ros1Caller:
             exhausted = not resources.has_descriptor()
             connection.end("closed the connection")
             reason = f"cannot be called: {EXHAUSTED}" if exhausted else "closed the connection at once"
-            pending.finish(CallError(f"the server {registration.node} of {self.name} {reason}"))
+            pending.finish(CallError(f"the server {server.node} of {self.name} {reason}"))
 
-    def _connect(self, registration: Registration) -> _ServerConnection:
+    def _connect(self, server: Registration) -> _ServerConnection:
         """Open a connection; raises `Ros1Error`. Blocks up to `_CONNECT_SECONDS`."""
         fields = {"md5sum": self.md5, "persistent": "1"}
-        sock, _ = connect_service(
-            self._context.node(), registration.uri, registration.topic, _CONNECT_SECONDS, **fields
-        )
+        sock, _ = connect_service(self._context.node(), server.uri, server.topic, _CONNECT_SECONDS, **fields)
         with sock:  # closes the socket unless the connection has taken it over
             try:
-                connection = _ServerConnection(sock, registration, self, self._context.loop, self._context.limit)
+                connection = _ServerConnection(sock, server, self, self._context.loop, self._context.limit)
             except OSError as err:
-                raise unanswered(f"{registration.topic} broke off", err) from None
+                raise unanswered(f"{server.topic} broke off", err) from None
         with self._lock:
             self._connections.add(connection)
         return connection
 
-    def _suspect(self, registration: Registration, err: Ros1Error) -> None:
+    def _suspect(self, server: Registration, err: Ros1Error) -> None:
         if isinstance(err, ExhaustedError):
             return
         if isinstance(err, UnreachableError):
-            self._pool.failed(registration.uri)
-        self._on_outdated(registration, str(err))
+            self._pool.failed(server.uri)
+        self._on_outdated(server, str(err))
 
     # -- the persistent connection -------------------------------------------------------------------------------------
 
@@ -330,21 +326,21 @@ class Ros1Caller:
         """
         now = time.monotonic()
         with self._lock:
-            registration = self._registration
-            if registration is None or self._connections or self._warming or self._due > now:
+            server = self._server
+            if server is None or self._connections or self._warming or self._due > now:
                 return
             self._warming = True
             self._due, self._wait = now + self._wait, min(2 * self._wait, _LONGEST_WAIT)
-        self._pool.submit(registration.uri, lambda: self._connect_in_advance(registration))
+        self._pool.submit(server.uri, lambda: self._connect_in_advance(server))
 
-    def _connect_in_advance(self, registration: Registration) -> None:
+    def _connect_in_advance(self, server: Registration) -> None:
         try:
-            connection = self._connect(registration)
+            connection = self._connect(server)
         except Ros1Error as err:
-            self._suspect(registration, err)
+            self._suspect(server, err)
             return
         finally:
             self._warming = False
-        self._pool.answered(registration.uri)
+        self._pool.answered(server.uri)
         connection.start()
         self.freed(connection, served=False)

@@ -58,7 +58,7 @@ class Ros1Services(EndUpdater[Ros1Caller]):
 
     def _rivals(self) -> list[Registration]:
         ours = frozenset(self.servers.names())
-        return sorted(link for link in self._registrations if link.topic in ours) if ours else []
+        return sorted(link for link in self._peers if link.topic in ours) if ours else []
 
     def endpoints(self, state: MasterState) -> Iterator[Endpoint]:
         """Yield the other nodes' servers."""

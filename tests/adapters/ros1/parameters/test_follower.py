@@ -403,7 +403,7 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
     parameters = share(rule("ros2", "/asked", "/asked_node"))
     until(lambda: master.call("getParam", "/asked") == {"speed": 1.5, "mode": "slow"}, "both parameters are in ROS 1")
     master.call("setParam", "/asked/speed", 3)
-    parameters.request_comparison()
+    parameters.compare_soon()
     until(lambda: node.values["speed"] == ParameterValue(ParameterType.DOUBLE, 3.0), "the node has ROS 1's value")
     node.refuses = {"mode"}
     master.call("setParam", "/asked/mode", "fast")
