@@ -103,7 +103,7 @@ def test_messages_are_received_with_their_source(master, edge):
         until(lambda: first.ask("connections", id=first_out)["count"] == 0, "the publisher is disconnected")
 
 
-def test_a_publisher_that_latches_a_moment_after_it_was_registered(master, edge):
+def test_a_publisher_that_latches_just_after_its_registration_counts_as_latched(master, edge):
     """The message then counts as a latched publisher's, so it is retained for late joiners."""
     with master.peer("late_latch") as peer:
 
@@ -305,7 +305,7 @@ def connect(port: int, header: dict) -> tuple[DeadlineSocket, dict]:
     return sock, read_header(sock)
 
 
-def test_names_that_ros2_forbids(master, edge):
+def test_names_that_ros2_forbids_are_mapped_to_legal_names(master, edge):
     with master.peer("digits") as peer:
         peer.subscribe("/camera/1/image", "std_msgs/String")
         edge.endpoint(topic="/camera/1/image")

@@ -141,7 +141,7 @@ def test_records_of_one_edge_reach_the_others(master, tmp_path):
 
 
 @pytest.mark.thorough
-def test_two_that_start_at_once_take_different_names(master, tmp_path):
+def test_two_edges_that_start_at_once_take_different_names(master, tmp_path):
     with ThreadPoolExecutor() as pool:
         edges = list(pool.map(lambda n: edge_on(master, tmp_path / n, n), ("one", "two", "three")))
     with contextlib.ExitStack() as stack:
@@ -154,7 +154,7 @@ def test_two_that_start_at_once_take_different_names(master, tmp_path):
         assert len({e["node"] for e in entries if e["daemon"] in ("one", "two", "three")}) == 3
 
 
-def test_a_shutdown_request_is_a_failure(master, tmp_path):
+def test_a_shutdown_request_ends_the_edge_with_a_failure(master, tmp_path):
     with edge_on(master, tmp_path) as edge:
         edge.ask("advertise", topic="/asked", type="std_msgs/String")
         until(lambda: "/asked" in master.state()["publishers"], "the publisher is registered")
@@ -171,7 +171,7 @@ def test_a_shutdown_request_is_a_failure(master, tmp_path):
 
 
 @pytest.mark.thorough
-def test_joining_a_master_that_starts_later(tmp_path):
+def test_a_master_that_starts_later_is_joined(tmp_path):
     master = RosMaster()
     try:
         with EdgeUnderTest(master.uri, tmp_path) as edge:
@@ -216,7 +216,7 @@ def test_a_restarted_master_is_joined_again(tmp_path, record_property):
             assert [text(p) for p, _ in edge.received(inbox, 1)] == ["after"]
 
 
-def test_stop_while_the_master_is_unreachable(tmp_path):
+def test_the_edge_stops_quickly_while_the_master_is_unreachable(tmp_path):
     with RosMaster() as master, edge_on(master, tmp_path) as edge:
         edge.ask("advertise", topic="/out", type="std_msgs/String")
         master.signal(signal.SIGSTOP)

@@ -130,7 +130,7 @@ def test_a_program_without_server_publisher_or_master_gets_an_answer(
         lost.wait_for_message("/silent", "std_msgs/String", 1.0)
 
 
-def test_a_closed_program_is_on_the_graph_no_longer(master: RosMaster, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_closed_program_leaves_the_graph(master: RosMaster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_MASTER_URI", master.uri)
     with Ros1Program("brief") as program:
         program.action_client("/brief_action", TEST)

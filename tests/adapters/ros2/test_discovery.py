@@ -78,7 +78,9 @@ def test_a_server_that_does_not_run_is_reported(later: DelayedCalls, monkeypatch
 
 @pytest.mark.parametrize("noticed", [True, False], ids=["noticed", "between two probes"])
 @pytest.mark.parametrize("lease", [30.0, 0.0], ids=["soon", "after its lease"])
-def test_a_server_that_is_restarted(monkeypatch: pytest.MonkeyPatch, noticed: bool, lease: float) -> None:
+def test_a_restart_is_reported_unless_fast_dds_has_forgotten_the_server(
+    monkeypatch: pytest.MonkeyPatch, noticed: bool, lease: float
+) -> None:
     monkeypatch.setattr(discovery, "LEASE", lease)
     server = Server("localhost", free_port())
     watched = discovery._Watched(server)

@@ -157,7 +157,7 @@ def test_equal_large_messages_are_taken_into_their_payload(fake: Rcl) -> None:
 
 
 @pytest.mark.parametrize("before", [1, 3], ids=["one large message", "equal large messages"])
-def test_messages_behind_one_that_fast_dds_drops_after_a_large_one(fake: Rcl, before: int) -> None:
+def test_messages_after_one_that_fast_dds_drops_are_received(fake: Rcl, before: int) -> None:
     large = [bytes(LARGE)] * before
     fake.add("a", *large, rcl.RET_TAKE_FAILED, b"1", b"2", b"3")
     received: list[tuple[Any, bytes | None]] = []

@@ -52,7 +52,7 @@ def test_links_of_a_killed_worker_are_removed_when_there_is_space(
 
 
 @pytest.mark.usefixtures("full")
-def test_a_file_that_cannot_be_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_cannot_be_removed_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / NAME).touch()
 
     def refuse(_file: Path, missing_ok: bool = False) -> None:

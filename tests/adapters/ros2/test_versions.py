@@ -1,4 +1,4 @@
-"""Versions of types on the DDS network: the version of an endpoint, the conversions, and the texts for people."""
+"""Versions of types on the DDS network: the version of an endpoint, the conversions, and the texts for users."""
 
 from __future__ import annotations
 
@@ -82,7 +82,9 @@ def test_readers_that_cannot_decode_are_named_once(registry: Registry, versions:
     assert UNKNOWN in text
 
 
-def test_a_service_whose_replies_differ(registry: Registry, versions: EndpointVersions) -> None:
+def test_the_hash_of_the_replies_decides_the_version_of_a_service(
+    registry: Registry, versions: EndpointVersions
+) -> None:
     """The requests of all versions have the same hash, so the hash of the replies decides."""
     parts = {version: hashes for hashes, version in registry.releases._service_parts(RESULT).items()}
     here, kilted = parts

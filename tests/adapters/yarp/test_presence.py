@@ -1,4 +1,4 @@
-"""A worker searches for the other workers on its YARP network."""
+"""A worker connects to the other workers on its YARP network."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.wire.contact import ConnectionRoute, PortContact
 
 
-def test_tries_to_connect_a_dead_worker_become_rarer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_attempts_to_connect_to_a_dead_worker_become_rarer(monkeypatch: pytest.MonkeyPatch) -> None:
     now, tried = 100.0, []
     monkeypatch.setattr(presence, "time", SimpleNamespace(monotonic=lambda: now))
     naming = NameClient(Address("127.0.0.1", 1), namespace="/root")

@@ -24,7 +24,7 @@ def keys(*entries: dict[str, Any]) -> dict[str, Any]:
     return {"dialect": "json", "keys": [{"type": "std_msgs/msg/String", **entry} for entry in entries]}
 
 
-def test_values_that_json_cannot_represent() -> None:
+def test_values_that_json_cannot_represent_become_texts_and_return() -> None:
     scan, image = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/CompressedImage"
     text = b'{"header": {"stamp": {"sec": 7, "nanosec": 8}}, "ranges": [1.5, "NaN", "Infinity", "-Infinity"]}'
     back = json.loads(cdr_to_text(REGISTRY, scan)(text_to_cdr(REGISTRY, scan)(text)))
@@ -154,7 +154,7 @@ def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
     until(lambda: [w for w in place.answer("zenoh_ros2dds")["warnings"] if "JSON" in w], "it is reported", every=0.1)
 
 
-def test_services_by_a_get(place: Place) -> None:
+def test_services_are_called_by_a_get(place: Place) -> None:
     """Programs offer services, and call services, with a get."""
     program, set_bool, trigger = place.json(), "std_srvs/srv/SetBool", "std_srvs/srv/Trigger"
     place.bridge(

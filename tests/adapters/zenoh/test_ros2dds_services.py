@@ -88,7 +88,7 @@ def test_a_bridge_receives_the_token_and_the_request_id_of_another_bridge(place:
     until(lambda: not bridge.tokens("/do", "SC"), "the token disappears with the server")
 
 
-def test_invalid_replies_and_error_replies(place: Place) -> None:
+def test_invalid_replies_and_error_replies_are_errors_for_the_client(place: Place) -> None:
     """A plain zenoh program can provide an announced service; the client receives zenoh's error reply."""
     bridge = place.ros2dds()
     answers = iter([None, b"\0\1\0\0", b"", REPLY])

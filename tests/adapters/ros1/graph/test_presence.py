@@ -12,7 +12,7 @@ from tests.support.wait import until
 
 
 def test_departed_node_that_does_not_respond_delays_no_record() -> None:
-    """The thread that extends the lease sends the records, and a departed node's connection takes a second to end."""
+    """The thread that extends the lease sends the records; closing a departed node's connection takes it a second."""
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
         port = server.getsockname()[1]

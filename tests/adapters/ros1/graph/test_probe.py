@@ -103,7 +103,7 @@ def test_dead_publishers_do_not_delay_others(prober):
         )
 
 
-def test_a_publisher_that_is_late_is_probed_again(prober):
+def test_a_publisher_that_does_not_respond_yet_is_probed_again(prober):
     listening = threading.Event()
 
     def request(_caller, _topic, _protocols) -> list[Any]:
@@ -118,7 +118,7 @@ def test_a_publisher_that_is_late_is_probed_again(prober):
         assert not prober.failures()
 
 
-def test_a_doubted_publisher_is_probed_again(prober):
+def test_a_publisher_whose_facts_were_dropped_is_probed_again(prober):
     with publisher(serve()) as uri:
         link = Registration("/a", "/t", uri)
         links = frozenset({link})
@@ -219,7 +219,7 @@ def test_a_yarp_port_without_a_type_is_probed_again(prober):
         assert known(prober, links, link).type == "std_msgs/String"
 
 
-def test_a_connection_that_completes_after_the_end_is_closed():
+def test_a_connection_of_a_probe_that_ends_after_close_is_closed():
     link, shaken, go_on = Registration("/a", "/t", "http://x:1/"), threading.Event(), threading.Event()
     near, far = socket.socketpair()
     sock = DeadlineSocket.adopt(near, 0.0)

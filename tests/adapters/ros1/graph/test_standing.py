@@ -88,7 +88,7 @@ def test_a_node_that_registers_again_is_listed_once(side):
     assert (state.publishers, state.subscribers) == ({STATUS, SCAN}, {GOAL})
 
 
-def test_a_node_whose_name_is_taken_over_is_removed(side):
+def test_a_node_is_removed_if_another_node_takes_its_name(side):
     """The master has requested the older node's shutdown, but a node that hangs does not react."""
     new = STATUS._replace(uri="http://c:1/")
     state = replace(FULL, publishers=frozenset({new}), subscribers=frozenset(), uris={"/move_base": new.uri})

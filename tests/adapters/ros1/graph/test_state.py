@@ -1,4 +1,4 @@
-"""A master's state is read."""
+"""Reads of a master's state."""
 
 import contextlib
 from collections.abc import Callable
@@ -77,12 +77,12 @@ def test_the_state_lists_registrations_types_and_presence_entries(master, reader
     assert reader.read().presence == {"midspan": {"pid": 1}}
 
 
-def test_a_master_without_a_run_id(master, reader):
+def test_a_master_without_a_run_id_is_identified_by_address_and_process_id(master, reader):
     master.run_id = [-1, "not set", 0]
     assert reader.read().network == "http://master:11311/#42"
 
 
-def test_a_node_that_registers_during_a_read(master, reader):
+def test_a_node_that_registers_during_a_read_is_in_the_next_state(master, reader):
     def arrive() -> None:
         master.nodes["/late"] = "http://late:1/"
         master.publishers = [["/topic", ["/a", "/late"]]]
@@ -111,7 +111,7 @@ def test_a_services_address_is_looked_up_once(master, reader):
     )
 
 
-def test_a_doubted_service_is_looked_up_again(master, reader):
+def test_a_services_address_is_looked_up_again_on_request(master, reader):
     first = reader.read()
     reader.recheck_service("/serve")
     assert reader.read() is first, "the service's address is unchanged"
@@ -121,7 +121,7 @@ def test_a_doubted_service_is_looked_up_again(master, reader):
     assert reader.read().servers == {Registration("/a", "/serve", "rosrpc://a:7")}
 
 
-def test_a_service_that_unregisters_during_a_read(master, reader):
+def test_a_service_that_unregisters_during_a_read_has_no_address(master, reader):
     master.services["/gone"] = ("/c", 5)
     assert Registration("/c", "/gone", "") in reader.read().servers
 

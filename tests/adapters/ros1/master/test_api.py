@@ -62,7 +62,9 @@ def master() -> ApiUnderTest:
         ("shutdown", ("/n", "why"), [0, "this master is a part of Midspan, which starts and stops it", 0]),
     ],
 )  # fmt: skip
-def test_replies_to_invalid_and_unknown(master: ApiUnderTest, method: str, params: tuple[Any, ...], reply: list[Any]):
+def test_invalid_parameters_and_unknown_names_have_specific_replies(
+    master: ApiUnderTest, method: str, params: tuple[Any, ...], reply: list[Any]
+):
     assert master.call(method, *params) == reply
 
 
@@ -131,7 +133,7 @@ def test_a_node_that_is_replaced_is_shut_down_and_loses_its_registrations(master
     assert master.call("unregisterPublisher", "/node", "/other", A)[2] == 0
 
 
-def test_of_two_nodes_of_one_name_that_start_at_the_same_time_one_remains(
+def test_one_of_two_nodes_with_the_same_name_that_start_together_remains(
     master: ApiUnderTest, monkeypatch: pytest.MonkeyPatch
 ):
     master.call("registerPublisher", "/node", "/rosout", STRING, A)
@@ -169,7 +171,7 @@ def test_a_service_has_the_last_server_that_registered(master: ApiUnderTest):
     assert master.call("getSystemState", "/n")[2][2] == []
 
 
-def test_the_type_of_a_topic_is_never_replaced_by_any_type(master: ApiUnderTest):
+def test_any_type_never_replaces_the_type_of_a_topic(master: ApiUnderTest):
     types: Callable[[], list[list[str]]] = lambda: master.call("getTopicTypes", "/n")[2]  # noqa: E731
     master.call("registerSubscriber", "/n", "/t", "*", A)
     assert types() == []

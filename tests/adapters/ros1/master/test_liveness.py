@@ -152,7 +152,7 @@ def test_a_new_node_is_checked_before_the_next_round(checked: Checked, monkeypat
     node.close()
 
 
-def test_restored_nodes_have_less_time(checked: Checked, monkeypatch: pytest.MonkeyPatch):
+def test_restored_nodes_are_removed_sooner(checked: Checked, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(liveness, "RESTORED_SECONDS", 0.1)
     checked.liveness.close()
     checked.liveness = checked.create(3600.0)
@@ -166,7 +166,7 @@ def test_restored_nodes_have_less_time(checked: Checked, monkeypatch: pytest.Mon
     assert checked.dead == ["/restored"]
 
 
-def test_without_a_time_no_node_is_removed():
+def test_a_purge_time_of_zero_removes_no_node():
     checked = Checked(0.0)
     checked.nodes = {"/dead": f"http://127.0.0.1:{free_port()}/"}
     checked.liveness.start({})

@@ -209,7 +209,7 @@ def test_logs_are_collected(network: Network, talker: Peer):
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
-def test_a_native_rosout_replaces_the_own_one_until_it_ends(tmp_path: Path, end: signal.Signals):
+def test_a_native_rosout_replaces_midspans_until_it_ends(tmp_path: Path, end: signal.Signals):
     network = Network(tmp_path, purge=0.5)
     own = network.master.nodes()["/rosout"]
     with Process([ROSCPP_NODE, "__name:=rosout"], network.env) as process:

@@ -120,7 +120,7 @@ def test_a_call_is_repeated_once_this_process_has_file_descriptors_again(
     until(lambda: node.calls == [("publisherUpdate", "/t", [node.api])], "the call has arrived")
 
 
-def test_calls_that_wait_are_bounded(calls: NodeCalls, node: FakeNode, monkeypatch: pytest.MonkeyPatch):
+def test_the_number_of_waiting_calls_is_limited(calls: NodeCalls, node: FakeNode, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(node_calls, "_MAX_QUEUED", 5)
     node.answers.clear()
     for number in range(100):

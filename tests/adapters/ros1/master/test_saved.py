@@ -106,7 +106,7 @@ def test_a_master_writes_its_changes_and_restores_them(tmp_path: Path):
     second.close()
 
 
-def test_reachable_nodes_stay_known_as_such(tmp_path: Path):
+def test_the_reachability_of_nodes_is_restored(tmp_path: Path):
     file, api = tmp_path / "state.json", filled()
     api.set_reachable("/b", B)
     api.set_reachable("/a", B)  # this is not the node's address
@@ -150,7 +150,7 @@ def test_a_change_during_the_last_write_is_written(tmp_path: Path, monkeypatch: 
     assert '"last": 1' in disk.writes[-1]
 
 
-def test_a_full_disk_is_tried_again_without_another_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_write_to_a_full_disk_is_repeated_without_another_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     disk = Disk(monkeypatch)
     disk.full = True
     writer = saved.StateWriter(tmp_path / "state.json", filled())

@@ -101,7 +101,7 @@ def reachable(listener: socket.socket, host: str) -> bool:
 
 
 @pytest.mark.parametrize("environ", [{"ROS_IP": "127.0.0.1"}, {"ROS_IPV6": "on", "ROS_IP": "::1"}])
-def test_it_listens_on_the_announced_address(environ: dict[str, str]) -> None:
+def test_a_node_listens_on_the_announced_address(environ: dict[str, str]) -> None:
     address = NodeAddress.of(environ)
     with address.listen() as listener:
         assert reachable(listener, address.host)

@@ -67,6 +67,6 @@ def test_ipv6_addresses_without_brackets_get_them(uri: str, expected: str) -> No
     assert bracketed(uri) == expected
 
 
-def test_a_client_accepts_them() -> None:
+def test_a_client_accepts_ipv6_addresses_without_brackets() -> None:
     client = XmlRpcClient("http://::1:1234/", 1.0)
     assert (client._http.host, client._http.port) == ("::1", 1234)

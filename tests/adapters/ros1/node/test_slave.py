@@ -178,7 +178,7 @@ def test_the_slave_api_lists_topics_connections_and_statistics(node: Node) -> No
     assert node.value("getPublications") == node.value("getSubscriptions") == []
 
 
-def test_figures_above_32_bits_are_doubles() -> None:
+def test_statistics_above_32_bits_are_doubles() -> None:
     assert [figure(2**31 - 1), figure(2**31), figure(2**50)] == [2**31 - 1, 2.0**31, 2.0**50]
     assert isinstance(figure(2**31 - 1), int)
 
@@ -200,7 +200,7 @@ def test_udpros_is_refused_and_tcpros_chosen(node: Node) -> None:
     assert "Not a publisher of [/ask]" in text
 
 
-def test_updates_wake_their_readers(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_update_is_reported_only_if_a_parameter_is_subscribed(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     woken: list[str] = []
     assert node.call("paramUpdate", "/a", 1)[0] == -1, "no parameter is subscribed"
     monkeypatch.setattr(node.node, "parameter_changed", lambda: woken.append("parameter"))
@@ -263,7 +263,7 @@ def test_an_unknown_method_is_a_fault(node: Node) -> None:
     assert node.value("getPid") == os.getpid()
 
 
-def test_an_unusable_state_of_the_master_does_not_end_its_watch(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_master_is_still_read_after_an_unusable_state(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[int] = []
 
     def fail() -> None:

@@ -183,7 +183,7 @@ def test_a_call_without_a_server_fails_with_the_reason(bench):
     assert "refused" in until(lambda: bench.doubts, "the server's registration is checked")[0][1]
 
 
-def test_a_server_that_rejects_the_connection(bench):
+def test_the_reason_of_a_rejected_connection_reaches_the_client(bench):
     def refuse(sock) -> None:
         sock.recv(65536)
         sock.sendall(encode({"error": "md5sums do not match"}))
@@ -194,7 +194,7 @@ def test_a_server_that_rejects_the_connection(bench):
         until(lambda: bench.doubts, "the server is probed again")
 
 
-def test_a_server_that_crashes_during_a_call(bench):
+def test_a_call_fails_if_its_server_crashes_before_the_reply(bench):
     taken = threading.Event()
 
     def serve(sock, _header) -> None:
@@ -209,7 +209,7 @@ def test_a_server_that_crashes_during_a_call(bench):
         assert taken.is_set()
 
 
-def test_a_server_that_crashes_during_its_reply(bench):
+def test_a_call_fails_if_its_server_crashes_during_the_reply(bench):
     def serve(sock, _header) -> None:
         size = int(request_of(sock))
         sock.sendall(framed(bytes(size))[:-1])
@@ -318,7 +318,7 @@ def test_an_abandoned_call_closes_its_connection(bench):
         assert bench.caller.load.calls == 0
 
 
-def test_a_client_that_leaves_before_the_connection_is_open(bench):
+def test_a_call_abandoned_before_the_connection_is_open_is_not_sent(bench):
     go_on = threading.Event()
     requests = []
 
@@ -366,7 +366,7 @@ def test_closing_ends_pending_calls(bench):
         until(lambda: bench.caller.load.connections == 0, "all connections are closed")
 
 
-def test_a_large_request_to_a_server_that_does_not_read(bench):
+def test_a_server_that_does_not_read_blocks_neither_call_nor_close(bench):
     # the request fills the socket's buffer; neither `call` nor `close` waits for the server
     blocked = threading.Event()
 
@@ -383,7 +383,7 @@ def test_a_large_request_to_a_server_that_does_not_read(bench):
         blocked.set()
 
 
-def test_a_reply_before_the_request_is_read(bench):
+def test_a_reply_may_arrive_before_the_request_is_read(bench):
     def serve(sock, _header) -> None:
         sock.recv(4)
         sock.sendall(framed(b"no thanks", 0))

@@ -158,7 +158,7 @@ def test_probes_and_clients_of_any_md5_are_accepted(bench):
     assert client.call(b"any") == (1, b"yna")
 
 
-def test_clients_that_are_rejected(bench):
+def test_clients_with_an_invalid_header_are_rejected_with_the_reason(bench):
     _, header = bench.connect(md5sum="0ther")
     assert header == {
         "error": "/serve: md5 sums differ: /client requests 0ther, but it is pkg/Serve with 5e7e; use the same version"
@@ -187,7 +187,7 @@ def test_errors_are_returned_and_the_connection_stays_open(bench):
     assert client.call(b"cd") == (1, b"dc"), "no other bytes arrive in between"
 
 
-def test_a_handler_that_fails(bench):
+def test_an_exception_of_the_handler_is_returned_as_an_error(bench):
     server = bench.servers.open("/broken", TYPE, lambda *_: 1 / 0)
     client = bench.open(service="/broken")
     ok, text = client.call(b"")
@@ -249,7 +249,7 @@ def test_a_reply_above_the_limit_becomes_an_error(bench):
     assert client.reply() == (0, f"the reply has {LIMIT + 1} bytes, limits.message allows {LIMIT}".encode())
 
 
-def test_a_client_that_announces_a_request_and_sends_nothing(bench):
+def test_incomplete_requests_do_not_affect_other_clients(bench):
     liar = bench.open()
     liar.sock.sendall(struct.pack("<I", 2**32 - 1))
     cut_short = bench.open()
@@ -274,7 +274,7 @@ def test_a_client_that_leaves_abandons_its_call(bench, persistent):
     assert bench.open().call(b"ab") == (1, b"ba")
 
 
-def test_a_client_that_leaves_with_unread_data(bench):
+def test_a_client_that_leaves_with_unread_data_abandons_its_call(bench):
     bench.handler.at_once = False
     client = bench.open()
     client.send(b"long")
@@ -304,7 +304,7 @@ def test_a_request_of_any_size_may_arrive_during_a_call(bench, size):
 
 
 @pytest.mark.parametrize("bench", [40 * LIMIT], indirect=True)
-def test_a_client_that_does_not_read(bench):
+def test_a_client_that_does_not_read_delays_no_others(bench):
     large = 40 * LIMIT  # more than any socket buffer
     bench.handler.at_once = False
     deaf, leaver, other = bench.open(), bench.open(), bench.open()

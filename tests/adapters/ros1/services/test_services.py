@@ -145,7 +145,7 @@ def test_a_slow_call_does_not_delay_others(master, edge):
         assert list(ends(edge, caller, 20).values()) == [[reply(False, "")]] * 20
 
 
-def test_a_server_that_is_killed_during_a_call(master, edge):
+def test_calls_fail_when_their_server_is_killed_and_reach_its_successor(master, edge):
     with master.peer("killed") as peer:
         service = peer.ask("serve", service="/killed", type=SET_BOOL, held=True)["id"]
         caller = caller_of(edge, "/killed")
@@ -197,7 +197,7 @@ def test_an_abandoned_call_delivers_no_result(master, edge):
 # -- the edge's servers, and clients on ROS 1 --------------------------------------------------------------------------
 
 
-def test_clients_are_served(master, edge):
+def test_rospy_clients_receive_replies_and_errors(master, edge):
     served = edge.ask("serve", service="/ours/set", type=SET_BOOL)["id"]
     registered(master, "/ours/set")
     with master.peer("client") as peer:
@@ -263,7 +263,7 @@ def test_many_clients_with_calls_of_any_length_get_their_replies(master, edge):
 
 
 @pytest.mark.thorough
-def test_a_client_that_is_killed(master, edge):
+def test_the_calls_of_a_killed_client_are_abandoned(master, edge):
     served = edge.ask("serve", service="/left", type=SET_BOOL)["id"]
     registered(master, "/left")
     with master.peer("leaver") as peer:

@@ -80,7 +80,7 @@ def test_on_cyclone_dds_what_cannot_be_reached_is_reported() -> None:
     ]
 
 
-def test_on_cyclone_dds_nothing_else_is_warned_of() -> None:
+def test_on_cyclone_dds_there_are_no_other_warnings() -> None:
     parameters = endpoint(FAST, topic="/quiet/get_parameters", type="rcl_interfaces/srv/GetParameters")
     assert reported(endpoint(CYCLONE), parameters, CLIENT, served={"/others"})[1] == []
     assert reported(served=set()) == ({"nodes": [], "both": [], "mixed": [], "foreign": [], "uncallable": []}, [])

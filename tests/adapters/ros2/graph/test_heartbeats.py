@@ -47,7 +47,7 @@ def test_many_writers_share_messages_that_fit_into_a_frame() -> None:
     assert spdp.heartbeats({}) == []
 
 
-def test_they_are_repeated_until_the_participant_has_settled(
+def test_heartbeats_are_repeated_until_the_participant_has_settled(
     later: DelayedCalls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(heartbeats, "_SETTLE_SECONDS", 0.2)

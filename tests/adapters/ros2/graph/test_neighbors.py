@@ -57,8 +57,8 @@ def table(tmp_path: Path) -> Table:
 
 
 @pytest.fixture
-def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., bool]]:
-    """A function that returns whether `MemoryNeighbors` reports a stranger among constant participants."""
+def reports_unreachable(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., bool]]:
+    """A function that returns whether `MemoryNeighbors` reports one of these participants, which stay the same."""
     monkeypatch.setattr(neighbors, "CONFIRM_SECONDS", 0.01)
     watches: list[neighbors.MemoryNeighbors] = []
     later = DelayedCalls("test-neighbors")
@@ -80,80 +80,82 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     later.close()
 
 
-def test_only_a_local_process_with_fast_dds_shares_memory(table: Table, strangers: Callable[..., bool]) -> None:
+def test_only_a_local_process_with_fast_dds_shares_memory(
+    table: Table, reports_unreachable: Callable[..., bool]
+) -> None:
     table.add(70000)
-    assert not strangers(prefix(70000), OWN, seconds=0.3)
+    assert not reports_unreachable(prefix(70000), OWN, seconds=0.3)
 
 
-def test_a_participant_without_a_process_of_this_user_is_a_stranger(strangers: Callable[..., bool]) -> None:
-    assert strangers(prefix(4711))
+def test_a_participant_without_a_process_of_this_user_is_reported(reports_unreachable: Callable[..., bool]) -> None:
+    assert reports_unreachable(prefix(4711))
 
 
-def test_process_of_another_user_is_a_stranger(
-    table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
+def test_process_of_another_user_is_reported(
+    table: Table, reports_unreachable: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table.add(4711)
     mine = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
-    assert strangers(prefix(4711))
+    assert reports_unreachable(prefix(4711))
 
 
-def test_a_process_without_fast_dds_does_not_count(table: Table, strangers: Callable[..., bool]) -> None:
+def test_a_process_without_fast_dds_does_not_count(table: Table, reports_unreachable: Callable[..., bool]) -> None:
     table.add(1, library="/sbin/init")
-    assert strangers(prefix(1))
+    assert reports_unreachable(prefix(1))
 
 
-def test_a_process_with_another_major_version_of_fast_dds_is_not_a_stranger(
-    table: Table, strangers: Callable[..., bool]
+def test_a_process_with_another_major_version_of_fast_dds_is_not_reported(
+    table: Table, reports_unreachable: Callable[..., bool]
 ) -> None:
     """Fast DDS 3 is not offered the shared memory of Fast DDS 2, so all of its messages cross by UDP."""
     table.add(4711, library="/x/libfastdds.so.3.2.2")
-    assert not strangers(prefix(4711), seconds=0.3)
-    assert strangers.watch.on_other_major() == 1  # type: ignore[attr-defined]
+    assert not reports_unreachable(prefix(4711), seconds=0.3)
+    assert reports_unreachable.watch.on_other_major() == 1  # type: ignore[attr-defined]
 
 
-def test_another_users_fast_dds_of_another_major_version_is_not_a_stranger(
-    table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
+def test_another_users_fast_dds_of_another_major_version_is_not_reported(
+    table: Table, reports_unreachable: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table.add(4711)
     mine = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
     with table.locked("fastdds_port7411"):
-        assert not strangers(prefix(4711), seconds=0.3)
-        assert strangers.watch.on_other_major() == 1  # type: ignore[attr-defined]
+        assert not reports_unreachable(prefix(4711), seconds=0.3)
+        assert reports_unreachable.watch.on_other_major() == 1  # type: ignore[attr-defined]
         with table.locked("fastrtps_port7413"):
-            assert strangers(prefix(4711)), "it may be the one with the files of Fast DDS 2"
+            assert reports_unreachable(prefix(4711)), "it may be the one with the files of Fast DDS 2"
 
 
-def test_a_process_with_a_separate_dev_shm_is_a_stranger(
-    table: Table, strangers: Callable[..., bool], tmp_path: Path
+def test_a_process_with_a_separate_dev_shm_is_reported(
+    table: Table, reports_unreachable: Callable[..., bool], tmp_path: Path
 ) -> None:
     (tmp_path / "container/dev/shm").mkdir(parents=True)
     table.add(4711, root=str(tmp_path / "container"))
-    assert strangers(prefix(4711))
+    assert reports_unreachable(prefix(4711))
 
 
-def test_a_program_that_has_just_ended_is_not_a_stranger(strangers: Callable[..., bool]) -> None:
-    assert not strangers(prefix(4711), then=(), seconds=2.0)
+def test_a_program_that_has_just_ended_is_not_reported(reports_unreachable: Callable[..., bool]) -> None:
+    assert not reports_unreachable(prefix(4711), then=(), seconds=2.0)
 
 
-def test_a_killed_program_is_not_a_stranger_before_its_lease_expires(
-    table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
+def test_a_killed_program_is_not_reported_before_its_lease_expires(
+    table: Table, reports_unreachable: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of three participants of this host, two have a port of domain 3; the third has no process."""
     table.add(70000)
     table.bind(7400 + 3 * 250 + 10, 7400 + 3 * 250 + 12, 7400 + 3 * 250 + 13, 53, 7410)
     present = (OWN, prefix(70000), prefix(4711))
-    assert not strangers(*present, seconds=0.3)
+    assert not reports_unreachable(*present, seconds=0.3)
     table.bind(8160, 8162, 8164)
-    assert strangers(*present), "it is alive, in a container"
+    assert reports_unreachable(*present), "it is alive, in a container"
     table.bind(8160, 8162)
     monkeypatch.setattr(neighbors, "LEASE_SECONDS", 0.1)
-    assert strangers(*present), "it is present for longer than a dead participant"
+    assert reports_unreachable(*present), "it is present for longer than a dead participant"
 
 
-def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bool]) -> None:
-    assert not strangers(prefix(1, b"\x01\x0f\x99\x99"), new_prefix(HOST), OWN, seconds=0.3)
+def test_other_hosts_and_other_midspans_do_not_count(reports_unreachable: Callable[..., bool]) -> None:
+    assert not reports_unreachable(prefix(1, b"\x01\x0f\x99\x99"), new_prefix(HOST), OWN, seconds=0.3)
 
 
 def test_udp_is_preferred_until_the_next_boot(tmp_path: Path) -> None:

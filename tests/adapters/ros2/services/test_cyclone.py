@@ -179,7 +179,7 @@ def test_without_the_filter_no_server_of_two_kinds_of_dds_is_called(
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["counting matches", "reading the graph"])
-def test_cyclone_server_that_joins_later(
+def test_a_server_on_cyclone_dds_that_joins_later_is_not_called(
     edge: RunningEdge,
     set_bool: Service,
     peer: Callable[..., Peer],

@@ -126,7 +126,7 @@ def test_held_requests_are_dropped_with_a_reason_after_some_seconds(world: World
     assert (world.executed, world.due) == ([], [])
 
 
-def test_their_number_is_limited(world: World) -> None:
+def test_the_number_of_held_requests_is_limited(world: World) -> None:
     for number in range(MOST_HELD + 1):
         world.receive(number, client=CLIENT if number % 2 else OTHER)
     (failure,) = world.failures

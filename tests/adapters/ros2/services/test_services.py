@@ -61,7 +61,7 @@ def test_servers_and_clients_are_listed(edge: RunningEdge, peer: Peers, registry
     assert edge.until_seen("/s/bridged", Kind.SERVER)[0].made_by is MadeBy.MIDSPAN
 
 
-def test_other_definition_is_refused(edge: RunningEdge, peer: Peers) -> None:
+def test_a_service_with_another_definition_is_refused(edge: RunningEdge, peer: Peers) -> None:
     serve(peer(), "/s/other")
     (seen,) = edge.until_seen("/s/other", Kind.SERVER)
     object.__setattr__(seen, "type_id", "RIHS01_" + "0" * 64)
@@ -226,7 +226,7 @@ def test_the_last_replies_of_a_closing_server_reach_its_clients(
 
 
 @pytest.mark.parametrize("successor", ["own", "native"])
-def test_requests_to_a_server_that_has_closed(
+def test_a_closed_server_rejects_requests_unless_it_has_a_successor(
     edge: RunningEdge, peer: Peers, registry: Registry, monkeypatch: pytest.MonkeyPatch, successor: str
 ) -> None:
     """A client that has not noticed the closing gets a refusal, unless another server of the same name is open."""
@@ -251,7 +251,7 @@ def test_requests_to_a_server_that_has_closed(
     assert 1 not in codes
 
 
-def test_replies_out_of_order(edge: RunningEdge, peer: Peers, echo: Service) -> None:
+def test_replies_out_of_order_reach_their_requests(edge: RunningEdge, peer: Peers, echo: Service) -> None:
     native, pending = peer(), Asked()
     edge.edge.serve("/s/order", echo.type, pending.call)
     requests = [{"load_namespace": str(n)} for n in range(10)]
