@@ -66,7 +66,7 @@ class BridgeWorker(Worker):
 
     Attributes:
         config: the active configuration, None before the start.
-        bridges: one for each network of the side.
+        bridges: a `NetworkBridge` for each network of the side.
     """
 
     def __init__(self, side: str) -> None:

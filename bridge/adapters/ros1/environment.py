@@ -59,8 +59,7 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
 def _python_folders(environ: Mapping[str, str]) -> tuple[list[str], list[str]]:
     """Return the folders of PYTHONPATH with ROS 1 packages, and all other folders without ROS 2 packages.
 
-    The worker's path omits the former, because other packages in them, such as the system's NumPy, would shadow
-    Midspan's.
+    The worker's path omits ROS 1's folders: other packages in them, such as the system's NumPy, would shadow Midspan's.
     """
     paths = [p for p in environ.get("PYTHONPATH", "").split(os.pathsep) if p and not (Path(p) / "rclpy").exists()]
     ros1 = [p for p in paths if (Path(p) / "rospy").is_dir()]

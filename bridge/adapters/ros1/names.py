@@ -1,4 +1,4 @@
-"""Maps topic names that ROS 1 allows and ROS 2 forbids to legal ones on the hub, and back.
+"""Maps topic names that ROS 1 allows and ROS 2 forbids to legal names on the hub, and back.
 
 ROS 2's rule for a full topic name (rmw's validate_full_topic_name): absolute, letters, digits, ``_`` and ``/`` only, no
 ``//``, no trailing ``/``, no part that starts with a digit, at most 247 characters. ROS 1's masters enforce nothing,

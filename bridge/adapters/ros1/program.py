@@ -1,6 +1,6 @@
 """ROS 1 nodes for small programs, on any computer with Python: topics and actions, without ROS 1's packages.
 
-On the graph, such a node looks like that of any other program. Messages are JSON values (`bridge.messages.json`) with
+On the graph, such a node looks like any other ROS 1 node. Messages are JSON values (`bridge.messages.json`) with
 ROS 1's field names; times are ``{"sec": ..., "nanosec": ...}``, and headers have no ``seq``.
 """
 

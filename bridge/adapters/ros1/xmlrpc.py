@@ -76,7 +76,7 @@ class _Connection:
 class XmlRpcServer:
     """An XML-RPC server that calls ``methods`` by name, with the parameters of each request.
 
-    Methods run on threads of the pool; the calls of one connection run in order, and those of different connections
+    Methods run on threads of the pool; calls of the same connection run in order, calls of different connections
     concurrently. An `xmlrpc.client.Fault` that a method raises becomes the reply; any other exception is logged, and
     reported as a fault.
 

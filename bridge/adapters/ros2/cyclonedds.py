@@ -53,7 +53,7 @@ def settings(*, localhost_only: bool, interfaces: Iterable[str], peers: Iterable
 
     Args:
         localhost_only: discover nodes of this machine only.
-        interfaces: names of the interfaces to use in addition to loopback; without any, Cyclone DDS chooses one.
+        interfaces: names of the interfaces to use in addition to loopback; if empty, Cyclone DDS chooses an interface.
         peers: addresses of machines to announce itself to.
     """
     domain = ET.Element("Domain", Id="any")

@@ -72,7 +72,7 @@ def _without_cyclone(prefix: Path, release: Release) -> str:
     if security.is_enabled(os.environ):
         return (
             f"{chosen} and {security.ENABLE} is true, but on Cyclone DDS the side's enclave marks what Midspan creates,"
-            f" so it cannot be one of a keystore; remove ros2.rmw, or unset {security.ENABLE}"
+            f" so it cannot be an enclave of a keystore; remove ros2.rmw, or unset {security.ENABLE}"
         )
     return ""
 
@@ -125,7 +125,7 @@ def _site(prefix: str | Path) -> Path:
 
 
 def _installation(environ: Mapping[str, str]) -> Path | None:
-    """Return the prefix of the ROS 2 that a worker would use, None without one."""
+    """Return the prefix of the ROS 2 that a worker would use; None if there is no ROS 2."""
     sourced = next((p for p in _prefixes(environ) if (_site(p) / "rclpy").is_dir()), None)
     if sourced is not None:
         return sourced

@@ -226,8 +226,8 @@ class Waker(NamedTuple):
 def wake(kind: str, pointer: int, waker: Waker | None) -> None:
     """Report each new message, reply or request of an endpoint to a waker; with None, stop that before returning.
 
-    ``kind`` is ``subscription``, ``client`` or ``service``; ``pointer`` is ``rcl_subscription_t *``, or that of its
-    kind.
+    ``kind`` is ``subscription``, ``client`` or ``service``; ``pointer`` is ``rcl_subscription_t *``,
+    ``rcl_client_t *`` or ``rcl_service_t *``.
     """
     _check(f"waking by the {kind}", _NEW_CALLBACK[kind](pointer, *(waker or (None, None))))
 

@@ -158,7 +158,7 @@ class Contents:
         return Content(self._section.as_, profile=self.profile) if rule is None else self._content(rule)
 
     def served_by(self, service: str) -> ServiceRule | None:
-        """Return the rule that offers a YARP program's port as this service, or None."""
+        """Return the rule that offers a YARP program's port as this service; None if there is none."""
         return next((rule for rule in self.port_rules if rule.service == service), None)
 
     def bottles(self, service: str, type_name: str, type_hash: str) -> CallBottles:

@@ -1,4 +1,4 @@
-"""The graph of a YARP network: its ports for topics, without those that YARP itself has joined to ROS 1."""
+"""The graph of a YARP network: its ports for topics, without the ports that YARP itself has joined to ROS 1."""
 
 from __future__ import annotations
 

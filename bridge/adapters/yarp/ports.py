@@ -326,7 +326,7 @@ class OwnPorts:
     # -- closing -------------------------------------------------------------------------------------------------------
 
     def _close(self, ports: list[OwnPort]) -> None:
-        """Close ports in parallel; those that take too long continue in the background."""
+        """Close ports in parallel; after `_STOP_SECONDS` the rest is closed in the background."""
         self._own_names -= {port.core.name for port in ports}
         for port in ports:
             if port.output is not None:

@@ -1,7 +1,7 @@
 """The Midspan workers on one YARP network, and the records that they exchange.
 
 Each worker has a port ``/midspan/daemon/<id>`` and connects it to the ports of all others. The connections of a dead
-worker close; those of a stalled worker stay open. The same port answers commands of YARP programs, such as
+worker close; a stalled worker's connections stay open. The same port answers commands of YARP programs, such as
 ``definition std_msgs/String``.
 """
 

@@ -311,8 +311,8 @@ def _settings(config: Config) -> zenoh.Config:
     tree["connect"]["timeout_ms"]["client"] = _CLIENT_WAIT_MS
     settings = make_config(tree, over)
     settings.insert_json5("id", json.dumps(new_zid()))
-    # A session with a hybrid logical clock stamps received samples, with its own id, if they have no stamp or one that
-    # is more than 0.5 s ahead. Such samples would look like Midspan's own, and be ignored.
+    # A session with a hybrid logical clock stamps received samples with its own id if they have no stamp, or a stamp
+    # more than 0.5 s ahead. Such samples would look like Midspan's own, and be ignored.
     settings.insert_json5("timestamping/enabled", "false")
     return settings
 

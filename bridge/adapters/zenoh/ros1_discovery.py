@@ -100,7 +100,7 @@ _TOO_SOON = 0.5
 """A second beacon on the same key within this many periods comes from another bridge."""
 
 _FORGOTTEN = 60
-"""Periods without a beacon after which a bridge counts as new: a bridge may pause for a long time while another one
+"""Periods without a beacon after which a bridge counts as new. A bridge may pause for a long time while another bridge
 sends beacons."""
 
 _MAX_TOPICS = 20_000

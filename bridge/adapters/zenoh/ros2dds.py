@@ -2,7 +2,7 @@
 
 A topic's or service's key is the namespace of its bridge and its ROS 2 name without the leading slash. The payload is
 CDR; topics have no attachment. Transient-local publishers are zenoh's advanced publishers, and servers are queryables.
-Liveliness tokens announce all endpoints, those of an action together (`bridge.adapters.zenoh.ros2dds_tokens`). Source:
+Liveliness tokens announce all endpoints, an action's as a whole (`bridge.adapters.zenoh.ros2dds_tokens`). Source:
 zenoh-plugin-ros2dds of August 2026, ``src/ros2_utils.rs``, ``route_publisher.rs``, ``route_subscriber.rs``,
 ``route_service_srv.rs``, ``route_service_cli.rs``.
 """

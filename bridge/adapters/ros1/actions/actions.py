@@ -134,7 +134,7 @@ class Ros1Actions:
             return self._serve(action).advertise(part)
 
     def _type(self, action: str, part: str, type_name: str) -> str:
-        """Return the action's type, for cancel_goal and status that of its server or caller; their types have none."""
+        """Return the action's type; cancel_goal and status do not show it, so it then comes from a server or caller."""
         if part not in (ros2_action.CANCEL_GOAL, ros2_action.STATUS):
             return discovery.action_type(type_name, part)
         servers = self._found.servers.get(action)

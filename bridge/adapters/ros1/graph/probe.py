@@ -130,7 +130,7 @@ class Prober:
                 self._release(peer)
 
     def update(self, peers: frozenset[Registration]) -> None:
-        """Update the publishers that are on the graph, and probe those that are due."""
+        """Update the publishers that are on the graph, and probe the publishers that are due."""
         now = time.monotonic()
         with self._lock:
             for removed in self._facts.keys() - peers:

@@ -64,7 +64,7 @@ class ParameterServer:
         return dict(zip(keys, values, strict=True))
 
     def write(self, values: Mapping[str, Any]) -> list[str]:
-        """Set parameters, and delete those whose value is None; return those that the master did not set."""
+        """Set parameters, or delete them if their value is None; return the names that the master did not set."""
         me = self._caller()
         calls: list[Call] = [
             ("deleteParam", (me, key)) if value is None else ("setParam", (me, key, value))

@@ -133,7 +133,7 @@ class PublisherConnection(TopicConnection):
             self._ended(trouble)
 
     def _deliver_small(self) -> bool:
-        """Deliver small messages; return whether a large one is next. Raises `BlockingIOError` without data."""
+        """Deliver small messages; return whether a large message is next. Raises `BlockingIOError` without data."""
         more = self._receive()
         if not more:
             raise ConnectionResetError(_CLOSED)

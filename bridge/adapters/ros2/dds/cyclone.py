@@ -33,7 +33,7 @@ Topic = tuple[int, str]
 class CyclonePair(RmwSubscription):
     """A reader, and a writer in the other direction; the reader is announced first.
 
-    Raises `MessageTypeError` if rmw_cyclonedds_cpp refuses one of them, or is of an unknown version.
+    Raises `MessageTypeError` if rmw_cyclonedds_cpp refuses the reader or writer, or has an unknown version.
     """
 
     def __init__(self, node: int, reads: Topic, writes: Topic, discovery: Discovery) -> None:

@@ -1,4 +1,4 @@
-"""Detects network addresses that appear after the participant's start, such as those of Wi-Fi, a cable or a VPN.
+"""Detects network addresses that appear after the participant's start, for example with Wi-Fi, a cable or a VPN.
 
 Fast DDS (2.14) uses the addresses of the interfaces that are up when a participant is created, and never discovers
 anything through later ones; rclpy cannot make it rescan.
@@ -49,7 +49,7 @@ class InterfaceWatch:
 
     @property
     def text(self) -> str:
-        """The new addresses as a sentence; "" without any."""
+        """The new addresses as a sentence; "" if there are none."""
         new = ", ".join(f"{address} on {name}" for name, address in sorted(self._new))
         return f"this machine has a new address that the ROS 2 side does not use: {new}" if new else ""
 

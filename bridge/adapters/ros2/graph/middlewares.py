@@ -101,7 +101,7 @@ def groups(
     """Return the native programs by DDS and release, as `bridge.status.Middleware` describes them.
 
     Args:
-        endpoints: those of the graph.
+        endpoints: all endpoints of the graph.
         participants: the GUID prefixes of ROS 2 programs; others that have endpoints are plain DDS programs.
         versions: what participants announce, by GUID prefix.
     """

@@ -26,8 +26,8 @@ from bridge.routing.edge import MadeBy, Sighting
 TYPE = "std_msgs/msg/String"
 
 DISCOVERY_SECONDS = 0.8
-"""Seconds within which participants of one network discover each other: a new one announces itself five times in the
-first half second, and others respond at once (measured: 20 ms)."""
+"""Seconds within which participants of one network discover each other. A new participant announces itself five times
+in the first half second, and others respond at once (measured: 20 ms)."""
 
 _MAX_RECORD = 1 << 18
 _WRITERS = 64

@@ -159,8 +159,8 @@ def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
         return None
     reason = (
         f"{service} is served on Cyclone DDS ({_nodes(cyclone)}) and on another DDS ({_nodes(others)}): DDS delivers"
-        " each request to all servers, and a server would execute one in the other's form with wrong values, so it was"
-        " not sent"
+        " each request to all servers, and a server would execute a request in the other DDS's form with wrong values,"
+        " so it was not sent"
     )
     return Obstacle(reason, CURE)
 
@@ -233,7 +233,7 @@ def warnings_on_cyclone(endpoints: Collection[Endpoint], served: Collection[str]
     """Return the warnings of a worker on Cyclone DDS about nodes on another DDS.
 
     Args:
-        endpoints: those of the graph.
+        endpoints: all endpoints of the graph.
         served: the services that the worker serves.
     """
     report = report_on_cyclone(endpoints)

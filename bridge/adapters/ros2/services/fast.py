@@ -1,4 +1,4 @@
-"""Clients and servers on Fast DDS: those of rcl, which take and send bytes (`bridge.adapters.ros2.rcl`)."""
+"""Clients and servers on Fast DDS: rcl's clients and services, used with bytes (`bridge.adapters.ros2.rcl`)."""
 
 from __future__ import annotations
 

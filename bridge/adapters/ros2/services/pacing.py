@@ -2,8 +2,8 @@
 
 A native program queues the last 10 requests, and the last 10 replies, that it has not taken yet (rmw's default for
 services), and silently drops older ones: of 1,000 concurrent calls between two rclpy programs, 52 got replies
-(measured). DDS does not report which messages were taken. So Midspan counts those that may still be queued, and holds
-back the rest.
+(measured). DDS does not report which messages were taken. So Midspan counts the messages that may still be queued, and
+holds back the rest.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from bridge.hub.endpoints.calls import CallError
 
 
 class Framed(NamedTuple):
-    """A payload without its header: ``header`` is Cyclone DDS's 16 bytes, b"" without one; ``payload`` is CDR."""
+    """A payload without its header: ``header`` has Cyclone DDS's 16 bytes, or none; ``payload`` is CDR."""
 
     header: bytes
     payload: bytes
@@ -57,7 +57,7 @@ class ServicePort(ABC):
     """The DDS endpoints of a client or a server.
 
     Attributes:
-        handle: the object inside rclpy, or one with its methods, that `bridge.adapters.ros2.loop.EndpointReader` holds.
+        handle: rclpy's inner object, or an object with the same methods, for `bridge.adapters.ros2.loop.EndpointReader`.
     """
 
     handle: Any
