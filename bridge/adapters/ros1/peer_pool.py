@@ -30,7 +30,7 @@ class PeerPool:
         self._doubtful = WorkerPool(doubtful, "midspan-ros1-doubtful")
         self._lock = threading.Lock()
         self._peers: dict[str, _PeerJobs] = {}
-        self._failed: set[str] = set()
+        self._failed_addresses: set[str] = set()
 
     def submit(self, address: str, job: Job) -> None:
         """Schedule a job that calls ``address``."""
@@ -70,17 +70,17 @@ class PeerPool:
     def failed(self, address: str) -> None:
         """Mark an address as failed."""
         with self._lock:
-            self._failed.add(address)
+            self._failed_addresses.add(address)
 
     def answered(self, address: str) -> None:
         """Mark an address as responsive."""
         with self._lock:
-            self._failed.discard(address)
+            self._failed_addresses.discard(address)
 
     def retain(self, alive: set[str]) -> None:
         """Drop the marks of addresses that left the graph."""
         with self._lock:
-            self._failed &= alive
+            self._failed_addresses &= alive
 
     def stop(self) -> None:
         """Start no further jobs; running jobs end by their own deadlines."""
@@ -89,7 +89,7 @@ class PeerPool:
 
     def _is_doubtful(self, address: str) -> bool:
         with self._lock:
-            return address in self._failed
+            return address in self._failed_addresses
 
 
 class _PeerJobs:

@@ -49,7 +49,7 @@ class KeyServer(CallServer):
         nothing: bytes | None, encoding: zenoh.Encoding | None = None, asked: str = "",
     ) -> None:  # fmt: skip
         self.announcement, self.encoding = announcement, encoding
-        self._withdraw, self._nothing = announcement.withdraw, nothing
+        self._withdraw, self._empty_request = announcement.withdraw, nothing
         self._expression = zenoh.KeyExpr(asked or key)
         super().__init__(context.session, key, name, context.limit, call, context.closed)
 
@@ -62,6 +62,6 @@ class KeyServer(CallServer):
     def _request(self, payload: bytes) -> bytes:
         if payload:
             return payload
-        if self._nothing is None:
+        if self._empty_request is None:
             raise CallError(f"the request of {self.name} has no payload")
-        return self._nothing
+        return self._empty_request

@@ -53,7 +53,7 @@ class Master:
         self.polled_at = float("-inf")
         self._node = node
         self._period, self._seen, self._lost_name = period, seen, lost_name
-        self._evicted = False
+        self._name_lost = False
         self._client = XmlRpcClient(uri, _TIMEOUT)
         self._reader = MasterReader(self._client, node.name)
         self._membership = Membership(node, daemon, ledger, self._client, self._reader, simulated=simulated)
@@ -85,7 +85,7 @@ class Master:
 
     def stop_registering(self) -> None:
         """Stop registering, because another node has this name, and the two would shut each other down in turn."""
-        self._evicted = True
+        self._name_lost = True
 
     def presence(self) -> NodeEntry:
         """Return the presence entry of this node, which is a parameter on the master."""
@@ -130,7 +130,7 @@ class Master:
             state = self._reader.read()
             self._run_id = state.run
         self._check_name(state)
-        calls = [] if self._evicted else self._registrations.corrections(state, self.presence())
+        calls = [] if self._name_lost else self._registrations.corrections(state, self.presence())
         for batch in batches(calls):
             if self._stopping.is_set():
                 break
@@ -155,6 +155,6 @@ class Master:
 
     def _check_name(self, state: MasterState) -> None:
         uri = state.uris.get(self._node.name, self._node.uri)
-        if uri != self._node.uri and not self._evicted and self._membership.responds(uri):
+        if uri != self._node.uri and not self._name_lost and self._membership.responds(uri):
             self.stop_registering()
             self._lost_name(f"another node, at {uri}, took the name {self._node.name} on this ROS 1 network")

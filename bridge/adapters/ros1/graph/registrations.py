@@ -35,12 +35,12 @@ class NodeRegistrations:
         self._node, self._is_dead = node, is_dead
         self._own: _Own | None = None
         self._refused: set[str] = set()
-        self._ended: set[str] = set()
+        self._ended_topics: set[str] = set()
 
     def corrections(self, state: MasterState, entry: NodeEntry) -> list[Call]:
         """Return the calls that correct this node's registrations, and its entry on the master."""
         name, uri = self._node.name, self._node.uri
-        self._ended |= self._node.take_removed()
+        self._ended_topics |= self._node.take_removed()
         published, subscribed = self._node.publications(), self._node.subscriptions()
         if self._own is None or self._own.state is not state:
             ends = (state.publishers, state.subscribers)
@@ -50,7 +50,7 @@ class NodeRegistrations:
         _, has_published, has_subscribed = self._own
         # A publication that ended and was created again between two reads is unregistered and registered: a rospy
         # subscriber whose connection broke reconnects only when the master reports a publisher that was not listed.
-        standing = has_published & published.keys() - self._ended
+        standing = has_published & published.keys() - self._ended_topics
         calls: list[Call] = [
             *(("unregisterPublisher", (name, t, uri)) for t in has_published - standing),
             *(("unregisterSubscriber", (name, t, uri)) for t in has_subscribed - subscribed.keys()),
@@ -75,7 +75,7 @@ class NodeRegistrations:
 
     def clear_ended(self) -> None:
         """Clear the record of ended publications, after all calls of `corrections` were made."""
-        self._ended.clear()
+        self._ended_topics.clear()
 
     def _service_calls(self, state: MasterState) -> list[Call]:
         """Return the calls for services; a master has one server per name, which the last to register replaces."""

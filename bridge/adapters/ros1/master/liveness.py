@@ -71,7 +71,7 @@ class Liveness:
         self._nodes, self._alive, self._dead, self._seconds = nodes, alive, dead, seconds
         self._period = min(max(seconds / 4, _PERIODS[0]), _PERIODS[1])
         self._failures: dict[tuple[str, str], _Failures] = {}
-        self._answered: set[tuple[str, str]] = set()
+        self._answered_nodes: set[tuple[str, str]] = set()
         self._restored: set[tuple[str, str]] = set()
         self._in_check: set[tuple[str, str]] = set()
         self._lock = threading.Lock()
@@ -82,7 +82,7 @@ class Liveness:
     def start(self, restored: Nodes) -> None:
         """Start checking; ``restored`` nodes answered an earlier master, and may have ended while none was running."""
         self._restored = set(restored.items())
-        self._answered = set(restored.items())
+        self._answered_nodes = set(restored.items())
         if self._seconds > 0:
             self._thread.start()
 
@@ -100,7 +100,7 @@ class Liveness:
             with self._lock:
                 self._failures = {node: failures for node, failures in self._failures.items() if node in nodes}
                 self._restored &= nodes
-                self._answered &= nodes
+                self._answered_nodes &= nodes
                 due = nodes - previous
                 if (now := time.monotonic()) >= next_round:
                     pause = self._pause(len(nodes))
@@ -137,7 +137,7 @@ class Liveness:
         with self._lock:
             self._failures.pop(node, None)
             self._restored.discard(node)
-            self._answered.add(node)
+            self._answered_nodes.add(node)
         self._alive(*node)  # each time, because the node may have registered again since its last answer
 
     def _on_failure(self, node: tuple[str, str], *, refused: bool) -> None:
@@ -145,7 +145,7 @@ class Liveness:
         with self._lock:
             failures = self._failures.setdefault(node, _Failures(now))
             failures.count += 1
-            unknown = node not in self._answered
+            unknown = node not in self._answered_nodes
             seconds = min(RESTORED_SECONDS, self._seconds) if node in self._restored else self._seconds
             if not refused:
                 seconds = max(self._seconds, UNREACHABLE_SECONDS)

@@ -68,7 +68,7 @@ class _ClientConnection(ServiceConnection):
             self._waits = True
         self._loop.listen(self, data=False)
         if not self._server.is_open:
-            self._done(number, CallError(self._server.gone))
+            self._done(number, CallError(self._server.closed_reason))
             return
         try:
             abandon = self._server.call(body, lambda result: self._done(number, result))
@@ -163,7 +163,7 @@ class Ros1Server:
         self, name: str, side_type: SideType, call: Call, closed: Callable[[Ros1Server], None], traffic: Traffic
     ) -> None:
         self.name, self.side_type, self.call, self.traffic = name, side_type, call, traffic
-        self.gone = f"{name} is no longer served"
+        self.closed_reason = f"{name} is no longer served"
         self._closed = closed
         self._lock = threading.Lock()
         self._clients: set[_ClientConnection] = set()
@@ -205,7 +205,7 @@ class Ros1Server:
             clients = list(self._clients)
         self._closed(self)
         for client in clients:
-            client.close(self.gone)
+            client.close(self.closed_reason)
 
 
 class ServiceServers:

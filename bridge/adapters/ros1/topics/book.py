@@ -63,7 +63,7 @@ class TopicBook:
         self._published: dict[str, Publication] = {}
         self._subscribed: dict[str, SubscribedTopic] = {}
         self._removed: set[str] = set()
-        self._ended: dict[str, Header] = {}
+        self._ended_headers: dict[str, Header] = {}
         self._rejected: dict[tuple[str, str], str] = {}
 
     # -- this node's endpoints -----------------------------------------------------------------------------------------
@@ -99,10 +99,10 @@ class TopicBook:
                 return
             del self._published[topic]
             self._removed.add(topic)
-            self._ended.pop(topic, None)
-            self._ended[topic] = header
-            if len(self._ended) > _MAX_ENDED:
-                del self._ended[next(iter(self._ended))]
+            self._ended_headers.pop(topic, None)
+            self._ended_headers[topic] = header
+            if len(self._ended_headers) > _MAX_ENDED:
+                del self._ended_headers[next(iter(self._ended_headers))]
         publication.close()
         self._changed()
 
@@ -187,7 +187,7 @@ class TopicBook:
             return f"the header of a subscriber needs the field {missing[0]}"
         topic, caller = header["topic"], header["callerid"]
         with self._lock:
-            publication, ended = self._published.get(topic), self._ended.get(topic)
+            publication, ended = self._published.get(topic), self._ended_headers.get(topic)
             self._rejected.pop((topic, caller), None)
         if publication is not None:
             error = publication.mismatch(header)

@@ -55,7 +55,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
         self._requests = SentRequests()
         self._sender = self._port.sender
         self._settling_until = 0.0
-        self._ended: set[bytes] = set()
+        self._ended_prefixes: set[bytes] = set()
         self._matched = self._due = False
         self._update_ended()
         self._loop.add(self)
@@ -107,8 +107,8 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
     def _servers(self) -> frozenset[bytes]:
         """Return the GIDs of the native servers whose processes are alive."""
         servers = self._graph.snapshot.servers.get(self.name, frozenset())
-        if self._ended:
-            servers = frozenset(gid for gid in servers if gid[:PREFIX_BYTES] not in self._ended)
+        if self._ended_prefixes:
+            servers = frozenset(gid for gid in servers if gid[:PREFIX_BYTES] not in self._ended_prefixes)
         return servers
 
     def _advance(self) -> None:
@@ -209,14 +209,14 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             self._checking = False
             if self._sent and not self._closed:
                 self._check_soon()
-        before = self._ended
+        before = self._ended_prefixes
         if self._update_ended() - before:
             self.refit()
 
     def _update_ended(self) -> set[bytes]:
         """Update and return the GUID prefixes of servers whose processes have ended; new servers count as alive."""
-        self._ended = self._ended_among(self._graph.snapshot.servers.get(self.name, frozenset()))
-        return self._ended
+        self._ended_prefixes = self._ended_among(self._graph.snapshot.servers.get(self.name, frozenset()))
+        return self._ended_prefixes
 
     def _abandon(self, pending: _PendingCall) -> None:
         with self._lock:

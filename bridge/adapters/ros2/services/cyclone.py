@@ -72,7 +72,7 @@ class CycloneCalls(EndpointReader):
         self._replied = replied
         self._id = os.urandom(8)
         self._number = FIRST_NUMBER
-        self._matched, self._prepared = (0, frozenset[bytes]()), 0.0
+        self._matched, self._prepared_at = (0, frozenset[bytes]()), 0.0
 
     @override
     def wake(self, waker: rcl.Waker | None) -> None:
@@ -86,8 +86,8 @@ class CycloneCalls(EndpointReader):
         matched = self._reader.matched(), frozenset(servers)
         writer = self._graph.own_writer(self._topic) if matched != self._matched else None
         if writer is not None:
-            self._matched, self._prepared = matched, self._heartbeats.prepare(writer, last, servers)
-        return max(0.0, self._prepared - time.monotonic()) if self._matched[0] else poll
+            self._matched, self._prepared_at = matched, self._heartbeats.prepare(writer, last, servers)
+        return max(0.0, self._prepared_at - time.monotonic()) if self._matched[0] else poll
 
     def wrap(self, request: bytes) -> tuple[int, bytes]:
         """Return a request's number, and its payload with a header."""

@@ -31,7 +31,7 @@ class SentRequests:
 
     def __init__(self) -> None:
         self._sent: deque[tuple[int, float]] = deque()
-        self._answered = time.monotonic()
+        self._answered_at = time.monotonic()
 
     def on_sent(self, number: int) -> None:
         """Record a request that was sent."""
@@ -41,13 +41,13 @@ class SentRequests:
         """Record a reply: a server takes requests in order, so all earlier ones have been taken, too."""
         while self._sent and self._sent[0][0] <= number:
             self._sent.popleft()
-            self._answered = time.monotonic()
+            self._answered_at = time.monotonic()
 
     def wait(self) -> float:
         """Return the seconds until the next request may be sent, 0 if now; a reply may shorten the wait."""
         if len(self._sent) < ROOM:
             return 0.0
-        left = max(self._sent[0][1], self._answered) + PATIENCE - time.monotonic()
+        left = max(self._sent[0][1], self._answered_at) + PATIENCE - time.monotonic()
         if left > 0:
             return left
         self._sent.clear()
@@ -72,33 +72,33 @@ class ClientReplies:
         self._write, self._later = write, later
         self._lock = threading.Lock()
         self._outbox: deque[tuple[RequestId, bytes]] = deque()
-        self._asked = 0
+        self._pending_calls = 0
         self._credit = float(ROOM)
         self._last = time.monotonic()
-        self._missed: float | None = None
+        self._missed_since: float | None = None
         self._reached = self._sending = False
 
     @property
     def busy(self) -> bool:
         """Whether calls of the client are pending."""
-        return bool(self._asked or self._outbox)
+        return bool(self._pending_calls or self._outbox)
 
     def on_request(self, backlog: int) -> None:
         """Record a request; ``backlog`` requests are still to be taken."""
         with self._lock:
-            self._asked += 1
-            if max(backlog, self._asked + len(self._outbox)) <= ROOM:
+            self._pending_calls += 1
+            if max(backlog, self._pending_calls + len(self._outbox)) <= ROOM:
                 self._credit = float(ROOM)
 
     def on_no_reply(self) -> None:
         """Record that a request gets no reply."""
         with self._lock:
-            self._asked -= 1
+            self._pending_calls -= 1
 
     def send(self, request: RequestId, payload: bytes) -> None:
         """Send a reply, now or soon: the first may have to wait for its client, on another thread."""
         with self._lock:
-            self._asked -= 1
+            self._pending_calls -= 1
             self._outbox.append((request, payload))
             if self._sending:
                 return
@@ -121,7 +121,7 @@ class ClientReplies:
                     return
                 request, payload = self._outbox.popleft()
             if self._write(request, payload):
-                self._reached, self._missed = True, None
+                self._reached, self._missed_since = True, None
             elif self._retry_later(request, payload):
                 return
 
@@ -139,9 +139,9 @@ class ClientReplies:
         """Retry later for an unreachable client; return False if its time is over."""
         now = time.monotonic()
         with self._lock:
-            if self._missed is None:
-                self._missed = now
-            missed = now - self._missed
+            if self._missed_since is None:
+                self._missed_since = now
+            missed = now - self._missed_since
             if missed < _PATIENCE:
                 self._outbox.appendleft((request, payload))
                 self._later.after(min(max(missed / 4, _TRY_SECONDS), _SLOWEST_SECONDS), self._send_outbox)

@@ -57,7 +57,7 @@ class ServicePort(ABC):
     """The DDS endpoints of a client or a server.
 
     Attributes:
-        handle: rclpy's inner object, or an object with the same methods, for `bridge.adapters.ros2.loop.EndpointReader`.
+        handle: rclpy's inner object, or one with its methods, for `bridge.adapters.ros2.loop.EndpointReader`.
     """
 
     handle: Any

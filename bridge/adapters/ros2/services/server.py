@@ -47,14 +47,14 @@ ClientConverters = Callable[[str], tuple[Convert, Convert] | None]
 class _PendingRequest:
     """A request that has no reply yet.
 
-    ``header`` is Cyclone DDS's, b"" for a client on Fast DDS. From ``listed`` on (monotonic clock) the graph lists the
-    client unless it has left. ``seen``: the graph has listed the client; ``left``: the call is to be abandoned.
+    ``header`` is Cyclone DDS's, b"" for a client on Fast DDS. From ``listed_by`` on (monotonic clock) the graph lists
+    the client unless it has left. ``seen``: the graph has listed it; ``left``: the call is to be abandoned.
     """
 
-    __slots__ = ("abandon", "header", "id", "left", "listed", "seen")
+    __slots__ = ("abandon", "header", "id", "left", "listed_by", "seen")
 
-    def __init__(self, request: RequestId, header: bytes, listed: float) -> None:
-        self.id, self.header, self.listed = request, header, listed
+    def __init__(self, request: RequestId, header: bytes, listed_by: float) -> None:
+        self.id, self.header, self.listed_by = request, header, listed_by
         self.abandon: Abandon | None = None
         self.seen = self.left = False
 
@@ -78,7 +78,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self._clients: dict[bytes, ClientReplies] = {}
         self._converters, self._client_types = converters, dict[bytes, str]()
         self._held = context.held
-        self._logged = self._replied = float("-inf")
+        self._logged_at = self._replied_at = float("-inf")
         self._alive = threading.Lock()
         self._destroyed = False
         self._loop.add(self)
@@ -97,8 +97,8 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         except MessageError as err:
             self.drop(str(err))
             return
-        listed = time.monotonic() + self._port.listed_after
-        self._begin(_PendingRequest(request, header, listed), payload, backlog)
+        listed_by = time.monotonic() + self._port.listed_after
+        self._begin(_PendingRequest(request, header, listed_by), payload, backlog)
 
     def _for_client(self, gid: bytes) -> tuple[Convert, Convert]:
         """Return the converters for a client; raises `MessageTypeError` if its version of the type is unknown."""
@@ -158,7 +158,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             self._log_failure(str(err))
             client.on_no_reply()
             return
-        self._replied = time.monotonic()
+        self._replied_at = time.monotonic()
         client.send(pending.id, cyclone.wrap(pending.header, result) if pending.header else result)
 
     def _client(self, gid: bytes) -> ClientReplies:
@@ -181,8 +181,8 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         self._log_failure(reason)
 
     def _log_failure(self, reason: str, outcome: str = _NO_REPLY) -> None:
-        if time.monotonic() - self._logged > _LOG_SECONDS:
-            self._logged = time.monotonic()
+        if time.monotonic() - self._logged_at > _LOG_SECONDS:
+            self._logged_at = time.monotonic()
             _log.warning("a call of %s failed: %s; %s", self.name, reason, outcome)
 
     def _write(self, request: RequestId, payload: bytes) -> bool:
@@ -207,7 +207,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
         for pending in waiting:
             if pending.id.gid in clients and pending.id.gid[:PREFIX_BYTES] not in ended:
                 pending.seen = True
-            elif pending.seen or pending.id.gid[:PREFIX_BYTES] in ended or now > pending.listed:
+            elif pending.seen or pending.id.gid[:PREFIX_BYTES] in ended or now > pending.listed_by:
                 self._abandon(pending)
 
     def _abandon(self, pending: _PendingRequest) -> None:
@@ -247,7 +247,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
             clients = list(self._clients.values())
         for client in clients:
             client.flush()
-        if self._refusal is not None or self._replied > time.monotonic() - _LINGER:
+        if self._refusal is not None or self._replied_at > time.monotonic() - _LINGER:
             self._later.after(_LINGER, partial(self._loop.remove, self))
         else:
             self._loop.remove(self)

@@ -73,7 +73,7 @@ class Ros2Subscription:
         self._readers: dict[ReaderClass, ClassReader] = {}
         self._sources: dict[bytes, _Source] = {}
         self.closed = False
-        self._logged = float("-inf")
+        self._logged_at = float("-inf")
         self.refit()
 
     def refit(self) -> None:
@@ -159,8 +159,8 @@ class Ros2Subscription:
 
     def failed(self, source: str) -> None:
         """Log the exception of one message, at a limited rate; later messages are still delivered."""
-        if time.monotonic() - self._logged > _LOG_SECONDS:
-            self._logged = time.monotonic()
+        if time.monotonic() - self._logged_at > _LOG_SECONDS:
+            self._logged_at = time.monotonic()
             _log.exception("%s: a message of %s is dropped", self.topic, source)
 
     def close(self) -> None:
