@@ -24,16 +24,16 @@ SILENCE_SECONDS = 5.0
 """Seconds without a message on ``/clock`` after which a simulated clock is reported as a problem."""
 
 STEP_NS = 100_000_000
-"""A change of the system clock by more than this (in ns), beyond the possible slewing, is a jump.
+"""A change of the system clock is a jump if it exceeds the possible slewing by more than this, in ns.
 
-ntpd steps the clock for offsets of 128 ms or more, systemd-timesyncd for 400 ms or more. A smaller step delays
-transforms by less than this.
+ntpd steps the clock for offsets of 128 ms or more, systemd-timesyncd for 400 ms or more. A step that is too small to be
+a jump delays transforms by less than this.
 """
 
 SLEW = 0.11
 """The maximum rate at which slewing changes the system clock, in seconds per second.
 
-Linux allows 10 % (ADJ_TICK) plus 500 ppm (ADJ_FREQUENCY); chrony uses up to 8.3 % of that by default (maxslewrate).
+Linux allows 10 % (ADJ_TICK) plus 500 ppm (ADJ_FREQUENCY); chrony by default uses up to 8.3 % (maxslewrate).
 """
 
 POLL_SECONDS = 0.2
@@ -46,12 +46,12 @@ Jumped = Callable[[], None]
 
 
 def steady_ns() -> int:
-    """Return ns on a clock that is never set and, if the system has one, also runs while the machine is suspended."""
+    """Return ns on a clock that is never set; if possible, it also runs while the machine is suspended."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
 
 
 def is_jump(change: int, passed: int, error: int = 0) -> bool:
-    """Return whether a clock was set, if its offset from a steady clock changed while a time passed; all in ns."""
+    """Return whether a clock was set, given the ``change`` of its offset from a steady clock in ``passed`` ns; all in ns."""
     return abs(change) > STEP_NS + error + round(SLEW * passed)
 
 
@@ -62,11 +62,11 @@ def _wall_ns() -> int:
 class SystemClock:
     """The system clock, with notifications when NTP or a user sets it. Safe to use from any thread.
 
-    While it has listeners, a thread compares it with a monotonic clock. Slewing is not a jump.
+    While there are listeners, a thread compares the clock with a monotonic clock. Slewing is not a jump.
 
     Args:
-        wall: returns the time of a clock in ns, by default this machine's.
-        steady: returns the time of a clock in ns that is never set.
+        wall: returns the time in ns, by default of this machine's clock.
+        steady: returns the time in ns of a clock that is never set.
         poll: seconds between two comparisons; with 0 no thread is started, and the owner calls `check`.
     """
 
@@ -169,7 +169,7 @@ class RunClock:
         return self._now if self.simulated else self._system.now_ns()
 
     def elapsed_ns(self) -> int:
-        """Return a time in ns for ages and timeouts: of the simulation, or of a clock that is never set."""
+        """Return the simulation's time, or that of a clock that is never set, in ns, for ages and timeouts."""
         return self._now if self.simulated else time.monotonic_ns()
 
     def stamp(self) -> dict[str, int]:
@@ -211,8 +211,8 @@ class RunClock:
     def on_jump(self, jumped: Jumped) -> Callable[[], None]:
         """Call ``jumped`` after each jump, until the returned function or `close` is called.
 
-        The system clock jumps back and forward. ``/clock`` jumps only back, because a simulation may make steps of any
-        length; for it, ``jumped`` runs on the thread that receives the time.
+        The system clock can jump back or forward. On ``/clock`` only a step back is a jump, because a simulation may
+        make forward steps of any length; ``jumped`` then runs on the thread that receives the time.
         """
         if not self.simulated:
             withdraw = self._system.on_jump(jumped)
@@ -250,6 +250,6 @@ def _notify(listeners: tuple[Jumped, ...]) -> None:
             _log.exception("a jump of the clock was not handled")
 
 
-def _discard(among: list[Callable[..., None]], what: Callable[..., None]) -> None:
-    if what in among:
-        among.remove(what)
+def _discard(callbacks: list[Callable[..., None]], callback: Callable[..., None]) -> None:
+    if callback in callbacks:
+        callbacks.remove(callback)

@@ -1,7 +1,7 @@
 """Executors, delayed calls and bounded queues, used by every part of Midspan.
 
-Each starts its threads with the first job, so that unused ones cost nothing. They are daemon threads, so that a hanging
-job does not prevent Python from exiting (unlike with `concurrent.futures.ThreadPoolExecutor`).
+Each starts its threads with the first job, so that unused executors cost nothing. The threads are daemon threads, so
+that a hanging job does not prevent Python from exiting (unlike with `concurrent.futures.ThreadPoolExecutor`).
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class InlineExecutor:
             self._running = True
         try:
             self._run()
-        except BaseException:  # an interrupt: the next submitted job runs after the remaining ones
+        except BaseException:  # an interrupt; the next call of `submit` runs the remaining jobs first
             with self._lock:
                 self._running = False
             raise
@@ -123,7 +123,7 @@ class InlineExecutor:
 
 
 class WorkerPool:
-    """Runs jobs on at most ``limit`` threads, which end after they were idle for ten seconds."""
+    """Runs jobs on at most ``limit`` threads, each of which ends after ten idle seconds."""
 
     def __init__(self, limit: int, name: str) -> None:
         self._limit, self._name = limit, name
@@ -135,7 +135,7 @@ class WorkerPool:
         self._closed = False
 
     def submit(self, job: Callable[[], Any]) -> Future[Any]:
-        """Run a job as soon as a thread is free; cancel it at once after `close`, or if no thread can be started."""
+        """Run a job as soon as a thread is free. After `close`, or if no thread can be started, cancel it at once."""
         future: Future[Any] = Future()
         with self._condition:
             if not self._closed:
@@ -266,12 +266,12 @@ class BoundedQueue(_OneThread, Generic[Message]):
         self._condition = threading.Condition()
         self._queue: deque[tuple[int, Message]] = deque()
         self._bytes = 0
-        self._taking = False
+        self._processing = False
 
     @property
     def busy(self) -> bool:
         """Whether a message is queued or being processed, so that a later one must be queued."""
-        return bool(self._queue) or self._taking  # checked in this order, because `_run` sets the flag first
+        return bool(self._queue) or self._processing  # checked in this order, because `_run` sets the flag first
 
     @property
     def waiting(self) -> int:
@@ -304,7 +304,7 @@ class BoundedQueue(_OneThread, Generic[Message]):
         self._condition.notify()
 
     def close(self) -> None:
-        """Drop the queued messages, and end the thread. Safe to call twice."""
+        """Drop the queued messages and end the thread. Safe to call twice."""
         with self._condition:
             self._closed = True
             self._queue.clear()
@@ -315,12 +315,12 @@ class BoundedQueue(_OneThread, Generic[Message]):
     def _run(self) -> None:
         while True:
             with self._condition:
-                self._taking = False
+                self._processing = False
                 while not self._queue and not self._closed:
                     self._condition.wait()
                 if self._closed:
                     return
-                self._taking = True
+                self._processing = True
                 size, message = self._queue.popleft()
                 self._bytes -= size
             try:

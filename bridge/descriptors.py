@@ -27,12 +27,12 @@ class WorkerDescriptor:
 
     Attributes:
         name: the worker's name, and the key of its section in the configuration.
-        factory: ``package.module:Class``, imported in the worker's own process and called with ``arguments``.
+        factory: ``package.module:Class``; the worker's own process imports it, and calls it with ``arguments``.
         section: ``package.module:Model`` of its section, whose key ``enabled`` enables the worker; "" if it has none.
         about: description of the section.
         sections: sections of the configuration; the worker is reloaded if one of them changes.
-        uses: ``package.module:function`` that returns further values of a configuration, by name; the worker is
-            reloaded if one of them changes.
+        uses: ``package.module:function`` that takes a configuration and returns further values of it, by name; the
+            worker is reloaded if one of them changes.
         switch: ``package.module:function`` that decides whether the worker is enabled, instead of ``enabled``.
         environment: a module with ``available(config)`` and ``worker_environment(config, environ)``.
         needs: the packages that must be importable if ``environment`` is empty; the pip extra ``extra`` installs them.
@@ -69,10 +69,10 @@ class ModuleDescriptor:
         section: ``package.module:Model`` of its section; "" for the gateway, whose section is ``navigation``.
         about: description of the section.
         checks: ``package.module:name`` of the doctor's checks.
-        cause: ``package.module:function`` for the doctor: with the input of the checks and the module's status document
-            it returns why the module waits or warns, with the cure, or None.
-        accepts: ``package.module:function`` for the doctor: with the input of the checks, a status document of a side
-            and a route that it refused, it returns why the refusal is harmless, or "".
+        cause: ``package.module:function`` for the doctor. It takes the input of the checks and the module's status
+            document, and returns why the module waits or warns, with the cure; or None.
+        accepts: ``package.module:function`` for the doctor. It takes the input of the checks, a side's status document
+            and a route that this side refused, and returns why the refusal is harmless; or "".
     """
 
     name: str

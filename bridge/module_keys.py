@@ -15,8 +15,8 @@ class GatewayKeys(Part):
 
     Attributes:
         pending: the planner that takes over when the robot stands still.
-        navigation: the state that it publishes, with its ``reason``.
-        goals: number of poses left. ``goal``: the next one: x and y in m, and the angle.
+        navigation: the navigation state that it publishes, with its ``reason``.
+        goals: number of poses left. ``goal``: the next pose, as x and y in m, and the angle.
         goals_ended: number of goals by outcome.
         served_by: the node that serves the gateway's action instead.
         inactive_nodes: the states of the planner's lifecycle nodes that are not active, by node.
@@ -57,7 +57,7 @@ class StoreContent(Part):
 
     Attributes:
         keys: number of values by kind.
-        limits: the most values of all kinds together (``keys``), and the most bytes (``bytes``).
+        limits: maximum number of values of all kinds together (``keys``), and maximum size (``bytes``).
         changed: time of the newest change in any replica, in seconds since 1970.
         lost: the last values that lost a conflict.
         others: the stores that share the values.

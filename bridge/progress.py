@@ -13,12 +13,12 @@ from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 SHARE = 0.01
-"""Share of a core. A step that has used less than this since its last progress makes no progress: a wait that polls
-every 10 ms uses 0.3 %, and a computation gets more even if it shares its core with fifty others."""
+"""Share of a core. A step that uses less than this makes no progress. A wait that polls every 10 ms uses 0.3 %; a
+computation gets more than this even if it shares its core with fifty others."""
 
 ENDLESS = 10.0
-"""Multiple of the limit without progress. A step that uses more processor time is in an endless loop: even plans over
-the largest maps and the slowest imports take only seconds."""
+"""Multiple of the limit for time without progress. A step that uses more processor time than that is in an endless
+loop, because even plans over the largest maps and the slowest imports take only seconds."""
 
 BUSY_SECONDS = 0.5
 """Steps shorter than this are not reported."""
@@ -51,7 +51,7 @@ class Movement:
         self._read = 0
 
     def move(self, now: float) -> None:
-        """Note progress, regardless of the step."""
+        """Record progress, whether or not the step has changed."""
         self.moved, self.step, self._first = now, None, self._used
 
     def update(self, now: float, step: object, used: float, read: int = 0) -> None:
@@ -159,7 +159,7 @@ class Progress:
             self._waited = (self._waited[0] + clock.seconds(), None)
 
     def now(self) -> Busy | None:
-        """Return the current step; None if the thread is idle or the step has just begun."""
+        """Return the current step; None if the thread is idle, or the step is shorter than `BUSY_SECONDS`."""
         text, main = self._text, self._main
         if not text or main is None or time.monotonic() - self._since < BUSY_SECONDS:
             return None

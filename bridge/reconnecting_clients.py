@@ -42,11 +42,11 @@ _MOST = 1000
 """Maximum number of stored clients of one port, equal to its maximum number of inputs."""
 
 _UNREACHABLE = ("text", "local", "http", "name_ser")
-"""Carriers that people or the port's own process use, and that are not reconnected."""
+"""Carriers of people's tools and of the port's own process, which are not reconnected."""
 
 
 class StoredClient(NamedTuple):
-    """A client's port as registered when the client connected; at another address it belongs to another program."""
+    """A client's port, as registered when it connected; a port at another address belongs to another program."""
 
     host: str
     port: int
@@ -59,7 +59,7 @@ _FORM = TypeAdapter(_Known)
 
 @dataclass(eq=False)
 class _Watched:
-    """An open port, the clients that it waits for, and its connections that were looked up."""
+    """An open port, the clients that it waits for, and the connections whose client is already known."""
 
     core: PortCore
     awaited: dict[str, float]
@@ -102,7 +102,7 @@ class ReconnectingClients:
         self._store()
 
     def update(self) -> bool:
-        """Store new clients, drop those that left, and reconnect missing ones; return whether some are still missing.
+        """Store new clients, remove disconnected ones, reconnect missing ones; return whether some are still missing.
 
         Call it after each change of connections, and again soon if it returned True.
         """

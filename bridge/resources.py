@@ -13,7 +13,7 @@ from pathlib import Path
 logger = logging.getLogger("midspan.daemon")
 
 FULL = 0.8
-"""A share of used descriptors above this is reported."""
+"""A warning is reported if a larger share of the descriptors is in use."""
 
 RAISE = "raise the limit of open files: LimitNOFILE= in the systemd unit, or 'ulimit -n 65536' before midspan run"
 """How to fix a shortage of file descriptors."""
@@ -80,8 +80,8 @@ def descriptors() -> str:
 
 
 WANTED_FILES = 1 << 16
-"""Enough for all connections, each of which needs a descriptor. An infinite hard limit is not used, because some
-programs loop over all possible descriptors."""
+"""Enough for all connections, each of which needs a descriptor. The limit is not raised to an infinite hard limit,
+because some programs loop over all possible descriptors."""
 
 
 def raise_open_files() -> int:
@@ -106,8 +106,8 @@ LARGE = 4 * 1024 * 1024
 """Minimum size in bytes of a message that counts as large."""
 
 _IDLE_SECONDS = 10.0
-"""Seconds without large messages: longer than YARP ports keep a message's buffer for the next message
-(`yarp_compat.ports.port`)."""
+"""Seconds without large messages after which memory is returned. This is longer than the time for which a YARP port
+keeps a message's buffer for the next message (`yarp_compat.ports.port`)."""
 
 
 class LargeMessages:

@@ -28,15 +28,14 @@ class Side:
         edges: ``package.module:name`` of the factory of its edge, called with the configuration, the registry of types
             and the state folder; with `networks` it returns a dictionary of edges by name.
         section: ``package.module:name`` of its section's model; "" for the sides whose section is part of `Config`.
-        environment: module with ``available(config)``, ``worker_environment(config, environ)`` and, if more than the
-            key ``enabled`` of its section decides whether the side is enabled, ``enabled(config)``; "" if the side
-            needs nothing.
+        environment: module with ``available(config)`` and ``worker_environment(config, environ)``; also with
+            ``enabled(config)`` if more than the key ``enabled`` decides that. "" if the side needs no module.
         loading: description of the worker's step while it imports the edge, for people.
         private_topics: topics that are not bridged by default, because they have a meaning only on their side.
         private_services: the same for services, by their ROS 2 types.
         node_parameters: whether each of its nodes has its own parameters, as in ROS 2.
         checks: ``package.module:name`` of the doctor's checks.
-        networks: the networks that it joins, if it joins networks of several kinds.
+        networks: the kinds of networks that it joins, if there are several.
     """
 
     name: str

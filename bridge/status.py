@@ -83,7 +83,7 @@ class RouteStatus(Part):
         age: seconds since the last message.
         latency_ms: quantiles (``p50``, ``p99``) of the latencies of the last messages, in ms.
         carry: time that messages spend in the bridge, only in the direction to the hub.
-        way: transport on the hub (``lane``, ``zenoh``, ``both``), and ``why`` zenoh is used; None for services.
+        way: transport on the hub (``lane``, ``zenoh`` or ``both``); None for services. ``why``: why zenoh is used.
             ``ways``: number of messages by transport.
     """
 
@@ -199,14 +199,16 @@ class LaneStatus(Part):
 
 
 class CycloneNodes(Part):
-    """ROS 2 nodes on Cyclone DDS and on others.
+    """ROS 2 nodes on Cyclone DDS, and on other DDS implementations.
 
     Attributes:
-        nodes: those on Cyclone DDS.
-        both: the services and actions that both they and nodes on another DDS serve.
-        mixed: the services and actions with a client on one of the two and a server on the other, with their nodes.
-        foreign: of a worker on Cyclone DDS: the nodes on another DDS that serve anything.
-        uncallable: the services and actions of ``foreign``, which this worker cannot call, except those of every node.
+        nodes: the nodes on Cyclone DDS.
+        both: the services and actions that have servers both on Cyclone DDS and on another DDS.
+        mixed: the services and actions with a client on Cyclone DDS and a server on another DDS, or vice versa; each
+            with its nodes.
+        foreign: if the worker itself is on Cyclone DDS, the nodes on another DDS that have a service or action.
+        uncallable: the services and actions of the ``foreign`` nodes, which this worker cannot call; not those that
+            every node has.
     """
 
     nodes: list[Text] = []
@@ -220,7 +222,7 @@ class Middleware(Part):
     """Programs on a ROS 2 network that use the same DDS and may belong to the same releases.
 
     Attributes:
-        name: the DDS, with its version if it announces one.
+        name: the DDS implementation, with its version if it announces one.
         release: the releases as text, "" if unknown. ``ros``: whether they are ROS 2 programs.
         hashes: whether they announce the hashes of their types.
         nodes: some of their nodes, sorted. ``count``: the number of their participants.
@@ -277,7 +279,7 @@ class WorkerStatus(StatusDocument):
 
     Attributes:
         network: the network that the side has joined, None while it is unavailable.
-        standby: the daemons that are active there instead. ``waiting``: why nothing is bridged yet.
+        standby: the daemons that bridge this network instead. ``waiting``: why nothing is bridged yet.
     """
 
     network: Text | None = None
@@ -342,9 +344,9 @@ class WorkerReport(Part):
     Attributes:
         phase: a value of `bridge.daemon.query.Phase`, which began ``since`` seconds ago.
         text: the current step or state.
-        still: seconds for which a starting or running worker has made no progress and computed nothing.
+        still: seconds for which a starting or running worker has neither made progress nor computed.
         beat: seconds since the last heartbeat of its process, None before the first.
-        ended: how its process ended that crashed last.
+        ended: how the process that crashed last ended.
     """
 
     worker: Text = ""
@@ -422,7 +424,7 @@ def read_daemon_status(value: Mapping[str, Any]) -> DaemonStatus:
 
 
 def _read(kind: type[AnyPart], value: Mapping[str, Any]) -> tuple[AnyPart, str]:
-    """Parse a JSON object; return it, and which values were omitted as invalid. Null counts as a missing key."""
+    """Parse a JSON object; return it, and a text that names the omitted invalid values. Null is like a missing key."""
     try:
         return kind.model_validate(value), ""
     except ValidationError as err:

@@ -16,7 +16,7 @@ from bridge.config.model import Config
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """The state of a worker: ``waiting`` for its network, for example, or ``standby`` if another daemon is active."""
+    """The state of a worker, for example ``waiting`` for its network, or ``standby`` while another daemon is active."""
 
     state: Literal["running", "waiting", "standby"]
     text: str
@@ -90,9 +90,9 @@ class Worker(ABC):
         """
 
     def diagnostics_wanted(self) -> bool:
-        """Return whether ``/diagnostics`` has a subscriber, so that one process of the daemon publishes it.
+        """Return whether ``/diagnostics`` has a subscriber, and one process of the daemon must therefore publish it.
 
-        It is False for a worker that does not see the hub's graph, or that itself publishes ``/diagnostics``.
+        A worker that does not see the hub's graph, or itself publishes ``/diagnostics``, returns False.
         """
         return False
 

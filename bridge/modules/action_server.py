@@ -95,7 +95,7 @@ class Goal:
             return
         self._result = result or {}
         self.ended_at = time.monotonic()
-        self._server.ended(self)
+        self._server.on_end(self)
         self._change(status)
         requests, self._result_requests = self._result_requests, []
         for answer in requests:
@@ -114,7 +114,7 @@ Cancel = Callable[[Goal], bool]
 """``cancel(goal)`` returns whether cancellation starts; the goal must then end, normally by `Goal.canceled`."""
 
 Brake = Callable[[bytes], None]
-"""``brake(goal_id)`` is called at once for each request to cancel one goal, or all goals (an id of zeros). It runs on a
+"""``brake(goal_id)`` is called at once for each request to cancel one goal or (with an id of zeros) all. It runs on a
 thread of the hub, because the module's thread may be busy."""
 
 
@@ -179,7 +179,7 @@ class ActionServer:
         self._feedback.publish({"goal_id": {"uuid": list(goal_id)}, "feedback": feedback})
 
     def publish_status(self) -> None:
-        """Publish the states of the newest goals, active or ended, at most `MAX_STATUSES`."""
+        """Publish the states of the newest `MAX_STATUSES` goals, active or ended."""
         if self._starting:
             return
         self._expire()
@@ -244,8 +244,8 @@ class ActionServer:
             goal.begin_cancel()
         return True
 
-    def ended(self, goal: Goal) -> None:
-        """Note that a goal has ended."""
+    def on_end(self, goal: Goal) -> None:
+        """Update the list of goals after one has ended."""
         if self._active.pop(goal.id, None) is not None:
             self._ended.append(goal)
 

@@ -17,7 +17,7 @@ _END_SECONDS = 1.0
 T = TypeVar("T")
 
 Prepare = Callable[[], Callable[[], T]]
-"""Called on the module's thread just before a job starts; returns the job, with a copy of all data that may change."""
+"""Called on the module's thread just before a job starts; returns the job, which holds copies of all mutable data."""
 
 
 class Background:

@@ -55,7 +55,7 @@ class ModulePublisher:
         return MessageTemplate(self._schema, message, *changing)
 
     def offer(self, make: Callable[[], bytes]) -> None:
-        """Publish a message, which is created only if there may be a subscriber; otherwise it counts as 0 bytes."""
+        """Create and publish a message if there may be a subscriber; otherwise only count a message of 0 bytes."""
         if self._publisher.pass_over():
             self.counters.crossed(0)
         else:

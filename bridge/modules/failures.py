@@ -29,7 +29,7 @@ class FailureReports:
         self._nodes: dict[str, Hub] = {}
 
     def show(self, troubles: Mapping[str, str]) -> None:
-        """Report only these modules, with the reasons why they do not run."""
+        """Report exactly these modules, each with the reason why it does not run."""
         self._troubles = troubles
         for name in self._nodes.keys() - troubles.keys():
             self._nodes.pop(name).close()

@@ -104,7 +104,7 @@ class Host:
         return self.loop.every(seconds, action)
 
     def _acknowledge(self, now: int) -> None:
-        """Acknowledge a time of the simulation; the actions of timers that were due then have already been posted."""
+        """Acknowledge a time of the simulation, after the actions of all timers due at that time have been posted."""
         seconds, nanoseconds = divmod(now, 1_000_000_000)
         time_message = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.name}
         self.loop.post(lambda: self._done.publish(time_message))

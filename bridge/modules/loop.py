@@ -70,8 +70,8 @@ class EventLoop:
         Args:
             action: the action to run.
             seconds: time to wait for the action.
-            late: run the action even after the timeout, which a stop requires; otherwise an action that has not begun
-                by then is dropped, and one that has begun is awaited for up to `ANSWER_SECONDS`.
+            late: run the action even if it has not begun by the timeout, which a stop requires. If False, such an
+                action is dropped; one that has begun gets another `ANSWER_SECONDS` to end.
 
         Raises:
             TimeoutError: the thread did not run the action in time, or has ended.
@@ -84,7 +84,7 @@ class EventLoop:
         return call.outcome()
 
     def work(self, action: Callable[[], Any], still: float | None = None) -> Any:
-        """Run a slow action as `call` does, from another thread, and wait while the loop's thread makes progress.
+        """Run a slow action as `call` does, from another thread, and wait as long as the loop's thread makes progress.
 
         Args:
             action: the action to run.
@@ -106,7 +106,7 @@ class EventLoop:
         return call.outcome()
 
     def computes(self) -> str:
-        """Return a text if a step has been computing for long, else ""; called repeatedly by one thread.
+        """Return a text if a step has been computing for long, else "". Call it repeatedly, and from only one thread.
 
         Raises `TimeoutError` if the current step hangs.
         """

@@ -31,7 +31,7 @@ class Module(ABC):
         """Create the endpoints and start; raises `RuntimeError` with a readable reason if that is impossible."""
 
     def reload(self, section: Section) -> bool:  # noqa: ARG002 - most modules restart quickly
-        """Apply a new section while running; return False to be restarted with the section instead."""
+        """Apply a new section while running; return False to be restarted with that section instead."""
         return False
 
     def health(self) -> Health:

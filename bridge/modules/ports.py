@@ -1,4 +1,4 @@
-"""A module's YARP ports, which are opened when a name server answers, and then kept registered by `yarp_compat`."""
+"""A module's YARP ports, which open once a name server answers; `yarp_compat` then keeps them registered."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class HostedPort:
         return took
 
     def write_by_release(self, make: Callable[[Generation], Content], envelope: str = "") -> int:
-        """Send to each reader what ``make`` returns for the reader's YARP generation; requires ``by_release``."""
+        """Send each reader what ``make`` returns for its YARP generation; the port must be an output ``by_release``."""
         readers: dict[Generation, set[AnyOutput]] = {}
         for output in self.core.connections.outputs:
             readers.setdefault(self._generation(output), set()).add(output)
@@ -82,7 +82,7 @@ class HostedPort:
         return decision.generation
 
     def _decision(self, output: AnyOutput) -> GenerationDecision:
-        """Return the generation of a reader, according to its device and its process."""
+        """Determine the YARP generation of a reader from its device and its process."""
         target, link = output.route.target, ("", 0)
         inspect_client(self._generations, target, output.profile, link, _far_end(output))
         return self._generations.of(target, output.profile, link)
@@ -114,7 +114,7 @@ class HostedPort:
 
 
 def _is_device(output: AnyOutput) -> bool:
-    """Return whether a reader is the stream of a network client; other readers interpret the values themselves."""
+    """Return whether a reader is the stream of a YARP network client; other readers interpret the values themselves."""
     return output.route.target.endswith("/data:i")
 
 
@@ -181,8 +181,8 @@ class Ports:
         """Answer Bottles of values, as the RPC ports of YARP modules do.
 
         If ``respond`` raises ValueError, WireError or TimeoutError, the answer is ``[fail]`` and the error's text.
-        ``[many]``, ``[ok]`` and the like at the beginning of an answer are sent as vocabs: `yarp rpc` shows the texts
-        after ``[many]`` as lines.
+        ``[many]``, ``[ok]`` and the like at the beginning of an answer are sent as vocabs; after ``[many]``, `yarp rpc`
+        shows each text on its own line.
         """
 
         def on_request(message: PortMessage) -> None:
@@ -212,7 +212,7 @@ class Ports:
         return port
 
     def output(self, name: str, type_name: str = "", *, by_release: bool = False) -> HostedPort:
-        """Write to the ports that connect; ``by_release``: to each in the form for its YARP release."""
+        """Open a port that writes to all connected ports; ``by_release``: to each in the form for its YARP release."""
         if not by_release:
             return self._open_port(name, None, is_input=False, type_name=type_name)
 
@@ -236,7 +236,7 @@ class Ports:
             port.counters.tick()
 
     def trouble(self) -> str:
-        """Return why a port is not open; "" if all are, or if YARP is not used here."""
+        """Return why a port is not open; "" if all are open, or if YARP is not used here."""
         trouble = next((f"{port.name}: {port.trouble}" for port in self._ports if port.trouble), "")
         return "" if trouble and self._unused() else trouble
 

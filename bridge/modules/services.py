@@ -96,7 +96,7 @@ class ModuleServer:
             return CallError(f"{self.topic} sent a malformed reply: {err}")
 
     def count(self, step: int) -> None:
-        """Change the number of pending requests by ``step``."""
+        """Add ``step`` to the number of pending requests."""
         with self._lock:
             self.waiting += step
 

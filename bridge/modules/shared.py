@@ -38,7 +38,7 @@ class Shared:
 
     Args:
         config: the configuration; its ``hub`` and ``store`` do not change while the process runs.
-        alone: the only module of this process, "" in the daemon's own worker.
+        alone: name of the only module of this process; "" in the daemon's worker, which runs all modules.
 
     Attributes:
         stores: the process's store.

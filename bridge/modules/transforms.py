@@ -19,7 +19,7 @@ class FrameSubscriptions:
 
     Args:
         node: the module's node.
-        receive: called on the module's thread with each message as CDR, its publisher's name, and ``static``.
+        receive: called on the module's thread with each message as CDR, its publisher's name, and ``static=``.
         at_once: call ``receive`` on the receiving threads, concurrently and without the publisher's name.
     """
 

@@ -29,7 +29,7 @@ from bridge.stores.store import Store
 from bridge.worker import Health, StatusHead, Worker
 
 _log = logging.getLogger(__name__)
-_START_SECONDS = 30.0  # a start without progress for this time has failed: a dependency is missing
+_START_SECONDS = 30.0  # a start that makes no progress for this time has failed, because a dependency is missing
 WIND_DOWN_SECONDS = 2.0
 """Seconds for a module to stop its robot before the module is stopped; `bridge.daemon.supervisor` allows 2.8 s."""
 
@@ -100,7 +100,7 @@ class Running:
         else:
             self._trouble = ""
 
-    def take_up_releases(self, config: Config) -> None:
+    def adopt_releases(self, config: Config) -> None:
         """Apply the YARP generations of a new configuration with the same network, without a restart."""
         self._config = config
         if self._host is not None:
@@ -193,7 +193,7 @@ def _end(module: Module, host: Host) -> None:
 
 
 SWITCH_INTERVAL = 0.0005
-"""Seconds after which a computing thread yields to a thread that has a message to handle."""
+"""Seconds after which a computing thread yields the interpreter to a thread that has a message to handle."""
 
 _FIXED = ("name", "state", "hub", "store", "types", "limits", "clock")
 
@@ -244,7 +244,7 @@ class ModulesWorker(Worker):
             if running is None:
                 self._start(name, section, config, registry, shared)
                 continue
-            running.take_up_releases(config)
+            running.adopt_releases(config)
             if running.section != section:
                 running.reload(section, config)
         return True
@@ -291,7 +291,7 @@ class ModulesWorker(Worker):
             self._shared.close()
 
     def _store_health(self) -> Health | None:
-        """Return the health of the store if ``store.enabled`` is true, else None: its users then report failures."""
+        """Return the health of the store if ``store.enabled`` is true; else None, because its users report failures."""
         if self._shared is None or self._config is None or self._config.store.enabled is not True or self._only:
             return None
         trouble = self._shared.stores.trouble()

@@ -31,7 +31,7 @@ _ERRORS: dict[type[TransformError], int] = {
     ExtrapolationError: 3,
     InvalidArgumentError: 4,
 }
-_TRANSFORM_ERROR = 6  # tf2_msgs/msg/TF2Error; the other codes are above
+_TRANSFORM_ERROR = 6  # as above, a code of tf2_msgs/msg/TF2Error
 
 
 class BufferServer:
@@ -66,7 +66,7 @@ class BufferServer:
         return True
 
     def _retry(self) -> None:
-        """Retry the waiting lookups if a transform has arrived, and end those whose time limit is over."""
+        """Retry the waiting lookups if a transform has arrived; end those whose time limit has passed."""
         changes, now = self._buffer.changes, self._node.clock.elapsed_ns()
         new, self._seen = changes != self._seen, changes
         for lookup in list(self._waiting.values()):
@@ -108,7 +108,7 @@ class _Lookup:
         self._until = now + _nanoseconds(goal.goal["timeout"])
 
     def expired(self, now: int) -> bool:
-        """Return whether the time limit is over, or the clock was set back."""
+        """Return whether the time limit has passed, or the clock was set back."""
         return not self._began <= now < self._until
 
     def run(self, buffer: TransformBuffer) -> Transform:

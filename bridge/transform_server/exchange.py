@@ -20,7 +20,7 @@ YARP = "yarp"
 """The authority of frames that YARP programs set."""
 
 _HARMLESS = (None, FrameRefusal.OLD_DATA, FrameRefusal.REPEATED_DATA)
-"""Refusals that are not reported to the client, because YARP's own server silently keeps the newest transform."""
+"""Outcomes that are not errors for the client, because YARP's own server silently keeps the newest transform."""
 
 _LAST_SECOND = float(1 << 31)  # the seconds of builtin_interfaces/Time are a signed 32-bit integer
 
@@ -48,8 +48,8 @@ class Exchange:
     def set(self, transforms: Sequence[FrameTransform]) -> FrameRefusal | None:
         """Insert the transforms that a YARP program sets, and publish them.
 
-        Transforms that have already expired on arrival are ignored, as are timed transforms of a frame that is static,
-        until that frame is deleted.
+        Transforms that have expired on arrival are ignored. A timed transform of a static frame is ignored too, until
+        that frame is deleted.
 
         Returns:
             None, or why one of the transforms was refused; the others are inserted.
@@ -66,7 +66,7 @@ class Exchange:
             return self.view.frames()
 
     def delete(self, first: str, second: str) -> bool:
-        """Delete the transforms between two frames that YARP programs set; return whether there were any."""
+        """Delete the transforms between two frames, if YARP programs have set them; return whether there were any."""
         with self._lock:
             static = sum(1 for _ in self.view.own_static())
             first, second = _plain(first), _plain(second)
@@ -123,7 +123,7 @@ class Exchange:
             if refusal is None:
                 self.view.remember_spelling(transform.src_frame_id)
                 self.view.remember_spelling(transform.dst_frame_id)
-                shown = replace(transform, timestamp=self._clock.seen(transform.timestamp))
+                shown = replace(transform, timestamp=self._clock.to_readers(transform.timestamp))
                 self.view.set(shown, published)
                 taken.append(published)
         if taken and static:
@@ -133,7 +133,7 @@ class Exchange:
         return next((refusal for refusal in refusals if refusal not in _HARMLESS), None)
 
     def _reset_frames(self, stamped: Iterable[Stamped]) -> None:
-        """Remove the histories of frames that become static, because the first transform determines the kind."""
+        """Remove the histories of frames that become static, because a history keeps the kind of its first transform."""
         for transform in stamped:
             if not self.view.is_static(transform.child_frame_id):
                 self.buffer.remove(transform.child_frame_id)
@@ -144,7 +144,7 @@ class Exchange:
             (transform.qX, transform.qY, transform.qZ, transform.qW),
         )
         parent, child = _plain(transform.src_frame_id), _plain(transform.dst_frame_id)
-        return Stamped(parent, child, self._clock.of_run(transform.timestamp), moved, turned)
+        return Stamped(parent, child, self._clock.to_run_ns(transform.timestamp), moved, turned)
 
     def _publish_static_frames(self) -> None:
         self._publish_static(write(self._stamped(transform) for transform in self.view.own_static()))

@@ -30,7 +30,7 @@ class TransformServer(Module):
     def start(self, host: Host, section: Section) -> None:
         assert isinstance(section, TransformServerSection)
         self._section = section
-        clock = YarpClock(host.clock, follows=section.clock == "run")
+        clock = YarpClock(host.clock, on_run_clock=section.clock == "run")
         self._buffer = TransformBuffer(section.cache_time, max_future=section.max_future, now=host.clock.now_ns)
         self._view = View(clock.now, section.yarp_frame_lifetime, section.ros_frame_lifetime)
         tf = host.node.publisher(TF, TF_TYPE, Qos(depth=100))

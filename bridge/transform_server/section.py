@@ -26,8 +26,8 @@ class TransformServerSection(ModuleSection):
     )
     ros_frame_lifetime: float = setting(
         1.0,
-        "Longest period at which frames of `/tf` are sent, in seconds. YARP programs see a frame for 1.25 times as long"
-        " after it arrives.",
+        "Longest period at which frames of `/tf` are sent, in seconds. YARP programs see each frame for 1.25 times this"
+        " period after it arrives.",
         ge=0.01,
         le=3600.0,
     )

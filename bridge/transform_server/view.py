@@ -22,16 +22,16 @@ class YarpClock:
     from the system's time shows that its writer uses the run's clock.
 
     Args:
-        follows: whether the YARP programs that read frames use the run's clock; else they use the system's.
+        on_run_clock: whether the YARP programs that read frames use the run's clock, and not the system's.
     """
 
-    def __init__(self, run: RunClock, *, follows: bool) -> None:
+    def __init__(self, run: RunClock, *, on_run_clock: bool) -> None:
         self._run = run
-        self._follows = follows or not run.simulated
+        self._on_run_clock = on_run_clock or not run.simulated
 
     def now(self) -> float:
         """Return the time of the reading programs, in seconds."""
-        return self._run.now_ns() / 1e9 if self._follows else time.time()
+        return self._run.now_ns() / 1e9 if self._on_run_clock else time.time()
 
     def age(self, stamp: float) -> float:
         """Return the seconds since a stamp, measured on its writer's clock."""
@@ -40,11 +40,11 @@ class YarpClock:
             return self._run.now_ns() / 1e9 - stamp
         return system - stamp
 
-    def seen(self, stamp: float) -> float:
+    def to_readers(self, stamp: float) -> float:
         """Convert a writer's stamp to the clock of the reading programs."""
         return self.now() - self.age(stamp) if self._run.simulated else stamp
 
-    def of_run(self, stamp: float) -> int:
+    def to_run_ns(self, stamp: float) -> int:
         """Convert a writer's stamp to ns on the run's clock."""
         return self._run.now_ns() - round(self.age(stamp) * 1e9) if self._run.simulated else round(stamp * 1e9)
 
@@ -53,7 +53,7 @@ ANY = "*"
 """The name that matches every frame in a deletion."""
 
 _MARGIN = 1.25
-"""Factor for the lifetime of the hub's frames, because a frame with exactly that period is sometimes late."""
+"""Factor for the lifetime of the hub's frames, because a frame that is sent exactly once per lifetime may be late."""
 
 
 class ShownFrame:
@@ -64,7 +64,7 @@ class ShownFrame:
         parent: the parent's name, without the leading slash that some YARP programs use.
         stamp: ns on the run's clock.
         until: the time of the YARP programs at which the frame expires, in seconds.
-        ours: whether a YARP program set it; else it is from the hub, and belongs to its publishers there.
+        ours: whether a YARP program set it; otherwise it comes from a publisher on the hub.
     """
 
     __slots__ = ("ours", "parent", "stamp", "transform", "until")
@@ -76,8 +76,8 @@ class ShownFrame:
 class View:
     """The frames that YARP's own transform server would have. Not thread-safe: the caller must hold a lock.
 
-    YARP's clients drop transforms whose stamps are older than 0.2 s, and hang if frames form a loop. So frames from the
-    hub get the current time whenever they are sent, and a frame that would close a loop is omitted.
+    YARP's clients drop transforms whose stamps are older than 0.2 s, and hang if frames form a loop. Therefore frames
+    from the hub get the current time whenever they are sent, and a frame that would close a loop is omitted.
 
     Args:
         now: returns the time of the YARP programs, in seconds.
@@ -106,7 +106,7 @@ class View:
         return entry is not None and entry.ours and bool(entry.transform.isStatic)
 
     def remember_spelling(self, name: str) -> None:
-        """Store how the first YARP program that sets a frame spells the frame: programs look only for that spelling."""
+        """Store a frame's name as the first program that sets it spells it, because programs look only for that."""
         plain = name.lstrip("/")
         if plain in self._spelled:
             return
@@ -118,7 +118,7 @@ class View:
                     entry.transform = replace(entry.transform, src_frame_id=parent, dst_frame_id=child)
 
     def set(self, transform: FrameTransform, published: Stamped) -> None:
-        """Show a frame that a YARP program set, given as it was set and as it was published on the hub."""
+        """Show a frame that a YARP program set: ``transform`` as set, ``published`` as it was published on the hub."""
         until = math.inf if transform.isStatic else transform.timestamp + self.yarp_lifetime
         self._show(
             published.child_frame_id, ShownFrame(transform, published.frame_id, published.stamp, until, ours=True)
@@ -146,7 +146,7 @@ class View:
         return given
 
     def delete(self, first: str, second: str) -> list[str]:
-        """Delete the transforms between two frames, in either order, that YARP programs set; return the children.
+        """Delete the transforms that YARP programs set between two frames, in either order; return the child frames.
 
         With `ANY` as one of the names, ``first`` is the parent and ``second`` the child.
         """

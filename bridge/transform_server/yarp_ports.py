@@ -23,7 +23,7 @@ from yarp_compat.wire.profile import Profile
 
 
 class Setter(FrameTransformStorageSetRPC):
-    """Passes the transforms that clients set to the exchange.
+    """Passes on to the exchange the transforms that clients set.
 
     Args:
         changed: called after something was set or deleted.
@@ -47,9 +47,9 @@ class Setter(FrameTransformStorageSetRPC):
 
     @override
     def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
-        """Delete the transforms between two frames that YARP programs set.
+        """Delete the transforms between two frames, if YARP programs have set them; those of other sides stay.
 
-        As in YARP, this fails if both frames are named and there is no such transform.
+        As in YARP, this fails if there is no such transform, unless one of the frames is `*`.
         """
         if not self._exchange.delete(src, dst) and ANY not in (src, dst):
             raise CallFailed(reason=f"no YARP program has set a transform between {src} and {dst}")
@@ -74,10 +74,10 @@ class Getter(FrameTransformStorageGetRPC):
 
 
 _SOON = 0.2
-"""Part of the period after which a YARP program's frames are sent at once. So the frames of a client that sets them at
-the stream's rate are sent in step with the client, and hardly any are skipped even if it is sometimes late."""
+"""When a YARP program sets frames, everything is sent if this fraction of the period has passed since the last time. A
+client that sets frames at the stream's rate therefore sets the pace, so hardly any are skipped when it is late."""
 
-_DUE = 0.9  # part of the period after which everything is sent, so that nothing is sent twice
+_DUE = 0.9  # a tick sends everything if this fraction has passed; otherwise a change has just done so
 
 
 class FrameStream:
@@ -87,7 +87,7 @@ class FrameStream:
         self,
         port: HostedPort,
         frames: Callable[[], list[FrameTransform]],
-        generation: Callable[[Profile], Generation],  # the YARP release for a dialect
+        generation: Callable[[Profile], Generation],  # the generation to assume for a reader of this dialect
         period: float,
     ) -> None:
         self._port, self._frames, self._generation, self._period = port, frames, generation, period

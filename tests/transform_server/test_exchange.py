@@ -34,7 +34,7 @@ class Place:
     """An exchange, and the messages that it published."""
 
     def __init__(self, run: RunClock, *, follows: bool = True) -> None:
-        self.run, self.clock = run, YarpClock(run, follows=follows)
+        self.run, self.clock = run, YarpClock(run, on_run_clock=follows)
         self.view = View(self.clock.now, 0.2, 1.0)
         self.buffer = TransformBuffer(now=run.now_ns)
         self.message: list[Stamped] = []
