@@ -51,7 +51,7 @@ def steady_ns() -> int:
 
 
 def is_jump(change: int, passed: int, error: int = 0) -> bool:
-    """Return whether a clock was set, given the ``change`` of its offset from a steady clock in ``passed`` ns; all in ns."""
+    """Return whether a clock was set, given the ``change`` of its offset from a steady one in ``passed``; all in ns."""
     return abs(change) > STEP_NS + error + round(SLEW * passed)
 
 

@@ -16,13 +16,13 @@ from bridge.messages.actions import CANCEL, GoalState
 
 FEEDBACK_DEPTH = 100
 _GOAL_ID = slice(4, 20)
-"""Place of the goal's id in a feedback message: after the encapsulation header."""
+"""Position of the goal's id in a feedback message, after the encapsulation header."""
 
 CANCEL_AGAIN = 0.2
 """Seconds after which a failed cancel request is repeated."""
 
 CANCEL_ALL_SECONDS = 5.0
-"""Seconds for which a request to cancel all goals is repeated, unless a new goal is sent, which must stay active."""
+"""Seconds for which a request to cancel all goals is repeated, at most until a new goal is sent, which must stay."""
 
 OnMessage = Callable[[dict[str, Any]], None]
 
@@ -31,7 +31,7 @@ class SentGoal:
     """One sent goal; its callbacks run on the module's thread."""
 
     def __init__(self, client: ActionClient, goal_id: bytes, feedback: OnMessage | None, ended: Ended) -> None:
-        self.id = goal_id  # its 16 bytes
+        self.id = goal_id  # 16 bytes
         self.accepted: bool | None = None  # whether the server accepted it; None before its response
         self.status = GoalState.UNKNOWN  # last known status; a terminal one once the goal has ended
         self._client, self._ended = client, ended
@@ -74,7 +74,7 @@ class SentGoal:
             self.finish(GoalState.ABORTED, None, str(reply))
         elif reply["status"] == GoalState.UNKNOWN:
             reason = str(reply["result"].get("error_msg", ""))
-            if reason:  # given by a bridge that cannot reach the server
+            if reason:  # from a bridge that cannot reach the server
                 self.finish(GoalState.ABORTED, None, reason)
             else:
                 self.finish(GoalState.UNKNOWN, None, "the server does not know the goal, or cannot be reached")
@@ -148,7 +148,7 @@ class ActionClient:
         return sent
 
     def follow(self, goal: SentGoal) -> None:
-        """Resume tracking a goal that the server still executes, after the connection was lost."""
+        """After a lost connection, track a goal again that the server still executes."""
         goal.accepted, goal.status = True, GoalState.EXECUTING
         self._goals[goal.id] = goal
         self.ask_result(goal)
@@ -164,7 +164,7 @@ class ActionClient:
         is active. The request for one of this client's goals is repeated until the server responds or the goal has
         ended; the request for all goals is repeated for `CANCEL_ALL_SECONDS`, unless a new goal is sent.
         """
-        wanted = partial(self.has, goal_id) if any(goal_id) else self._stopping()
+        wanted = partial(self.has, goal_id) if any(goal_id) else self._cancel_all_applies()
 
         def answered(reply: dict[str, Any] | CallError) -> None:
             if isinstance(reply, CallError) and wanted():
@@ -175,8 +175,8 @@ class ActionClient:
 
         ask()
 
-    def _stopping(self) -> Callable[[], bool]:
-        """Return a predicate: whether the request to cancel all goals still applies."""
+    def _cancel_all_applies(self) -> Callable[[], bool]:
+        """Return a function that returns whether the request to cancel all goals still applies."""
         sent, until = self._sent, time.monotonic() + CANCEL_ALL_SECONDS
         return lambda: self._sent == sent and time.monotonic() < until
 

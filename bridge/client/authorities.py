@@ -10,7 +10,7 @@ _MOST = 4096  # cached publishers; a full cache is cleared
 
 
 class Authorities:
-    """Maps publishers to the names of their nodes, or to the side that a bridge worker publishes for.
+    """Maps each publisher to the name of its node, or to the side for which a bridge worker publishes.
 
     Args:
         graph: the hub's graph.

@@ -138,7 +138,7 @@ class TopicFeed:
             topic, type_name, type_hash = (str(value.get(name, "")) for name in ("topic", "type", "hash"))
             if topic and self._side in (None, answer.worker):
                 self._taps.add(topic)
-                # the tap may have latched messages; a latched subscription receives the others too
+                # the tap may have latched messages; a latched subscription also receives volatile ones
                 self._follower.topic(TopicKey(topic, type_name, type_hash)).subscribe(_TAP_QOS)
 
     def _why_not(self) -> str:
@@ -152,7 +152,7 @@ class TopicFeed:
 class LatestMessage:
     """The newest message of a latched topic; ``on_message`` is called with each message on a zenoh thread.
 
-    Without ``on_message``, a message is decoded only when it is read, as large ones such as maps take long.
+    Without ``on_message``, a message is decoded only when it is read, because large ones such as maps take long.
 
     Attributes:
         count: the number of messages that have arrived.
@@ -194,7 +194,7 @@ class LatestMessage:
         return self._decoded(self._data) if self._data else None
 
     def wait(self, seconds: float) -> dict[str, Any] | None:
-        """Return the newest message, None if no message arrives in time, or if it is invalid."""
+        """Return the newest message; None if no message arrives in time, or the newest one is invalid."""
         self.newer(0, seconds)
         try:
             return self.read()

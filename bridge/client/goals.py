@@ -57,7 +57,7 @@ class CallbackQueue:
         heapq.heappush(self._timers, (time.monotonic() + seconds, next(self._numbers), action))
 
     def run(self, seconds: float) -> None:
-        """Run the next callback; return after ``seconds`` without one."""
+        """Run the next callback; return if there is none within ``seconds``."""
         now = time.monotonic()
         due = self._timers[0][0] - now if self._timers else seconds
         if due <= 0.0:

@@ -89,7 +89,7 @@ class GraphView:
 
     @property
     def state(self) -> str:
-        """Return ``hub`` if it can be used on the hub, else the workers' decisions, else ``no server`` (topic: "")."""
+        """Return ``hub`` if usable on the hub, else the workers' decisions, else ``no server`` or, for a topic, ""."""
         if self.providers or (self.users and self.kind == "topic"):
             return "hub"
         decided = ", ".join(sorted({d.decision for d in self.decisions}))
@@ -116,12 +116,12 @@ def absolute(topic: str) -> str:
 
 
 def ask_decisions(client: Client, topic: str, kind: str | None = "topic") -> list[Decision]:
-    """Return every worker's decisions on a topic or service (None: on either); an empty name asks for all of them."""
+    """Return all workers' decisions on a topic or service; with ``kind`` None on both, with an empty name on all."""
     return decisions_in(client.ask("explain", {"topic": topic}), kind)
 
 
 def decisions_in(answers: Iterable[WorkerAnswer], kind: str | None = None) -> list[Decision]:
-    """Return the decisions on topics or services (None: on both) in the workers' answers to ``explain``."""
+    """Return the decisions on topics or services (``kind`` None: both) in the workers' answers to ``explain``."""
     decisions: list[Decision] = []
     for answer in answers:
         for entry in answer.value if isinstance(answer.value, list) else ():

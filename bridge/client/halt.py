@@ -1,6 +1,6 @@
 """Halts everything on the hub: publishes zero velocities, cancels all goals, and asks bases and the gateway to halt.
 
-No step waits for another, or fails because another fails; each action's goals are a separate step.
+The steps are independent: none waits for another, or fails with another. Each action's goals are a separate step.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from bridge.messages.velocities import VELOCITIES
 CANCEL = part_name("", CANCEL_GOAL)
 
 DEFAULT_SECONDS = 2.0
-"""Seconds for which zero is repeated, so that it also reaches a side whose route for the topic is only now created."""
+"""Seconds for which zero is repeated, so that it also reaches a side whose route for the topic is yet to be created."""
 
 _PERIOD = 0.05
 _ANSWER_SECONDS = 5.0
-"""Seconds to wait for the modules: the gateway answers only when the stop is confirmed."""
+"""Seconds to wait for the modules; the gateway answers only when the stop is confirmed."""
 
 _ALL: dict[str, Any] = {"goal_info": {}}
 """A `CancelGoal` request without id and stamp: all goals (action_msgs/srv/CancelGoal)."""
@@ -53,7 +53,7 @@ class Halted:
     Attributes:
         topics: the velocity topics, with their number of subscribers on the hub.
         cancels: the result for each action's goals.
-        bases: the modules that were asked to halt, and why their bases may still move; "" if they have halted.
+        bases: for each module that was asked to halt, why its base may still move; "" if it has halted.
         trouble: why the configured planner may still be driving, or a base may still move; "" otherwise.
         published: name, type and type hash of each velocity topic.
     """
@@ -94,7 +94,7 @@ class Stopped:
 def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> Stopped:
     """Publish zero for ``seconds``, and meanwhile cancel the goals of these actions.
 
-    If an action's server is not reachable yet, this continues until it is, for up to `WAIT_SECONDS`.
+    If an action's server is not reachable yet, continue until it is reachable, for up to `WAIT_SECONDS`.
     """
     zeros = ZeroVelocities(client, types)
     cancels = [GoalCancellation(client, types, name) for name in names]
@@ -115,7 +115,7 @@ def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> 
 
 
 def unreached(section: NavigationSection, asked: Iterable[str], canceled: Collection[str]) -> str:
-    """Return why the configured planner may still be driving: neither it nor the gateway is on the hub. Else ""."""
+    """Return "", or a text if neither the gateway nor the configured planner is on the hub, so that it may still drive."""
     planner = section.planner
     if not planner or section.at(planner) in canceled or any(worker.split()[0] == "gateway" for worker in asked):
         return ""
@@ -134,9 +134,9 @@ def actions(client: Client) -> list[str]:
 class ZeroVelocities:
     """Publishes zero velocity on every velocity topic of the hub, and on those that nodes of a side subscribe to.
 
-    On a side, a topic has either ``Twist`` or ``TwistStamped``. So where all subscribers accept only one of the two,
-    zero is published as that type, and as the type that a route already carries, because a side may not announce the
-    base behind a route. Elsewhere it is published as both. A failure on one topic does not affect the others.
+    On a side, a topic has either ``Twist`` or ``TwistStamped``. If all subscribers of a topic accept only one of the
+    two, zero is published as that type; also as the type that a route already carries, because a side may not announce
+    the base behind the route. Otherwise it is published as both. A failure on one topic does not affect the others.
     """
 
     def __init__(self, client: Client, types: Types) -> None:
@@ -176,7 +176,7 @@ class ZeroVelocities:
     def _reported(self, kind: _Kind) -> Iterator[None]:
         try:
             yield
-        except Exception as err:  # whatever it is, the other topics must get zero
+        except Exception as err:  # of any kind; the other topics must get zero nevertheless
             self._failed[kind] = _reason(err)
 
     def listeners(self) -> dict[str, int]:
@@ -184,7 +184,7 @@ class ZeroVelocities:
         return {topic: len(self._hub.graph.subscriptions(topic)) for topic, _, _ in self.published}
 
     def trouble(self) -> str:
-        """Return the topics on which zero failed, or does not reach nodes of a side, as text; "" for none."""
+        """Return a text with the topics on which zero failed, or does not reach nodes of a side; "" for none."""
         graph = self._hub.graph
         failed = [
             f"{topic}: zero could not be published as {name} ({error}): the robot may still be moving"
@@ -207,7 +207,7 @@ class ZeroVelocities:
 
 
 class GoalCancellation:
-    """Cancels all goals of one action; ``found`` is the number of goals, ``error`` the reason for a failure.
+    """Cancels all goals of one action; ``found`` is the number of its goals, ``error`` the reason for a failure.
 
     The request has the installed definition of `CancelGoal`, which all releases of ROS 2 share, so that no worker needs
     to be asked for the definition.
@@ -222,7 +222,7 @@ class GoalCancellation:
         try:
             self._end = ServiceClient(client.hub, f"{name}{CANCEL}", CallCodec(types.registry, CANCEL_TYPE))
             self.waits = True
-        except Exception as err:  # whatever it is, the rest must stop
+        except Exception as err:  # of any kind; the rest must stop nevertheless
             self.error = _reason(err)
 
     def attempt(self) -> None:
@@ -232,7 +232,7 @@ class GoalCancellation:
         self.waits, self.error = False, "it has not answered"
         try:
             self._end.call(_ALL, self._answered)
-        except Exception as err:  # whatever it is, the rest must stop
+        except Exception as err:  # of any kind; the rest must stop nevertheless
             self.error = _reason(err)
 
     def close(self) -> None:
@@ -254,8 +254,8 @@ class _Bases(threading.Thread):
     """Asks all modules with a base, and the gateway, to halt.
 
     Attributes:
-        answers: the modules that were asked, and why their bases may still move; "" if they have halted.
-        trouble: why other bases may still move, "" otherwise.
+        answers: for each module that was asked, why its base may still move; "" if it has halted.
+        trouble: why further bases may still move, "" otherwise.
     """
 
     def __init__(self, client: Client) -> None:
@@ -270,7 +270,7 @@ class _Bases(threading.Thread):
         begin = time.monotonic()
         try:
             answers = self._client.ask("halt", timeout=_ANSWER_SECONDS)
-        except Exception as err:  # whatever it is, the rest must stop, and the failure is reported
+        except Exception as err:  # of any kind; the rest must stop nevertheless, and the failure is reported
             self.trouble = f"bases could not be asked to halt and may still be moving: {_reason(err)}"
             return
         for answer in answers:

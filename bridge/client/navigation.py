@@ -23,7 +23,7 @@ PATIENCE = 5.0
 """Seconds to wait for a latched message."""
 
 ANSWER_SECONDS = 10.0
-"""Seconds to wait for a gateway, even on a busy machine; without a gateway the query ends at once."""
+"""Seconds to wait for a gateway on a busy machine; if there is no gateway, the query ends at once."""
 
 _PATH_SECONDS = 1.0
 
@@ -65,7 +65,7 @@ def gateway_document(client: Client) -> StatusDocument:
 
 
 def place_goal(location: ServiceCaller, name: str) -> dict[str, Any]:
-    """Return the goal of `NavigateToPose` for a stored place; ``location`` calls the service ``get_location``."""
+    """Return a `NavigateToPose` goal for a stored place; ``location`` is a client of the service ``get_location``."""
     reply = location.ask({"name": name}, ANSWER_SECONDS)
     if not reply["success"]:
         raise ClientError(clean(reply["message"]))
@@ -73,7 +73,7 @@ def place_goal(location: ServiceCaller, name: str) -> dict[str, Any]:
 
 
 def pose_goal(frame: str, numbers: Sequence[float]) -> dict[str, Any]:
-    """Return the goal of `NavigateToPose` for x and y in meters and a heading in degrees; two numbers: any heading."""
+    """Return a `NavigateToPose` goal for x, y (meters) and heading (degrees); with two numbers, any heading."""
     x, y, theta = (*numbers, 0.0)[:3]
     half = math.radians(theta) / 2.0
     pose = {"position": {"x": x, "y": y}, "orientation": {"z": math.sin(half), "w": math.cos(half)}}

@@ -1,4 +1,4 @@
-"""Publishers of a program on the hub, whose messages are JSON values."""
+"""Publishers on the hub for client programs, which pass messages as JSON values."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _POLL_SECONDS = 0.02
 
 
 class Publisher:
-    """Publishes on one topic; raises `ClientError` if the type, in ROS 1's or ROS 2's spelling, is unknown.
+    """Publishes on one topic. ``type_name`` is in ROS 1's or ROS 2's spelling; raises `ClientError` if it is unknown.
 
-    ``priority`` is by default that of a topic for which no rule sets one.
+    ``priority`` defaults to `default_priority`, as for a topic whose priority no rule sets.
 
     Attributes:
         kind: name of the topic, its type and the type's hash.
@@ -46,7 +46,7 @@ class Publisher:
 
 def encode(types: Types, type_name: str, message: Mapping[str, Any]) -> bytes:
     """Return a message as CDR; raises `ClientError` if its type or a field is unknown, or a value does not fit."""
-    from bridge.messages.json import from_json  # many programs publish nothing
+    from bridge.messages.json import from_json  # imported here, because many programs never publish
 
     types.hash_of(type_name)
     try:
@@ -58,11 +58,11 @@ def encode(types: Types, type_name: str, message: Mapping[str, Any]) -> bytes:
 def await_subscribers(publisher: HubPublisher, settle: float) -> bool:
     """Wait for a subscriber on the hub; return whether there is one.
 
-    Workers subscribe for their sides: ``settle`` is the time in seconds for subscribers on the sides to connect to the
-    publishers that the workers create.
+    It may be a worker that subscribes for its side. ``settle``: seconds to wait then, until the side's own subscribers
+    have connected to the worker's publisher.
     """
-    end = time.monotonic() + MATCH_SECONDS
-    while not publisher.matched() and time.monotonic() < end:
+    deadline = time.monotonic() + MATCH_SECONDS
+    while not publisher.matched() and time.monotonic() < deadline:
         time.sleep(_POLL_SECONDS)
     if publisher.matched():
         time.sleep(settle)

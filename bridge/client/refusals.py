@@ -1,7 +1,8 @@
 """Commands and calls from other machines that a router refuses (`hub.open.trusted`).
 
-zenoh drops them at the external listener without a report. They are derived from the routers' status documents and the
-hub's graph: which machines a router does not trust, which sessions are theirs, and what these publish and call.
+zenoh drops them at the external listener without a report, so they are derived: the routers' status documents show
+which machines a router does not trust, and which sessions these have; the hub's graph shows what the sessions publish
+and call.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ _QUESTIONS = [zenoh.KeyExpr(key) for key in QUESTIONS]
 class Refusal:
     """Commands on one topic, or calls to one service, from one machine that another machine refuses.
 
-    ``daemon`` is the one that refuses; ``machine`` is the name in the certificate, "" without one; ``messages`` is the
-    number of messages or calls that the machine's bridge has sent, None if no bridge counts them.
+    ``daemon`` is the refusing daemon; ``machine`` is the name in the refused machine's certificate, "" if it has none;
+    ``messages`` is the number of messages or calls that the machine's bridge has sent, None if no bridge counts them.
     """
 
     daemon: str
@@ -54,12 +55,12 @@ class Refusal:
     @property
     def cure(self) -> str:
         """Return what to change if the commands should be accepted."""
-        name = f"name {self.machine!r}" if self.machine else "give it a certificate (midspan keys), and name that"
+        name = f"name {self.machine!r}" if self.machine else "give it a certificate (midspan keys), and write its name"
         return f"if that is not intended, {name} in hub.open.trusted of {self.daemon} and reload"
 
 
 def refusals(client: Client, documents: Sequence[StatusDocument]) -> list[Refusal]:
-    """Return what routers refuse now, from the workers' status documents and the hub's graph, once it has settled."""
+    """Wait until the hub's graph has settled; return what routers refuse according to it and the status documents."""
     graph = client.hub.graph
     refused: list[Refusal] = []
     for router in routers_of(documents):
@@ -80,7 +81,7 @@ def refusals(client: Client, documents: Sequence[StatusDocument]) -> list[Refusa
 
 
 def refusals_of_own(client: Client, published: Iterable[tuple[str, str, str]]) -> list[Refusal]:
-    """Return what routers refuse of this program's topics; ``published`` has the name, type and hash of each."""
+    """Return what routers refuse of this program's topics; ``published``: name, type and type hash of each topic."""
     answers = client.ask("status", worker="router")
     routers = routers_of(read_status(a.value, a.daemon, a.worker, a.error) for a in answers)
     topics, refused, own = list(published), list[Refusal](), client.hub.zid

@@ -1,4 +1,4 @@
-"""Clients of services on the hub: with callbacks, and waiting for each reply."""
+"""Clients of services on the hub; a call passes its reply to a callback, or waits for it."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class ServiceClient:
         return True
 
     def call(self, request: Mapping[str, Any], replied: Replied) -> Abandon:
-        """Call the service; ``replied`` receives the reply or an error, once. No timeout.
+        """Call the service without a timeout; ``replied`` receives the reply or an error, once.
 
         Raises `ConversionError` if the request has an unknown field, or a value that does not fit.
         """
@@ -153,8 +153,8 @@ class ServiceCaller(ServiceClient):
 def served(graph: HubGraph, name: str, wanted: str = "") -> tuple[str, str]:
     """Wait for a service's server on the hub; return its type and hash.
 
-    Raises `ClientError` if none of the type ``wanted`` ("": any) appears before the graph has been unchanged for
-    `WAIT_SECONDS`, or if ``wanted`` is "" and servers have several types.
+    Raises `ClientError` if no server of the type ``wanted`` ("": any type) has appeared when the graph has not changed
+    for `WAIT_SECONDS`, or if ``wanted`` is "" and the servers have different types.
     """
     changed = threading.Event()
     unwatch = graph.watch(changed.set)
@@ -163,7 +163,7 @@ def served(graph: HubGraph, name: str, wanted: str = "") -> tuple[str, str]:
             kinds = {(e.type_name, e.type_hash) for e in graph.servers(name)}
             fitting = sorted(kind for kind in kinds if wanted in ("", kind[0]))
             if len(fitting) > 1 and not wanted:
-                raise ClientError(f"{name} is served with several types: {', '.join(t for t, _ in fitting)}; name one")
+                raise ClientError(f"{name} is served with several types: {', '.join(t for t, _ in fitting)}; choose one")
             if fitting:
                 return fitting[0]
             if not changed.wait(WAIT_SECONDS):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 CONNECT_SECONDS = 2.0
 SLOW_SECONDS = 8.0
-"""Further seconds for a router that listens, but has not answered yet, as on a busy machine."""
+"""Additional seconds for a router that listens but has not answered yet, for example on a busy machine."""
 ASK_SECONDS = 2.0
 _QUIET = 0.1
 _SETTLE_SECONDS = 1.5
@@ -46,7 +46,7 @@ class Client:
         hub: the session's node.
         config: the configuration.
         where: the hub's address and domain, for messages.
-        here: whether the hub is that of this machine's daemon.
+        here: whether the hub is the one of this machine's daemon.
     """
 
     hub: Hub
@@ -120,9 +120,9 @@ def connect(
 ) -> Iterator[Client]:  # fmt: skip
     """Join the hub of a configuration; raises `ClientError` if no router answers within ``seconds``.
 
-    If a router listens but does not answer, ``on_wait`` is called with a message, and the router has `SLOW_SECONDS`
-    more, unless one end refuses the other's certificate. With ``here``, the hub is that of this machine's daemon, whose
-    name the client uses if the configuration has none.
+    If a router listens but does not answer, ``on_wait`` is called with a message, and the router gets `SLOW_SECONDS`
+    more, unless one end refuses the other's certificate. ``here``: the hub is the one of this machine's daemon, and the
+    client uses the daemon's name if the configuration has none.
     """
     where = f"the hub at {connect_endpoint(config.hub.listen)} (domain {config.hub.domain})"
     try:

@@ -34,7 +34,7 @@ def documents_in(answers: Iterable[WorkerAnswer]) -> list[StatusDocument]:
 
 
 def silent_workers(client: Client, documents: Iterable[StatusDocument]) -> list[Origin]:
-    """Return the sides whose workers are on the hub, but have not sent one of the status documents."""
+    """Return the sides whose workers are on the hub, but sent none of the ``documents``."""
     answered = {document.zid for document in documents}
     origins = client.hub.graph.origins().items()
     # the zenoh worker has further sessions for its dialects
@@ -42,7 +42,7 @@ def silent_workers(client: Client, documents: Iterable[StatusDocument]) -> list[
 
 
 def document_of(answer: WorkerAnswer) -> StatusDocument:
-    """Return a worker's status document, or one with the error if it fails to answer."""
+    """Return a worker's status document; if it failed to answer, a document with the error."""
     return read_status(answer.value, answer.daemon, answer.worker, answer.error)
 
 

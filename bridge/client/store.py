@@ -71,10 +71,10 @@ class StoreClient:
         self._write(writes, {})
 
     def change(self, make: Callable[[], Sequence[Write[Any]]]) -> None:
-        """Write what ``make`` returns, based on the store's current content; raises `StoreError`.
+        """Write what ``make`` returns, which it derives from the store's current content; raises `StoreError`.
 
-        If one of the keys was changed meanwhile, nothing is written and ``make`` is called again, up to 8 times in all,
-        so that no change is lost.
+        If another client changed one of the keys meanwhile, nothing is written and ``make`` is called again, up to 8
+        times in all, so that no change is lost.
         """
         for _ in range(_TRIES):
             known = {f"{kind}/{name}": [ns, replica] for kind, name, ns, replica, _ in self.digest()}
@@ -138,5 +138,5 @@ class StoreClient:
 
 
 def open_store(client: Client) -> StoreClient:
-    """Return the store of the client's daemon, or of another one; raises `StoreError` if none is on the hub."""
+    """Return the store of the client's daemon, or else of another daemon; raises `StoreError` if the hub has none."""
     return StoreClient(client.hub.keyspace(prefix(client.config.hub.domain)), client.config.name)

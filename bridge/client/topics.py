@@ -77,7 +77,7 @@ class HubTopic:
 
 
 def published(endpoints: Iterable[HubEndpoint], *, taps: bool = False) -> dict[TopicKey, HubTopic]:
-    """Return the topics of these publishers, except of this session's own and of those whose origin is not known yet.
+    """Return the topics of these publishers, without this session's own, and without those of still unknown origin.
 
     Args:
         endpoints: publishers on the hub.
@@ -180,7 +180,7 @@ class SubscribedTopic:
 
 
 class TopicFollower:
-    """Subscriptions to the types of some topics, as their publishers appear.
+    """Subscriptions to some topics; a new type of a topic is subscribed when its first publisher appears.
 
     Used by one thread; ``on_sample`` receives each message with its topic on zenoh's threads.
     """
@@ -188,7 +188,7 @@ class TopicFollower:
     def __init__(self, hub: Hub, on_sample: Callable[[TopicKey, HubSample], None]) -> None:
         self._hub, self._on_sample = hub, on_sample
         self._subscribed: dict[TopicKey, SubscribedTopic] = {}
-        self._lost = 0  # of closed subscriptions
+        self._lost = 0  # messages lost by subscriptions that are closed
 
     def __bool__(self) -> bool:
         return bool(self._subscribed)
@@ -255,11 +255,11 @@ class Definitions:
 
         Args:
             type_name: in ROS 2's form.
-            type_hash: of the version.
+            type_hash: hash of the type's version.
             seconds: how long to wait for the workers' answers if the type is not installed.
 
         Returns:
-            None if no worker has sent it by then; a call more than `ASK_AGAIN_SECONDS` later queries the workers again.
+            None if no worker has sent it within ``seconds``; a call more than `ASK_AGAIN_SECONDS` later asks again.
         """
         key = type_name, type_hash
         definition = self._definitions.get(key)
@@ -310,8 +310,8 @@ class HubTopics:
     Args:
         hub: the session, which stays open.
         registry: the known types.
-        changed: called after each change of the hub's graph, on a thread of zenoh: it should only wake a thread, which
-            then calls `refresh`.
+        changed: called after each change of the hub's graph, on a thread of zenoh. It should only wake another thread,
+            which then calls `refresh`.
         taps: include topics that stay on a side, and that its worker shows on request.
 
     Attributes:

@@ -26,7 +26,7 @@ _RATE_SECONDS = 5.0
 
 
 class FrameMeter:
-    """Counts one frame's transforms, and measures the newest thousand; the last arrived at ``arrived`` (monotonic)."""
+    """Counts one frame's transforms, and measures the newest thousand; ``arrived``: time of the last (monotonic)."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -67,7 +67,7 @@ class FrameMeter:
 
 
 QUIET, MOST = 0.15, 1.0
-"""Seconds without a new frame after which all frames count as known, if every publisher has sent one; longest wait."""
+"""Seconds without a new frame after which all frames count as known, if each publisher has sent some; longest wait."""
 
 PATIENCE = 5.0
 """Seconds to wait for the first transform."""
@@ -99,7 +99,7 @@ class TransformListener:
         self._meters: dict[str, FrameMeter] = {}
         self._authorities = Authorities(client.hub.graph, side_name)
         self._known: set[tuple[str, str, bytes]] = set()  # frame, parent and publisher
-        self._news = 0.0  # when the last new frame, parent or publisher arrived (monotonic)
+        self._new_at = 0.0  # when a new frame, parent or publisher last appeared (monotonic)
         self._lock = threading.Lock()
         self._bad = ""
         namespace = absolute(namespace).rstrip("/") if namespace else ""
@@ -126,14 +126,14 @@ class TransformListener:
         """Receive until all frames are probably known, for at most `MOST` seconds; return the seconds that it took."""
         began = time.monotonic()
         while (passed := time.monotonic() - began) < MOST:
-            if time.monotonic() - max(began, self._news) >= QUIET and self._all_spoke():
+            if time.monotonic() - max(began, self._new_at) >= QUIET and self._all_spoke():
                 break
             time.sleep(_FIRST_SECONDS)
             self.refresh()
         return passed
 
     def _all_spoke(self) -> bool:
-        """Whether each publisher has sent a transform; False if one bridges a side, which may have many publishers."""
+        """Whether each publisher has sent a transform; False if one is a bridge, as its side may have many publishers."""
         with self._lock:
             received = {gid for _, _, gid in self._known}
         topics = {feed.topic for feed in self._feeds}
@@ -161,7 +161,7 @@ class TransformListener:
                 known = name, transform.frame_id, sample.gid
                 if known not in self._known:
                     self._known.add(known)
-                    self._news = arrived
+                    self._new_at = arrived
                 meter = self._meters.get(name)
                 if meter is None:
                     meter = self._meters[name] = FrameMeter()

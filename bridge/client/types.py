@@ -70,7 +70,7 @@ class Types:
 
 
 def learn(hub: Hub, registry: Registry, name: str, type_hash: str = "", seconds: float = ASK_SECONDS) -> bool:
-    """Ask the workers for the definition of a type, with this hash unless it is ""; return whether a worker has it.
+    """Ask the workers for a type's definition, of any version if the hash is ""; return whether a worker has it.
 
     Raises `HubError`, and `MessageTypeError` if the definition is invalid.
     """
@@ -95,5 +95,5 @@ def ros2_name(registry: Registry, spelled: str) -> str:
 
 
 def ros2_spelling(type_name: str, middle: str) -> str:
-    """Return a type's ROS 2 name, derived from its ROS 1 name: with middle ``srv``, ``std_srvs/srv/SetBool``."""
+    """Return the ROS 2 name of a type: with middle ``srv``, ``std_srvs/srv/SetBool`` for ``std_srvs/SetBool``."""
     return type_name.replace("/", f"/{middle}/") if is_ros1_name(type_name) else type_name

@@ -1,4 +1,4 @@
-"""Velocities on the hub, as ``Twist`` or ``TwistStamped``: the base's form, and a publisher that follows it."""
+"""Velocities on the hub: whether the base expects ``Twist`` or ``TwistStamped``, and a publisher of that form."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class VelocityForm:
 
     Attributes:
         topic: the topic's name on the hub.
-        stamped: whether velocities are ``TwistStamped``; ``auto``: what the base subscribes to.
+        stamped: whether velocities are ``TwistStamped``; ``auto``: in the form that the base subscribes to.
         frame: the frame of stamped velocities.
     """
 
@@ -59,7 +59,7 @@ def velocity_message(
 
 
 def subscribers(graph: HubGraph, topic: str) -> dict[str, list[str]]:
-    """Return the nodes of the hub, and the sides with nodes, that subscribe to velocities of only one type, by type.
+    """Return, by type, the hub's nodes that subscribe to velocities of only this type, and the sides with such nodes.
 
     Nodes that accept both types, such as BaseControl and the simulator, do not count.
     """
@@ -82,15 +82,15 @@ def subscribers(graph: HubGraph, topic: str) -> dict[str, list[str]]:
 def driven_forms(graph: HubGraph, topic: str) -> set[str]:
     """Return the types of velocities that may drive a base on a topic.
 
-    A route may lead to a base whose form its side does not announce, so the forms that routes carry count too. Empty if
-    no route exists and all known nodes accept both forms.
+    They include the types that routes carry, because a route may lead to a base whose type its side does not announce.
+    Empty if no route exists and all known nodes accept both types.
     """
     carried = {e.type_name for e in graph.subscriptions(topic) if e.origin is not None or e.pending}
     return {*subscribers(graph, topic), *carried} & set(VELOCITIES)
 
 
 class VelocityPublisher:
-    """Publishes velocities in the base's form, never in both: two types would be refused on a side, or drive twice.
+    """Publishes velocities in the base's form only: a side would refuse the second type, or a base be driven twice.
 
     Before a change of the form, zero is published in the old form if that was used. Without a subscriber, or if both
     forms have subscribers, the form does not change; at first it is ``Twist``. Use it on one thread only.

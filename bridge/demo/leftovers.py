@@ -57,14 +57,14 @@ class SharedMemory:
     """A run's files in shared memory (Linux), which are known only while its processes use them.
 
     Attributes:
-        own: the noted files that only this run uses.
+        own: the files noted so far that only this run uses.
     """
 
     def __init__(self, folder: Path, ports: range) -> None:
         self._folder, self._ports = folder, ports
         self.own: set[Path] = set()
         self._shared: set[Path] = set()
-        """Fast DDS ports that other programs may use, too."""
+        """The files of Fast DDS ports that other programs may use too."""
 
     def note(self) -> None:
         """Add the files that the run's processes use now."""
@@ -91,7 +91,7 @@ def _shared_ports(files: set[Path]) -> set[Path]:
 
 
 def remove_unused(files: set[Path]) -> list[Path]:
-    """Remove those files that still exist and are not used by another process; return them."""
+    """Remove the files that no other process uses; return those that existed."""
     unused = {file for file in files if file.exists()}
     if unused:
         unused -= {file for pid in psutil.pids() if pid != os.getpid() for file in used_by(pid)}
@@ -123,11 +123,11 @@ def _of_ports(ports: range) -> set[Path]:
 
 
 def remove_unread(ports: set[Path]) -> None:
-    """Remove the files of those Fast DDS ports that are no longer read: a reader holds its port's lock.
+    """Remove the files of those Fast DDS ports that have no reader; a reader holds its port's lock.
 
     In addition to its domain's ports, each participant uses the machine's first free port, from 7000 on. A participant
-    that ended after creating the port and before locking it leaves no lock, so the port is locked here: a new
-    participant then sees the port as used, and tries the next.
+    that ended between creating and locking the port leaves no lock, so the port is locked here while it is removed: a
+    new participant then sees the port as used, and tries the next.
     """
     for port in ports:
         lock = port.with_name(port.name + _LOCK)

@@ -20,7 +20,7 @@ from bridge.demo.shutdown import Shutdown
 from bridge.text import clean
 
 STILL_SECONDS = 60.0
-"""A demo without progress for this long ends; a slow machine still makes progress, and is waited for."""
+"""A demo ends after this time without progress. A slow machine still makes progress, so the demo waits for it."""
 
 _METERS, _RADIANS, _WORK = 0.1, math.radians(15.0), 0.5
 """Thresholds of progress: the robot's translation and rotation, and seconds of processor time."""
@@ -34,7 +34,7 @@ class DemoError(RuntimeError):
 
 
 def without_numbers(text: str) -> str:
-    """Return a text without its numbers: counted seconds or a noisy position are not progress."""
+    """Return a text without its numbers, because counted seconds and noisy positions are not progress."""
     return _NUMBERS.sub("#", text)
 
 
@@ -65,7 +65,7 @@ class DemoProgress:
         return self.still > STILL_SECONDS
 
     def note(self, who: str, text: str, *, numbers: bool = False) -> bool:
-        """Record a text from a source; return whether it is new. Its numbers do not count unless ``numbers``."""
+        """Record a text from a source; return whether it is new. Numbers are ignored unless ``numbers`` is set."""
         entry = who, text if numbers else without_numbers(text)
         if entry in self._seen or len(self._seen) >= _MOST:
             return False
@@ -213,7 +213,7 @@ class Parts:
 
 
 def _with_children(pid: int) -> list[int]:
-    """Return a process and all its descendants; those of the daemon's guard include the daemon."""
+    """Return a process and all its descendants, which for the daemon's guard include the daemon."""
     try:
         process = psutil.Process(pid)
         return [pid, *(child.pid for child in process.children(recursive=True))]

@@ -212,7 +212,7 @@ def wait_for_poses(course: RobotTracker, room: str, wait: Callable[[], None]) ->
 
 
 def overrides(template: Path) -> dict[str, Any]:
-    """Return the demo's changes to a configuration: absolute paths of the store's files, no people, the console."""
+    """Return the demo's changes to a configuration: absolute paths of the store's files, no people, and the console."""
     config = load(template)
     files = {"maps": config.store.maps, "locations": config.store.locations}
     return {

@@ -45,7 +45,7 @@ def missing_rospy(config: Config, environ: Mapping[str, str]) -> str:
     folder = packages_folder(config, environ)
     if folder is None:
         if config.ros1.packages is not None:
-            return f"ros1.packages: no rospy in {config.ros1.packages}; give the folder that contains 'rospy'"
+            return f"ros1.packages: no rospy in {config.ros1.packages}; set it to the folder that contains 'rospy'"
         return (
             "no rospy on this machine: install it (Debian 12: apt install python3-rospy) or set ros1.packages"
             " to the folder that contains it"

@@ -36,7 +36,7 @@ _SETTINGS = ("FASTDDS_", "FASTRTPS_", "MIDSPAN_", "RMW_", "ROS_", "YARP_", "ZENO
 """Prefixes of the variables with which a user configures Midspan and the middlewares; a demo ignores them."""
 
 _KEPT = {"MIDSPAN_CACHE"}
-"""Variables that a demo does not ignore: the folder of built message packages."""
+"""The variable that a demo does not ignore; it names the folder of built message packages."""
 
 _LONGEST_BASE = 50  # characters of the default temporary folder's path
 _DOMAINS = range(10, 101)
@@ -61,7 +61,7 @@ class Sandbox:
         try:
             self._hold, self.domain = hold_domain()
             self.master_port, self.router_port, self.yarp_port, self.web_port = free_ports(4, self.domain)
-            # a path with only this package: its neighbors must not be visible to the system's Python
+            # a folder with only this package, whose neighbors must not be visible to the system's Python
             self.system_path = self.folder / "system"
             self.system_path.mkdir()
             (self.system_path / "bridge").symlink_to(Path(bridge.__file__).parent)
@@ -226,7 +226,7 @@ CLIENT = ("actionlib", "actionlib_msgs", "geometry_msgs", "move_base_msgs", "vis
 
 
 def missing(config: Config) -> list[str]:
-    """Return what is missing of ROS 2 and zenoh, each with its cure; empty if the demo can run."""
+    """Return what ROS 2 and zenoh lack on this machine, each with its cure; empty if the demo can run."""
     return [reason for reason in (_ros2(config), _zenoh()) if reason]
 
 
@@ -253,7 +253,7 @@ def roscore(config: Config) -> Path | None:
 
 
 def without_rospy(config: Config, packages: Sequence[str]) -> str:
-    """Return what is missing of rospy and other ROS 1 packages, with the cure; "" if they are complete."""
+    """Return which of rospy and ``packages`` are missing, with the cure; "" if none is."""
     reason = missing_rospy(config, os.environ)
     if reason:
         return f"ROS 1: {reason}"

@@ -23,11 +23,11 @@ from yarp_compat.dev.places import Places
 Place = tuple[float, float]
 
 _STEP = 0.1
-"""Minimum distance in meters between two stored places of the driven path."""
+"""Minimum distance in meters between two stored points of the driven path."""
 
 
 class RobotTracker:
-    """Follows the robot on the hub; ``driven`` are the places along its path, in meters."""
+    """Follows the robot on the hub; ``driven`` are the points of its path so far, in meters."""
 
     def __init__(self, client: Client) -> None:
         store = client.config.store
@@ -112,7 +112,7 @@ class RobotTracker:
 
 
 def _distance_to_line(place: Place, start: Place, end: Place) -> float:
-    """Return the distance of a place from the line segment between two others, in meters."""
+    """Return the distance in meters of a point from the line segment between two others."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     along = ((place[0] - start[0]) * dx + (place[1] - start[1]) * dy) / max(dx * dx + dy * dy, 1e-12)
     along = min(1.0, max(0.0, along))

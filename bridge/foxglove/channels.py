@@ -1,4 +1,4 @@
-"""The hub's topics as channels, announced with their definitions, and subscribed on the hub only while watched."""
+"""The hub's topics as channels, announced with their definitions; one is subscribed on the hub only while watched."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_CACHED = 64 << 20
 MOST_PUBLISHERS = 256
 """Maximum number of latched publishers of one topic whose newest message is cached."""
 MOST_EARLY = 4
-"""Maximum number of publishers of one topic, not in the graph yet, whose newest message is cached."""
+"""Maximum number of one topic's publishers whose newest message is cached before the graph lists them."""
 
 
 class TopicChannel:
@@ -65,7 +65,7 @@ class TopicChannel:
 
     def resend_latched(self) -> None:
         """Send each latched publisher's newest message again for a late client; the SDK sends it to all watchers."""
-        with self._lock:  # so that a newer message, which is cached before it is sent, follows the cached ones
+        with self._lock:  # a newer message is cached before it is sent, and so follows the cached ones
             for data, at in self._cached.values():
                 self.channel.log(data, at or None)
 

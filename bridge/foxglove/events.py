@@ -25,7 +25,7 @@ MOST_WAITING = 256
 MOST_BYTES = 64 << 20
 """Limits on the number and the bytes of all clients' messages that wait for the worker's thread.
 
-Beyond them the oldest are dropped; a single message may have more bytes.
+If a limit is exceeded, the oldest messages are dropped; a single message may have more bytes.
 """
 
 

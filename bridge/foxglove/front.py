@@ -5,7 +5,7 @@ browser could drive the robot (OWASP, "Cross-site WebSocket hijacking"). So the 
 address, and this server forwards bytes after it has checked the request's head. It parses no messages.
 
 The output buffer of each client is bounded in bytes (`MOST_UNREAD`), unlike the SDK's queue; a client whose buffer
-stays full for `STILL_SECONDS` is disconnected.
+stays full for `FULL_BUFFER_SECONDS` is disconnected.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MOST_HEAD = 16 << 10  # bytes of a request's head
 HEAD_SECONDS = 5.0
 """Time limit for each step of a handshake: TLS, the request's head, the SDK's response, and sending a refusal."""
 MOST_UNREAD = 8 << 20
-STILL_SECONDS = 20.0
+FULL_BUFFER_SECONDS = 20.0
 _STEP = 256 << 10  # maximum bytes that are forwarded at once
 _STOP_SECONDS = 1.5  # to wait for the thread's end
 _NOT_THE_APP = "this WebSocket is for the Foxglove app"
@@ -86,8 +86,8 @@ class RequestHead:
             raise TurnedAwayError(HTTPStatus.BAD_REQUEST, _NOT_THE_APP)
         headers: dict[str, str] = {}
         for line in lines:
-            name, parted, value = line.partition(":")
-            if not parted or name != name.strip() or _CONTROL.search(line):
+            name, separator, value = line.partition(":")
+            if not separator or name != name.strip() or _CONTROL.search(line):
                 raise TurnedAwayError(HTTPStatus.BAD_REQUEST, f"invalid header: {line[:80]!r}")
             key = name.lower()
             headers[key] = f"{headers[key]},{value.strip()}" if key in headers else value.strip()
@@ -138,10 +138,10 @@ class ConnectionGuard:
     def _check_page(self, headers: dict[str, str]) -> None:
         origin = headers.get("origin", "")
         if origin and origin.lower() not in {allowed.lower() for allowed in self._section.origins}:
-            reason = f"pages of {origin[:80]!r} may not connect; foxglove.origins lists those that may"
+            reason = f"pages from {origin[:80]!r} may not connect; foxglove.origins lists those that may"
             raise TurnedAwayError(HTTPStatus.FORBIDDEN, reason)
         if not origin and "mozilla" in headers.get("user-agent", "").lower():
-            raise TurnedAwayError(HTTPStatus.FORBIDDEN, "a browser's request has no Origin")
+            raise TurnedAwayError(HTTPStatus.FORBIDDEN, "a request from a browser must have an Origin header")
 
 
 class Front:
@@ -151,7 +151,8 @@ class Front:
         section: the configuration.
         inner: address of the SDK's server.
         visitors: registry of the clients.
-        announces: whether to send each client's mark to the SDK, which accepts marks only if clients may publish.
+        announces: whether a first message to the SDK identifies each client (`Visitors.expect`); the SDK accepts such
+            messages only if clients may publish.
         tls: certificate and key; None without TLS.
 
     Attributes:
@@ -249,7 +250,7 @@ class Front:
     ) -> None:
         """Forward between a client and the SDK's server until either closes."""
         if len(self._visitors.all()) >= MOST_CLIENTS:
-            raise TurnedAwayError(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are connected already")
+            raise TurnedAwayError(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are already connected")
         first = self._visitors.expect(visitor)
         inner: asyncio.StreamWriter | None = None
         try:
@@ -289,7 +290,7 @@ async def _forward(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, v
         writer.write(data)
         if visitor is not None:
             visitor.sent += len(data)
-        async with asyncio.timeout(STILL_SECONDS):
+        async with asyncio.timeout(FULL_BUFFER_SECONDS):
             await writer.drain()
 
 

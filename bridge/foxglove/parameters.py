@@ -1,9 +1,10 @@
 """Parameters of the hub's ROS 2 nodes for the app, named ``/node.name``.
 
 Parameters are read only while clients request them. The SDK expects immediate answers, on the threads that send, so
-clients get the values read last, and values older than `FRESH_SECONDS` are read again for the next request. Changes
-made by others are not published, because the process could deadlock: ``publish_parameter_values`` of the SDK 0.30 takes
-a lock while it holds Python's GIL, and the lock's holder waits for the GIL if a client subscribes at that moment.
+clients get the values that were read last; if those are older than `FRESH_SECONDS`, they are read again for the next
+request. Changes made by others are not published, because the process could deadlock: ``publish_parameter_values`` of
+the SDK 0.30 takes a lock while it holds Python's GIL, but a thread that holds this lock waits for the GIL if a client
+subscribes at that moment.
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ _log = logging.getLogger("midspan.foxglove")
 
 FRESH_SECONDS = 1.0
 WAIT_SECONDS = 0.5
-"""Maximum time that a first request waits for values, or a change for its completion; only one waits at a time."""
+"""Maximum wait of a first request for values, or of a change for its completion; only one waits at a time."""
 IDLE_SECONDS = 60.0
 """Values that no client has requested for this long are discarded."""
-MOST_NODES, MOST_PARAMETERS = 200, 5_000  # parameters of one change; a tenth of them are read from each node
+MOST_NODES, MOST_PARAMETERS = 200, 5_000  # the parameters are those of one change; each node has at most a tenth
 NODE_SECONDS = 5.0
 """A node that has not answered for this long is skipped."""
 
 READY_TRIES, READY_SECONDS = 40, 0.02
-"""How often and at what interval a new service client is checked: it is called once it has discovered its server, or
-after the last check."""
+"""Number and interval of the checks whether a new service client has discovered its server. The service is called then,
+or after the last check."""
 
 LIST, GET, SET = "ListParameters", "GetParameters", "SetParameters"
 _SERVICES = {LIST: "list_parameters", GET: "get_parameters", SET: "set_parameters"}

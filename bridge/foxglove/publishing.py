@@ -38,7 +38,7 @@ from bridge.web.verbs.hold import HandDriving
 _log = logging.getLogger("midspan.foxglove")
 
 ENCODINGS = ("cdr", "json")
-DEPTH = 10  # of the publishers' QoS
+DEPTH = 10  # the depth of the publishers' QoS
 
 
 class NotPublishedError(Exception):
@@ -94,7 +94,7 @@ class Coder:
         self._schema = registry.schema(self.type_name, self.type_hash)
 
     def _kind(self, host: Host, definitions: Definitions, channel: Advertised) -> tuple[str, str]:
-        """Return the type's name and hash: of the version on the hub if that is known, else of the installed one."""
+        """Return the type's name, and the hash of the version on the hub, or if unknown of the installed version."""
         try:
             name = ros2_name(self._registry, channel.type_name)
         except ClientError as err:
@@ -256,7 +256,7 @@ class Publishing:
         if channel.topic != self._velocity or coder.type_name != TWIST:
             allowed = f"{self._velocity} as {TWIST}" if self._velocity else "no topic (navigation.velocity)"
             raise NotPublishedError(
-                f"velocities are accepted on {allowed}: on other topics nothing would stop the base"
+                f"velocities are accepted only on {allowed}, because on other topics nothing would stop the base"
             )
         return ClientVelocity(self._driving, channel, visitor, coder)
 
@@ -298,7 +298,7 @@ class Publishing:
         ]  # fmt: skip
 
     def close(self) -> None:
-        """Stop the robot if a client drives it, close all channels, and open no others."""
+        """Stop the robot if a client drives it; close all channels, and open no new ones."""
         self._closed = True
         for key in list(self._routes):
             self._close(key)

@@ -15,8 +15,8 @@ class FoxgloveSection(ServerSection):
 
     listen: str = setting(
         "127.0.0.1:8765",
-        "Address and port that the app opens; port 0: any. One that other machines reach (`0.0.0.0:8765`) has TLS, with"
-        " the certificate of `hub.open`, and needs `tokens`; see [Foxglove](foxglove.md).",
+        "Address and port that the app opens; port 0: any. An address that other machines reach (`0.0.0.0:8765`) uses"
+        " TLS, with the certificate of `hub.open`, and needs `tokens`; see [Foxglove](foxglove.md).",
     )
     drive: bool = setting(
         False,
@@ -48,8 +48,8 @@ class FoxgloveSection(ServerSection):
             raise ValueError("drive: the roles of the tokens decide who may drive (role: drive); remove drive")
         if not self.tokens and not is_loopback_address(address):
             msg = (
-                f"listen: other machines reach {address}, and it would be open to anyone: give foxglove.tokens"
-                " ('midspan web --token NAME' makes one), or listen on 127.0.0.1:8765 and reach it by a tunnel"
+                f"listen: other machines reach {address}, so it would be open to anyone; set foxglove.tokens"
+                " ('midspan web --token NAME' creates one), or listen on 127.0.0.1:8765 and reach it by a tunnel"
                 " (ssh -L 8765:127.0.0.1:8765 robot)"
             )
             raise ValueError(msg)

@@ -24,7 +24,7 @@ class FoxgloveServer:
     """Serves on an unpublished loopback address, from its construction on. Raises `RuntimeError` if it cannot listen.
 
     Attributes:
-        inner: this address, and the port.
+        inner: the loopback address, and the port.
     """
 
     def __init__(self, name: str, listener: ServerListener, capabilities: list[Capability]) -> None:
@@ -73,7 +73,7 @@ class FoxgloveServer:
 
 
 def _hidden_address() -> str:
-    """Return a loopback address that a web page does not find by scanning 127.0.0.1; only Linux has all 127.0.0.0/8."""
+    """Return a loopback address that no page finds by scanning 127.0.0.1 (only on Linux, which has all 127.0.0.0/8)."""
     if sys.platform != "linux":
         return "127.0.0.1"
     return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}"

@@ -1,4 +1,4 @@
-"""Offers the hub's services to the app: they are announced with their definitions, and called with the app's CDR."""
+"""Offers the hub's services to the app, announces them with their definitions, and calls them with the app's CDR."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from bridge.status import Int, Number, Part, Text, WorkerStatus
 
 
 class ChannelStatus(Part):
-    """A watched topic, or a client's channel with the client and why it is refused; the other keys are counters."""
+    """A watched topic; or a client's channel, with the client and the reason of a refusal. Other keys: counters."""
 
     topic: Text
     type: Text
@@ -27,7 +27,7 @@ class ClientStatus(Part):
 
 
 class FoxgloveStatus(WorkerStatus):
-    """The status of the server; ``channels``: number of offered topics, ``dropped``: of lost client messages."""
+    """The status of the server; ``channels``: number of offered topics, ``dropped``: number of lost client messages."""
 
     clients: list[ClientStatus] = Field(default=[])
     topics: list[ChannelStatus] = Field(default=[])

@@ -1,7 +1,7 @@
 """The identities of the SDK's clients, which the front passes on with a secret that only this process knows.
 
-The SDK numbers its clients, but does not authenticate them. So the front, which does, sends a first message on each
-connection, which advertises a channel whose topic is a secret generated for that client.
+The SDK numbers its clients, but does not authenticate them. The front does, and therefore sends a first message on each
+connection: it advertises a channel whose topic is a secret that was generated for this client.
 """
 
 from __future__ import annotations

@@ -133,7 +133,7 @@ class Exchange:
         return next((refusal for refusal in refusals if refusal not in _HARMLESS), None)
 
     def _reset_frames(self, stamped: Iterable[Stamped]) -> None:
-        """Remove the histories of frames that become static, because a history keeps the kind of its first transform."""
+        """Remove the histories of frames that become static, because each keeps the kind of its first transform."""
         for transform in stamped:
             if not self.view.is_static(transform.child_frame_id):
                 self.buffer.remove(transform.child_frame_id)

@@ -74,7 +74,7 @@ def test_it_is_disabled_and_local_by_default() -> None:
     ("section", "reason"),
     [
         ({"listen": "0.0.0.0:8765"}, r"other machines reach 0\.0\.0\.0, and it would be open to anyone"),
-        ({"listen": "0.0.0.0:8765", "drive": True}, "give foxglove.tokens"),
+        ({"listen": "0.0.0.0:8765", "drive": True}, "set foxglove.tokens"),
         ({"listen": "robot1:8765"}, "reach it by a tunnel"),
         ({"listen": "[::]:8765"}, "other machines reach ::"),
         ({"listen": "8765"}, "is not an address with a port"),
@@ -228,7 +228,7 @@ def test_the_number_of_clients_is_limited(desk: Desk, monkeypatch: pytest.Monkey
 def test_a_client_that_reads_nothing_is_disconnected_and_does_not_delay_others(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(front, "STILL_SECONDS", 2.0)
+    monkeypatch.setattr(front, "FULL_BUFFER_SECONDS", 2.0)
     monkeypatch.setattr(front, "MOST_UNREAD", 1 << 20)
     publisher = desk.publisher("/flood", "std_msgs/String")
     secret = cdr("x" * 500_000)

@@ -74,8 +74,8 @@ def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
             ("/_midspan/a", "std_msgs/msg/String", "json", "not a topic name"),
             ("/a", "robot_msgs/msg/Mood", "json", "robot_msgs/msg/Mood"),
             ("/a", "no type", "json", "'no type' is not a type name"),
-            ("/wheels/cmd_vel", TWIST, "json", "velocities are accepted on /cmd_vel"),
-            ("/anything", "geometry_msgs/msg/TwistStamped", "json", "velocities are accepted on /cmd_vel"),
+            ("/wheels/cmd_vel", TWIST, "json", "velocities are accepted only on /cmd_vel"),
+            ("/anything", "geometry_msgs/msg/TwistStamped", "json", "velocities are accepted only on /cmd_vel"),
         ):
             app.advertise(topic, type_name, encoding)
             wait_for_status(app, reason)

@@ -63,7 +63,7 @@ class Expectation:
 
 
 def expectations(map_text: str, image: str) -> tuple[Expectation, ...]:
-    """Return the expectations for ROS 1's topics at each other side, with the robot's descriptions of map and image."""
+    """Return what each other side must receive of ROS 1's topics, given the robot's descriptions of map and image."""
     return (
         Expectation("laser scan", messages.SCAN, 20, f"{messages.BEAMS} ranges"),
         Expectation("odometry", messages.ODOM, 40, "at "),

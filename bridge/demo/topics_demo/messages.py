@@ -13,12 +13,12 @@ SCAN, ODOM, TF, TF_STATIC, MAP, IMAGE = "/scan", "/odom", "/tf", "/tf_static", "
 CMD_VEL = "/cmd_vel"
 FROM_ROS1, FROM_ROS2 = "/hello/from_ros1", "/hello/from_ros2"
 FROM_ZENOH, FROM_YARP = "/hello/from_zenoh", "/hello/from_yarp"
-"""On each of these, one program publishes a greeting periodically, and all four subscribe."""
+"""On each of these topics, one program publishes a greeting periodically, and all four programs subscribe."""
 
 HELLOS = (FROM_ROS1, FROM_ROS2, FROM_ZENOH, FROM_YARP)
 
 BASE_RATE, SCAN_RATE, IMAGE_RATE, HELLO_RATE, DRIVE_RATE = 20.0, 10.0, 5.0, 2.0, 10.0
-"""Messages per second; BASE_RATE is that of odometry and tf."""
+"""Messages per second; BASE_RATE is the rate of odometry and tf."""
 
 BEAMS = 360
 STATIC_FRAMES = ("camera", "laser", "odom")
@@ -31,7 +31,7 @@ def stamp(message: Any) -> tuple[int, int]:
 
 
 def first_stamp(message: Any) -> tuple[int, int, str]:
-    """Return what distinguishes messages of transforms."""
+    """Return the first transform's stamp and child frame, which distinguish messages of transforms."""
     first = message.transforms[0]
     return first.header.stamp.sec, first.header.stamp.nanosec, first.child_frame_id
 

@@ -1,7 +1,7 @@
 """Reports of what a demo program received, as JSON lines on its output, and commands on its input.
 
-A program exits at the end of its input, so that no program remains if the demo dies, not even one that waits forever
-for a process that died too, as rospy does for its master.
+A program exits at the end of its input, so that no program remains if the demo dies, not even one that waits for ever
+for another process that died, as rospy does for its master.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ EVERY = 0.5
 """Seconds between two reports."""
 
 LAST_SECONDS = 4
-"""Seconds after the end of its input at which the system ends a program that is still running, wherever it hangs."""
+"""Seconds after the end of its input at which the system ends a program that is still running, even if it hangs."""
 
 _REMEMBERED = 2000
 
@@ -57,7 +57,7 @@ class TopicReceived:
 
 
 class TopicsProgram:
-    """A program that publishes greetings, drives, and joins late; each side but ROS 1, the robot's, has one."""
+    """A program that publishes greetings, drives, and joins late; each side has one, except ROS 1, the robot's side."""
 
     def __init__(self) -> None:
         self._pose: list[float] | None = None
@@ -126,7 +126,7 @@ def serve(program: TopicsProgram, who: str) -> None:
 
 
 class Reporter:
-    """A program's connection to the demo, opened before anything that may block; ``more`` adds to each report."""
+    """A program's connection to the demo, opened before anything that may block; ``more`` returns further keys."""
 
     def __init__(self, more: Callable[[], dict[str, Any]] | None = None) -> None:
         self._received: dict[str, TopicReceived] = {}

@@ -32,7 +32,7 @@ CROSS_SECONDS = 10.0
 """Seconds to wait for missing messages at the end, once no more messages arrive."""
 
 SILENCE = 2.0
-"""Seconds after a drive; by then the command's timeout (0.5 s) is over, and the robot has braked (1 s)."""
+"""Seconds after a drive; by then the command has timed out (0.5 s), and the robot has braked (1 s)."""
 
 Tick = Callable[[str], None]
 """Called several times a second with the current activity."""
@@ -136,8 +136,8 @@ class TopicsDemo(DemoRun):
     def _join_late(self, program: str) -> None:
         """Let a program subscribe to earlier messages, and wait a moment for them.
 
-        zenoh-ros2-sdk queries latched messages only once, on a busy machine even before it has discovered the
-        publishers. Therefore its program comes second, and subscribes again.
+        zenoh-ros2-sdk queries latched messages only once; on a busy machine this may be before it has discovered the
+        publishers. Its program therefore comes second, and subscribes again.
         """
         child, end, retry = self._children[program], time.monotonic() + LATE_SECONDS, 0.0
         while time.monotonic() < end:

@@ -42,7 +42,7 @@ class ZenohProgram(TopicsProgram):
 
     @override
     def join_late(self) -> None:
-        """Subscribe to topics that were published once, long ago; when called again, to the missing ones."""
+        """Subscribe to topics that were published once, long ago; a later call subscribes to those not received yet."""
         for topic, type_, key, detail in (
             (messages.MAP, "nav_msgs/msg/OccupancyGrid", messages.stamp, messages.grid),
             (messages.TF_STATIC, "tf2_msgs/msg/TFMessage", lambda _message: None, self._mounts),

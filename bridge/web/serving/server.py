@@ -125,7 +125,7 @@ def refusal(scope: Scope, hosts: frozenset[str], names: frozenset[str] = frozens
         and "user-agent" in headers
         and "Mozilla" in headers["user-agent"][0]
     ):
-        return "a browser's request has no Origin"
+        return "a request from a browser must have an Origin header"
     if headers.get("sec-fetch-site", ["same-origin"])[0] not in ("same-origin", "none"):
         return "pages of other sites may not access this server"
     return ""
