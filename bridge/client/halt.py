@@ -115,7 +115,7 @@ def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> 
 
 
 def unreached(section: NavigationSection, asked: Iterable[str], canceled: Collection[str]) -> str:
-    """Return "", or a text if neither the gateway nor the configured planner is on the hub, so that it may still drive."""
+    """Return a text if neither the gateway nor the configured planner is on the hub, so it may still drive; else ""."""
     planner = section.planner
     if not planner or section.at(planner) in canceled or any(worker.split()[0] == "gateway" for worker in asked):
         return ""

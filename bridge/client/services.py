@@ -163,7 +163,7 @@ def served(graph: HubGraph, name: str, wanted: str = "") -> tuple[str, str]:
             kinds = {(e.type_name, e.type_hash) for e in graph.servers(name)}
             fitting = sorted(kind for kind in kinds if wanted in ("", kind[0]))
             if len(fitting) > 1 and not wanted:
-                raise ClientError(f"{name} is served with several types: {', '.join(t for t, _ in fitting)}; choose one")
+                raise ClientError(f"{name} is served as several types: {', '.join(t for t, _ in fitting)}; choose one")
             if fitting:
                 return fitting[0]
             if not changed.wait(WAIT_SECONDS):

@@ -133,7 +133,7 @@ class TransformListener:
         return passed
 
     def _all_spoke(self) -> bool:
-        """Whether each publisher has sent a transform; False if one is a bridge, as its side may have many publishers."""
+        """Whether each publisher has sent a transform; False if one is a bridge: its side may have many publishers."""
         with self._lock:
             received = {gid for _, _, gid in self._known}
         topics = {feed.topic for feed in self._feeds}

@@ -17,7 +17,7 @@ def check_certificate(context: CheckContext) -> Findings:
     """Check the files of the console's TLS: present, readable, of one authority, valid, and protected."""
     web, metrics = context.config.section(WebSection), context.config.section(MetricsSection)
     if not (web.enabled and web.guarded) and not (metrics.enabled and metrics.reached):
-        return skip("console and metrics only listen on loopback, or are off: no certificate is needed")
+        return skip("no certificate is needed, because console and metrics are off, or listen only on loopback")
     files = key_files(context.config)
     reason = trouble(files)
     if reason:

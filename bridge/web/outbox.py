@@ -21,7 +21,7 @@ Post = Callable[[Callable[[], Any]], None]
 class PageOutbox:
     """Messages for one page: all replies in order, but only the newest value of each feed and the newest velocity.
 
-    The outbox is what watches feeds and drives for the page: the module's thread calls `changed`, `held` and `refuse`.
+    The outbox watches feeds and drives on behalf of the page; the module's thread calls `changed`, `held` and `refuse`.
     ``_lock`` guards the values that these methods write; the rest is used only on the server's event loop.
 
     Attributes:
@@ -37,7 +37,7 @@ class PageOutbox:
         self._replies: deque[str] = deque()
         self._drawing: dict[str, int] = {}  # feeds whose value the page has not yet drawn
         self._lock = threading.Lock()
-        self._news: dict[str, tuple[int, str]] = {}  # newest values that are not sent yet
+        self._unsent: dict[str, tuple[int, str]] = {}  # newest values that are not sent yet
         self._held = ""  # the newest commanded velocity, if it is not sent yet
 
     # -- called on the module's thread ---------------------------------------------------------------------------------
@@ -45,7 +45,7 @@ class PageOutbox:
     def changed(self, name: str, n: int, text: str) -> None:
         """Cache a feed's newest value until the page is ready for it."""
         with self._lock:
-            self._news[name] = (n, text)
+            self._unsent[name] = (n, text)
         self.call_soon(self._wake.set)
 
     def held(self, x: float, y: float, turn: float) -> None:
@@ -61,7 +61,7 @@ class PageOutbox:
     def discard(self, name: str) -> None:
         """Drop the value of a feed that the page no longer watches."""
         with self._lock:
-            self._news.pop(name, None)
+            self._unsent.pop(name, None)
 
     def call_soon(self, action: Callable[[], Any]) -> None:
         """Run an action on the server's event loop, if it still runs."""
@@ -81,13 +81,13 @@ class PageOutbox:
         self._wake.set()
 
     def drawn(self, name: str, n: int) -> None:
-        """Allow the next value of a feed: the page has drawn the value ``n``."""
+        """Record that the page has drawn a feed's value ``n``, so that the next value may be sent."""
         if self._drawing.get(name) == n:
             del self._drawing[name]
             self._wake.set()
 
     def unwatched(self, name: str) -> None:
-        """Stop waiting until the page has drawn the value of a feed."""
+        """No longer wait for the page to draw a feed's value, because it no longer watches the feed."""
         self._drawing.pop(name, None)
 
     async def send_to(self, socket: WebSocket) -> None:
@@ -103,8 +103,8 @@ class PageOutbox:
     def _due(self) -> list[str]:
         """Return the commanded velocity, and the newest values of the feeds whose previous value the page has drawn."""
         with self._lock:
-            due = [name for name in self._news if name not in self._drawing]
-            values = [(name, *self._news.pop(name)) for name in due]
+            due = [name for name in self._unsent if name not in self._drawing]
+            values = [(name, *self._unsent.pop(name)) for name in due]
             held, self._held = self._held, ""
         self._drawing.update((name, n) for name, n, _ in values)
         return [*filter(None, [held]), *(text for _, _, text in values)]
@@ -135,7 +135,7 @@ class PostedActions:
         return True
 
     def run_latest(self, action: Callable[[], None]) -> None:
-        """Run an action instead of the one that still waits, for holding and releasing; it is never refused."""
+        """Run an action, which replaces a waiting one; for hold and release, and never refused."""
         with self._lock:
             waits, self._newest = self._newest is not None, action
         if not waits:

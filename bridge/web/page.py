@@ -22,7 +22,7 @@ _log = logging.getLogger("midspan.web")
 
 MOST_FEEDS = 64
 MOST_CALLS, MOST_STOPS = 16, 64
-"""Number of pending calls of a page from which a further call, or a further stop, is refused."""
+"""Maximum number of a page's pending calls, for calls and for stops; further ones are refused."""
 MOST_ERRORS = 20
 _POLICY = 1008  # WebSocket's close code for a policy violation (RFC 6455, 7.4.1)
 _check_speed = number_between(-1e9, 1e9)
@@ -46,7 +46,7 @@ class PageCalls:
         stops = self._verbs.is_stop(verb)
         most = MOST_STOPS if stops else MOST_CALLS
         if len(self._pending) >= most:
-            outbox.queue(_reply(number, error=f"{most} calls of this page are pending already"))
+            outbox.queue(_reply(number, error=f"{most} calls of this page are already pending"))
             return
         call = asyncio.create_task(self._run(number, verb, args, outbox))
         for calls in (self._pending, self._stops) if stops else (self._pending,):
@@ -75,7 +75,7 @@ def _reply(number: int, *, value: Any = None, error: str = "") -> dict[str, Any]
 
 
 class Page:
-    """Serves one socket until it ends, on the server's event loop; only ``_open`` belongs to the module's thread."""
+    """Serves one socket until it closes, on the server's event loop; only ``_open`` belongs to the module's thread."""
 
     def __init__(
         self,
@@ -167,7 +167,7 @@ class Page:
         self._run_posted(watch)
 
     def _not_watched(self, name: str, why: str) -> None:
-        """Report that a feed cannot be watched; the page may try again afterwards."""
+        """Report to the page that a feed cannot be watched; the page may then try again."""
         self._watched.discard(name)
         self._outbox.queue({"op": "error", "error": why})
 
@@ -193,7 +193,7 @@ class Page:
     def _run_posted(self, action: Callable[[], Any]) -> None:
         """Run an action on the module's thread; raises `BadMessageError` if too many are queued."""
         if not self._actions.run(action):
-            raise BadMessageError(f"{MOST_ACTIONS} messages of this page are queued already")
+            raise BadMessageError(f"{MOST_ACTIONS} messages of this page are already queued")
 
     def _call(self, number: int, verb: str, args: Any) -> None:
         if not isinstance(args, dict):

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from bridge.config.model import Config
 
 _HOST = r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,251}[A-Za-z0-9_])?|[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*"
-_NO_LOGIN = "it has no login: give web.tokens ('midspan web --token NAME' makes one), or web.trusted for certificates"
+_NO_LOGIN = "it has no login; set web.tokens ('midspan web --token NAME' creates one), or web.trusted for certificates"
 
-HostName = Annotated[str, matching(_HOST, "is neither a host name nor an IP address; leave port and scheme out")]
+HostName = Annotated[str, matching(_HOST, "is neither a host name nor an IP address; omit port and scheme")]
 
 
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9_-][A-Za-z0-9_.-]*)+/?|/?")
@@ -30,7 +30,7 @@ def _without_end(prefix: str) -> str:
     """Return a path prefix without the slash at its end; raises `ValueError`."""
     if not _PREFIX.fullmatch(prefix):
         raise ValueError(
-            f"{prefix!r} is not a path: begin it with a slash, and use letters, digits, '_', '-' and '.': /robot1"
+            f"{prefix!r} is not a path; write a slash, then letters, digits, '_', '-' and '.', for instance /robot1"
         )
     first = prefix.strip("/").partition("/")[0]
     if first in _OWN_PATHS:
@@ -52,7 +52,7 @@ class WebSection(ServerSection):
 
     listen: str = setting(
         "127.0.0.1:8480",
-        "Address and port of the page; port 0: any. An address that other machines reach (`0.0.0.0:8480`) has TLS,"
+        "Address and port of the page; port 0: any. An address that other machines reach (`0.0.0.0:8480`) uses TLS,"
         " with the certificate of `hub.open`, and needs `tokens` or `trusted`; see [the console](console.md).",
     )
     names: tuple[HostName, ...] = setting(
@@ -69,7 +69,7 @@ class WebSection(ServerSection):
         {}, 'Tokens by name: `anna: {role: drive, sha256: "..."}`; with one, connections on loopback use TLS as well.'
     )
     trusted: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = setting(
-        (), "Names in certificates of the same authority whose owners may drive; owners of all others may watch."
+        (), "Certificates with these names may drive; other certificates of the same authority may watch."
     )
     laser: OptionalTopic = setting("/scan", 'Topic of the laser that the map shows; "": none.')
     layer: OptionalTopic = setting(
@@ -77,7 +77,7 @@ class WebSection(ServerSection):
         "Topic of the layer (`nav_msgs/OccupancyGrid`) that the map is tinted with; the obstacles' heights are on the"
         ' topic of this name with the suffix `_heights` (`grid_map_msgs/GridMap`). "": none.',
     )
-    path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": that of the chosen planner.')
+    path: OptionalTopic = setting("", 'Topic of the path that the map shows; "": the path of the chosen planner.')
     radius: float = setting(0.3, "Radius of the disc that the map draws for the robot, meters.", gt=0.0, le=10.0)
     footprint: tuple[tuple[float, float], ...] = setting(
         (), "Corners of a polygon to draw instead of the disc, x ahead, y to the left, meters: `[[0.4, 0.3], ...]`."
@@ -97,7 +97,7 @@ class WebSection(ServerSection):
     @classmethod
     def _is_a_shape(cls, value: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
         if value and not 3 <= len(value) <= 64:
-            raise ValueError(f"{len(value)} corners do not make a footprint: give 3 to 64, or none for a disc")
+            raise ValueError(f"{len(value)} corners do not make a footprint; write 3 to 64 corners, or none for a disc")
         if any(not math.isfinite(part) or abs(part) > 100.0 for corner in value for part in corner):
             raise ValueError("a corner must be at most 100 meters away")
         return value

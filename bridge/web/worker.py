@@ -136,7 +136,7 @@ class Console:
         most = (section.speed, section.turn)
         self._hold = HandDriving(
             host, config.navigation.velocity, most,
-            driven=lambda: driving.busy or self._patrol.busy, begins=driving.moved_by_hand,
+            busy=lambda: driving.busy or self._patrol.busy, on_begin=driving.moved_by_hand,
         )  # fmt: skip
         robot = RobotVerbs(
             host, config, client, known, self._store.client,

@@ -226,7 +226,7 @@ def test_only_one_doctor_runs_at_a_time(desk: Desk, monkeypatch: pytest.MonkeyPa
             return bool(reply)
 
         until(refused, "the second call is refused")
-        assert "the doctor is running already" in reply["error"]
+        assert "the doctor is already running" in reply["error"]
         may_end.set()
         first.until(lambda: any(m.get("id") == 1 and m["ok"] for m in first.others), "the first call gets its reply")
         assert other.call("doctor")["ok"], "the next call may run again"

@@ -162,7 +162,7 @@ def test_uploads_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         transfers.add(key, "c", 0, b"")
     transfers.new({})
     transfers.new({})
-    with pytest.raises(VerbError, match="in progress already"):
+    with pytest.raises(VerbError, match="already in progress"):
         transfers.new({})
     monkeypatch.setattr(map_files, "IDLE_SECONDS", 0.0)
     transfers.new({})

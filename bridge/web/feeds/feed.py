@@ -1,4 +1,4 @@
-"""Feeds, which pages watch: each has a newest value, which is updated only while a page watches the feed."""
+"""Feeds, which pages watch. A feed has a newest value, which is updated only while a page watches the feed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Feed(ABC):
         return bool(self._watchers)
 
     def watch(self, watcher: Watcher) -> None:
-        """Send a page the newest value, now and on every change; raises `LookupError` if the feed cannot be opened."""
+        """Send a page the newest value now and at every change; raises `LookupError` if the feed cannot be opened."""
         begins = not self._watchers
         self._watchers.add(watcher)
         if begins:
@@ -63,7 +63,7 @@ class Feed(ABC):
     def put(self, value: Any, why: str = "") -> None:
         """Publish a value, or None with the reason ``why``; an unchanged value is not sent again."""
         if not self._watchers:
-            return  # a value that arrived after the last page left
+            return  # the value arrived after the last page had left
         document = {"value": value, "why": why} if value is None else {"value": value}
         text = _json(document)
         if text == self._value:
@@ -119,7 +119,7 @@ class Feeds:
     """
 
     MOST_TOPICS = 100
-    """Maximum number of feeds created on request that all pages together may watch."""
+    """Maximum number of feeds that all pages together may have created on request."""
 
     def __init__(self, fixed: list[Feed], factories: Mapping[str, Make]) -> None:
         self.fixed = {feed.name: feed for feed in fixed}
@@ -127,7 +127,7 @@ class Feeds:
         self._topics: dict[str, Feed] = {}
 
     def find(self, name: str) -> Feed:
-        """Return the feed of a name; raises `LookupError` with the reason if there is no such feed."""
+        """Return the feed with this name; raises `LookupError` with the reason if there is no such feed."""
         if name in self.fixed:
             return self.fixed[name]
         make = next((make for begin, make in self._factories.items() if name.startswith(begin)), None)

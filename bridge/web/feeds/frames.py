@@ -36,7 +36,7 @@ class FrameFollower:
         return self._frames
 
     def grid_frame(self, topic: str, grid: dict[str, Any], most: int) -> Pose:
-        """Return the pose of a grid's frame on the map; raises `FramesError`, also beyond ``most`` cells."""
+        """Return the pose of a grid's frame on the map; raises `FramesError`, also for more than ``most`` cells."""
         width, height = int(grid["info"]["width"]), int(grid["info"]["height"])
         if width * height > most:
             raise FramesError(f"{topic} has {width} x {height} cells; up to {most} are shown")
@@ -108,7 +108,7 @@ class FramesFeed(FrameFeed):
 class FramePoseFeed(FrameFeed):
     """The pose of one frame in another, at the newest time for which all frames between the two have data.
 
-    While the pose is unknown, the value is None with the reason. Raises `LookupError` if the name lacks two frames.
+    While the pose is unknown, the value is None with the reason. Raises `LookupError` unless the name has two frames.
     """
 
     def __init__(self, host: Host, follower: FrameFollower, name: str) -> None:

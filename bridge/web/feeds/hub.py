@@ -124,7 +124,7 @@ def _worker(document: StatusDocument, daemon: DaemonStatus) -> dict[str, Any]:
     shown = {key: getattr(document, key) for key in ("daemon", "worker", "state", "cpu", "rss", "restarts")}
     if document.restarts is None and document.daemon == daemon.daemon and document.pid:
         reports = (report.restarts for report in daemon.workers if report.pid == document.pid)
-        shown["restarts"] = next(reports, None)  # only the daemon has this count
+        shown["restarts"] = next(reports, None)  # only the daemon counts restarts
     return {
         **shown,
         "side": label(document.side) if document.side in {side.name for side in all_sides()} else None,

@@ -1,4 +1,4 @@
-"""The feed ``image:WIDTH:/name``: the newest image of a topic, no larger than the page shows it."""
+"""The feed ``image:WIDTH:/name``: the newest image of a topic, scaled down to the size at which the page shows it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bridge.web.feeds.topics import NewestFeed
 
 PREFIX = "image:"
 WIDTHS = (160, 320, 640, 1280)
-"""Maximum width and height in pixels; there are only a few values, so that pages share the scaled images."""
+"""The allowed maximum widths and heights in pixels; these are few, so that pages share the scaled images."""
 
 TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _QUALITY = 75

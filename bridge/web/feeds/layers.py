@@ -1,4 +1,4 @@
-"""The feed of a layer: the cells where a robot would collide, by Mapper3D or a similar program, and their heights."""
+"""The feed of a layer from Mapper3D or a similar program: the cells in which a robot would collide, with heights."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ MOST_CELLS = 1 << 22
 """Maximum number of cells of a layer; a larger layer is not shown."""
 
 MOST_TINTED = 20_000
-"""Maximum number of cells sent to a page; if more are blocked, squares of four are merged, repeatedly."""
+"""Maximum number of cells sent to a page; while more are blocked, each square of four cells is merged into one."""
 
 BLOCKED = 50
-"""Minimum value that planners treat as blocked."""
+"""Minimum cell value that planners treat as blocked."""
 
 
 class LayerFeed(TopicsFeed):
@@ -132,7 +132,7 @@ def _halved(cells: NDArray[Any], fill: float) -> NDArray[Any]:
 
 
 def runs_of(blocked: NDArray[np.bool_], heights: NDArray[np.float32]) -> list[list[float | None]]:
-    """Return runs of adjacent blocked cells: row and column of the first, then the height of each (None: unknown)."""
+    """Return runs of adjacent blocked cells: row and column of the first cell, then each cell's height or None."""
     rows, columns = np.nonzero(blocked)
     values = heights[rows, columns]
     rounded = [None if math.isinf(value) else value for value in np.round(values.astype(np.float64), 2).tolist()]

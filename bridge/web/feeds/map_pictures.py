@@ -20,9 +20,9 @@ from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 TILE = 1024
 """Width and height of a tile in cells; pages fetch only changed tiles."""
 _CACHED_IMAGES = 2
-"""Number of cached images of each kind, because a page may still fetch the previous one."""
+"""Number of cached images of each kind; more than one, because a page may still fetch the previous image."""
 _LEVELS, _UNKNOWN_CELL = 101, 101
-"""Number of grays, for 0 to 100 percent occupied, and the cell value for unknown cells."""
+"""Number of grays, which stand for 0 to 100 percent occupied; also the cell value for unknown cells."""
 _DARK_FREE, _DARK_WALL = (0x14, 0x19, 0x1E), (0xA0, 0xB0, 0xBE)
 _TINTS = {
     MapFlag.KEEP_OUT: (214, 40, 40, 110),
@@ -56,7 +56,7 @@ PALETTES = {
     "flags": Palette(_TINTED, _TINTED, bytes([0, *(tint[3] for tint in _TINTS.values())])),
 }
 CLEAR = {"occupancy": _UNKNOWN_CELL, "flags": 0}
-"""The cell value that is transparent, per kind of image."""
+"""The transparent cell value of each kind of image."""
 
 _GRAYS = np.full(256, _UNKNOWN_CELL, np.uint8)
 _GRAYS[:_LEVELS] = np.arange(_LEVELS)
@@ -73,7 +73,7 @@ def occupancy_picture(grid: MapGrid2D) -> Cells:
 
 
 def flags_picture(grid: MapGrid2D) -> Cells | None:
-    """Return the tint of each cell (height, width) for flags that planners use, 0 for none; None if all are 0."""
+    """Return the tint of each cell (height, width) by the flags that planners use, 0 for no tint; None if all are 0."""
     cells = _TINT_OF[grid.flags]
     return cells if cells.any() else None
 
@@ -109,7 +109,7 @@ class Pictures:
         return {"size": TILE, "tiles": rows}
 
     def get(self, name: str, version: str, *, dark: bool = False) -> bytes | None:
-        """Return the PNG of an address, in the colors for dark or light pages; None if it has expired."""
+        """Return the PNG at an address, in the colors for dark or light pages; None if it has expired."""
         with self._lock:
             png = next((picture[version] for picture in self._cached.get(name, ()) if version in picture), None)
         return _recolored(png, PALETTES[name].dark) if png is not None and dark else png

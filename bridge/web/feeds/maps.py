@@ -85,7 +85,7 @@ class StoreFollower:
             self._timer = self._view = self._digest = self._map = None
 
     def client(self) -> StoreClient:
-        """Return the store on the hub; raises `StoreError` without one.
+        """Return the store on the hub; raises `StoreError` if there is none.
 
         Do not call it on the module's thread, because it blocks.
         """
@@ -97,7 +97,7 @@ class StoreFollower:
 
     @property
     def writing(self) -> tuple[Callable[[], StoreClient], Callable[[], None]]:
-        """What verbs need to change the store: `client`, and a function to call after each change."""
+        """Return what verbs need to change the store: `client`, and a function to call after each change."""
         return self.client, lambda: self._host.loop.post(self.refresh)
 
     def refresh(self) -> None:

@@ -30,10 +30,10 @@ from navigation.status import STATUS, State
 
 ROBOT_SECONDS = 0.1
 MOST_POINTS = 2000
-"""Maximum number of points of a path or scan; of a longer one only every second (third ...) point is sent."""
+"""Maximum number of points of a path or scan; if there are more, only every second (third ...) point is sent."""
 _CORNERS = 16
 _LASER_GAP = 0.8 * ROBOT_SECONDS
-"""Minimum time between two scans, seconds; a scan that arrives sooner waits for the timer, which is rare at 10 Hz."""
+"""Minimum seconds between two scans; a scan that arrives sooner waits for the timer, which is rare at 10 Hz."""
 
 
 class RobotFeed(FrameFeed):
@@ -165,8 +165,8 @@ class PathFeed(TopicsFeed):
         points = points_of_path(path)
         if not (self._driving.drives or self._driving.paused):
             return
-        # ignore an empty path during a goal: planners clear it when the goal is canceled for a pause; `_update` handles
-        # the end of a goal
+        # ignore an empty path during a goal, because planners clear their path when a pause cancels the goal; `_update`
+        # handles the end of a goal
         if points or not any(self._driving.goal_id):
             self._last = points
             self.put({"points": points})
@@ -206,7 +206,7 @@ class DrivingFeed(TopicsFeed):
 
     @property
     def goal_id(self) -> bytes:
-        """The id of the gateway's goal; zeros without one."""
+        """The id of the gateway's goal; zeros if there is none."""
         return bytes(16) if self._status is None else bytes(self._status["goal_id"])
 
     @property
@@ -238,7 +238,7 @@ class DrivingFeed(TopicsFeed):
         self._notify()
 
     def moved_by_hand(self) -> None:
-        """Clear the distance of a paused goal: it is unknown until the planner continues."""
+        """Clear the distance of a paused goal, because it is unknown until the planner continues."""
         if self.paused:
             self._distance = None
             self._publish()
@@ -254,7 +254,7 @@ class DrivingFeed(TopicsFeed):
         if self.paused:
             return  # feedback from before the pause
         left = float(message["feedback"]["distance_remaining"])
-        # Nav2 sends 0.0 before its first path, and planners may while their goal is canceled for a pause
+        # Nav2 sends 0.0 before its first path, and any planner may while a pause cancels its goal
         if math.isfinite(left) and left > 0.0:
             self._distance = round(left, 1)
             self._publish()
@@ -286,7 +286,7 @@ class DrivingFeed(TopicsFeed):
 
 
 def _moved(frames: RobotFrames, stamp: int) -> Pose:
-    """Return the robot's pose on the map at a time, by odometry if possible: a localizer may publish rarely."""
+    """Return the robot's pose on the map at a time, by odometry if possible, because a localizer may publish rarely."""
     try:
         return frames.correction() @ frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=LATE)
     except FramesError:
@@ -300,7 +300,7 @@ def disc(radius: float) -> list[list[float]]:
 
 
 def points_of_path(path: dict[str, Any]) -> list[float]:
-    """Return x, y, x, y, ... of a ``nav_msgs/Path`` in meters; of a long path only every second (third ...) pose."""
+    """Return x, y, x, y, ... of a ``nav_msgs/Path`` in meters; if it is long, of every second (third ...) pose only."""
     poses = path["poses"][:: max(1, math.ceil(len(path["poses"]) / MOST_POINTS))]
     spots = [pose["pose"]["position"] for pose in poses]
     return [round(float(spot[axis]), 3) for spot in spots for axis in "xy"]
@@ -314,7 +314,7 @@ def place(pose: Pose) -> dict[str, float]:
 def points_of(scan: dict[str, Any], laser: Pose) -> list[float]:
     """Return the ends of a ``LaserScan``'s beams on the map, rounded to centimeters: x, y, x, y ...
 
-    Beams without a valid range are omitted, and of more than `MOST_POINTS` only every second (third ...) one is
+    Beams without a valid range are omitted; if more than `MOST_POINTS` remain, only every second (third ...) beam is
     returned. Source: sensor_msgs/LaserScan.
     """
     ranges = np.asarray(scan["ranges"], np.float64)

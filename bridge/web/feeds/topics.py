@@ -91,7 +91,7 @@ class NewestFeed(Feed):
         now = time.monotonic()
         self._rate, self._count, self._since = round(self._count / (now - self._since), 1), 0, now
         self._subscribe()
-        if self._shown is not None and not self._rate and self._shown["rate"]:  # no message will update the rate
+        if self._shown is not None and not self._rate and self._shown["rate"]:  # no message will update it
             self._show({**self._shown, "rate": self._rate})
 
     def _decode_newest(self) -> None:
@@ -112,7 +112,7 @@ class NewestFeed(Feed):
                 value = self.value(type_name, type_hash, sample.data())
             except (ClientError, ConversionError, HubError) as err:
                 reason = str(err)
-            except Exception as err:  # no message content may stop the feeds
+            except Exception as err:  # whatever a message contains, the feeds must continue
                 reason = f"the message cannot be shown: {type(err).__name__}: {err}"
         self._host.loop.post(partial(self._decoded, type_name, value, reason))
 

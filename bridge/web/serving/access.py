@@ -1,8 +1,8 @@
 """Authentication of the console's clients: tokens, certificates, logins.
 
 A token has 256 random bits; the configuration contains its SHA-256, from which the token cannot be derived. A login
-gives the browser a cookie that only this console can create: name and expiry, with an HMAC (RFC 2104) over both and the
-token's hash. So a login survives a restart, and ends when the token is removed from the configuration.
+gives the browser a cookie that only this console can create. It contains name and expiry, with an HMAC (RFC 2104) over
+both and the token's hash, so that a login survives a restart, and ends when the configuration no longer has the token.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ MOST_TOKEN = 200  # characters of a token
 _SECRET_BYTES = 32
 
 FIRST_WAIT, LONGEST_WAIT = 1.0, 60.0
-"""Seconds for which a wrong token is refused with 429 after its first use, doubled after each further use, and their
-maximum."""
+"""Seconds for which a wrong token is refused with 429 after its first use, and the maximum; each further use doubles
+them."""
 MOST_WRONG = 20
-"""Number of wrong tokens of one address that are counted separately; further tokens share one entry."""
-MOST_ENTRIES = 1000  # of counted wrong tokens, in all
-FORGET_SECONDS = 600.0  # after its last use, a wrong token is no longer counted
+"""Maximum number of wrong tokens of one address that are counted separately; further tokens share one entry."""
+MOST_ENTRIES = 1000  # maximum number of counted wrong tokens of all addresses
+FORGET_SECONDS = 600.0  # time since its last use after which a wrong token is no longer counted
 LOG_SECONDS = 600.0
 """Minimum time between two log lines about the same wrong token of an address."""
 

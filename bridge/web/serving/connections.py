@@ -1,4 +1,4 @@
-"""Limits of the console's connections: their number, the number per address, a request's duration, unread data.
+"""Limits of the console's connections: total number, number per address, duration of a request, unread data.
 
 uvicorn itself limits only the size of a request's head and of a message, and the number of all connections. It waits
 for a head or a body without a time limit, and answers pings even if the replies are not read.
@@ -24,7 +24,7 @@ from bridge.web.serving.scarce_log import ScarceLog
 
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 300, 100
 REQUEST_SECONDS = 20.0
-"""Time limit of a request's head, body and response together, after which the connection is closed."""
+"""Time limit of a request with its response, after which the connection is closed."""
 HANDSHAKE_SECONDS = 5.0  # time limit of the TLS handshake
 MOST_UNREAD = 2 << 20
 """Bytes that may be queued for a page that sends pings and reads nothing."""
@@ -65,7 +65,7 @@ class BoundedListener(socket.socket):
         raise ConnectionAbortedError
 
     def closed(self, host: str) -> None:
-        """Count the end of a connection of an address."""
+        """Record the end of a connection from this host."""
         with self._lock:
             self._open[host] -= 1
             if not self._open[host]:
@@ -131,7 +131,7 @@ class TimedHttp(H11Protocol):
 
     @override
     def send_400_response(self, msg: str) -> None:
-        """Refuse a request as uvicorn does, and keep the application, which may have the head, from responding too."""
+        """Refuse a request as uvicorn does; the application, which may have the head already, must not respond too."""
         if self.cycle is not None and not self.cycle.response_complete:
             self.cycle.disconnected = True
             self.cycle.message_event.set()

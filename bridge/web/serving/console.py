@@ -31,7 +31,7 @@ class Pictures(Protocol):
     """The images of a map."""
 
     def get(self, name: str, version: str, *, dark: bool = False) -> bytes | None:
-        """Return the PNG of an address, in the colors for dark or light pages; None if it has expired."""
+        """Return the PNG at an address, in the colors for dark or light pages; None if it has expired."""
 
 
 class WebServer(HttpServer):
@@ -104,7 +104,7 @@ class WebServer(HttpServer):
 
 
 def hello(daemon: str, version: str, frame: str, most: tuple[float, float], hold_seconds: float) -> dict[str, Any]:
-    """Return the first message to a page, without its role and name."""
+    """Return the first message to a page, without the page's role and name."""
     speed = {"x": most[0], "y": most[0], "turn": most[1]}
     head = {"op": "hello", "daemon": daemon, "version": version, "frame": frame}
     return {**head, "hold_seconds": hold_seconds, "speed": speed}

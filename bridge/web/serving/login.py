@@ -26,7 +26,7 @@ _WHO = "login required: open /login in a browser, send 'Authorization: Bearer TO
 
 
 class LoginGuard:
-    """Passes authenticated requests, with the grant in their state; other requests pass only to the paths in `OPEN`."""
+    """Passes authenticated requests on, with the grant in their state; other requests only for the paths in `OPEN`."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app, self._access = app, access

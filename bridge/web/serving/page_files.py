@@ -24,7 +24,7 @@ class Tab:
     Attributes:
         name: the view's name in addresses (``#name``); lower-case letters.
         label: the text of the tab.
-        icon: the SVG elements of the tab's icon, in a square of 24 by 24.
+        icon: the SVG elements of the tab's icon, in a 24 by 24 view box.
         folder: the folder of ``view.js``, and of ``view.css`` if it has styles; by default ``static/views/NAME``.
     """
 

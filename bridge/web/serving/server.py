@@ -60,7 +60,7 @@ _DEFAULT_PORTS = {"http": ":80", "https": ":443"}
 
 
 class OwnOnly:
-    """Passes only the requests to this server's names that no foreign page has caused; see `refusal`."""
+    """Passes on only requests that use a name of this server and were not caused by a foreign page; see `refusal`."""
 
     def __init__(self, app: ASGIApp, hosts: frozenset[str], names: frozenset[str]) -> None:
         self._app, self._hosts, self._names = app, hosts, names
@@ -170,7 +170,7 @@ class HttpServer:
         routes: its routes.
         access: authentication of clients.
         tls: certificate and key; None without TLS.
-        what: the server, for errors.
+        what: what the server is, for errors.
         key: the configuration's key of ``listen``, for errors.
         names: further names by which browsers open the server, at any port.
         most_bytes: maximum size of a socket's message.

@@ -1,4 +1,4 @@
-"""The TLS certificate of the servers for browsers and apps: that of the hub (`bridge.hub.security`)."""
+"""The TLS certificate of the servers for browsers and apps, which is the hub's certificate (`bridge.hub.security`)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ServerTls:
         self._watch = KeyWatch(self._files)
 
     def refresh(self) -> None:
-        """Load renewed files; to be called periodically, by one thread."""
+        """Load the files if they were renewed; one thread calls this periodically."""
         if self._watch.renewed():
             self._load()
             _log.info("%s has loaded a new certificate", self._what)

@@ -16,7 +16,7 @@ MOST_RETURNED = 500
 LOG_SECONDS = 0.5
 """Interval at which the feed ``log`` checks for new lines."""
 
-_ROUNDS = 50  # maximum number of queries for one reading of the new lines
+_ROUNDS = 50  # maximum number of queries with which `ask` reads the new lines
 
 
 class LogFollower:
@@ -33,7 +33,7 @@ class LogFollower:
         for _ in range(_ROUNDS):
             reply = ask_log(self._config, self._last)
             if reply is None:
-                raise ClientError("the daemon does not respond; without it there is no log")
+                raise ClientError("the daemon, which has the log, does not respond")
             self._append(reply)
             if self._last >= reply["last"]:
                 break

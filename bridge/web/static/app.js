@@ -9,7 +9,7 @@ import { VIEWS } from "./views.js";
 const byId = (id) => document.getElementById(id);
 
 const socket = new Socket(new URL("socket", location.href).href.replace(/^http/, "ws"));
-const views = {}; // name -> {show(), hide(), navigate(rest of the hash)}, created when first shown
+const views = {}; // name -> {show(), hide(), navigate(rest of the hash)}; each view is created when it is first shown
 let shown = null;
 
 // -- views
@@ -93,7 +93,7 @@ function stop() {
   if (byId("stop").disabled) return;
   if (now - stopped < 300) return; // the click that follows a touch
   stopped = now;
-  dispatchEvent(new Event("midspan-stop")); // ends manual driving
+  dispatchEvent(new Event("midspan-stop")); // on which manual driving ends
   socket.release();
   ask(socket, "STOP", "halt", {}); // the console reports whether every base stands still
 }
@@ -104,7 +104,7 @@ addEventListener(
   "keydown",
   (event) => {
     if (event.key !== " " || types(event.target)) return;
-    event.preventDefault(); // also keeps the key from pressing the focused button
+    event.preventDefault(); // so that the key does not press the focused button
     event.stopPropagation();
     if (!event.repeat) stop();
   },

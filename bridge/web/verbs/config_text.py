@@ -26,11 +26,11 @@ _USER = re.compile(r"(//)[^/\s:@]+:[^/\s@]+(@)")
 _PEM = re.compile(r"-----BEGIN [^-]*-----.*?(?:-----END [^-]*-----|\Z)", re.DOTALL)
 _DAEMON_SECONDS = 5.0
 _SHORTEST = 8
-"""Minimum length of a secret that is hidden wherever it appears; a shorter one is hidden only at its own place."""
+"""Minimum length of a secret that is hidden wherever it appears; a shorter secret is hidden only in its own key."""
 
 
 class Secrets(NamedTuple):
-    """The secrets of a configuration: their places in the text, and their values."""
+    """The secrets of a configuration: their positions in the text, and their values."""
 
     places: tuple[tuple[int, int], ...] = ()
     values: tuple[str, ...] = ()
@@ -43,7 +43,7 @@ class Secrets(NamedTuple):
 
 
 def secrets_of(text: str) -> Secrets:
-    """Return the secrets of a YAML text: all values below a secret key. Raises `yaml.YAMLError`, `RecursionError`."""
+    """Return the secrets of a YAML text, all values below a secret key. Raises `yaml.YAMLError`, `RecursionError`."""
     root = Yaml12Loader(text).get_single_node()
     places: set[tuple[int, int]] = set()
     values: set[str] = set()
@@ -84,7 +84,7 @@ def without_secrets(text: str, secrets: Secrets) -> str:
 
 
 def config_file(config: Config) -> Path | None:
-    """Return the file of the daemon's configuration; None without a file."""
+    """Return the file of the daemon's configuration; None if it has none."""
     daemon = ask_daemon(config, _DAEMON_SECONDS)
     return Path(daemon.config) if daemon is not None and daemon.config else find()
 
@@ -106,7 +106,7 @@ def show_config(config: Config) -> dict[str, Any]:
         reason = "" if text else str(err)
     except (yaml.YAMLError, RecursionError):
         text, problems = "", _no_yaml(text, file)
-        reason = "The file is not valid YAML, so its secrets cannot be recognized: it is not shown."
+        reason = "The file is not shown: it is not valid YAML, so its secrets cannot be recognized."
     return {
         "file": str(file),
         "text": without_secrets(text, secrets) if text else None,

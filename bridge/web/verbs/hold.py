@@ -39,8 +39,8 @@ class HandDriving:
         host: the worker's node and thread.
         topic: topic of the base's velocities.
         most: maximum speed and angular velocity, m/s and rad/s.
-        driven: returns why manual driving is refused; "" if it is allowed.
-        begins: called when a page starts to drive.
+        busy: returns why manual driving is refused; "" if it is allowed.
+        on_begin: called when a page starts to drive.
 
     A planner that starts meanwhile ends the hold once the gateway's status shows it.
     """
@@ -50,10 +50,10 @@ class HandDriving:
         host: Host,
         topic: str,
         most: tuple[float, float],
-        driven: Callable[[], str],
-        begins: Callable[[], None] = lambda: None,
+        busy: Callable[[], str],
+        on_begin: Callable[[], None] = lambda: None,
     ) -> None:
-        self._host, self._topic, self._most, self._driven, self._begins = host, topic, most, driven, begins
+        self._host, self._topic, self._most, self._busy, self._on_begin = host, topic, most, busy, on_begin
         self._holder: HandDriver | None = None
         self._velocity: Velocity = _ZERO
         self._until = 0.0
@@ -61,12 +61,12 @@ class HandDriving:
         self._out: VelocityPublisher | None = None
 
     def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float) -> None:
-        """Drive at this velocity for a page; ``arrived``: when the page's message arrived (monotonic seconds)."""
+        """Drive at this velocity for a page, whose message arrived at ``arrived`` (monotonic seconds)."""
         now = time.monotonic()
         if now - arrived > HOLD_SECONDS:
             return
         holder = self._holder
-        reason = self._driven() if holder in (None, page) else f"{holder.who} drives manually"
+        reason = self._busy() if holder in (None, page) else f"{holder.who} drives manually"
         if not self._topic:
             reason = "no velocity topic is configured (navigation.velocity)"
         if reason:
@@ -78,7 +78,7 @@ class HandDriving:
             self._holder = page
             self._out = self._out or velocity_publisher(self._host, self._topic)
             self._timer = self._host.loop.every(_PERIOD, self._repeat)
-            self._begins()
+            self._on_begin()
         speed, most_turn = self._most
         self._velocity = (_within(x, speed), _within(y, speed), _within(turn, most_turn))
         self._until = arrived + HOLD_SECONDS

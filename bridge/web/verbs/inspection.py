@@ -25,9 +25,9 @@ class Doctor:
         self._lock = threading.Lock()
 
     def __call__(self) -> list[dict[str, str]]:
-        """Return an entry for each finding; raises `VerbError` if the doctor is running already."""
+        """Return an entry for each finding; raises `VerbError` if the doctor is already running."""
         if not self._lock.acquire(blocking=False):
-            raise VerbError("the doctor is running already; try again in a moment")
+            raise VerbError("the doctor is already running; try again in a moment")
         try:
             return self._examine()
         finally:

@@ -1,6 +1,6 @@
 """The map files of pages: uploads in parts, imports, downloads as zips, and the renaming of maps.
 
-Files are sent by calls, as base64 in parts, so that exactly the clients that may call verbs may send files.
+Files are sent in calls, as base64 in parts, so that exactly the clients that may call verbs may send files.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _NAME = re.compile(r"[\w\- ().]{1,200}")
 class Transfers:
     """Transfers of files by unguessable keys. Safe to use from any thread.
 
-    At most `MOST_AT_ONCE` are stored; a new transfer first removes those that were idle for `IDLE_SECONDS`.
+    At most `MOST_AT_ONCE` are stored; a new transfer first removes the transfers that were idle for `IDLE_SECONDS`.
     """
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class Transfers:
             now = time.monotonic()
             self._files = {key: entry for key, entry in self._files.items() if now - entry[0] < IDLE_SECONDS}
             if len(self._files) >= MOST_AT_ONCE:
-                raise VerbError(f"{MOST_AT_ONCE} transfers are in progress already; try again in {IDLE_SECONDS:g} s")
+                raise VerbError(f"{MOST_AT_ONCE} transfers are already in progress; try again in {IDLE_SECONDS:g} s")
             key = secrets.token_hex(8)
             self._files[key] = now, files
             return key
@@ -146,9 +146,9 @@ def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
 
 
 def root_files(names: Iterable[str]) -> list[str]:
-    """Return the files that refer to the others: .ini files except extras, and YARP's maps, or else ROS maps.
+    """Return the files that refer to the others: .ini files except extras, and YARP's maps; if none, ROS maps.
 
-    Maps are not included if there is a collection of maps, which refers to them.
+    A collection of maps refers to its maps, so maps are not included if there is a collection.
     """
     by_form: dict[str, list[str]] = {}
     for name in sorted(names):

@@ -23,7 +23,7 @@ from yarp_compat.dev.mapflag import MAX_CELLS, MapFlag, flags_of
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 MOST_RUNS, MOST_CELLS, MOST_PIECES = 2000, 200_000, 20_000
-"""Limits of a call: its runs, their cells, the runs of its undo."""
+"""Maximum number of runs in a call, of their cells, and of runs in the undo."""
 
 
 class Run(NamedTuple):
@@ -92,7 +92,7 @@ def paint(grid: MapGrid2D, runs: Iterable[Run]) -> list[Run]:
         if len(undo) > MOST_PIECES:
             raise VerbError(f"the change has more than {MOST_PIECES} pieces; paint less at once")
         cells[changes] = wanted[changes]
-    return undo[::-1]  # the newest first, because runs of one call may overlap
+    return undo[::-1]  # the last change is undone first, because runs of one call may overlap
 
 
 def _equal_runs(marks: np.ndarray[Any, np.dtype[np.uint8]]) -> Iterator[tuple[int, int]]:

@@ -25,11 +25,11 @@ from navigation.messages import NAVIGATE, THROUGH
 
 MOST_PLACES = 50
 SHORTEST, USUAL, LONGEST = 1.0, 2.0, 3600.0
-"""Minimum, default and maximum seconds of the stop between two goals; the minimum lets a pending stop command arrive
-before the next goal."""
+"""Minimum, default and maximum seconds of the stop between two goals. Because of the minimum, a stop command that is on
+its way arrives before the next goal."""
 
 MOST_PASSED = 20
-"""Maximum number of places in a goal of several rounds, because planners repeatedly plan the path through them all."""
+"""Maximum number of places in a goal of several rounds; planners repeatedly plan the path through all of them."""
 
 ANSWER_SECONDS = 5.0
 _LOCATE = "/navigation/get_location"
@@ -53,7 +53,7 @@ def wait_of(value: Any) -> float:
 
 @dataclass
 class PatrolRoute:
-    """The places of a patrol, and how far the robot is.
+    """The places of a patrol, and the robot's progress.
 
     Attributes:
         wait: seconds of the stop at each place; 0 for no stop.
@@ -81,7 +81,7 @@ class PatrolRoute:
         return self.places[(self.at + len(self.poses)) % len(self.places)]
 
     def advance(self, index: int) -> bool:
-        """Advance to a place of the current goal, indexed like ``last``; return False if that is ``at`` already."""
+        """Advance to a place of the current goal, indexed like ``last``; return False if it is ``at`` already."""
         if index == self.at:
             return False
         rounds, self.at = divmod(index, len(self.places))
@@ -104,7 +104,7 @@ class Gateway(Protocol):
 
     @property
     def goal_id(self) -> bytes:
-        """The id of the gateway's goal; zeros without one."""
+        """The id of the gateway's goal; zeros if there is none."""
 
     def on_change(self, action: Callable[[], None]) -> None:
         """Register a callback for changes of the gateway's state."""

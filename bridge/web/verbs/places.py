@@ -16,8 +16,8 @@ from yarp_compat.sig.vec2d import Vec2D
 
 MOST_CORNERS = 500
 _SMALLEST = 1e-4
-"""Square meters: if no corner spans a larger parallelogram with the first corner and the one farthest from that, all
-corners are taken to be on one line."""
+"""Square meters. An area's corners count as being on one line if no corner spans a larger parallelogram with
+the first corner and the corner farthest from the first."""
 
 _KINDS: dict[str, ValueKind[Any]] = {kind.name: kind for kind in (LOCATION, AREA, PATH)}
 _WORDS = {LOCATION.name: "place", AREA.name: "area", PATH.name: "path"}

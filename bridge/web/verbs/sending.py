@@ -33,11 +33,11 @@ MOST_RATE = 5.0
 MOST_TYPE = 255
 CALL_SECONDS = 15.0
 KEEP_SECONDS = 60.0
-"""How long a topic's publisher stays, so that the next message need not wait for discovery."""
+"""Seconds for which a topic's publisher is kept, so that the next message need not wait for discovery."""
 
 _MOST_PUBLISHERS = 8
 _SETTLE_SECONDS = 1.0  # to wait for subscribers to discover a new publisher
-_END_SECONDS = 0.5  # to wait for a publishing thread at the end
+_END_SECONDS = 0.5  # for which `close` waits for a publishing thread
 
 
 class Sending:
@@ -65,7 +65,7 @@ class Sending:
         cdr = encode(self._types, name, message)
         with self._lock:
             if not self._limit.passes():
-                raise VerbError(f"the limit is {MOST_RATE:g} messages per second from all pages; press again")
+                raise VerbError(f"the limit is {MOST_RATE:g} messages per second from all pages; try again")
             publisher = self._publisher(topic, name, type_hash)
             publisher.put(cdr)
             received = publisher.matched()
@@ -83,7 +83,7 @@ class Sending:
         return ""
 
     def _publisher(self, topic: str, name: str, type_hash: str) -> HubPublisher:
-        """Return the topic's publisher, a new one after a short wait for subscribers. The caller holds the lock."""
+        """Return the topic's publisher; wait a moment for subscribers of a new one. The caller holds the lock."""
         now, key = time.monotonic(), (topic, name)
         if key in self._publishers:
             publisher, _ = self._publishers.pop(key)

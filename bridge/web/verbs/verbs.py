@@ -20,7 +20,7 @@ from bridge.stores.entry import StoreError
 _log = logging.getLogger("midspan.web")
 
 BEGIN_SECONDS = 3.0
-"""A call other than a stop that has waited for other calls this long is not executed."""
+"""A call (except a stop) is not executed if it has waited this long for other calls."""
 THREADS = 4
 """Number of concurrent calls, without slow verbs and stops."""
 _STOP_THREADS = 2
@@ -130,7 +130,7 @@ class Verbs:
         return (self._slow if page_verb.slow else self._pool).submit(job)
 
     def _begin_stop(self, verb: str, job: Callable[[], Any]) -> Future[Any]:
-        """Run a stop without waiting for other verbs; while two of its kind run, further calls share the next one."""
+        """Run a stop without waiting for other verbs; while two stops of its kind run, further calls share the next."""
         with self._lock:
             newest = self._newest.get(verb)
             if newest is None or newest.running() or newest.done():

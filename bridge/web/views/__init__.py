@@ -35,7 +35,7 @@ VIEWS = (
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What the views of a console share.
+    """The objects that the views of a console share.
 
     Attributes:
         host: the console's node, thread and clock.

@@ -3,12 +3,12 @@
 import { button, el } from "./dom.js";
 import { notify } from "./messages.js";
 
-/** A cure with its button, or null without one; `what` names it for screen readers. */
+/** A cure with a button to copy it, or null if there is no cure; `what` names its subject for screen readers. */
 export function cureLine(cure, what) {
   return cure ? el("div", { class: "cure" }, el("code", { text: cure }), button("Copy", () => copy(cure), { "aria-label": `Copy the cure for ${what}` })) : null;
 }
 
-/** Each worker's decision on `name`, from the verb `explain`: list items. */
+/** List items with each worker's decision on `name`, as replied by the verb `explain`. */
 export function explained(name, found) {
   if (!found.length) return [el("li", {}, el("p", { text: `No worker has a decision on ${name}.` }))];
   return found.map(({ daemon, side, decision, why, cure, users }) => el("li", {},
@@ -23,6 +23,6 @@ async function copy(text) {
     await navigator.clipboard.writeText(text);
     notify("Copied.");
   } catch {
-    notify("The browser does not allow this page to copy: select the text manually.", { bad: true });
+    notify("The browser does not allow this page to copy. Select the text manually.", { bad: true });
   }
 }

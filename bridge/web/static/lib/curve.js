@@ -3,9 +3,9 @@
 import { svg } from "./dom.js";
 
 export const SPAN = 60; // seconds
-const MOST = 1200; // points a series, what 20 Hz gives in a minute
+const MOST = 1200; // maximum number of points in a series: those of a minute at 20 Hz
 
-/** Numbers with the time they came, for a minute. */
+/** The numbers of the last minute, with the times at which they arrived. */
 export class Series {
   constructor() {
     this.points = []; // [seconds, value], oldest first
@@ -29,7 +29,7 @@ export class Series {
   }
 }
 
-/** A small curve next to a row. `from`: the lowest value of its axis, or undefined for that of the values. */
+/** A small curve next to a row. `from`: the lowest value of its axis; undefined: the smallest of the numbers. */
 export class Spark {
   constructor(label) {
     this.line = svg("path", { class: "curve-line", "vector-effect": "non-scaling-stroke" });
@@ -41,7 +41,7 @@ export class Spark {
   }
 }
 
-/** A path of a minute across `wide` x `high`, with gaps where nothing came for long. */
+/** The SVG path of a minute's numbers in a box of `wide` x `high`, with gaps where no number arrived for long. */
 function path(series, wide, high, from) {
   const { points } = series;
   if (points.length < 2) return "";

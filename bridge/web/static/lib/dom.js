@@ -7,7 +7,7 @@ export function el(tag, { text, on = {}, ...attributes } = {}, ...children) {
   return filled(document.createElement(tag), text, on, attributes, children);
 }
 
-/** The same for SVG. */
+/** An SVG element, with the same arguments as `el`. */
 export function svg(tag, { text, on = {}, ...attributes } = {}, ...children) {
   return filled(document.createElementNS(SVG, tag), text, on, attributes, children);
 }
@@ -50,7 +50,7 @@ export function mark(element, name, value) {
 }
 
 /**
- * Update the children of `parent` to `items`: a row stays while its key exists.
+ * Update the children of `parent` so that there is one for each of `items`; a row stays as long as its key exists.
  * `key` names an item, `make` creates its row (an element), `fill` writes an item's values into a row.
  */
 export function rows(parent, items, key, make, fill) {

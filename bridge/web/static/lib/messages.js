@@ -11,7 +11,7 @@ let leaveOpen = () => {}; // closes the open question, if any
 const notices = document.getElementById("notices");
 const wrong = document.getElementById("wrong");
 
-/** Show a message for a few seconds. */
+/** Show a message to the operator for a few seconds. */
 export function notify(text, { bad = false } = {}) {
   const list = bad ? wrong : notices;
   for (const old of list.children) if (old.firstChild.textContent === text) old.remove();
@@ -24,7 +24,7 @@ export function notify(text, { bad = false } = {}) {
 }
 
 /**
- * Call a verb and show its progress and result: `done`, else the console's reply.
+ * Call a verb and show its progress, then `done` or, without it, the console's reply.
  * Resolves to whether it succeeded.
  */
 export async function ask(socket, what, verb, args, done) {

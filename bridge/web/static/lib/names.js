@@ -8,15 +8,15 @@ const WORDS = { location: "place", area: "area", path: "path" };
 const FEED = { location: "locations", area: "areas", path: "paths" };
 const AFTER = {
   location: "It can no longer be a goal by name.",
-  area: "Its rules for robots are deleted, too.",
+  area: "Its rules for robots are deleted too.",
   path: "It can no longer be followed by name.",
 };
 
-/** Whether `places` (the feed's value, if known) has a name. */
+/** Whether `places` (the feed's value, if known) contains this name. */
 const has = (places, kind, name) => Object.hasOwn(places?.[FEED[kind]] ?? {}, name);
 
 /**
- * Save something under a name; if the name is in use in `places`, the operator decides whether to replace it.
+ * Save something under a name; if `places` already has the name, the operator decides whether to replace its owner.
  * Resolves to whether it was saved.
  */
 export async function keep(socket, places, kind, verb, args, done) {

@@ -79,7 +79,7 @@ export class Socket extends EventTarget {
     this.emit("state");
   }
 
-  /** Send a ping after a long silence, since a vanished network does not close the socket. */
+  /** Send a ping after a long silence, because the socket stays open if the network vanishes. */
   listen() {
     const now = performance.now();
     if (!this.open || document.hidden) {
@@ -123,7 +123,7 @@ export class Socket extends EventTarget {
 
   // -- feeds
 
-  /** Pass each newest value of a feed to `taker(value, why)`, once a frame; returns a function that ends it. */
+  /** Pass the newest value of a feed to `taker(value, why)`, at most once per frame; returns a function that ends this. */
   watch(name, taker) {
     let feed = this.feeds.get(name);
     if (feed === undefined) {
@@ -177,7 +177,7 @@ export class Socket extends EventTarget {
   call(verb, args = {}) {
     const id = this.nextId++;
     return new Promise((done, failed) => {
-      if (!this.send({ op: "call", id, verb, args })) failed(new Error("No connection: nothing was sent."));
+      if (!this.send({ op: "call", id, verb, args })) failed(new Error("No connection, so nothing was sent."));
       else this.calls.set(id, { done, failed });
     });
   }
@@ -191,7 +191,7 @@ export class Socket extends EventTarget {
 
   // -- manual driving
 
-  /** Send a velocity, unless an earlier message is still unsent: a late one must never drive. */
+  /** Send a velocity, unless an earlier message is still unsent, because a late velocity must never drive the robot. */
   hold(x, y, turn) {
     return this.open && this.link.bufferedAmount === 0 && this.send({ op: "hold", x, y, turn });
   }

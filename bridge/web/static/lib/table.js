@@ -2,7 +2,7 @@
 
 import { button, el, rows, write } from "./dom.js";
 
-const MAX_ROWS = 400; // a search finds the others
+const MAX_ROWS = 400; // further rows can be found by a search
 
 /**
  * A table. `key(item)` identifies a row. Each of the `columns` has a `label` and either `text(item)` or
@@ -68,7 +68,7 @@ export class Table {
       if (!row.outOfSight) this.update(row, item); // only visible rows are updated
     });
     const left = found.length - shown.length;
-    write(this.more, left ? `${left} more: search to see them.` : found.length ? "" : items.length ? "Nothing found." : empty);
+    write(this.more, left ? `${left} more. Search to see them.` : found.length ? "" : items.length ? "Nothing found." : empty);
     return found.length;
   }
 

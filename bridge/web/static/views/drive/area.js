@@ -4,7 +4,7 @@ import { button, write } from "../../lib/dom.js";
 import { keep, LONGEST_NAME } from "../../lib/names.js";
 import { question, notify } from "../../lib/messages.js";
 
-const NEAR = 18; // px to the first corner: a tap there closes the area
+const NEAR = 18; // px from the first corner within which a tap closes the area
 const MOST = 500; // maximum number of corners, the console's limit
 
 /** The editor of areas on a map; see `MapBlock.edit`. */
@@ -15,7 +15,7 @@ export class AreaEditor {
     this.corners = []; // [x, y] on the map
     this.drag = null; // the first and the newest corner of a rectangle, as pixels
     this.asks = false;
-    this.dragged = false; // whether the corners are those of a rectangle
+    this.dragged = false; // whether the corners were drawn as a rectangle
     this.finishButton = button("Finish", () => this.finish());
     this.backButton = button("Undo corner", () => this.back());
     this.controls = [this.finishButton, this.backButton];
@@ -90,7 +90,7 @@ export class AreaEditor {
     this.changed();
   }
 
-  /** Ask for the name and save the area; if that fails the corners stay. */
+  /** Ask for the name and save the area; if saving fails, the corners stay. */
   async finish() {
     if (this.asks || this.corners.length < 3) return;
     this.asks = true;

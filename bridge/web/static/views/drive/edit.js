@@ -1,4 +1,4 @@
-// Editing the map: tools that draw areas and paint flags replace the tool row.
+// Editing the map: while it is edited, tools that draw areas and paint flags replace the tool row.
 
 import { AreaEditor } from "./area.js";
 import { button, el, icon } from "../../lib/dom.js";

@@ -6,7 +6,7 @@ import { toCells } from "./viewport.js";
 const TINT = 0.45;
 const SHIFT = 0x100000; // more than the number of columns of a layer
 
-/** The obstacle at a cell as text; "" without a cell. */
+/** The obstacle at a cell as text; "" if `cell` is null. */
 export function heightWords(cell) {
   if (!cell) return "";
   return cell.height === null ? "a drop, or unknown height" : `hit at ${meters(cell.height)}`;
@@ -47,7 +47,7 @@ export class HitLayer {
     return height === undefined ? null : { row, column, height };
   }
 
-  /** Tint the cells; this leaves the context with the transform of the cells. */
+  /** Tint the cells; afterwards the context has the transform of the cells. */
   draw(context, view, ratio, color) {
     if (!this.heights.size) return;
     const { low, left } = this.box;

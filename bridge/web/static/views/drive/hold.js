@@ -1,6 +1,6 @@
 // Manual driving: the page repeats a velocity while a finger is down, and never otherwise.
 
-const AGAIN = 100; // ms, well within the console's hold_seconds
+const AGAIN = 100; // ms between two messages, well below the console's hold_seconds
 
 /** One hold at a time. It ends on release, lost focus, a hidden page, a lost connection, and STOP. */
 export class Hold {

@@ -12,20 +12,20 @@ import * as scene from "./scene.js";
 import { Trail } from "./trail.js";
 import { Viewport } from "./viewport.js";
 
-const NEAR = 18; // px from a tap to a place that it selects
-const NARROW = 560; // px of width: below it the tools span the width, as in view.css
+const NEAR = 18; // px from a place within which a tap selects it
+const NARROW = 560; // px; on a narrower map, the tools span the width, as in view.css
 const ROOM = { top: 12, right: 68, bottom: 68, left: 12 }; // px at each edge that the controls cover
 const NARROW_ROOM = { top: 64, right: 6, bottom: 108, left: 6 };
-const LOW = 360; // px of height: below it the map extends below the controls
+const LOW = 360; // px; a map that is less high extends below the controls
 const LOW_ROOM = { top: 6, right: 6, bottom: 6, left: 6 };
 const AIMED = 14; // px that a finger must move to set a heading
 
 /**
  * The map in a block of the page.
  *
- * `tools`: {name: {label, hint, icon, done(pose)}}; a tool handles one press on the map, whose drag sets the heading
- * (`theta` is missing without a drag). A tool with `open()` calls that instead. `menu(at, place, pixel, shape)` is
- * called when the operator touches the map at `at` ({x, y}); `place` is the name of the touched place, `shape`
+ * `tools`: {name: {label, hint, icon, done(pose)}}. A tool handles one press on the map; a drag sets the heading, and
+ * without a drag `pose` has no `theta`. If a tool has `open()`, that is called instead. `menu(at, place, pixel, shape)`
+ * is called when the operator touches the map at `at` ({x, y}); `place` is the name of the touched place, `shape`
  * ({kind, name}) the area or path there, if any. Feeds are followed between `show` and `hide`.
  */
 export class MapBlock {
@@ -169,7 +169,7 @@ export class MapBlock {
     this.ratio = Math.min(devicePixelRatio, 2);
     Object.assign(this.canvas, { width: Math.round(width * this.ratio), height: Math.round(height * this.ratio) });
     Object.assign(this.view, { width, height });
-    if (!this.moved) this.placed = false; // still the whole map
+    if (!this.moved) this.placed = false; // the window still shows the whole map, and must be fitted again
     if (!this.placed && (this.values.map || this.values.robot)) this.fit();
     this.draw();
   }
@@ -223,7 +223,7 @@ export class MapBlock {
     if (this.values.layer) this.redraw();
   }
 
-  /** The obstacle at a place as text; "" without one. */
+  /** The obstacle at a place as text; "" if there is none. */
   hitAt(x, y) {
     return heightWords(this.hits.at(x, y));
   }
@@ -316,7 +316,7 @@ export class MapBlock {
     this.menu({ x, y }, place?.[0] ?? null, this.view.to(x, y), this.shapeAt(x, y));
   }
 
-  /** The area that contains a place, or the path below it: {kind, name}; null without one. */
+  /** The area that contains a point, or the path at the point: {kind, name}; null if there is neither. */
   shapeAt(x, y) {
     const { areas, paths } = this.named(this.values);
     const [path] = paths.find(([, { points }]) => scene.distanceFrom(points, x, y) * this.view.scale < NEAR / 2) ?? [];
@@ -341,7 +341,7 @@ export class MapBlock {
     actions[event.key]();
   }
 
-  /** Enter acts as a press at the center; for a measurement it sets one end and then the other. */
+  /** Handle Enter as a press at the center; for a measurement it sets the first end, then the second. */
   enter(px, py) {
     const [x, y] = this.view.toMap(px, py);
     if (this.tool === "measure") this.measured = this.measured.length === 1 ? [this.measured[0], { x, y }] : [{ x, y }];

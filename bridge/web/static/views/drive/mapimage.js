@@ -6,7 +6,7 @@ const SMALLEST = 512; // an image is halved until no side is longer
 export class MapImage {
   constructor({ name, width, height }, dark) {
     Object.assign(this, { name, width, height, dark });
-    this.levels = [canvas(width, height)]; // each half the size of the previous one
+    this.levels = [canvas(width, height)]; // each level has half the size of the previous one
     for (let [w, h] = [width, height]; Math.max(w, h) > SMALLEST;) {
       [w, h] = [w, h].map((side) => Math.max(1, side >> 1));
       this.levels.push(canvas(w, h));

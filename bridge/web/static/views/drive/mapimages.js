@@ -4,7 +4,7 @@ import { MapImage } from "./mapimage.js";
 import { notify } from "../../lib/messages.js";
 import { toCells } from "./viewport.js";
 
-/** Loads changed tiles; a map's image stays visible until that of another map is loaded. `loaded()` draws. */
+/** Loads changed tiles; a map's image stays visible until another map's image is loaded. `loaded()` draws. */
 export class MapImages {
   constructor(loaded) {
     this.loaded = loaded;

@@ -119,7 +119,7 @@ export class PaintEditor {
     this.changed();
     this.change(newest.map, newest.runs, word).then((undo) => {
       if (undo?.length) this.keep(to, { map: newest.map, runs: undo });
-      else if (undo) notify(`${word}: nothing to change: others have painted over it.`);
+      else if (undo) notify(`${word}: nothing to change, because others have painted over it.`);
       this.changed();
     });
   }
@@ -149,7 +149,7 @@ export class PaintEditor {
         undo.unshift(...done.undo);
       } catch (error) {
         notify(`${word} failed: ${error.message}`, { bad: true });
-        return undo.length ? undo : null; // the completed part can be undone
+        return undo.length ? undo : null; // the part that succeeded can be undone
       }
     }
     return undo;

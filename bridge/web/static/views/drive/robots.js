@@ -8,7 +8,7 @@ const COLORS = 6; // --robot-0 to --robot-5
 export const seen = (robots, color) =>
   (robots ?? []).map((robot, i) => ({ ...robot, ink: color[`robot-${i % COLORS}`] })).filter(({ pose }) => pose);
 
-/** `paths`: whether their paths are drawn; `old`: the connection is lost, so the robots may be elsewhere. */
+/** Draw the robots. `paths`: whether to draw their paths; `old`: the connection is lost, so they may be elsewhere. */
 export function drawRobots(context, view, robots, color, paths, old) {
   for (const { ink, path, pose } of robots) if (paths) drawPath(context, view, path, pose, { ...color, path: ink });
   for (const robot of robots) drawRobot(context, view, robot, { ...color, accent: robot.ink }, old);

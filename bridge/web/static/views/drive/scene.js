@@ -105,7 +105,7 @@ function line(context, pixels, width, ink, opacity = 1) {
   context.globalAlpha = 1;
 }
 
-/** The point of a path that is nearest to a place: [index of the path's point before it, x, y]. */
+/** The point on a path that is nearest to x, y: [index of the path's last corner before this point, x, y]. */
 export function nearest(points, { x, y }) {
   let [least, found] = [Infinity, [0, points[0], points[1]]];
   for (let i = 0; i + 3 < points.length; i += 2) {
@@ -284,7 +284,7 @@ export function drawCross(context, view, color) {
   }
 }
 
-/** Whether a place is inside a polygon. */
+/** Whether x, y is inside the polygon `points`. */
 export function inside(points, x, y) {
   let odd = false;
   points.forEach(([ax, ay], i) => {
@@ -294,14 +294,14 @@ export function inside(points, x, y) {
   return odd;
 }
 
-/** The place on the line from a to b that is nearest to x, y. */
+/** The point on the line from a to b that is nearest to x, y. */
 function onLine(ax, ay, bx, by, x, y) {
   const [dx, dy] = [bx - ax, by - ay];
   const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
   return [ax + share * dx, ay + share * dy];
 }
 
-/** The distance of a place from a line through points. */
+/** The distance of x, y from the line through `points`. */
 export function distanceFrom(points, x, y) {
   let least = Infinity;
   points.forEach(([bx, by], i) => {
@@ -312,7 +312,7 @@ export function distanceFrom(points, x, y) {
   return least;
 }
 
-/** A measured length between two places. */
+/** A measured line from a to b, with its length. */
 export function drawMeasure(context, view, [a, b], color) {
   const [ax, ay] = view.to(a.x, a.y);
   const [bx, by] = view.to(b.x, b.y);

@@ -4,7 +4,7 @@ import { el, icon, write } from "../../lib/dom.js";
 import { degrees } from "../../lib/format.js";
 import { Hold } from "./hold.js";
 
-const DEAD = 0.08; // share of the joystick's range in which a finger is treated as resting
+const DEAD = 0.08; // share of the joystick's range within which a finger counts as centered
 const ARROWS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
 
 // label, velocity as shares of the limit (forward, left, rotation), icon
@@ -95,7 +95,7 @@ export function teleop(socket) {
   stick.addEventListener("keydown", (event) => {
     if (!(event.key in ARROWS) || event.altKey || event.ctrlKey || event.metaKey || pointer !== null) return;
     event.preventDefault();
-    if (event.repeat) return; // a key still down after the hold's end does not restart it
+    if (event.repeat) return; // a key that is still down when the hold ends does not start another
     keys.add(event.key);
     push();
   });

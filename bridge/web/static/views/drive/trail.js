@@ -1,7 +1,7 @@
 // The robot's trail since the start of its current drive, as far as this page has received it.
 
 const STEP = 0.1; // meters between two points
-const MOST = 1000; // maximum number of points; of a longer trail only every second point is kept
+const MOST = 1000; // maximum number of points; a trail that exceeds it keeps only every second point
 
 /** Receives the feeds' values; `points` is x, y, x, y ... */
 export class Trail {
@@ -10,7 +10,7 @@ export class Trail {
     this.goal = "";
   }
 
-  /** A new goal starts a new trail; a finished one stays visible until then. */
+  /** Start a new trail if there is a new goal; until then, the trail of the last goal stays visible. */
   driving(value) {
     const goal = value?.goal ? `${value.goal.x} ${value.goal.y}` : "";
     if (goal && goal !== this.goal) this.points = [];

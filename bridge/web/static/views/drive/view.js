@@ -12,7 +12,7 @@ import { ask } from "../../lib/messages.js";
 import { teleop } from "./teleop.js";
 import { isBusy, mood, stateWords } from "../../lib/words.js";
 
-/** Builds the view; `navigate` takes `x,y` to show on the map. */
+/** Builds the view; `navigate` takes `x,y`, the point to show on the map. */
 export default function driveView(root, socket) {
   const heading = () => map.values.robot?.pose?.theta ?? 0;
   const tools = {

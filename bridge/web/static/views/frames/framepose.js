@@ -24,7 +24,7 @@ export function framePose(socket) {
       }, { "aria-label": "Swap the two frames" }), age),
     list, why);
   let [names, watched, end, shown] = ["", "", () => {}, false];
-  const picked = new Set(); // selects that the operator has changed; other selects may still switch to better frames
+  const picked = new Set(); // the selects that the operator has changed; the page may still switch the others to better frames
   for (const select of [frame, reference]) select.addEventListener("change", () => picked.add(select));
 
   function follow() {

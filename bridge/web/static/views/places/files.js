@@ -1,6 +1,6 @@
 // Transfers files between this page and the console in parts, by calls over the socket.
 
-const PART = 36000 - 36000 % 3; // bytes; as base64 this is the console's limit
+const PART = 36000 - 36000 % 3; // bytes of a part, whose base64 has the console's limit
 const MOST = 64 << 20; // bytes in total, the console's limit
 
 /** Upload files; resolves to the console's key for them. `onProgress(share)` reports progress. */

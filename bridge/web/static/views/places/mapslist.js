@@ -85,7 +85,7 @@ async function importMaps(socket, files) {
       done = await socket.call("import_map", { key, ...choice });
     }
     if (done.done) notify(`Imported ${done.maps.length ? done.maps.join(", ") : "the places"}.`);
-    else notify(`Import failed: ${names(done.taken)} exists already.`, { bad: true });
+    else notify(`Import failed: ${names(done.taken)} already exists.`, { bad: true });
   } catch (error) {
     notify(`Import failed: ${error.message}`, { bad: true });
   }

@@ -11,7 +11,7 @@ function short(text, wide) {
   return text.length > most ? `${text.slice(0, most - 1)}…` : text;
 }
 
-/** {element, fill(status)}. `own`: the name of this console's daemon. */
+/** The graph as {element, fill(status)}. `own`: the name of this console's daemon. */
 export function networkGraph(own) {
   const drawing = svg("svg", { role: "img" });
   const element = el("div", { class: "graph" }, drawing);
@@ -20,7 +20,7 @@ export function networkGraph(own) {
 
   function draw() {
     const wide = Math.max(element.clientWidth, 200);
-    const broad = Math.min(WIDEST, (wide - GAP) / 2); // at least two per row: a single column would look like a chain
+    const broad = Math.min(WIDEST, (wide - GAP) / 2); // at least two per row, because a single column would look like a chain
     if (status === null || !element.clientWidth) return;
     const parts = partsOf(status, own());
     const now = JSON.stringify([wide, parts]);
@@ -51,7 +51,7 @@ export function networkGraph(own) {
   };
 }
 
-/** The graph: {own, sides, others}, each with {name, about, mood, kind}. */
+/** The nodes of the graph: {own, sides, others}, each with {name, about, mood, kind}. */
 function partsOf({ workers, machines }, own) {
   const sidesOf = (daemon) => workers.filter((each) => each.daemon === daemon && each.side);
   const mood = (states) => (states.every((state) => GOOD.has(state)) ? "calm" : "held");

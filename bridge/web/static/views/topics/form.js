@@ -10,7 +10,7 @@ for (const bits of [8, 16, 32, 64]) {
   WHOLE[`int${bits}`] = [-(2 ** (bits - 1)), 2 ** (bits - 1) - 1];
   WHOLE[`uint${bits}`] = [0, 2 ** bits - 1];
 }
-let lists = 0; // number of lists of constants, for their ids
+let lists = 0; // number of lists of constants so far, for their ids
 
 /** An invalid field; `input` is its element. */
 class FieldError extends Error {
@@ -21,8 +21,8 @@ class FieldError extends Error {
 }
 
 /**
- * A form: {element, read()}. `definition` is the console's; `read` returns the message, or null after showing the
- * invalid field.
+ * A form: {element, read()}. `definition` comes from the console; `read` returns the message or, if a field is invalid,
+ * shows that and returns null.
  */
 export function messageForm(definition) {
   const body = structure(definition, definition.root, "");
@@ -133,7 +133,7 @@ function several(definition, field, path) {
   return {
     element,
     read() {
-      if (fixed && !items.length) return Array.from({ length: field.length }, () => ({})); // too many to show: all defaults
+      if (fixed && !items.length) return Array.from({ length: field.length }, () => ({})); // too many to show, so all have defaults
       counted(field, items.length, add, path);
       return items.map((each) => each.read());
     },

@@ -5,7 +5,7 @@ import { opener, sendBlock } from "./form.js";
 import { notify } from "../../lib/messages.js";
 import { Tree } from "./tree.js";
 
-/** {element, choose(name@type)}; the empty name closes it. */
+/** The block of one service: {element, choose(name@type)}; the empty name closes it. */
 export function serviceBlock(socket) {
   const title = el("h2");
   const type = el("p", { class: "second" });

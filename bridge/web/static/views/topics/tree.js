@@ -4,7 +4,7 @@ import { button, el, icon, mark, rows, write } from "../../lib/dom.js";
 import { number } from "../../lib/format.js";
 
 const CUT = "..."; // {"...": 360} stands for the omitted elements of a long array
-const JOIN = "\n"; // between the keys of a path, because no key of a message contains it
+const JOIN = "\n"; // separates the keys of a path; no key of a message contains it
 const DEEP = 3; // number of levels that are open at first
 const FEW = 12; // maximum number of children of a branch that is open at first
 

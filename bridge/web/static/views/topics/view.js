@@ -73,7 +73,7 @@ function namesList(socket, feed, title, nameOf, href, about, always = false) {
       mark(parts.link, "aria-current", full === chosen ? "true" : null);
     });
     const left = found.length - MOST_TOPICS;
-    write(empty, left > 0 ? `${left} more: search to see them.` : found.length ? "" : items?.length ? "Nothing found." : why || `No ${feed}.`);
+    write(empty, left > 0 ? `${left} more. Search to see them.` : found.length ? "" : items?.length ? "Nothing found." : why || `No ${feed}.`);
   };
   const field = searchField(`Search ${feed}`, (text) => {
     search = text;
@@ -103,7 +103,7 @@ function namesList(socket, feed, title, nameOf, href, about, always = false) {
   };
 }
 
-/** The number of endpoints: a number, or a list of names. */
+/** The number of endpoints, which are given as a number or a list of names. */
 const ends = (value) => (Array.isArray(value) ? value.length : (value ?? "–"));
 
 function nameRow(name) {
