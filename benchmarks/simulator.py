@@ -117,7 +117,7 @@ def pictures(count: int, seconds: float) -> tuple[float, float]:
     skeleton, nodes = bodies.fixed(sim.world.pieces)
     group = dart.collision.BulletCollisionDetector().createCollisionGroup()
     group.addShapeFrames(nodes)
-    turned, eye = camera.placed(at)
+    turned, eye = camera.optical_frame(at)
     some = np.ones((camera.size[1], camera.size[0]), np.float32)
     ends = eye + 10.0 * camera.points(some).reshape(-1, 3)[::_RAYS] @ turned.T
 

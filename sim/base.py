@@ -22,7 +22,7 @@ STEP_NS = 1_000_000
 """Duration of one DART step."""
 
 TICK_NS = 10_000_000
-"""Duration of a tick, the step in which time advances; during a tick commands are constant."""
+"""Duration of a tick, the step by which time advances; commands are constant during a tick."""
 
 
 class BasePose(NamedTuple):
@@ -85,7 +85,7 @@ class Base(ABC):
 
     @abstractmethod
     def twist(self) -> Twist:
-        """Return the true velocity, which may differ from the commanded one."""
+        """Return the true velocity, which may differ from the commanded velocity."""
 
     @abstractmethod
     def place(self, pose: BasePose) -> None:
@@ -97,7 +97,7 @@ class Base(ABC):
 
 
 def clipped(velocities: Sequence[float], names: Sequence[str], greatest: float) -> list[float]:
-    """Limit wheel velocities to ``greatest``; raises `SimError` if one is not finite, or not every wheel has one."""
+    """Limit wheel velocities to ``greatest``; raises `SimError` unless each wheel has one finite velocity."""
     if len(velocities) != len(names):
         raise SimError(f"the base has {len(names)} wheels, not {len(velocities)}")
     if not all(math.isfinite(v) for v in velocities):
@@ -116,8 +116,8 @@ def power(joint: Any, axis: int) -> float:
 class Differential(Base):
     """A base with two driven wheels and casters, free in space: it can roll, slip and tip, and obstacles stop it.
 
-    For contacts with the floor a wheel is a sphere: a cylinder would touch the floor at two points and scrub (half a
-    meter of error in a loop of 20 m, measured). For contacts with walls it is a box on the body. The motors are
+    For contacts with the floor a wheel is a sphere, because a cylinder would touch the floor at two points and scrub (a
+    loop of 20 m then had an error of half a meter). For contacts with walls it is a box on the body. The motors are
     velocity servos with limited torque, so that a wall stalls them.
     """
 
@@ -222,9 +222,9 @@ _GRAVITY = 9.81
 class Holonomic(Base):
     """Three omnidirectional wheels (ikart_V1); the base moves in the plane.
 
-    The wheels are not separate bodies: the base follows the commanded motion with the force that the wheels' torque and
-    grip allow, and stalls at obstacles that it cannot push; the wheels then stop too. DART's Python package has no
-    wheels that grip in one direction and roll in the other.
+    The wheels are not separate bodies, because DART's Python package has no wheels that grip in one direction and roll
+    in the other. Instead, the base follows the commanded motion with the force that the wheels' torque and grip allow.
+    It stalls at obstacles that it cannot push, and the wheels then stop too.
     """
 
     def __init__(self, robot: RobotDescription) -> None:

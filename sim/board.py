@@ -1,9 +1,9 @@
 """The wheels as a YARP control board, for scripts that command a robot's ``/cer/mobile_base`` (`docs/yarp/boards.md`).
 
 Units are degrees, degrees per second and, for duty cycles, percent; the modes are position, position direct, velocity,
-PWM and idle. A velocity or duty cycle expires after the same time as a command on ``/cmd_vel``; a position is held once
-it is reached. While the board has an active command for a wheel, other command sources are ignored; the emergency stop
-cancels all commands.
+PWM and idle. A velocity or duty cycle expires after the same time as a command on ``/cmd_vel``; a wheel that reaches
+its position stays there. While the board has an active command for any wheel, other command sources are ignored. The
+emergency stop cancels all commands.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from yarp_compat.dev.controlboard.streams import JointData
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 
 _SPEED, _RAMP = 30.0, 60.0  # defaults of position moves: degrees per second, and per second squared
-_THERE = 0.2  # a wheel has reached its target within this many degrees
+_THERE = 0.2  # degrees from its target within which a wheel has reached it
 _MODES = frozenset(
     (
         modes.VOCAB_CM_POSITION,
@@ -61,7 +61,7 @@ class WheelCommands:
         """Return the wheels' angles, in degrees."""
         return np.degrees(self._encoders.positions) - self.zero
 
-    def turning(self) -> Floats:
+    def measured_velocities(self) -> Floats:
         """Return the wheels' velocities, in degrees per second."""
         return np.degrees(self._encoders.velocities)
 
@@ -148,9 +148,9 @@ class WheelBoard(JointBoard):
         commands = self._commands()
         values = {
             "jointPosition": commands.positions(),
-            "jointVelocity": commands.turning(),
+            "jointVelocity": commands.measured_velocities(),
             "motorPosition": commands.positions(),
-            "motorVelocity": commands.turning(),
+            "motorVelocity": commands.measured_velocities(),
             "pwmDutycycle": commands.duties(),
             "controlMode": np.array(commands.modes),
             "interactionMode": np.full(self.axes, modes.VOCAB_IM_STIFF),
@@ -183,7 +183,7 @@ class WheelBoard(JointBoard):
 
     @override
     def getEncoderSpeedOneRPC(self, j: int) -> tuple[ReturnValue, float]:
-        return OK, float(self._commands().turning()[j])
+        return OK, float(self._commands().measured_velocities()[j])
 
     @override
     def getMotorEncoderOneRPC(self, j: int) -> tuple[ReturnValue, float]:

@@ -50,7 +50,7 @@ _Part = tuple[float, float, float, float]  # x0, y0, x1, y1, meters
 
 
 def ground(reach: float, drops: Iterable[Drop] = ()) -> Any:
-    """Create the floor, ``reach`` meters to each side with its top at z = 0, and lower where it has drops."""
+    """Create the floor, ``reach`` meters to each side, with its top at z = 0; its drops are lower."""
     skeleton = dartpy().dynamics.Skeleton("ground")
     _, body = skeleton.createWeldJointAndBodyNodePair()
     parts: list[tuple[_Part, float]] = [((-reach, -reach, reach, reach), 0.0)]
@@ -67,7 +67,7 @@ def ground(reach: float, drops: Iterable[Drop] = ()) -> Any:
 
 
 def _around(part: _Part, hole: _Part) -> Iterable[_Part]:
-    """Return the rectangles that remain of a rectangle around a hole."""
+    """Return rectangles that cover ``part`` except for ``hole``."""
     x0, y0, x1, y1 = part
     left, low, right, high = max(x0, hole[0]), max(y0, hole[1]), min(x1, hole[2]), min(y1, hole[3])
     if left >= right or low >= high:

@@ -43,11 +43,11 @@ class DepthCamera:
     def picture(self, time_ns: int, pose: BasePose, solids: Floats, drops: Floats) -> Depths:
         """Return the depths, (height, width) meters, of solids and drops as in `sim.depth_kernel.render`.
 
-        Minus infinity is too near, infinity too far, NaN a pixel without a value. The noise depends only on the seed
+        Minus infinity means too near, infinity too far, NaN no value. The noise depends only on the seed
         and the time, not on earlier pictures.
         """
         section, out = self._section, np.empty(self.size[::-1], np.float32)
-        turned, eye = self.placed(pose)
+        turned, eye = self.optical_frame(pose)
         render(solids, drops, eye, turned, np.array(self.lens), math.inf, out)
         rng = np.random.default_rng((self._seed, time_ns))
         if self._error:
@@ -61,7 +61,7 @@ class DepthCamera:
             out[rng.random(out.shape, np.float32) < section.dropouts] = math.nan
         return out
 
-    def placed(self, pose: BasePose) -> tuple[Floats, Floats]:
+    def optical_frame(self, pose: BasePose) -> tuple[Floats, Floats]:
         """Return the optical frame's rotation (3, 3) and position (3, meters; z from the floor) for a base pose."""
         around = _about_z(math.degrees(pose.yaw))
         x, y, z = self._section.at

@@ -77,7 +77,7 @@ def ready(folder: str) -> list[str]:
 
 
 def find(folder: str, name: str) -> Path:
-    """Return the file of a name that comes with Midspan, or else the path; raises `SimError` if neither exists."""
+    """Return the file of a name that comes with Midspan, or else a path; raises `SimError` if neither exists."""
     shipped = _FOLDER / folder / f"{name}.yaml"
     if name in ready(folder):
         return shipped

@@ -1,7 +1,7 @@
 """Exports a floor plan's maps, locations and areas for planners, and draws the floor from above.
 
-On a map doors are open; movable things, and things that the R1's laser misses at its height, are left out. The drawing
-code is Midspan's own, because DART's package needs a display.
+On a map, doors are open; movable things are left out, as are things that the R1's laser does not hit at its height. The
+drawing code is Midspan's own, because DART's package needs a display.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def save(plan: Plan, folder: Path, resolution: float = 0.05) -> list[Path]:
     locations = folder / "locations.ini"
     places(plan).save(locations)
     links_file = extras_file(locations)
-    # importers read this file whenever it exists, so the links of an earlier plan must not stay in it
+    # written even without links, because importers would read the links of an earlier plan from an old file
     if plan.links or links_file.exists():
         Extras(links=links(plan)).save(links_file)
     for floor, occupancy in maps.items():
@@ -97,7 +97,7 @@ def _named(plan: Plan, floor: str, name: str) -> str:
 
 
 def _mark(wall: NDArray[np.bool_], piece: Piece, left: float, bottom: float, resolution: float) -> None:
-    """Mark the cells whose middle is within half a cell of a piece, so that thin walls have no gaps."""
+    """Mark the cells whose center is within half a cell of a piece, so that thin walls have no gaps."""
     reach = piece.reach + resolution
     columns = _range(piece.x, reach, left, resolution, wall.shape[1])
     rows = _range(piece.y, reach, bottom, resolution, wall.shape[0])

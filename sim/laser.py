@@ -29,7 +29,7 @@ class Laser:
         self.step = 2.0 * math.pi / section.beams
         self._own = section.kind == "robot"
         self.scanners = mount.scanners if self._own else (Scanner(),)
-        # YARP's beams begin at the robot's front, those of most ROS drivers at its back
+        # YARP's first beam points to the robot's front, the first beam of most ROS drivers to its back
         self.first = 0.0 if self._own else -math.pi
         angles = self.first + np.arange(section.beams) * self.step
         self._beams = np.ascontiguousarray(np.stack([np.cos(angles), np.sin(angles)], axis=1))

@@ -24,7 +24,7 @@ _FLOAT32 = 7  # sensor_msgs/PointField
 CAMERA_FRAME, OPTICAL_FRAME = "camera_link", "camera_depth_optical_frame"
 FOOTPRINT_FRAME = "base_footprint"  # the floor below the base (REP 120), the origin of heights
 DEPTH, DEPTH_INFO, DEPTH_POINTS = "/camera/depth/image_rect_raw", "/camera/depth/camera_info", "/camera/depth/points"
-"""Topics of the camera; they and the camera's frames have the names of the realsense2_camera driver's."""
+"""Topics of the camera; these and the camera's frames are named as in the driver realsense2_camera."""
 _POSE_VARIANCE = np.diag([0.01, 0.01, 1e6, 1e6, 1e6, 0.03]).ravel()
 """Typical covariance of a mobile base's odometry, which does not observe height and tilt."""
 
@@ -59,12 +59,12 @@ def odometry(time_ns: int, pose: BasePose, twist: Twist, frame: str, child: str,
     return message
 
 
-def moving(time_ns: int, pose: BasePose, twist: Twist) -> tuple[float, ...]:
+def odometry_numbers(time_ns: int, pose: BasePose, twist: Twist) -> tuple[float, ...]:
     """Return the changing numbers of `odometry`, in order: ``header.stamp``, ``pose.pose``, ``twist.twist``."""
     return (*divmod(time_ns, _SECOND), *_placed(pose), twist.x, twist.y, 0.0, 0.0, 0.0, twist.yaw)
 
 
-def placed(time_ns: int, pose: BasePose) -> tuple[float, ...]:
+def transform_numbers(time_ns: int, pose: BasePose) -> tuple[float, ...]:
     """Return the changing numbers of `transform`, in order: stamp and transform of a child at the same height."""
     return (*divmod(time_ns, _SECOND), *_placed(pose))
 
@@ -92,7 +92,7 @@ def mount(time_ns: int, base: str, laser: str, height: float, camera: CameraSect
 
 
 def tilted(yaw: float, pitch: float) -> Message:
-    """Return a geometry_msgs/Quaternion of a rotation to the left, then down, in degrees."""
+    """Return a geometry_msgs/Quaternion: a rotation by ``yaw`` to the left, then by ``pitch`` down, in degrees."""
     c, s, cp, sp = (f(math.radians(angle) / 2) for angle in (yaw, pitch) for f in (math.cos, math.sin))
     return {"x": -s * sp, "y": c * sp, "z": s * cp, "w": c * cp}
 
@@ -166,7 +166,7 @@ def joints(time_ns: int, names: tuple[str, ...], encoders: Encoders) -> Message:
     }
 
 
-def turning(time_ns: int, encoders: Encoders) -> tuple[float, ...]:
+def joint_numbers(time_ns: int, encoders: Encoders) -> tuple[float, ...]:
     """Return the changing numbers of `joints`, in order: ``header.stamp``, ``position``, ``velocity``."""
     return (*divmod(time_ns, _SECOND), *encoders.positions.tolist(), *encoders.velocities.tolist())
 

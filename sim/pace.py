@@ -9,8 +9,8 @@ from sim.base import TICK_NS
 
 _CATCH_UP = 0.05  # seconds to catch up on at once, before messages are handled
 _EARLY = 0.002  # seconds by which a tick may be early, since timers are not exact
-_FORGIVEN = 0.25  # seconds of delay after which missed ticks are left out, so that a base does not rush
-_PILED = 0.5  # seconds after a standstill in which queued messages may still arrive
+_FORGIVEN = 0.25  # if the delay exceeds these seconds, missed ticks are left out, so that a base does not rush
+_PILED = 0.5  # seconds after a standstill of this process during which queued messages may still arrive
 _TICK_WAIT = 0.005  # seconds; shorter ticks run in bundles, and are not counted as late
 
 
@@ -56,7 +56,7 @@ class Pace:
         return count
 
     def moment(self) -> float:
-        """Return when the next of the ticks that `due` counted was due, in seconds of the monotonic clock.
+        """Return when the next tick that `due` has counted was due, in seconds of the monotonic clock.
 
         That is the earliest time at which a tick may run, so it is never in the future.
         """

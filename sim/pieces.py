@@ -70,7 +70,7 @@ def walls(floor: Floor) -> Iterator[Piece]:
     for line in floor.walls:
         for a, b in itertools.pairwise(line):
             for start, end, first, last in _standing(a, b, holes):
-                # half a thickness more at the wall's ends closes the corners, but not the gaps
+                # the wall's ends are half a thickness longer, which closes the corners; ends at gaps are not
                 half = floor.thickness / 2
                 length = math.hypot(b[0] - a[0], b[1] - a[1])
                 begin, stop = start - half * first, end + half * last
@@ -81,7 +81,7 @@ def walls(floor: Floor) -> Iterator[Piece]:
 
 
 def _standing(a: Point, b: Point, holes: Iterable[tuple[Point, Point]]) -> Iterator[tuple[float, float, bool, bool]]:
-    """Yield the remaining parts of a wall: begin, end (meters from ``a``), and whether each is an end of the wall."""
+    """Yield the parts of a wall between holes: begin and end (meters from ``a``), and which of them is a wall's end."""
     length = math.hypot(b[0] - a[0], b[1] - a[1])
     if length < 1e-6:
         return
@@ -144,13 +144,13 @@ def of_person(person: Person) -> Piece:
 
 
 _PATIENCE, _REST = 5.0, 20.0
-"""Seconds that a blocked person waits before walking to the next point of the path, and then rests there."""
+"""Seconds for which a blocked person waits before turning to another point of the path, and then rests there."""
 
 
 class Walker:
-    """A walking person, who stops for the robot, and neither pushes it nor is pushed.
+    """A walking person, who stops for the robot, does not push it, and cannot be pushed.
 
-    After a long wait the person walks to the path's next point: if the robot waited too, both would wait forever.
+    After a long wait the person walks to another point of the path, because the robot may be waiting too.
 
     Attributes:
         person: the person in the plan.

@@ -1,4 +1,4 @@
-"""Floor plans, from YAML, a grid map or an image; in meters and degrees."""
+"""Floor plans, which are read from YAML, a grid map or an image; in meters and degrees."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Box(Section):
     @model_validator(mode="after")
     def _check_support(self) -> Box:
         if self.mass is not None and self.above:
-            raise ValueError("mass and above exclude each other: a movable box stands on the floor")
+            raise ValueError("mass and above exclude each other, because a movable box stands on the floor")
         return self
 
 
@@ -230,7 +230,7 @@ def of_grid(grid: MapGrid2D, name: str) -> Plan:
 
 
 def of_image(file: Path, resolution: float) -> Plan:
-    """Return a plan from an image: dark pixels are walls, the origin is the lower left corner.
+    """Return a plan from an image, whose dark pixels are walls, and whose lower left corner is the origin.
 
     Args:
         file: the image.

@@ -25,7 +25,7 @@ from yarp_compat.sig.image import ImageFloat
 from yarp_compat.sig.vector import Vector
 
 _ODOMETRY = 2
-_BATTERY = 100  # ticks between two messages: 50 Hz, 1 Hz
+_BATTERY = 100  # ticks between two messages; _ODOMETRY is 50 Hz, _BATTERY 1 Hz
 _IN_USE = BatteryStatus.BATTERY_OK_IN_USE
 _TEMPERATURE = 30.0  # of the battery, degrees Celsius
 _FIXED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
@@ -115,7 +115,7 @@ class _Board:
     """The ports of the wheels' control board; their names begin with ``name``."""
 
     def __init__(self, host: Host, name: str, simulation: Simulation) -> None:
-        # late=False: a command whose call timed out must not run later
+        # late=False, because a command whose call has timed out must not run later
         board = WheelBoard(lambda: simulation.wheels.board, lambda action: host.loop.call(action, late=False))
         handler = BoardHandler(board)
         self._board = board
@@ -141,7 +141,7 @@ class _Board:
 
 
 class _Laser(Rangefinder2D):
-    """The laser's settings, which are those of the configuration and cannot be changed by clients."""
+    """The laser's settings, which come from the configuration; clients cannot change them."""
 
     def __init__(self, simulation: Simulation) -> None:
         super().__init__()

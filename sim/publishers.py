@@ -11,9 +11,10 @@ from sim.messages import TopicNames
 from sim.simulation import Simulation
 
 _PICTURE = Qos(depth=2)  # large messages, of which only the newest count
+# ticks between two messages, at 100 ticks per second
 _ODOMETRY = 2
 _BUMPER = 10
-_BATTERY = 100  # ticks between two messages: 50 Hz, 10 Hz, 1 Hz
+_BATTERY = 100
 
 _PLACE, _STILL = BasePose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0)
 _MOTION = "header.stamp", "pose.pose", "twist.twist"
@@ -45,12 +46,12 @@ class SimPublishers:
         self._prepare()
 
     def _prepare(self) -> None:
-        """Encode the frequent messages once, so that later only their numbers are filled in."""
+        """Encode templates of the frequent messages, in which later only the numbers are filled in."""
         names, simulation = self._names, self._simulation
         joints = messages.joints(0, simulation.base.names, simulation.wheels.motors.encoders())
-        self._turning = self._joints.template(joints, "header.stamp", "position", "velocity")
+        self._joints_template = self._joints.template(joints, "header.stamp", "position", "velocity")
         truth = messages.odometry(0, _PLACE, _STILL, names.map_frame, names.base_frame, sure=True)
-        self._true = self._truth.template(truth, *_MOTION)
+        self._truth_template = self._truth.template(truth, *_MOTION)
 
     def begin(self, time_ns: int) -> None:
         """Publish the static transforms."""
@@ -61,13 +62,12 @@ class SimPublishers:
         self._static.publish(messages.mount(time_ns, *frames, robot.lasers.height, camera, middle))
 
     def publish(self, time_ns: int) -> None:
-        """Publish the messages that are due after a tick, with stamps of ``time_ns``."""
+        """Publish the messages that are due after a tick, stamped ``time_ns``."""
         simulation, names = self._simulation, self._names
         self._ticks += 1
         if "encoders_silent" not in simulation.faults:
-            self._joints.offer(
-                lambda: self._turning.fill(*messages.turning(time_ns, simulation.wheels.motors.encoders()))
-            )
+            motors = simulation.wheels.motors
+            self._joints.offer(lambda: self._joints_template.fill(*messages.joint_numbers(time_ns, motors.encoders())))
         if self._ticks % _ODOMETRY == 0:
             self._publish_pose(time_ns)
         if simulation.scan.time_ns != self._scanned:
@@ -86,12 +86,14 @@ class SimPublishers:
         if self._view is not None and self._ticks % self._view.every == 0:
             self._view.publish(time_ns)
         if self._clock is not None:
-            # last, and with the same priority, so that the measurements of a time arrive before that time
+            # last, and at the same priority, so that a tick's measurements arrive before its clock message
             self._clock.publish({"clock": messages.stamp(time_ns)})
 
     def _publish_pose(self, time_ns: int) -> None:
         base = self._simulation.base
-        self._truth.offer(lambda: self._true.fill(*messages.moving(time_ns, base.pose(), base.twist())))
+        self._truth.offer(
+            lambda: self._truth_template.fill(*messages.odometry_numbers(time_ns, base.pose(), base.twist()))
+        )
         if self._odometry is not None and "encoders_silent" not in self._simulation.faults:
             self._odometry.publish(time_ns)
 
@@ -104,15 +106,16 @@ class OdometryPublishers:
         self._odometry = node.publisher(names.odometry, "nav_msgs/msg/Odometry")
         self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage")
         odometry = messages.odometry(0, _PLACE, _STILL, names.odom_frame, names.base_frame)
-        self._estimated = self._odometry.template(odometry, *_MOTION)
+        self._odometry_template = self._odometry.template(odometry, *_MOTION)
         frame = messages.transform(0, names.odom_frame, names.base_frame, _PLACE)
-        self._moved = self._tf.template(frame, "transforms[0].header.stamp", "transforms[0].transform")
+        self._tf_template = self._tf.template(frame, "transforms[0].header.stamp", "transforms[0].transform")
 
     def publish(self, time_ns: int) -> None:
-        """Publish the estimated pose, with stamps of ``time_ns``."""
+        """Publish the estimated pose, stamped ``time_ns``."""
         estimate = self._simulation.estimate
-        self._odometry.offer(lambda: self._estimated.fill(*messages.moving(time_ns, estimate.pose, estimate.twist)))
-        self._tf.offer(lambda: self._moved.fill(*messages.placed(time_ns, estimate.pose)))
+        pose, twist = estimate.pose, estimate.twist
+        self._odometry.offer(lambda: self._odometry_template.fill(*messages.odometry_numbers(time_ns, pose, twist)))
+        self._tf.offer(lambda: self._tf_template.fill(*messages.transform_numbers(time_ns, pose)))
 
 
 class ViewPublisher:
@@ -128,7 +131,7 @@ class ViewPublisher:
         self.every = max(1, round(1e9 / rate / TICK_NS))
 
     def publish(self, time_ns: int) -> None:
-        """Publish a drawing, with the stamp ``time_ns``."""
+        """Publish a drawing, stamped ``time_ns``."""
         from sim.export import draw
 
         self._view.offer(lambda: self._view.encoded(messages.image(time_ns, draw(self._simulation))))
@@ -144,7 +147,7 @@ class CameraPublishers:
         self._points = node.publisher(messages.DEPTH_POINTS, "sensor_msgs/msg/PointCloud2", _PICTURE)
 
     def publish(self, time_ns: int) -> None:
-        """Publish the latest picture, with stamps of ``time_ns``."""
+        """Publish the latest picture, stamped ``time_ns``."""
         simulation, camera = self._simulation, self._simulation.camera
         assert camera is not None
         depth, info, points, encoding = self._depth, self._info, self._points, simulation.section.camera.encoding

@@ -81,7 +81,7 @@ class Belief(Section):
     """The wheel geometry that the odometry assumes."""
 
     radius: float = Field(gt=0, description="Meters.")
-    separation: float = Field(gt=0, description="The same as for the wheels, meters.")
+    separation: float = Field(gt=0, description="As for the wheels, meters.")
 
 
 class Limits(Section):

@@ -8,11 +8,11 @@ from pydantic import Field, field_validator, model_validator
 
 from bridge.config.sections.section import Section, matching, setting, subsection
 
-_Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_]+)*", "is not a prefix of port names: write it as /cer")]
+_Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_]+)*", "is not a prefix of port names; write for instance /cer")]
 
 _Angle = Annotated[float, Field(ge=1, le=170)]
 
-_Part = Annotated[str, matching(r"[A-Za-z0-9_]+", "is not a part of a port's name: write it as mobile_base")]
+_Part = Annotated[str, matching(r"[A-Za-z0-9_]+", "is not a part of a port's name; write for instance mobile_base")]
 
 
 class LaserSection(Section):
@@ -59,7 +59,7 @@ class CameraSection(Section):
     yaw: float = setting(0.0, "Angle by which the camera is turned to the left, degrees.", ge=-180, le=180)
     noise: float = setting(
         0.08,
-        "Standard deviation of a disparity, pixels; that of a depth grows with the square of the depth. 0: none.",
+        "Standard deviation of a disparity, pixels; the error of a depth grows with its square. 0: none.",
         ge=0,
         le=10,
     )

@@ -64,7 +64,7 @@ class Sensing:
             self.pictured = time_ns
 
     def depth(self, world: FloorWorld, time_ns: int) -> Depths:
-        """Return the depth camera's current picture, (height, width) meters; computed once per time, on demand."""
+        """Return the depth camera's current picture, (height, width) meters; the first call at a time computes it."""
         assert self.camera is not None
         if self._depth is None or self._depth[0] != time_ns:
             seen = self.camera.picture(time_ns, self._base.pose(), world.solids(), world.drops)

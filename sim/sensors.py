@@ -30,16 +30,16 @@ class WheelEncoders:
         self._unchanged: Encoders | None = None
 
     def read(self, time_ns: int, *, rests: bool = False) -> Encoders:
-        """Return a reading; called at a steady rate. ``rests`` means that nothing has moved since the last call."""
+        """Return a reading; call it at a steady rate. ``rests``: nothing has moved since the last call."""
         if rests and self._unchanged is not None and not self.frozen:
             if self._noise:
-                # draw as many numbers as in motion, because later noise must not depend on rests
+                # draw random numbers as in motion, because later noise must not depend on whether the base rested
                 self._rng.normal(0.0, 1.0, len(self._reading))
             return Encoders(time_ns, self._unchanged.positions, self._unchanged.velocities)
         self._unchanged = None
         positions, velocities = self._base.joints()
         if self.frozen:
-            # the encoders are incremental: they lose the steps that they miss
+            # the encoders are incremental, so they lose the steps that they miss while they are frozen
             self._last = positions
             return Encoders(time_ns, self._reading.copy(), np.zeros(len(velocities)))
         turned = (positions - self._last) * self._scale
@@ -94,7 +94,7 @@ class Odometry:
         self.now = Estimate(self.now.time_ns, BasePose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), 0.0, 0.0)
 
 
-_EFFICIENCY = 0.7  # mechanical per electrical power of the motors
+_EFFICIENCY = 0.7  # ratio of the motors' mechanical to electrical power
 
 
 @dataclass(frozen=True)
@@ -110,22 +110,22 @@ class Charge:
 class Battery:
     """Discharges with time and with the motors' power. The base also drives on an empty battery."""
 
-    def __init__(self, described: BatteryDescription) -> None:
-        self._described = described
-        self._left = described.capacity
-        self._power = described.idle
+    def __init__(self, description: BatteryDescription) -> None:
+        self._description = description
+        self._left = description.capacity
+        self._power = description.idle
 
     def use(self, motors: float, seconds: float) -> None:
         """Discharge by the motors' mechanical power (watts) over a time in seconds."""
-        self._power = self._described.idle + motors / _EFFICIENCY
+        self._power = self._description.idle + motors / _EFFICIENCY
         self._left = max(0.0, self._left - self._power * seconds / 3600.0)
 
     @property
     def charge(self) -> Charge:
-        share = self._left / self._described.capacity
-        full, empty = self._described.full, self._described.empty
+        share = self._left / self._description.capacity
+        full, empty = self._description.full, self._description.empty
         voltage = empty + (full - empty) * share
-        capacity = self._described.capacity / ((full + empty) / 2)
+        capacity = self._description.capacity / ((full + empty) / 2)
         return Charge(voltage, -self._power / voltage, share, capacity)
 
 

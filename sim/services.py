@@ -113,9 +113,9 @@ _BUNDLE = 50  # ticks between two rounds of message handling
 
 
 class Stepping:
-    """Serves ``/sim/step``: it replies once all named participants have acknowledged the time of the step.
+    """Serves ``/sim/step``, which replies once all named participants have acknowledged the time of the step.
 
-    After the request's ``patience``, it replies that some have not. Only one step runs at a time. Used only on the
+    If some have not after the request's ``patience``, it replies so. Only one step runs at a time. Used only on the
     module's thread.
 
     Args:
@@ -142,11 +142,11 @@ class Stepping:
         """Start a step of simulated time; an invalid request gets the reason at once."""
         seconds, patience = request["seconds"], request["patience"]
         if not (math.isfinite(seconds) and 0.0 < seconds <= _LONGEST_STEP and math.isfinite(patience)):
-            text = f"a step is more than 0 and at most {_LONGEST_STEP:g} seconds, and its patience is finite"
+            text = f"a step must be more than 0 and at most {_LONGEST_STEP:g} seconds, and its patience finite"
             answer(_reply(self._now, text))
             return
         if self.busy:
-            answer(_reply(self._now, "another step is under way: wait for its reply"))
+            answer(_reply(self._now, "another step is in progress; wait for its reply"))
             return
         self._answer, self._left = answer, max(1, round(seconds * 1e9 / TICK_NS))
         self._wait_for, self._patience = set(request["wait_for"]), max(0.0, patience)
@@ -154,7 +154,7 @@ class Stepping:
             self._go()
 
     def acknowledge(self, message: dict[str, Any]) -> None:
-        """Note that a participant has processed everything up to a time."""
+        """Record that a participant has processed everything up to a time."""
         at = message["stamp"]["sec"] * 1_000_000_000 + message["stamp"]["nanosec"]
         if message["frame_id"] in self._wait_for:
             self._acknowledged[message["frame_id"]] = at
@@ -183,7 +183,7 @@ class Stepping:
         self._left -= count
         if not self._left:
             if self._wait_for:
-                self._timer = self._loop.after(self._patience, self._tired)
+                self._timer = self._loop.after(self._patience, self._on_timeout)
             self._finish()
         return self._left > 0
 
@@ -194,7 +194,7 @@ class Stepping:
         if self._answer is not None and not self._left and not self._waiting():
             self.give_up("")
 
-    def _tired(self) -> None:
+    def _on_timeout(self) -> None:
         if self._answer is not None and not self._left and (missing := self._waiting()):
             self.give_up(f"not acknowledged by {', '.join(sorted(missing))} within {self._patience:g} s")
 

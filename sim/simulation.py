@@ -17,29 +17,29 @@ from sim.wheels import WheelControls
 from sim.world import FloorWorld
 
 _STEPS = TICK_NS // STEP_NS
-_UPDATE_NS = 50_000_000  # between two updates of the near things and the battery
+_UPDATE_NS = 50_000_000  # time between two updates of the battery, and of which things are near
 
 
 class Simulation:
     """A robot on a floor.
 
-    Runs with the same section, and the same commands at the same times, are identical bit for bit.
+    Two runs with the same section, and the same commands at the same times, are identical bit for bit.
 
     Args:
-        plan: the building, instead of the section's.
-        described: the robot, instead of the section's.
+        plan: the building, instead of the one that the section names.
+        description: the robot, instead of the one that the section names.
 
     Raises:
         SimError: the plan, the robot or its start pose is invalid, or dartpy is missing.
     """
 
     def __init__(
-        self, section: SimSection, plan: Plan | None = None, described: robot.RobotDescription | None = None
+        self, section: SimSection, plan: Plan | None = None, description: robot.RobotDescription | None = None
     ) -> None:
         self.section = section
         whole = plan or load_plan(section.plan, section.resolution)
         self.plan = whole if section.people else whole.without_people
-        self.robot = described or robot.load(section.robot)
+        self.robot = description or robot.load(section.robot)
         self.time_ns = 0
         self.begin()
 
@@ -96,7 +96,7 @@ class Simulation:
 
     @property
     def pictured(self) -> int:
-        """When the camera took its last picture, ns; `depth` computes only the current one."""
+        """When the camera took its last picture, ns; `depth` can compute only the picture of the current time."""
         return self.sensing.pictured
 
     @property
@@ -104,7 +104,7 @@ class Simulation:
         return self.sensing.faults
 
     def depth(self) -> Depths:
-        """Return the depth camera's current picture, (height, width) meters; computed once per tick, on demand."""
+        """Return the depth camera's current picture, (height, width) meters; the first call in a tick computes it."""
         return self.sensing.depth(self.world, self.time_ns)
 
     # commands

@@ -154,7 +154,7 @@ class Simulator(Module):
             raise SimError(msg)
         at = message["header"]["stamp"]["sec"] * 1_000_000_000 + message["header"]["stamp"]["nanosec"]
         if at and self._now() - at > self.simulation.robot.motor_timeout * 1e9:
-            raise SimError("a wheel command is older than the motors' time-out")
+            raise SimError("the wheel command is older than the motors' time-out")
         motors.drive([wanted[name] for name in motors.names])
 
     def _try(self, do: Callable[[], None]) -> None:

@@ -10,14 +10,14 @@ from bridge.clock import SystemClock
 _log = logging.getLogger(__name__)
 
 _STEP_NS = 50_000_000
-"""A larger change of the system clock is a step. A smaller one is an error of reading two clocks on a busy machine."""
+"""A larger change of the system clock is a step; a smaller change is an error from reading two clocks in turn."""
 
 
 class WallStamps:
     """Converts the times at which ticks are due to stamps of the system clock.
 
-    A stamp depends on when its tick is due, not on when it is computed: ticks that the simulator catches up on in a
-    burst have stamps one tick apart. Stamps go back only if the system clock is set back.
+    A stamp depends on when its tick is due, not on when the tick is computed, so that ticks which the simulator catches
+    up on in a burst have stamps one tick apart. Stamps go back only if the system clock is set back.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The command sources of the simulated wheels: BaseControl through motors, a velocity, or the control board."""
+"""The command sources of the simulated wheels: the motors that BaseControl drives, a velocity, the control board."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Motors:
 class VelocityDrive:
     """Converts velocity commands to wheel velocities within the robot's limits, if the simulator itself drives.
 
-    Each command replaces the one before it, and expires after the time-out.
+    Each command replaces the previous one, and expires after the time-out.
     """
 
     def __init__(self, base: Base) -> None:
@@ -128,6 +128,6 @@ class WheelControls:
         self.board.read(encoders)
 
     def halt(self) -> None:
-        """Cancel the commands of the velocity drive and the control board; later ones are executed."""
+        """Cancel the commands of the velocity drive and the control board; later commands are executed."""
         self.board.halt()
         self.drive.halt()

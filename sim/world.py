@@ -1,4 +1,4 @@
-"""One floor and the base in DART. To save time, only things near the base, or near a box that it may push, collide."""
+"""One floor and the base in DART. To save time, only things near the base, or near a box that it can push, collide."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sim.plan import Box, Floor, Person
 
 Floats = NDArray[np.float64]
 
-_NEAR = 3.0  # movable boxes within this many meters of the base's center are in DART's world; farther ones stand still
-_ROOM = 0.05  # meters around the base within which people wait, and contacts count as the base's
+_NEAR = 3.0  # meters; DART's world has the movable boxes within this distance of the base, and others stand still
+_ROOM = 0.05  # meters around the base at which people wait, and within which contacts count as the base's
 _REST = 1e-9  # a slower body is at rest, m/s or rad/s; the residual speed of a standing base falls tenfold in 50 ticks
 _BUMP_HEIGHT = 0.03  # meters; contacts below this height are with the floor
 _SPAWNED = 200  # maximum number of added things, movable boxes and people, including those of the plan
@@ -138,7 +138,7 @@ class FloorWorld:
     def step(self, count: int, *, aims_still: bool = False) -> None:
         """Run DART steps; the motors keep their commands.
 
-        If the motors are commanded to stand still and nothing moves, steps are skipped: they would change nothing.
+        If the motors are commanded to stand still and nothing moves, steps are skipped, as they would change nothing.
         """
         if aims_still and self._rests:
             return
@@ -149,7 +149,7 @@ class FloorWorld:
 
     @property
     def rests(self) -> bool:
-        """Whether DART's bodies have neither moved in the last step nor been changed since."""
+        """Whether no body in DART has moved in the last step, or was changed since."""
         return self._rests
 
     def _slowed_down(self) -> bool:
@@ -198,7 +198,7 @@ class FloorWorld:
         ]
 
     def open(self, door: str, *, is_open: bool) -> None:
-        """Open or close a door; raises `SimError` if it is unknown, or something stands in it when it should close."""
+        """Open or close a door; raises `SimError` if it is unknown, or cannot close because something stands in it."""
         if door not in self.doors:
             raise SimError(f"unknown door {door!r}; doors: {', '.join(self.doors) or 'none'}")
         index = self.first_leaf + list(self.doors).index(door)
@@ -314,8 +314,8 @@ MARGIN = 0.5
 class Window:
     """All pieces except movable boxes, and which of these pieces can currently collide.
 
-    DART's collision detection slows down with the number of objects (tenfold with 500 walls). So the pieces are not
-    part of DART's world: only those near the base, and near the boxes that it may push, are in the collision group.
+    DART's collision detection slows down with the number of objects (tenfold with 500 walls). The pieces are therefore
+    not part of DART's world. Only pieces near the base, or near a box that it can push, are in the collision group.
 
     Args:
         nodes: the pieces' shape nodes.

@@ -189,13 +189,13 @@ class Ours:
         assert camera is not None
         points = camera.points(simulation.depth()).reshape(-1, 3)
         points = points[np.isfinite(points).all(axis=1)]
-        turned, eye = camera.placed(BasePose(at.x, at.y, at.theta))
+        turned, eye = camera.optical_frame(BasePose(at.x, at.y, at.theta))
         placed = points @ turned.T.astype(np.float32) + eye.astype(np.float32)
         self.driver.obstacles.cloud(_POINTS, now, placed, eye, at)
         pose, _ = self._known()
         if pose is None:
             return
-        turned, eye = camera.placed(BasePose(pose.x, pose.y, pose.theta))
+        turned, eye = camera.optical_frame(BasePose(pose.x, pose.y, pose.theta))
         self.space.add(
             points, SensorPose(turned, tuple(eye)), FieldOfView(OPTICAL, Camera(*camera.size, *camera.lens).view), now
         )

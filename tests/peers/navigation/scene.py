@@ -87,7 +87,7 @@ class Scene:
                 scan = type(sim.scan)(**{**vars(sim.scan), "ranges": ranges})
                 self.driver.scan(scan, moved)
         if self.depth and sim.camera is not None and sim.pictured == sim.time_ns:
-            turned, place = sim.camera.placed(BasePose(*moved[:3]))
+            turned, place = sim.camera.optical_frame(BasePose(*moved[:3]))
             points = sim.camera.points(sim.depth()).reshape(-1, 3)
             points = points[np.isfinite(points).all(axis=1)] @ turned.T + place
             self.driver.obstacles.cloud("/points", self.now, points.astype(np.float32), place, moved)
