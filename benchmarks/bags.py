@@ -6,7 +6,7 @@ are the functions of ``midspan bag`` in a separate process; the peer's work runs
 - disk: the source's bytes are copied to a new file in pieces of 1 MB;
 - zstd: the source's data are compressed in pieces of 1 MB and written, after unpacking if the source is compressed.
 
-The time runs from the start of the process (without the interpreter's start) until its file is on the disk.
+The time is from the start of the process's work (the interpreter has started) until its file is on the disk.
 
 The last rows are the peak memory of Midspan's processes in MiB, compared with a limit of 400.
 """
@@ -149,7 +149,7 @@ def work(what: str, source: Path, target: Path) -> None:
 
 
 def _peak() -> float:
-    """Return this process's peak memory in MiB; `resource` would include that of its parent."""
+    """Return this process's peak memory in MiB; `resource` would include its parent's peak."""
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     line = next(line for line in lines if line.startswith("VmHWM"))
     return int(line.split()[1]) / 1024

@@ -1,9 +1,9 @@
 """Round trips of services, actions and cancel requests between ROS 1 and ROS 2 through the daemon, and their floor.
 
 The floor is the sum of the same round trip from rospy to rospy, from zenoh to zenoh and from rclpy to rclpy. Each round
-trip is measured in the same run, in turns with the whole path, as in `topic_latency.py`. The ends are standard: typed
-messages, actionlib, rclpy's executor (one for each client and server, so that they do not delay each other). The floor
-is the work of six programs, the whole path that of two programs and two workers, which explains ratios below 1. Each
+trip is measured in the same run, in turns with the whole path, as in `topic_latency.py`. The ends use typed messages,
+actionlib, and an executor of rclpy for each client and server, so that these do not delay each other. The floor is the
+work of six programs, the whole path is the work of two programs and two workers, which explains ratios below 1. Each
 round starts new processes.
 """
 
@@ -26,7 +26,7 @@ FLOOR, THERE, BACK = "/floor", "/there", "/back"
 HOPS = ("ros1", "zenoh", "ros2")
 WAYS = {THERE: ("ROS 1 client, ROS 2 server", "ros1", "ros2"), BACK: ("ROS 2 client, ROS 1 server", "ros2", "ros1")}
 TURNS = 4  # turns per round of each hop and direction
-WARM = 3  # first round trips of a turn, which do not count
+WARM = 3  # number of round trips at the beginning of a turn that do not count
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from benchmarks.rows import Row, add_json_option, report
 KINDS = ("string", "twist", "scan", "tf", "grid", "image1")
 LATCHED_KINDS = ("string", "scan", "grid")
 FRESH, KEPT = 50, 10
-"""Number of publishers per batch on topics with new names, and on the same topics in each batch."""
+"""Number of publishers per batch: on topics with new names, and on topics that all batches use."""
 FED, STREAMED = 30, 10
 """Number of subscriptions per batch to another side's latched topics, and to its streams."""
 BATCH = FRESH + KEPT + FED + STREAMED
@@ -34,7 +34,7 @@ WARM = 3
 """Number of batches before the measurement."""
 SETTLE_SECONDS, IDLE_SECONDS = 40.0, 12.0
 FLOW = 4.0
-"""Messages per second of a stream: too few for a route without subscribers to unsubscribe (`hub_end.QUICK`)."""
+"""Messages per second of a stream: so few that a route without subscribers stays subscribed (`hub_end.QUICK`)."""
 FEEDER = {"ros1": "ros2", "ros2": "ros1", "zenoh": "ros1"}
 """The side to which each side's programs subscribe."""
 
@@ -61,7 +61,7 @@ class Churned:
 
 
 class Churn:
-    """Creates and closes endpoints of one side, while its feeder keeps publishing; both sides' programs already run."""
+    """Creates and closes endpoints of one side, while its feeder publishes; the programs of both already run."""
 
     def __init__(self, deployment: Deployment, side: str) -> None:
         self._deployment, self._side = deployment, side
@@ -118,7 +118,7 @@ class Churn:
         return all(ear["count"] for ear in received.values())
 
     def settled(self) -> Census:
-        """Return the daemon's census once it is stable; idle threads end after ten seconds."""
+        """Return the daemon's census once it is stable, because idle threads end only after ten seconds."""
         last, since = self._deployment.census(), time.monotonic()
         end = since + SETTLE_SECONDS
         while time.monotonic() < min(since + IDLE_SECONDS, end):

@@ -1,8 +1,8 @@
 """The cost of driving: RobotGoto's control step and the localizer's update, as shares of their periods.
 
-The simulated R1 drives through the apartment in lock-step, so that both process realistic data. The peer's column is
-the period: RobotGoto's step runs every 10 ms (upstream's period), and receives scans at 10 Hz; the localizer's update
-(1,000 particles, 360 beams) runs at most once per scan, 100 ms. Everything runs on one thread, and durations are
+The simulated R1 drives through the apartment in lock-step, so that both process realistic data. The peer's column has
+the period. RobotGoto's step runs every 10 ms, as upstream, and it receives scans at 10 Hz. The localizer's update
+(1,000 particles, 360 beams) runs at most once per scan, every 100 ms. Everything runs on one thread, and durations are
 wall-clock time.
 
     python benchmarks/control.py [--json FILE] [--seconds 60]

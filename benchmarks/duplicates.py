@@ -1,9 +1,10 @@
 """Duplicate and lost messages with several real daemons on the same networks; there should be none of either.
 
-The cases: two daemons in a ring (both join the same ROS 1 and the same ROS 2 network) and a triangle of three networks,
-each with joined hubs and equal node names, and with separate hubs and renamed nodes. All daemons of a case start at the
-same time. Then a program on each network publishes unique numbers, and one on each other network counts them. The rows
-are the duplicates and the losses among all expected messages; the peer is the allowed number, 0.
+There are two cases: a ring of two daemons, which join the same ROS 1 and the same ROS 2 network, and a triangle of
+three networks. Each runs with joined hubs and equal node names, and with separate hubs and different node names. All
+daemons of a case start at the same time. Then a program on each network publishes unique numbers, and a program on each
+other network counts them. The rows are the duplicates and the losses among all expected messages; the peer is the
+allowed number, 0.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from tests.peers.daemon.several import Several, flows, pour, ring, triangle
 CASES = {"ring": ring, "triangle": triangle}
 HUBS = {"joined": True, "apart": False}
 NODES = {"joined": "midspan", "apart": "bridge_of_ours"}
-"""Node name of every second daemon: the same as the first daemon's, or another one."""
+"""Node name of every second daemon: the first daemon's name, or another name."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -6,7 +6,7 @@ Five parts, selected by `--parts`:
   and one subscriber: seconds to the first heartbeat and until it runs, processor time until then.
 - `robot`: `midspan run` with all sides and the demo's robot at rest: memory of each process compared with the
   project's aims and the bare peers, seconds until all sides run, processor time.
-- `idle`: the same without a robot and with the zenoh side: idle processor time, compared with bare zenoh sessions that
+- `idle`: as `robot`, without a robot and with the zenoh side: idle processor time, compared with bare zenoh sessions that
   are configured and joined like the hub's, and idle ROS 1 and ROS 2 programs. The difference is what could be saved.
 - `metrics`: the cost of metrics at rest, without scrapes and with one every five seconds, compared with no metrics.
 - `cli`: seconds of the command line's verbs, with the robot's daemon.
@@ -45,7 +45,7 @@ from bridge.state_file import with_state
 from tests.support.ports import free_port
 
 PEERS = {"router": "zenoh", "ros1": "ros1", "ros2": "ros2", "yarp": "zenoh", "modules": "zenoh", "sim": "zenoh"}
-"""The bare peer of each worker; for YARP, which has no Python library, modules and simulator it is a zenoh session."""
+"""The bare peer of each worker. It is a zenoh session for modules, simulator and YARP, which has no Python library."""
 AIMS = {"router": 30.0, "ros1": 45.0, "ros2": 120.0, "yarp": 50.0, "modules": 80.0, "sim": 80.0, "daemon": 25.0}
 """Aims for PSS, MB."""
 IDLE, STANDING, RUN, HELP, VERB = 1.0, 25.0, 3.0, 0.25, 0.8
@@ -165,7 +165,7 @@ def _idle_floor(place: Processes, seconds: float) -> float:
 
 
 def _start(place: Processes, peers: dict[str, ProcessUsage], peer_seconds: dict[str, float]) -> list[Row]:
-    """Start the workers one after the other, so that each starts while the earlier ones run, as after its restart."""
+    """Start the workers one after the other; each thus starts while others run, as if it were restarted."""
     config, environ, rows = with_state(place.place.config), place.place.environment(), []
     with contextlib.ExitStack() as stack:
         for name, kind in PEERS.items():

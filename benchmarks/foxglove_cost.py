@@ -89,7 +89,7 @@ def measure(seconds: float, rounds: int) -> list[Row]:
 
 
 def median(values: Sequence[float]) -> float:
-    """Return the median; of an even number of values, the higher of the middle two."""
+    """Return the median; if the number of values is even, the higher of the middle two."""
     return sorted(values)[len(values) // 2]
 
 

@@ -1,11 +1,11 @@
 """Lookups and inserts of Midspan's transform buffer and of ROS 1's tf2 (tf2_py), each in a separate process.
 
-Both have the same transforms and the same lookups, and take turns, round by round. For the inserts, tf2's messages are
+Both process the same transforms and lookups, and take turns, round by round. For the inserts, tf2's messages are
 created beforehand; for the inserts from message bytes they are deserialized during the measurement, as in a listener.
 tf2's results are messages, as its users receive them. Each figure is the median over the rounds.
 
-With ``--relay``: the latency of transforms between ROS 1 and ROS 2 at 1 kHz through the daemon, compared with the floor
-of the same hops without it, as in `benchmarks.topic_latency`.
+``--relay`` measures the latency of transforms between ROS 1 and ROS 2 at 1 kHz through the daemon, and the floor
+of the same hops without the daemon, as in `benchmarks.topic_latency`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""A load of frames, set by one YARP client and received by rospy, rclpy and a streaming YARP client; and late joiners.
+"""Many frames that one YARP client sets, and rospy, rclpy and a YARP client receive; and late joiners.
 
 200 frames (``--frames``) are set in one call 100 times per second (``--rate``) for a minute (``--seconds``). The result
-is the number of ticks for which each side received all frames, and the processor time of each worker. YARP's stream is
-a state that is sent 100 times per second on its own clock, so it samples the frames; its result is the number of
-complete messages.
+is the number of ticks for which each side received all frames, and the processor time of each worker. YARP's stream
+sends the current frames 100 times per second, independently of the ticks, and may miss ticks; its result is therefore
+the number of complete messages.
 
 Then each side publishes 100 static frames, and programs of each side join late, one after the other (``--joiners``).
 The result is how many of them receive all frames.
@@ -36,7 +36,7 @@ SIDES = ("ros1", "ros2", "yarp")
 STATIC = 100
 PATIENCE = 20.0
 _WARM = 10_000_000
-"""Tick number at which the ticks before the measurement begin."""
+"""Number of the first tick of the warm-up, which precedes the measurement."""
 
 
 class Load:

@@ -4,9 +4,9 @@ Simulator, BaseControl, RobotGoto, RobotPathPlanner and the localizer (odometry 
 The plans' people walk. A contact is a tick (10 ms) in which the moving robot's hull touches something; a keep-out entry
 is a check (every 50 ms) at which its hull is within such an area. The peer of the driven path is the shortest path on
 the map. In the world `tables` the robot has a depth camera: RobotGoto receives its points live, and Mapper3D's code
-maps them from the estimated pose, beginning with an empty map, and gives the planner the layer. There, moving over a
-drop in the floor counts as an entry, and after a goal that was not reached the robot restarts at the plan's start. The
-real time factor is simulated seconds per second of total processor time.
+maps them from the estimated pose, beginning with an empty map, and gives the planner the layer. In this world, moving
+over a drop in the floor counts as an entry, and the robot restarts at the plan's start after each missed goal. The real
+time factor is simulated seconds per second of total processor time.
 
     python benchmarks/goals.py --world apartment --base r1 --goals 100 [--seed 1] [--json FILE]
     python benchmarks/goals.py --world tables --base r1 --goals 100 [--laser-alone]
@@ -124,7 +124,7 @@ def _rows(case: str, drives: list[Drive], judge: Judge, factor: float, fastest: 
 
 
 def _pace(drives: list[Drive]) -> float:
-    """Return the seconds of drives per meter of their shortest paths; NaN without a drive."""
+    """Return the seconds of drives per meter of their shortest paths; NaN if there is no drive."""
     best = sum(drive.optimum for drive in drives)
     return sum(drive.seconds for drive in drives) / best if best else math.nan
 

@@ -1,9 +1,9 @@
 """The outcome of goals whose server, client, bridge worker or ROS master is killed meanwhile.
 
-Real actionlib and rclpy programs on both ends, through the whole daemon, in both directions; each fault is repeated (by
-default, 10 times). A goal is good if its client receives exactly one end, and no other subscriber on its side receives
-two. If the client itself is killed, the other subscribers must receive the end. The results are the number of good
-goals, their final states, and the seconds from the kill to the end; the rows contain the numbers.
+Real actionlib and rclpy programs on both ends send goals through the whole daemon, in both directions; each fault is
+repeated (by default, 10 times). A goal is good if its client receives its end exactly once, and no other subscriber on
+its side receives it twice. If the client itself is killed, the other subscribers must receive the end. The results are
+the number of good goals, their final states, and the seconds from the kill to the end; the rows contain the numbers.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from tests.support.wait import until
 
 SECONDS = 60.0  # time-out of each wait
 SETTLE = 1.5
-"""Seconds to wait for a second end: status lists and results are sent within one second."""
+"""Seconds to wait for a second end; status lists and results are sent within one second."""
 TERMINAL = {ROS1: (2, 3, 4, 5, 8, 9), ROS2: (4, 5, 6)}  # final states, in the numbers of each side
 STATES = {0: "none", 4: "SUCCEEDED", 5: "CANCELED", 6: "ABORTED"}
 KEYS = {ROS1: "ros1", ROS2: "ros2"}
@@ -163,7 +163,7 @@ class Goal:
         return seen
 
     def reported_ends(self) -> int:
-        """Return the number of ends that other subscribers received, for the goal with the most ends."""
+        """Return how often other subscribers received a goal's end, for the goal with the most ends."""
         terminal = TERMINAL[self.sides[1]]
         return max((sum(s in terminal for s in states) for states in self._states().values()), default=0)
 
@@ -210,14 +210,14 @@ class Goal:
 
 
 def server_killed(scene: Scene, server: str, client: str) -> End:
-    """The server dies: the goal is ABORTED."""
+    """Kill the server; the goal must end ABORTED."""
     goal = scene.goal(server, client)
     goal.kill("server")
     return goal.end()
 
 
 def client_killed(scene: Scene, server: str, client: str) -> End:
-    """The client dies: the goal continues, and other subscribers receive its end."""
+    """Kill the client; the goal must continue, and other subscribers receive its end."""
     goal = scene.goal(server, client)
     goal.kill("client")
     goal.release()
@@ -225,7 +225,7 @@ def client_killed(scene: Scene, server: str, client: str) -> End:
 
 
 def worker_killed(worker: str, scene: Scene, server: str, client: str) -> End:
-    """A worker dies. A ROS 2 client whose worker died requests the result again, as after a restart of a server."""
+    """Kill a worker. A ROS 2 client whose worker died requests the result again, as after a restart of a server."""
     goal = scene.goal(server, client)
     scene.kill_worker(worker)
     if (worker, client) == ("ros2", ROS2):
@@ -235,7 +235,7 @@ def worker_killed(worker: str, scene: Scene, server: str, client: str) -> End:
 
 
 def master_killed(scene: Scene, server: str, client: str) -> End:
-    """The ROS master is restarted, and then the server ends the goal: its end is reported, unless it was already."""
+    """Restart the ROS master, then let the server end the goal; the end must be reported, before or now."""
     goal = scene.goal(server, client)
     scene.kill_master()
     scene.start_master()

@@ -1,6 +1,6 @@
 """A long goal with continuous feedback, in both directions: all feedback and the result must arrive.
 
-Real actionlib and rclpy programs on both ends, through the whole daemon, in real time; both directions at once.
+Real actionlib and rclpy programs run on both ends of the whole daemon, in real time, in both directions at once.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tests.peers.daemon.calls_table import ROS1, ROS2, SUCCEEDED, Pair
 from tests.peers.daemon.deployment import Deployment
 
 WAYS = {"ROS 2 client, ROS 1 server": (ROS1, ROS2), "ROS 1 client, ROS 2 server": (ROS2, ROS1)}
-SLACK = 30.0  # seconds that a goal may take in addition
+SLACK = 30.0  # seconds that a goal may take in addition to its duration
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

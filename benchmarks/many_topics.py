@@ -1,11 +1,14 @@
 """Hundreds of topics between ROS 1 and ROS 2 through the daemon: their cost when idle and busy, and losses.
 
-Half of the topics go from ROS 1 to ROS 2, half back. The parts: nothing is sent (``idle``); one more topic runs at 250
-Hz beside the idle ones, and without them in separate rounds before and after (``fast``); ten messages per second are
-sent on each topic, all numbered and counted at the receiver (``busy``); one topic of TF with 20 transforms runs at
-2,000 Hz (``tf``). If the project promises an absolute limit, this is the peer. Since the cost depends on the machine,
-the busy topics also run through two bare relays (`benchmarks.latency.relay`). The relays do not convert TF, so its peer
-is a topic of strings at 2,000 Hz through them.
+Half of the topics go from ROS 1 to ROS 2, half back. There are four parts:
+- ``idle``: nothing is sent;
+- ``fast``: one more topic runs at 250 Hz beside the idle topics, and without them in separate rounds before and after;
+- ``busy``: ten messages per second are sent on each topic, all numbered, and counted at the receiver;
+- ``tf``: one topic of TF with 20 transforms runs at 2,000 Hz.
+
+If the project promises an absolute limit, this is the peer. Since the cost depends on the machine, the busy topics also
+run through two bare relays (`benchmarks.latency.relay`). The relays do not convert TF, so the peer of TF is a topic of
+strings at 2,000 Hz through the relays.
 """
 
 from __future__ import annotations
@@ -86,12 +89,12 @@ class Crowd(Stage):
         self.until(all_cross, f"a message arrives on all {len(topics)} topics from {sender} to {listener}")
 
     def _tally(self, listener: str, sent: int, seconds: float) -> dict[str, Any]:
-        """Return a listener's counts, once all or no more messages have arrived."""
+        """Return a listener's counts, once all messages have arrived, or no more arrive."""
         return self.command(listener, "tally", "tallied", sent=sent, seconds=seconds)
 
     def idle(self, seconds: float) -> dict[str, Usage]:
         """Return the processes' use while nothing is sent."""
-        time.sleep(2.0)  # until the effects of the last messages are over
+        time.sleep(2.0)  # wait for the end of the work that the last messages caused
         self.meter.start()
         time.sleep(seconds)
         return self.meter.read()

@@ -57,7 +57,7 @@ DRIFT = EncodersSection(scale=(0.006, -0.004), noise=0.01)
 
 _STILL = 2.0  # seconds for which the robot stands before a tour with drift
 _DENSE = 14_400  # beams with which the surface in sight is computed
-_FINE = 0.01  # meters between its points
+_FINE = 0.01  # meters between the points of this surface
 
 
 class Seen(NamedTuple):

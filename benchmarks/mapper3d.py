@@ -1,9 +1,10 @@
-"""Mapper3D: it makes the same tree from a depth image as octomap does from the same points, several times as fast.
+"""Mapper3D, which builds the same tree from a depth image as octomap from the same points, several times as fast.
 
 The camera has a RealSense D435's field of view, and turns in a room with tables; its depth has noise. "Ours" is all
 that the module does with an image: depth to points, points to the map's frame, rays, the voxels' odds, and once per
-second the search for outdated obstacles (there are none: the default run is shorter than ``forget_after``). The peer is
-only ``insertPointCloud`` of the same points on the map, with ``discretize``; a test checks that the trees are equal.
+second the search for outdated obstacles (which finds none, because the default run is shorter than ``forget_after``).
+The peer is only ``insertPointCloud`` of the same points on the map, with ``discretize``; a test checks that the trees
+are equal.
 `make bench-peers` installs the peer. After each image a layer is computed and published on a hub: as a grid with its
 update, and the heights of obstacles.
 """
@@ -101,7 +102,7 @@ def ours(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3D
 
 
 def octomaps(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
-    """Return octomap's processor time per image, in milliseconds; its points are on the map already."""
+    """Return octomap's processor time per image, in milliseconds; its points are already in the map's frame."""
     tree = importlib.import_module("pyoctomap").OcTree(settings.resolution)
     clouds = [(placed(at, seen, settings.pixels), np.array(at.origin)) for at, seen in taken]
     begin = time.process_time()

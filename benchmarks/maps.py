@@ -1,8 +1,8 @@
 """Loading, saving and encoding maps, compared with the bare image or a bare copy, in one process, in turns.
 
-Map files are compared with reading or writing their images with Pillow, from and to NumPy arrays: YARP's two images of
-flags and occupancy, or ROS's one. Bytes are compared with a copy of the map's two arrays, zipped ones with zlib on
-them. Each figure is the median over the rounds of one call's time. The limits: 3 times Pillow, 1.5 copies.
+Map files are compared with reading or writing their images with Pillow, from and to NumPy arrays; YARP has two images
+(flags and occupancy), ROS has one. Bytes are compared with a copy of the map's two arrays, zipped bytes with zlib on
+these. Each figure is the median over the rounds of one call's time. The limits are 3 times Pillow, and 1.5 copies.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def files(grid: MapGrid2D, folder: Path) -> dict[str, Pair]:
             partial(grid.save, path, image=kind),
             partial(write, plain / f"g.{kind}", pixels),
         )
-    trinary = folder / "trinary.yaml"  # like most maps; the others are raw, for the gray cells
+    trinary = folder / "trinary.yaml"  # like most maps; the other files are raw, for the gray cells
     grid.save(trinary, mode="trinary")
     pairs["load yaml and pgm, trinary"] = partial(MapGrid2D.load, trinary), partial(read, folder / "trinary.pgm")
     return pairs

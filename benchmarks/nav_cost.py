@@ -1,9 +1,9 @@
 """The cost of one robot's navigation: each process's share of a core, idle and driving, with a laser at 10 Hz.
 
 The whole deployment runs: `midspan run` with simulator, base control, localizer, RobotGoto, RobotPathPlanner and
-gateway. The "peer" of a row is the limit of its process, such as 40 % of a core for all modules. With ``--tables`` the
-deployment is that of configs/tables.yaml: a depth camera of 640 x 480 at 5 Hz, whose points RobotGoto receives, without
-Mapper3D and with it; the difference is the cost of mapping.
+gateway. The "peer" of a row is the limit of its process, such as 40 % of a core for all modules. ``--tables`` runs
+configs/tables.yaml, with a depth camera of 640 x 480 at 5 Hz, whose points RobotGoto receives. It runs without Mapper3D
+and with it; the difference is the cost of mapping.
 """
 
 from __future__ import annotations

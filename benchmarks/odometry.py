@@ -30,7 +30,7 @@ from tests.support.wait import until
 LINEAR, ANGULAR = 0.30, 0.4
 """The fastest commands, m/s and rad/s."""
 
-_TOLERATED = 1.1  # factor on the commanded speed up to which a message counts as within it
+_TOLERATED = 1.1  # a message is within the commanded speed if it is at most this many times as fast
 _ROCKING = 0.05  # m/s by which the body of the base moves on its wheels as it starts and brakes
 _COMMANDS = ((LINEAR, 0.0), (0.0, 0.0), (0.0, ANGULAR), (-LINEAR, 0.0), (0.0, 0.0), (0.2, -ANGULAR))
 _COMMAND_SECONDS = 3.0

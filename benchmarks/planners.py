@@ -1,6 +1,6 @@
 """Grid paths: Midspan's A* compared with scipy, w9-pathfinding and pyastar2d.
 
-The peer's time is given without and with the time in which it builds its graph of the grid.
+The peer's time is given twice: without and with the time in which it builds its graph of the grid.
 
 w9-pathfinding and scipy find the optimum without cutting corners; pyastar2d counts a diagonal as one and cuts corners,
 so its path differs. `make bench-peers` installs the peers.
@@ -34,7 +34,7 @@ MAPS = ("rooms", "maze", "random20", "random30")
 
 
 class Found(NamedTuple):
-    """A planner's result: seconds for its graph and for the path, the path's length in cells, corners that it cuts."""
+    """A planner's result: seconds for its graph and for the path, the path's length in cells, number of cut corners."""
 
     build: float
     search: float

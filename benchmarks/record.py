@@ -5,8 +5,8 @@ subscriber that writes the same bytes with the library `mcap` on another thread,
 processes on one hub, with the hub's own session configuration. Rows:
 
 - messages lost: gaps in the sender's numbers between a topic's first and last message in the file;
-- processor time of the recorder's process over the bare subscriber's, per sent gigabyte (the aim: 1.3);
-- latency of the small messages to the listener with the recorder, over that without (the aim: 1.1).
+- ratio of the processor times of the recorder and of the bare subscriber, per sent gigabyte (the aim is 1.3);
+- ratio of the latencies of the small messages to the listener, with the recorder and without (the aim is 1.1).
 
 Chunks are not compressed, except with ``--compression``: zstd, the default of `midspan record`, needs about 14
 processor seconds per gigabyte of these images, so at 200 MB/s any writer with `mcap` would need more than two cores.
@@ -44,7 +44,7 @@ IMAGE, IMAGE_TYPE = "/camera/image", "sensor_msgs/msg/Image"
 SMALL = [f"/small_{number}" for number in range(5)]
 SMALL_TYPE = "geometry_msgs/msg/TwistStamped"
 SIDE = 1200
-"""Pixels of an image's side; with three bytes each 4.3 MB."""
+"""Pixels of an image's side; with three bytes per pixel, an image has 4.3 MB."""
 
 SMALL_RATE = 1000.0  # messages per second on each small topic
 FLOW = 200e6  # bytes per second of images
@@ -71,7 +71,7 @@ def until_subscribed(hub: Hub, topics: Sequence[str], count: int) -> None:
 
 
 def picture() -> bytes:
-    """Return an image in CDR: a gradient with noise in its lowest bits, like that of a camera."""
+    """Return an image in CDR: a gradient with noise in its lowest bits, like a camera's noise."""
     import numpy as np
 
     from bridge.messages.values import MessageWriter

@@ -2,8 +2,8 @@
 
 On the daemon's hub a sender publishes 200 MB/s of images and 5,000 small messages per second, as in `record.py`. In
 every other turn `midspan record` records these and the bridged topics; in all turns a rospy program and an rclpy
-program send small messages to each other through the daemon. Rows: p50 and p99 with the recorder over those without
-(the aim: 1.1). The file is written into memory, as in `record.py`.
+program send small messages to each other through the daemon. The rows compare p50 and p99 with the recorder with those
+without it (the aim is a ratio of 1.1). The file is written into memory, as in `record.py`.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Bench:
                 stack.enter_context(record.running(*self._recorder()))
             record.until_subscribed(self.watch, [record.IMAGE, *record.SMALL], 2 if recorded else 1)
             self.sender.send(str(WARM_SECONDS + self.args.seconds * 1.5))
-            time.sleep(WARM_SECONDS)  # until messages flow, and the file's channels are written
+            time.sleep(WARM_SECONDS)  # wait until messages flow, and the file's channels are written
             prepared = self.network.messages[_CASE.key]
             taken = {direction: self.network.measure(prepared, direction, count) for direction in WAYS}
             sent = self.sender.receive()

@@ -1,10 +1,13 @@
 """Recovery after a loss, with the real daemon between real ROS 1, ROS 2 and hub programs.
 
-Each loss is caused several times (default 10). Printed for each are: how often all messages flowed again without help;
-the seconds until then, counted from the moment at which the lost part was back (or from the loss, if the daemon
-restarts the part); the longest silence of a stream; delivered stale commands, duplicate stream messages, latched lines
-that old or new subscribers miss, and leftovers of dead processes on the networks. The rows contain the seconds; their
-"peer" is the time that the project allows.
+Each loss is caused several times (default 10). For each, the benchmark prints:
+- how often all messages flowed again without help;
+- the seconds until then, from the moment at which the lost part was back (or from the loss, if the daemon restarts it);
+- the longest silence of a stream;
+- delivered stale commands, duplicate stream messages, latched lines that old or new subscribers miss, and leftovers of
+  dead processes on the networks.
+
+The rows contain the seconds; their "peer" is the time that the project allows.
 """
 
 from __future__ import annotations

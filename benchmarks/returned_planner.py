@@ -3,12 +3,12 @@
 The planner is the tests' stand-in for move_base (rospy) or Nav2 (rclpy), killed with SIGKILL: its registrations at the
 ROS 1 master stay until it is restarted. The seconds count from the moment at which the new action server is registered
 (its five topics at the master) until a client on the hub discovers it, by the same check as the gateway. The floor is
-the time of a bare client on the planner's own side from the same moment; it has been waiting before. The planner is
-restarted at once or after a time (`--away`; the death of a ROS 2 program is detected after 20 s, Fast DDS's lease).
-After 0 s it is back before its death is detected.
+the time from the same moment until a bare client on the planner's own side discovers it; this client was already
+waiting. The planner is restarted at once or after a time (`--away`). The death of a ROS 2 program is detected after 20
+s, Fast DDS's lease, so a planner that is restarted at once is back before its death is detected.
 
 The last rows are the processor time of the side's worker, in percent of a core, while the planner is away; their "peer"
-is that while the planner is available and idle.
+is the worker's processor time while the planner is available and idle.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop
 
 _PEERS = Path(__file__).parents[1] / "tests" / "peers"
-_TYPE = "nav2_msgs/action/NavigateToPose"  # move_base's too, on the hub
+_TYPE = "nav2_msgs/action/NavigateToPose"  # on the hub, also of move_base
 _POLL_SECONDS = 0.002
 _IDLE_SECONDS = 10.0  # duration of a measurement of the load
-_STEADY_SECONDS = 3.0  # after the registration; a planner that stayed available until then was never lost
+_STEADY_SECONDS = 3.0  # a planner that stays available for so long after the registration was never lost
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ SIDES = (
 
 @dataclass(slots=True)
 class Times:
-    """Seconds from the registration until the hub's client, and the bare one, discovered the planner."""
+    """Seconds from the registration until the hub's client, and the bare client, discovered the planner."""
 
     ours: list[float] = field(default_factory=list)
     bare: list[float] = field(default_factory=list)
@@ -77,7 +77,7 @@ class Watcher:
     """A client on the hub, which continuously checks whether the planner is available.
 
     Attributes:
-        ready: whether it is.
+        ready: whether the planner is available.
         since: when ``ready`` last changed (monotonic).
     """
 

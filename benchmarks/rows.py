@@ -1,6 +1,6 @@
 """Benchmark results as rows, with Midspan's and a peer's figures, as a table and as JSON.
 
-A row is ``{case, ours, peer, ratio, unit, better}``; ``ratio`` is ours over the peer's (infinite if that is 0),
+A row is ``{case, ours, peer, ratio, unit, better}``; ``ratio`` is ours over the peer's (infinite if the peer's is 0),
 ``better`` is "less" or "more".
 """
 

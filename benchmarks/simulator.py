@@ -1,7 +1,7 @@
 """The cost of the simulator: the base with a laser among many walls compared with the bare base; scans and pictures.
 
 The peer of the real-time factor is the bare loop of `World.step` of the same base on an empty floor, with the same
-commands; the peers of laser and depth camera are DART's own ray casts (with Bullet) on the same walls; that of the
+commands. The peers of laser and depth camera are DART's own ray casts (with Bullet) on the same walls. The peer of the
 camera's share of a core is its picture without noise and points.
 
     python benchmarks/simulator.py [--json FILE] [--quick]
@@ -35,7 +35,7 @@ from sim.simulation import Simulation
 BEAMS = 1600
 WALLS = (50, 500, 2000)
 _TURN = 0.4  # rad/s
-_RAYS = 100  # pixels for each ray that DART casts
+_RAYS = 100  # DART casts one ray for this many pixels
 
 
 def plan(count: int) -> Plan:

@@ -60,9 +60,9 @@ class Slow:
         before: reception by topic, without the slow subscriber.
         beside: reception by topic, with the slow subscriber.
         read: number of messages that the slow subscriber read.
-        drops: the routes' drops with it, by reason.
-        memory_before: peak memory of each process without it, in MB.
-        memory_beside: peak memory of each process with it, in MB.
+        drops: the routes' drops with the slow subscriber, by reason.
+        memory_before: peak memory of each process without the slow subscriber, in MB.
+        memory_beside: peak memory of each process with the slow subscriber, in MB.
     """
 
     side: str
@@ -77,7 +77,7 @@ class Slow:
 def measure(
     deployment: Deployment, sides: Sequence[str], rate: float, seconds: float, alone: float | None = None
 ) -> list[Slow]:
-    """Measure several sides at once. Their programs and sources already run; the slow programs are started.
+    """Measure several sides at once. Their other programs must already run; the slow programs are started here.
 
     Args:
         deployment: the daemon.
@@ -186,7 +186,7 @@ def _drops(deployment: Deployment) -> dict[tuple[str, str], int]:
 
 
 def rows(slow: Slow) -> list[Row]:
-    """Return a side's figures with the slow subscriber; the peer's are those before it started."""
+    """Return a side's figures with the slow subscriber; the peer's are the figures before it started."""
     result = []
     for topic, beside in slow.beside.items():
         before, case = slow.before[topic], f"slow on {slow.side}, {topic[1:]} topic"

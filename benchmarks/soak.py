@@ -3,7 +3,7 @@
 Topics of many kinds and rates go from each side to both others; every message is numbered, and lost, duplicate and
 misordered messages are reported. Periodically a late joiner on each side subscribes to each latched topic. At the end,
 or after Ctrl-C, the slope of each process's memory, the change of threads and descriptors, and the drift of the latency
-are printed. Of commands (Twist) Midspan keeps only the newest, so their losses are reported separately.
+are printed. Midspan delivers only the newest command (Twist), so losses of commands are reported separately.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MIX = (
     ("scan", 10.0),
     ("image1", 1.0),
 )
-"""Kind and messages per second of the topics, in turn."""
+"""Kind and messages per second of the topics; the topics use these entries in turn."""
 LATCHED = (("grid", 0.1), ("string", 0.1))
 """Kind and messages per second of each side's latched topics."""
 COMMAND = "twist"
@@ -70,14 +70,14 @@ class Course:
 
     Attributes:
         seconds: time of each sample, from the start.
-        looks: the daemon's census at each sample.
+        censuses: the daemon's census at each sample.
         p99: the median over the topics of the 99th percentile of the latency at each sample, in ms.
         unanswered: late joiners that received nothing within `JOIN_SECONDS`.
         joins: total number of late joiners.
     """
 
     seconds: list[float] = field(default_factory=list)
-    looks: list[Census] = field(default_factory=list)
+    censuses: list[Census] = field(default_factory=list)
     p99: list[float] = field(default_factory=list)
     unanswered: int = 0
     joins: int = 0
@@ -142,11 +142,11 @@ class Soak:
         reports = [self._deployment.ask(_ear(side), "report")["heard"] for side in SIDES]
         ages = [ear["ages"]["p99"] for report_ in reports for ear in report_.values() if ear["ages"]]
         course.seconds.append(seconds)
-        course.looks.append(self._deployment.census())
+        course.censuses.append(self._deployment.census())
         course.p99.append(median(ages) if ages else 0.0)
         lost, twice = (sum(ear[w] for report_ in reports for ear in report_.values()) for w in ("lost", "repeated"))
         report_ = sum(ear["count"] for report_ in reports for ear in report_.values())
-        used = ", ".join(f"{n} {u.rss:.0f} MB {u.threads}/{u.descriptors}" for n, u in course.looks[-1].used.items())
+        used = ", ".join(f"{n} {u.rss:.0f} MB {u.threads}/{u.descriptors}" for n, u in course.censuses[-1].used.items())
         print(
             f"{seconds:7.0f} s: {report_} received, {lost} lost, {twice} twice, p99 {course.p99[-1]:.1f} ms,"
             f" {course.unanswered} of {course.joins} late joiners unanswered; {used}",
@@ -202,13 +202,13 @@ class Soak:
                 Row("p99, last third to first", median(course.p99[-third:]), median(course.p99[:third]), "ms")
             )
         points: dict[str, list[tuple[float, float]]] = defaultdict(list)
-        for second, look in zip(course.seconds, course.looks, strict=True):
-            for name, usage in look.used.items():
+        for second, census in zip(course.seconds, course.censuses, strict=True):
+            for name, usage in census.used.items():
                 points[name].append((second, usage.rss))
-        # one-time allocations happen at the beginning
+        # without the beginning, when one-time allocations happen
         result += [Row(f"memory of {n}", slope(p[len(p) // 3 :]) * 3600, 0.0, "MB/h") for n, p in points.items()]
-        for resource in ("threads", "descriptors") if course.looks else ():
-            first, last = course.looks[min(1, len(course.looks) - 1)], course.looks[-1]
+        for resource in ("threads", "descriptors") if course.censuses else ():
+            first, last = course.censuses[min(1, len(course.censuses) - 1)], course.censuses[-1]
             for name, usage in last.used.items():
                 result.append(
                     Row(f"{resource} of {name}", getattr(usage, resource), getattr(first.used[name], resource), "count")

@@ -1,9 +1,9 @@
 """One-way latency of topics between ROS 1 and ROS 2 through the daemon, and the floor of the same hops without it.
 
-The floor is rospy to rospy plus zenoh to zenoh plus rclpy to rclpy: all raw bytes, zenoh over a direct link with the
-daemon's own shared-memory setting, rclpy with a loop that does not slow down with subscriptions. It is measured in the
-same run, in turns with the whole path: each round has new processes, and each message is measured hop by hop and in
-both directions.
+The floor is rospy to rospy plus zenoh to zenoh plus rclpy to rclpy. All send raw bytes; zenoh uses a direct link with
+the daemon's own shared-memory setting, rclpy a loop that does not slow down with subscriptions. The floor is measured
+in the same run, in turns with the whole path; each round has new processes, and each message is measured hop by hop and
+in both directions.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Samples:
             self._floors[key].append(floor([taken[hop] for hop in HOPS], number))
 
     def rows(self, cases: Sequence[Case], suffix: str, off: Samples | None = None) -> list[Row]:
-        """Return a row for each case, direction and figure, and another one compared with the lane off, if measured."""
+        """Return a row for each case, direction and figure, and if measured, another against the lane off."""
         suffix += "" if self.lane else ", lane off"
         rows = []
         for case in cases:

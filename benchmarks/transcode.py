@@ -1,8 +1,8 @@
 """ROS 1 to CDR and back: Midspan's converters compared with rosbags', in one process, in turns.
 
-Bulk messages are also compared with a bare copy of their bytes, and conversions between two releases of ROS 2 with a
-checked copy of the message by the same virtual machine. Each figure is the median over the rounds of the time of one
-conversion.
+Bulk messages are also compared with a bare copy of their bytes. Conversions between two releases of ROS 2 are compared
+with a checked copy of the message by the same virtual machine. Each figure is the time of one conversion, as the median
+over the rounds.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from bridge.messages.transcode.conversion import make_vm
 from bridge.messages.values import MessageWriter
 
 BULK = 500_000
-"""Size in bytes from which messages are compared with a bare copy."""
+"""Minimum size in bytes of the messages that are compared with a bare copy."""
 
 SECONDS_A_ROUND = 0.02
 
@@ -121,11 +121,11 @@ RELEASES: dict[str, tuple[str, dict[str, Any]]] = {
         {"goal": {"path": {"poses": POSES}, "controller_id": "FollowPath"}},
     ),
 }
-"""Messages whose fields differ between Jazzy and another release; of services, the request."""
+"""Messages whose fields differ between Jazzy and another release; for a service, its request."""
 
 
 def compare(ours: Callable[[], object], peer: Callable[[], object], rounds: int) -> tuple[float, float]:
-    """Return the median times of one call of each, in microseconds; each runs first in every other round."""
+    """Return the median duration of a call of each function, in microseconds; each runs first in every other round."""
     calls = [max(1, int(SECONDS_A_ROUND / max(_time(call, 3), 1e-7))) for call in (ours, peer)]
     times: list[list[float]] = [[], []]
     for number in range(rounds):

@@ -2,9 +2,9 @@
 
 A daemon with ROS 1, ROS 2 and the console; this program publishes the displayed data on the hub: transforms at 100 Hz,
 a laser at 10 Hz, a map of 4,000 x 4,000 cells. A real Chromium with an empty profile opens the page; a script in it
-records when the data of a message is drawn. Then ten pages without a browser (one WebSocket each, with the map view's
-feeds, and each value acknowledged at once) are open for a while, and a topic is bridged from ROS 2 to the hub with and
-without them.
+records when the data of a message is drawn. Then ten pages without a browser are open for a while: each is a WebSocket
+with the map view's feeds, and acknowledges each value at once. A topic is bridged from ROS 2 to the hub with and
+without these pages.
 
 The peer's column is the aim, except for the topic's latency, where it is the latency without pages.
 """
@@ -46,8 +46,8 @@ from bridge.messages.registry import Registry
 from bridge.web.feeds.map_pictures import TILE
 
 FIRST_VIEW, MAP_SEEN, AGE_MS, BACK, TEN_PERCENT = 1.0, 2.0, 100.0, 3.0, 15.0
-"""Aims: seconds to the first view and to the large map; ms from hub to pixels, p95; seconds from the first reply of a
-restarted console until the page is connected again; percent of a core for ten pages."""
+"""The aims: seconds until the first view, and until the large map is drawn; ms from hub to pixels (p95); seconds from a
+restarted console's first reply until the page is connected again; percent of a core for ten pages."""
 CELLS, METERS = 4000, 0.05
 TILES = math.ceil(CELLS / TILE) ** 2
 FEEDS = ("robot", "robots", "driving", "map", "laser", "path", "places")

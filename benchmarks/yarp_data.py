@@ -1,8 +1,8 @@
 """YARP's typed data to bytes and back, compared with a bare copy of the same bytes, in one process, in turns.
 
-Each kind is compared with one copy, and with its limit: one and a half copies and 10 microseconds. Each figure is the
-median over the rounds of one conversion's time. A decoded value is a view into its payload; the row "decoded and owned"
-includes the copy that its first change causes.
+Each kind is compared with one copy; its limit is one and a half copies plus 10 microseconds. Each figure is the time of
+one conversion, as the median over the rounds. A decoded value is a view into its payload; the row "decoded and owned"
+includes the copy that the value's first change causes.
 """
 
 from __future__ import annotations

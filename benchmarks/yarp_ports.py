@@ -1,10 +1,10 @@
 """YARP ports compared with bare sockets that move the same bytes: RPC and streams over tcp and fast_tcp on loopback.
 
-Both use two processes. The bare sockets know how many bytes to expect and inspect none; the ports parse the messages.
-Their rounds take turns. Each figure is the median over the rounds: of a round's median round trip, or of a stream's
-time per message, from the first byte until the other process has received the last.
+Both use two processes. The bare sockets know how many bytes to expect, and inspect none of them; the ports parse the
+messages. Their rounds take turns. Each figure is the median over the rounds: of a round's median round trip, or of a
+stream's time per message, from the first byte sent until the other process has received the last byte.
 
-The choice of cores matters more than the code: on one core a bare round trip took 13 microseconds, on two cores of the
+The choice of cores matters more than the code. On one core a bare round trip took 13 microseconds, on two cores of the
 same virtual machine 56, because each end sleeps until the other core wakes it. The system may place each pair
 of processes in either way, so both placements are measured.
 """

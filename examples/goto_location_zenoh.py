@@ -45,7 +45,7 @@ def main(name: str, router: str = "tcp/127.0.0.1:7447") -> int:
         while True:
             try:
                 status = statuses.get(timeout=SILENCE)
-            except queue.Empty:  # only changes are published: one may be lost, or Midspan may have stopped
+            except queue.Empty:  # only changes are published; a change may be lost, or Midspan may have stopped
                 status = newest(session) or sys.exit("no navigation status: Midspan or the router has stopped")
             if status == last:
                 continue

@@ -4,9 +4,9 @@
 
 Each release gets a system in .cache/arm64/, with the wheel that `make dist ARCH=arm64` built and its libraries in a
 virtual environment. There the script runs the kernels' tests, and the kernels with fixed inputs, whose results must
-equal those of this machine. `midspan run` carries a topic across each pair of YARP, zenoh and ROS 1, and
-RobotPathPlanner, RobotGoto and the localizer drive to goals in lock-step with the simulator. ROS 2 is not tested: it
-has no wheels for arm64.
+equal the results on this machine. `midspan run` bridges a topic between each pair of YARP, zenoh and ROS 1, and
+RobotPathPlanner, RobotGoto and the localizer drive to goals in lock-step with the simulator. ROS 2 is not tested,
+because it has no wheels for arm64.
 Needs root, debootstrap and qemu; is not part of CI. The output is in .cache/arm64/.
 """
 
@@ -42,7 +42,7 @@ KERNEL_TESTS = (
     "tests/navigation/maps/test_maps.py", "tests/sim/test_depth_kernel.py", "tests/sim/test_laser.py",
     "tests/sim/test_laser_kernel.py", "tests/tf/test_buffer.py", "tests/tf/test_kernels.py",
 )  # fmt: skip
-"""The tests of all modules in `bridge.kernels` (tests/arm64/test_program.py)."""
+"""The tests of all kernels in `bridge.kernels`; tests/arm64/test_program.py checks that none is missing."""
 
 RESULTS = [sys.executable, "-m", "tests.arm64.results"]
 _HERE = OUTPUT / "results-here.json"
@@ -108,7 +108,7 @@ def wheels(folder: Path) -> list[Path]:
     except RuntimeError:
         reason = "they are missing"
     if reason:
-        dist.report(f"building the wheels for arm64, because of: {reason}")
+        dist.report(f"building the wheels for arm64 ({reason})")
         work = ROOT / "build" / "arm64"
         shutil.rmtree(work, ignore_errors=True)
         dist.build(folder, work, "arm64")
@@ -134,7 +134,7 @@ def install(place: Place, own: Sequence[Path], log: Path) -> str:
     deb.download(release, root / _WHEELS, "arm64", wanted)
     for wheel in own:
         shutil.copy(wheel, root / _WHEELS)
-    # not with pip, which takes minutes under qemu, and Midspan's programs are not needed
+    # unpacked without pip, which takes minutes under qemu; Midspan's programs are not needed
     if place.tree.run(["python3", "-m", "venv", "--without-pip", f"/{_VENV}"], log, _SECONDS):
         raise RuntimeError(f"no virtual environment; {log}")
     site = root / _VENV / "lib" / f"python3.{release.python}" / "site-packages"

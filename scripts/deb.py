@@ -1,9 +1,9 @@
 """Builds the Debian package of a release, from the wheels of `make dist` and the locked libraries (`make deb`).
 
 The package has a private environment below /opt/midspan, laid out as a virtual environment of the release's Python.
-Compiled files are for that Python, so each release has its own package; pip finds wheels for a Python that is not
-installed on this machine, and for another processor. The units, the configuration and the user are those of `midspan
-install`. Each package has a bill of materials next to it (`scripts.sbom`).
+Compiled files work only with that Python, so each release has its own package; pip can download wheels for a Python or
+a processor that this machine does not have. The units, the configuration and the user are as with `midspan install`.
+Each package has a bill of materials next to it (`scripts.sbom`).
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def download(release: Release, to: Path, arch: str, wanted: Sequence[str]) -> li
         dist.run([*pip, "wheel", "--no-deps", "-w", str(to), str(source)], ROOT)
     wheels = sorted(to.glob("*.whl"))
     for built in set(wheels) - downloaded:
-        rewrite_wheel(built, {})  # setuptools' modes depend on the umask, and the bill of materials has the digest
+        rewrite_wheel(built, {})  # the bill of materials has its digest, but setuptools' modes depend on the umask
     return wheels
 
 
@@ -260,7 +260,7 @@ def pack(
 
 
 def _runs(file: Path) -> bool:
-    """Return whether a file is a program; wheels mark libraries as executable, too."""
+    """Return whether a file is a program; a mode is not enough, because wheels mark libraries as executable too."""
     return bool(file.stat().st_mode & 0o100) and ".so" not in file.suffixes and file.suffix != ".py"
 
 

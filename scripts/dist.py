@@ -5,8 +5,8 @@
 - ``yarp_compat-VERSION.tar.gz`` and its wheel, pure Python.
 
 A checkout contains `yarp_compat`, so its installation does not need `yarp-compat` from an index. Each module is in only
-one distribution: two with the same files would overwrite each other, and uninstalling one would break the other. So
-`midspan` does not contain `yarp-compat`, but requires it in the same version.
+one distribution, because two distributions with the same files would overwrite each other, and uninstalling one would
+break the other. Therefore `midspan` does not contain `yarp-compat`, but requires it in the same version.
 
 Each distribution is laid out in a separate folder, from the files that git does not ignore. The wheels are built from
 the source distribution, with the installed setuptools and Cython. Each wheel has a bill of materials (`scripts.sbom`),
@@ -157,7 +157,7 @@ def finish(wheel: Path, contained: Sequence[sbom.Component]) -> Path:
 
 
 def build_pure(work: Path) -> list[Path]:
-    """Build the source distributions and the wheels for any system; those of `midspan` are the last two."""
+    """Build the source distributions and the wheels for any system; the last two files are `midspan`'s."""
     built = []
     for name, lay_out in (("yarp_compat", lay_out_yarp_compat), ("midspan", lay_out_midspan)):
         source = work / name / "source"

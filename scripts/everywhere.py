@@ -62,12 +62,12 @@ if make demo >demo.txt 2>&1; then echo 'the demo runs without DART'; exit 1; fi
 cat demo.txt
 grep -q '{_NO_DART}' demo.txt && ! grep -q 'midspan.demo.' demo.txt
 """
-"""Runs the demo; a machine for which DART is not published must get the reason, and no advice to install the extra."""
+"""Runs the demo. If DART is not published for the machine, the demo must give that reason, not advise the extra."""
 
 
 @dataclass
 class Place:
-    """Where the steps run: ``enter`` begins each command, ``copy`` is the checkout's folder on this machine."""
+    """Where the steps run; ``enter`` is put before each command, ``copy`` is the checkout's folder on this machine."""
 
     name: str
     enter: Sequence[str | Path]

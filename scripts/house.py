@@ -8,9 +8,8 @@
 In tests, the script counts accesses to private attributes, and lists the tests that neither assert nor call a helper
 whose name implies an assertion.
 
-The figures cover the product (`bridge`, `yarp_compat`, `navigation`, `sim`); those of the language cover all folders
-and the docs. Imports inside functions and under ``TYPE_CHECKING`` count too, because they hide a cycle without removing
-it.
+The figures cover the product (`bridge`, `yarp_compat`, `navigation`, `sim`), those for language all folders and the
+docs. Imports inside functions and under ``TYPE_CHECKING`` count too, because they hide a cycle without removing it.
 """
 
 from __future__ import annotations
@@ -121,7 +120,7 @@ def cycles(graph: Graph) -> list[list[str]]:
 
 
 def packages(files: Mapping[str, File], graph: Graph) -> Graph:
-    """Return imports among packages of the second level (``bridge.hub``); a file next to them counts as a package."""
+    """Return imports among packages of the second level (``bridge.hub``); a file on that level counts as a package."""
 
     def package(name: str) -> str:
         short = ".".join(name.split(".")[:2])
@@ -134,7 +133,7 @@ def packages(files: Mapping[str, File], graph: Graph) -> Graph:
 
 
 def package_cycles(files: Mapping[str, File], graph: Graph) -> list[list[str]]:
-    """Return the cycles through a package; `cycles` reports those among files."""
+    """Return the cycles that include a package; `cycles` reports the cycles among files."""
     return [
         group
         for group in cycles(packages(files, graph))
@@ -143,7 +142,7 @@ def package_cycles(files: Mapping[str, File], graph: Graph) -> list[list[str]]:
 
 
 def shared_classes(files: Mapping[str, File]) -> dict[str, list[str]]:
-    """Return the public classes at the top of several files, by their name."""
+    """Return the names of public top-level classes that several files define, with these files."""
     modules = defaultdict[str, list[str]](list)
     for name, file in files.items():
         for node in file.tree.body:

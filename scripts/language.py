@@ -21,14 +21,14 @@ from typing_extensions import override
 
 FOLDERS = ("bridge", "yarp_compat", "navigation", "sim", "tests", "benchmarks", "examples", "scripts")
 PAGES, SETTINGS, FOREIGN = "docs", "configs", "JavaScript and C"
-"""The labels of all Markdown; of the comments in `_SETTINGS`; of comments and messages in `_FOREIGN`."""
+"""Labels of the figures: of all Markdown, of comments in `_SETTINGS`, of comments and messages in `_FOREIGN`."""
 
 _SETTINGS = ("configs/**/*.yaml", "configs/**/*.rviz", "packaging/**/*", "pyproject.toml")
 _FOREIGN = ("bridge/**/*.js", "bridge/**/*.c")
 
 PHRASES_PER_1000, VAGUE_PERCENT = 4.0, 1.0
 FEW_WORDS, FEW_NAMES = 1000, 300
-"""The limits do not apply to a smaller folder, in which a single phrase or name would decide."""
+"""Minimum size; the limits do not apply to smaller folders, in which a single phrase or name would exceed them."""
 
 PHRASES = {
     name: re.compile(pattern, re.MULTILINE | re.IGNORECASE)

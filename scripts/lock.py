@@ -3,12 +3,12 @@
 Run this script on Linux, in the virtual environment, with Python 3.11.
 
 requirements.lock lists the packages that Midspan and its tests need, requirements-ros2.lock the additional ROS 2 wheels
-(not installed if a ROS 2 installation is sourced), requirements-kilted.lock those of ROS 2 Kilted for tests. Newer
-Pythons use the versions of the oldest supported one; the continuous integration verifies that. A package that newer
+(not installed if a ROS 2 installation is sourced), requirements-kilted.lock the wheels of ROS 2 Kilted for tests. Newer
+Pythons use the versions of the oldest supported Python, which the continuous integration verifies. A package that newer
 Pythons do not need, such as a backport, has a marker. The files contain versions only; pip uses its configured index.
 
-The files serve every system in SYSTEMS: a line for only some of them has a marker. A package without a wheel for one of
-them needs a marker in pyproject.toml, which leaves the package out on that system; `midspan doctor` reports it there.
+The files serve every system in SYSTEMS; a line for only some systems has a marker. A package that has no wheel for a
+system needs a marker in pyproject.toml, which leaves it out on that system; `midspan doctor` reports it there.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def resolve(requirements: list[str], system: System, wheels: Path) -> Versions:
 def marked(
     versions: Versions, requirements: Iterable[str], metadata: Mapping[str, Mapping[str, Any]], system: System
 ) -> Versions:
-    """Return the versions with a marker at each package that a newer Python does not need."""
+    """Return the versions, with a marker for each package that a newer Python does not need."""
     for python in reversed(NEWER_PYTHONS):
         needed, _ = reached(requirements, metadata, system.on(python))
         plain = {name: version.partition(" ; ")[0] for name, version in versions.items() if name not in needed}
@@ -163,7 +163,7 @@ def _without_marker(text: str) -> str:
 def write(file: str, of_systems: Mapping[System, Versions], own: Mapping[str, str]) -> None:
     """Write one lock file, sorted by name.
 
-    ``own``: markers of pyproject.toml by package name, which replace the computed ones: newer Pythons need them.
+    ``own``: markers of pyproject.toml by package name, which replace the computed markers, as newer Pythons need them.
     """
     systems_of: dict[tuple[str, str], list[System]] = {}
     for system, versions in of_systems.items():

@@ -1,4 +1,4 @@
-"""The processors that packages are built for, and the settings to build for a processor other than this machine's.
+"""The processors for which packages are built, and the settings for a processor other than this machine's.
 
 Debian's cross compiler compiles the kernels. The Python that runs the build reads the compiler's name, flags and
 platform from the configuration in Debian's package of the same Python for the other processor.
@@ -14,10 +14,10 @@ import sysconfig
 from pathlib import Path
 
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
-"""The names in wheels' tags, by Debian's names."""
+"""Names of processors in the tags of wheels, by Debian's names."""
 
 ELF = {"amd64": 62, "arm64": 183}
-"""The numbers in compiled files (``e_machine``)."""
+"""Numbers of processors in compiled files (``e_machine``)."""
 
 
 def native() -> str:

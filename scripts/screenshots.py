@@ -1,7 +1,7 @@
 """Takes screenshots of the console: every view at phone and desktop width, light and dark, while the robot drives.
 
-`make screenshots` updates those of the docs (docs/operate/console/*.png); with a FOLDER all screenshots are written
-there for inspection.
+`make screenshots` updates the screenshots in the docs (docs/operate/console/*.png). With a FOLDER, all screenshots are
+written there for inspection.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ IN_DOCS = {
     "status": ("status", "desk", "light"),
     "topic": ("topics//scan", "desk", "dark"),
 }
-"""File in the docs, with view, width and color scheme."""
+"""The files in the docs, each with its view, width and color scheme."""
 GOALS = ("kitchen", "bedroom")
 """The robot's tour during the screenshots."""
 SETTLE_SECONDS = 3.0

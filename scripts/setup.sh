@@ -40,7 +40,7 @@ fail() {
     exit 1
 }
 
-# Writes a command's output to the log; shows the number of lines that begin with a word, of an expected total.
+# Writes a command's output to the log; shows how many of the expected lines, which begin with a word, have appeared.
 show_progress() {
     count=0 total=$2
     while IFS= read -r line || [ -n "$line" ]; do
@@ -115,7 +115,7 @@ not_installed() {
     done
 }
 
-# Prints those of the given Debian packages that do not belong to ROS 1.
+# Prints the given Debian packages without those of ROS 1.
 without_ros1() {
     # shellcheck disable=SC2086  # a list of words
     ros1_words=" $(echo $ros1) "
@@ -312,8 +312,8 @@ environment() {
     printf '%s\n' "$made_from" >.venv/midspan-setup
 }
 
-# Compiles Midspan's bytecode, because pip does so only for its packages: with PYTHONDONTWRITEBYTECODE, each of seven
-# processes would compile its imports at each start (0.2 s of 0.65 s); without it, at the first.
+# Compiles Midspan's bytecode, because pip compiles only installed packages. Otherwise each of seven processes would
+# compile its imports (0.2 s of 0.65 s) at its first start or, with PYTHONDONTWRITEBYTECODE, at each start.
 bytecode() {
     .venv/bin/python -m compileall -q -j 2 bridge navigation sim yarp_compat >/dev/null 2>&1 || true # the folder may be read-only
 }

@@ -1,7 +1,8 @@
 """Reruns the tests that failed in `make test` or `make test-all`, one after the other.
 
-The result is red if a test fails again, or if many tests failed. A test that passes now is UNSTEADY: its traceback is
-above, its name at the end, with the seed of the order in which it failed. Each is a defect, of the test or of Midspan.
+The exit code is 1 if a test fails again, or if many tests failed. A test that passes now is UNSTEADY. The first run's
+output has its traceback; the end has its name, and the seed of the order in which it failed. Each such test is a
+defect, of the test or of Midspan.
 CONTRIBUTING.md ("Unsteady tests") has the rules.
 """
 
@@ -23,7 +24,7 @@ SEED = "midspan/seed"
 """Name of the order's seed in that cache, written by tests/conftest.py."""
 
 MOST = 5
-"""Maximum number of failed tests that are rerun; more are not taken for races."""
+"""Maximum number of failed tests that are rerun; if more failed, races are not the cause."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not 0 < len(failed) <= MOST:  # none: the run failed for another reason
         print(f"{len(failed)} tests failed", *failed, sep="\n  ")
         return 1
-    print(f"\n== once more, by themselves: {len(failed)}", flush=True)
+    print(f"\n== once more, one by one: {len(failed)}", flush=True)
     pytest = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:randomly", *failed]
     if subprocess.run(pytest, cwd=ROOT, check=False).returncode:
         return 1

@@ -21,7 +21,7 @@ from yarp_compat import absences, check  # noqa: E402 - from this tree
 
 PAGE = ROOT / "docs" / "yarp" / "python.md"
 BEGIN, END = "<!-- class by class: scripts/yarp_classes.py -->", "<!-- end of class by class -->"
-_MANY = 4  # this many names with the same beginning, or more, are shortened to the beginning
+_MANY = 4  # names with the same beginning, if there are at least so many, are shortened to the beginning
 
 
 @dataclass

@@ -15,11 +15,11 @@ from navigation.status import State
 from sim.base import TICK_NS
 
 NEAR_METERS, NEAR_DEGREES = 0.25, 10.0
-"""True distance from a goal that counts as reached: the goal's tolerance plus the localizer's error."""
+"""True distance within which a goal counts as reached: the goal's tolerance plus the localizer's error."""
 
 _TURNING = 0.02  # rad/s; a robot that turns more slowly stands
 _SPEED = 0.1  # m/s of a slow drive
-_EXTRA = 180.0  # seconds that a slow drive may take in addition
+_EXTRA = 180.0  # seconds that a drive may take in addition to the time at _SPEED
 
 
 class Stack(Protocol):

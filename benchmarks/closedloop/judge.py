@@ -17,7 +17,7 @@ STANDING = 0.01
 """Speed below which the robot is not at fault for a contact, because people walk up to it, m/s."""
 
 _CHECK_TICKS = 5
-"""Ticks between two distance checks: 1.5 cm at the R1's speed."""
+"""Ticks between two distance checks, in which the R1 drives 1.5 cm."""
 
 
 class Judge:
@@ -30,7 +30,7 @@ class Judge:
     Attributes:
         contacts: ticks in which the hull touched something while the robot was moving.
         room: minimum distance between the hull and the nearest thing while the robot was moving, meters.
-        driving_room: the same while the robot was also commanded to move, so not while it braked and people walked up
+        driving_room: as ``room``, but only while the robot was commanded to move, so not while it braked and people walked up
         to it.
         entered: distance checks at which its hull was in a keep-out area.
         keep_out_room: minimum distance between its hull and the nearest keep-out area, meters.

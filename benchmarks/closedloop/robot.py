@@ -1,4 +1,4 @@
-"""A robot in the simulator with BaseControl's core between its commands and its wheels, tick by tick."""
+"""A robot in the simulator, advanced tick by tick; BaseControl's core turns its commands into wheel speeds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from navigation.pose import Pose
 from sim import robot as robots
 from sim.base import TICK_NS
 from sim.plan import Plan
-from sim.robot import RobotDescription as Described
+from sim.robot import RobotDescription
 from sim.section import CameraSection, EncodersSection, LaserSection, SimSection
 from sim.simulation import Simulation
 
@@ -26,7 +26,7 @@ Drift measured in the apartment (r1, seed 0): 72 degrees and 6.1 m after 270 s a
 """
 
 CAMERA = CameraSection(rate=5.0, width=160, height=120, noise=0.02)
-"""A D435's image at a quarter of its width and height, so that the error of 0.08 pixels becomes 0.02 pixels."""
+"""A D435's image at a quarter of its width and height, so that its disparity noise of 0.08 pixels becomes 0.02."""
 
 ENCODER_NOISE = 0.01
 _INPUT = "ros"
@@ -41,7 +41,7 @@ class Robot:
         base: the robot's name, or a file.
         seed: seed of all noise.
         start: x, y (meters), direction (degrees); None: the plan's start.
-        camera: its depth camera, or None.
+        camera: the settings of its depth camera; None if it has none.
 
     Attributes:
         simulation: the floor with the robot on it.
@@ -59,14 +59,14 @@ class Robot:
         start: tuple[float, float, float] | None = None,
         camera: CameraSection | None = None,
     ) -> None:
-        described = robots.load(base)
-        encoders = EncodersSection(scale=SCALES[: len(described.wheels.names)], noise=ENCODER_NOISE)
+        description = robots.load(base)
+        encoders = EncodersSection(scale=SCALES[: len(description.wheels.names)], noise=ENCODER_NOISE)
         section = SimSection(drive="wheels", laser=LASER, encoders=encoders, seed=seed, start=start)
         section = section.model_copy(update={"camera": camera}) if camera else section
-        self.simulation = Simulation(section, plan, described)
-        given, _ = resolved(base_section(described))
-        self._base = DrivenBase(given)
-        self._every = round(given.period * 1e9 / TICK_NS)
+        self.simulation = Simulation(section, plan, description)
+        settings, _ = resolved(base_section(description))
+        self._base = DrivenBase(settings)
+        self._every = round(settings.period * 1e9 / TICK_NS)
         self._input = self._base.inputs[_INPUT]
         self._ticks = 0
         self.driven = self.commanded = 0.0
@@ -127,11 +127,11 @@ class Robot:
         self.odometry = Pose(measured.x, measured.y, math.remainder(measured.theta, 2.0 * math.pi), encoders.time_ns)
 
 
-def base_section(described: Described) -> BaseControlSection:
+def base_section(description: RobotDescription) -> BaseControlSection:
     """Return BaseControl's section for a robot of the simulator."""
-    wheels, limits = described.wheels, described.limits
+    wheels, limits = description.wheels, description.limits
     return BaseControlSection(
-        kind=_KINDS[described.kinematics],
+        kind=_KINDS[description.kinematics],
         wheel_radius=wheels.radius,
         wheel_distance=wheels.separation,
         max_linear_vel=limits.linear,

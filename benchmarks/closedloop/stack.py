@@ -33,14 +33,14 @@ RADII = {"r1": 0.3, "ikart_v1": 0.38}
 _ROOM = 0.05
 """Additional clearance of the planner, meters, which RobotGoto needs."""
 
-_DRIVE_EVERY, _PLAN_EVERY, _LOOK_EVERY = 2, 10, 2
-"""Ticks between steps of RobotGoto, and of RobotPathPlanner; and the planner uses one of ``_LOOK_EVERY`` scans."""
+_DRIVE_EVERY, _PLAN_EVERY, _SCAN_EVERY = 2, 10, 2
+"""Ticks between steps of RobotGoto, and of RobotPathPlanner; scans between two that the planner uses."""
 
 
 _POINTS, _LAYER = "/camera/depth/points", "/mapper3d/layer"
 MAPPING = Mapper3DSection(resolution=0.04, farthest=2.5, layer=LayerSection(height=1.3))
-"""``resolution`` is less than half of the step in the plan `tables`, 10 cm; up to ``farthest``, the standard deviation
-of the camera's depth is less than ``resolution``."""
+"""``resolution`` is less than half of the step of 10 cm in the plan `tables`. The standard deviation of the camera's
+depth is less than ``resolution`` up to ``farthest``."""
 
 
 class Ours:
@@ -167,7 +167,7 @@ class Ours:
         if plans:
             self.planner.step(now, pose, self, reason)
         command = self.driver.step(now, pose, robot.odometry, reason)
-        # the first step in which RobotGoto is silent still sends its command, which is zero
+        # RobotGoto's last command, which is zero, is sent in the first step after it has stopped
         if not (self._silent and self.driver.silent):
             robot.command(*command)
         self._silent = self.driver.silent
@@ -179,7 +179,7 @@ class Ours:
             self.localizer.scan(scan.time_ns, scan_points(scan))
         pose = self.pose
         self._scans += 1
-        if pose is not None and self._scans % _LOOK_EVERY == 0:
+        if pose is not None and self._scans % _SCAN_EVERY == 0:
             self.planner.scan(robot.now, pose, scan)
 
     def _picture(self) -> None:

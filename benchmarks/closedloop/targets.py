@@ -17,7 +17,7 @@ from navigation.pose import Pose
 from yarp_compat.dev.mapgrid import MapFlag
 
 _ROOM = 0.25
-"""Minimum clearance of the hull at a goal, meters: a planner that keeps 0.2 m away can reach it."""
+"""Minimum clearance of the hull at a goal, meters; a planner that stays 0.2 m away from obstacles can reach it."""
 
 _TIGHT = 0.12
 """Minimum clearance on the path; narrower passages are not used."""
@@ -71,7 +71,7 @@ class Targets:
         return float(np.hypot(*np.diff(corners, axis=0).T).sum()) * self._resolution
 
     def _is_somebodys(self, goal: Pose) -> bool:
-        """Return whether people turn around and rest at a place, so that the robot would wait for them."""
+        """Return whether people turn around and rest at a goal, so that the robot would wait for them."""
         people = [walker.person for walker in self._robot.simulation.world.people.values()]
         return any(
             math.dist((goal.x, goal.y), point) < self._robot.radius + person.radius + _ROOM

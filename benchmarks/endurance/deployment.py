@@ -20,7 +20,7 @@ from bridge.status import StatusDocument
 
 SIDES = ("ros1", "ros2", "zenoh")
 QUIET_SECONDS = 1.0
-"""Seconds without a message after which no more are expected."""
+"""Seconds without a message after which no further messages are expected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Deployment(Stage):
                     node="watch",
                     daemon="watch",
                     worker="w",
-                    shared_memory=False,  # with it, this session would retain the shared memory of every killed worker
+                    shared_memory=False,  # otherwise this session would retain the shared memory of every killed worker
                 )
             )
             self.until(

@@ -75,7 +75,7 @@ QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
 def behind(sent: int, last: int | None) -> int:
-    """Return how many of ``sent`` messages, numbered from 0, follow ``last``, the number of the last one received.
+    """Return how many of ``sent`` messages, numbered from 0, come after ``last``, the last received number.
 
     Numbers are modulo 2**16. The result is 0 if no message was sent, or none was received.
     """

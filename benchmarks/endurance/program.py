@@ -114,7 +114,7 @@ class Program(ABC):
         return {}
 
     def _start_flow(self, rates: dict[str, float]) -> dict[str, Any]:
-        """Also send on these topics, each at its rate, until `_still`."""
+        """Also send on these topics, each at its rate, until `_still` is called."""
         self._flow.stop()
         self._rates |= rates
         self._flow.start({topic: (self._out[topic].send, rate) for topic, rate in self._rates.items()})

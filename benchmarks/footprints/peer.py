@@ -1,7 +1,7 @@
 """A bare peer: an interpreter with one middleware's library and one subscriber, without Midspan.
 
-Usage: ``python -m benchmarks.footprints.peer {ros1,ros2,zenoh}``, or ``router`` or ``hub`` and an endpoint: a session
-that is configured like the hub's. The peer reports when it is ready, and exits when its input ends.
+Usage: ``python -m benchmarks.footprints.peer {ros1,ros2,zenoh}``, or ``router`` or ``hub`` with an endpoint, for a
+session that is configured like the hub's. The peer reports when it is ready, and exits when its input ends.
 """
 
 from __future__ import annotations

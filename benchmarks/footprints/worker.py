@@ -27,7 +27,7 @@ class StartedWorker:
     Attributes:
         first: seconds until its first heartbeat.
         running: seconds until it reported that it runs.
-        cpu: processor time until it reported that, seconds.
+        cpu: processor time until it reported that it runs, seconds.
     """
 
     def __init__(self, name: str, config: Config, environ: dict[str, str]) -> None:

@@ -17,7 +17,7 @@ _STORE = get_typestore(Stores.ROS2_JAZZY)
 _T: dict[str, Any] = dict(_STORE.types)
 _TEXT_MARK = "#" * DIGITS
 _NUMBER_MARK = 123456789.015625
-"""Placeholders of the stamp, in a text or in a float64; each message contains one of them, once."""
+"""Placeholders of the stamp: a text and a float64. Each message contains exactly one of them, once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Case:
         key: part of topic names.
         type: ROS 2's name of the type.
         make: builds the message with the placeholder of the stamp.
-        kind: selects the limit: small, tf or large; or ``numbered``.
+        kind: ``small``, ``tf`` or ``large``, which select the limit; or ``numbered``.
         count: messages per measurement.
         rate: messages per second.
     """

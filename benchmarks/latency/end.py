@@ -127,7 +127,7 @@ class End(ABC):
     def _tally(self, sent: int, seconds: float) -> None:
         """Report the numbered messages since the last tally, and topics without messages.
 
-        Waits for missing ones of ``sent`` messages as long as one arrives within ``seconds``.
+        Until ``sent`` messages have arrived, it waits as long as another one arrives within ``seconds``.
         """
         self._wait_for(lambda: sum(map(len, self._numbers.values())), sent, seconds)
         ages, got, distinct, silent, disorder = list[int](), 0, 0, 0, 0
@@ -153,7 +153,7 @@ class End(ABC):
 
     @staticmethod
     def _wait_for(come: Callable[[], int], count: int, seconds: float) -> None:
-        """Wait until ``count`` messages have arrived, or no more arrive for some seconds."""
+        """Wait until ``count`` messages have arrived, or no message arrives for ``seconds``."""
         last, since = come(), time.monotonic()
         while last < count and time.monotonic() < since + seconds:
             time.sleep(0.02)

@@ -1,4 +1,4 @@
-"""One round's processes: roscore, the daemon, a sender and a listener each on ROS 1, ROS 2 and zenoh, and others."""
+"""The processes of one round: roscore, the daemon, and senders and listeners on ROS 1, ROS 2 and zenoh."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from benchmarks.latency.stage import Stage
 FLOOR, THERE, BACK = "floor", "there", "back"
 """Prefixes of topic names: not bridged, from ROS 1 to ROS 2, from ROS 2 to ROS 1."""
 
-_WARM = 3  # first messages of a measurement, which do not count
+_WARM = 3  # number of messages at the beginning of a measurement that do not count
 
 
 class Network(Stage):

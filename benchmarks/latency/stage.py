@@ -10,8 +10,8 @@ from benchmarks.latency.usage import processes
 from benchmarks.processes import Processes
 
 _MEMORY = {"MALLOC_MMAP_THRESHOLD_": "1000000000", "MALLOC_TRIM_THRESHOLD_": "1000000000"}
-"""Lets glibc retain freed memory in the ends. Otherwise large messages cause page faults, which double the cost of 1 MB
-over ROS 1 and quadruple that of 6 MB over ROS 2, and would make the floor easier to reach."""
+"""Lets glibc retain freed memory in the ends. Otherwise large messages would cause page faults, which double the cost
+of 1 MB over ROS 1 and quadruple the cost of 6 MB over ROS 2, and so make the floor easier to reach."""
 
 _PROFILE = str(Path(__file__).with_name("fastdds.xml"))
 

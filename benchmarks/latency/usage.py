@@ -90,7 +90,7 @@ def processes(folder: Path) -> dict[str, int]:
 
 
 def daemon_processes(folder: Path) -> dict[str, int]:
-    """Return the process ids of the daemon's processes by worker, and of the daemon itself as `daemon`."""
+    """Return the process ids of the daemon's workers by name, and of the daemon itself as `daemon`."""
     result = {"daemon" if name == "supervisor" else name: pid for name, pid in _named(folder).items()}
     return {name: pid for name, pid in result.items() if name not in ("", "rosmaster")}
 

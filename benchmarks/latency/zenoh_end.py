@@ -23,7 +23,7 @@ class ZenohEnd(End):
     Args:
         peer: endpoint of a router or another peer; None if the other peer connects.
         shared_memory: the hub's setting.
-        listen: endpoint to listen on, "" for any.
+        listen: endpoint to listen on; "": any.
         express: whether each sample is sent in a separate packet.
     """
 
@@ -55,7 +55,7 @@ class ZenohEnd(End):
         self._session.close()  # type: ignore[no-untyped-call]
 
     def _is_linked(self, publisher: Any) -> bool:
-        """Return whether the listener is connected, and by a direct link instead of through the router."""
+        """Return whether the listener is connected by a direct link, not only through the router."""
         return bool(publisher.matching_status.matching) and len(self._session.info.peers_zid()) > 0
 
 

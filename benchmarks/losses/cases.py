@@ -17,7 +17,7 @@ PAUSE = 0.3
 AWAY = 1.0
 """Seconds until a killed roscore is restarted."""
 FORGET_SECONDS = 30.0
-"""Seconds within which a dead participant is removed: Fast DDS needs 20 s, unless the participant's profile differs."""
+"""Seconds within which a dead participant is removed; Fast DDS needs 20 s, unless the participant's profile differs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Loss:
     Attributes:
         key: short name.
         name: name for display.
-        limit: seconds allowed for the recovery: the project's limit, or the detection times of the parts.
+        limit: seconds allowed for the recovery, by the project's limit or the parts' times to detect a loss.
         happen: causes the loss and its repair, and returns the outcome.
     """
 
@@ -78,7 +78,7 @@ def simulated_roscore(field: Field) -> Outcome:
 
 
 def program(field: Field, side: str, *, forget: bool = True) -> Outcome:
-    """Restart a program of a side; then kill it and wait until it is removed or, without ``forget``, stop it."""
+    """Kill and restart a program of a side; at the end stop it or, with ``forget``, kill it, and wait until it is removed."""
     name = EXTRAS[side]
     field.start_programs(name)
     watch = _settled(field)
@@ -108,7 +108,7 @@ def worker_killed(field: Field, worker: str) -> Outcome:
 
 
 def worker_stopped(field: Field, *workers: str, seconds: float) -> Outcome:
-    """Send SIGSTOP to workers for a time: after a short time they continue, after a long time they are replaced."""
+    """Send SIGSTOP to workers for a time; if it is short they continue, if it is long they are replaced."""
     for worker in workers:
         field.until_old(worker)
     watch = _settled(field)

@@ -23,7 +23,7 @@ ANCHORS = ("ros1", "ros2", "hub")
 EXTRAS = {"ros1": "ros1_extra", "ros2": "ros2_extra"}
 """Further programs of ROS 1 and ROS 2, which are killed."""
 JOINER = "ros1_joiner"
-"""Joins ``/state`` late on ROS 1, repeatedly; on the other sides the anchors do."""
+"""The program that repeatedly joins ``/state`` late on ROS 1; on the other sides the anchors do."""
 
 Flow = tuple[str, str]
 """Subscribing program, and topic."""
@@ -154,7 +154,7 @@ class Field(Processes):
 
     @override
     def stop(self, name: str) -> None:
-        # the program's latched line goes with it
+        # the program's latched line is gone when it exits
         self.states.pop(name, None)
         super().stop(name)
 

@@ -40,7 +40,7 @@ class HubProgram(Program):
         for kind, type_ in (("stream", POINT), ("cmd_vel", TWIST), ("large", STRING)):
             self._publishers[kind] = self._publisher(f"/{self.name}/{kind}", type_, _STREAM)
         self._publishers["state"] = self._publisher("/state", STRING, _latched(1))
-        self._subscribe("/state", STRING, _latched(100), lambda data: self.stated(_text(data)))
+        self._subscribe("/state", STRING, _latched(100), lambda data: self.record_line(_text(data)))
 
     @override
     def publish(self, kind: str, sent: float, number: int) -> None:
@@ -83,7 +83,7 @@ class HubProgram(Program):
         return self._hub.subscription(topic, type_, hash_, qos, lambda sample: take(sample.data())).close
 
     def _follow(self, topic: str, type_: str, read: Callable[[bytes], tuple[float, float]]) -> None:
-        self._subscribe(topic, type_, _STREAM, lambda data: self.sound(topic, *read(data)))
+        self._subscribe(topic, type_, _STREAM, lambda data: self.record_message(topic, *read(data)))
 
 
 def _point(data: bytes) -> tuple[float, float]:

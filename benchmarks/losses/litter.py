@@ -10,8 +10,8 @@ from benchmarks.losses.outcome import Watch
 from benchmarks.rows import Row
 
 SETTLE = 6.0
-"""Seconds that a worker runs before it is killed: younger Fast DDS files may still be in creation, and are left to the
-next start."""
+"""Seconds for which a worker runs before it is killed. Younger files of Fast DDS may still be in creation, so they are
+removed only at the next start."""
 
 
 def _steady(field: Field) -> None:

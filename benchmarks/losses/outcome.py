@@ -13,7 +13,7 @@ from typing_extensions import override
 from benchmarks.losses.field import ANCHORS, JOINER, Field, Flow
 
 GAP = 0.5
-"""Seconds of silence of a 50 Hz stream that count as an interruption; busy machines cause shorter ones."""
+"""Seconds of silence of a 50 Hz stream that count as an interruption; a busy machine causes shorter silences."""
 QUIET = 1.5
 """Seconds without an interruption after which a flow counts as steady."""
 STALE = 0.75
@@ -29,7 +29,7 @@ class Outcome:
 
     Attributes:
         recovered: whether all messages flow again.
-        seconds: time until then, from the moment at which they could.
+        seconds: time until all messages flowed, from the moment at which they could.
         slowest: the flow that recovered last.
         gap: longest silence of any flow.
         stale: commands that were delivered too late.

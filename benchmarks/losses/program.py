@@ -105,19 +105,19 @@ class Program(ABC):
             self._ended.set()
             self.close()
 
-    def sound(self, topic: str, sent: float, number: float) -> None:
+    def record_message(self, topic: str, sent: float, number: float) -> None:
         """Record a received message."""
         sounds = self._sounds.get(topic)
         if sounds is None:
             sounds = self._sounds.setdefault(topic, deque(maxlen=KEPT))
         sounds.append((time.monotonic(), sent, number))
 
-    def hearer(self, source: str, kind: str) -> Callable[[Any], None]:
+    def recorder(self, source: str, kind: str) -> Callable[[Any], None]:
         """Return a callback for another program's messages of a kind."""
         topic, read = f"/{source}/{kind}", _READ[kind]
-        return lambda message: self.sound(topic, *read(message))
+        return lambda message: self.record_message(topic, *read(message))
 
-    def stated(self, line: str) -> None:
+    def record_line(self, line: str) -> None:
         """Record a received latched line."""
         self._states[line.partition(" ")[0]] = line
 

@@ -31,7 +31,7 @@ class Ros1Program(Program):
             topic = f"/{self.name}/{kind}"
             self._publishers[kind] = rospy.Publisher(topic, type_, queue_size=QUEUE, tcp_nodelay=True)
         self._publishers["state"] = rospy.Publisher("/state", String, queue_size=QUEUE, latch=True)
-        rospy.Subscriber("/state", String, lambda m: self.stated(m.data))
+        rospy.Subscriber("/state", String, lambda m: self.record_line(m.data))
 
     def publish(self, kind: str, sent: float, number: int) -> None:
         if kind == "stream":
@@ -52,13 +52,14 @@ class Ros1Program(Program):
     def listen(self, source: str) -> None:
         more = {"tcp_nodelay": True, "queue_size": QUEUE, "buff_size": 1 << 22}
         if source == "clock":
-            rospy.Subscriber("/clock", Clock, lambda m: self.sound("/clock", m.clock.to_sec(), 0.0), **more)
+            rospy.Subscriber("/clock", Clock, lambda m: self.record_message("/clock", m.clock.to_sec(), 0.0), **more)
             return
         for kind, type_ in KINDS.items():
-            rospy.Subscriber(f"/{source}/{kind}", type_, self.hearer(source, kind), **more)
+            rospy.Subscriber(f"/{source}/{kind}", type_, self.recorder(source, kind), **more)
 
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
-        # only in programs without another subscription to /state, because rospy would share its connections
+        # call this only in a program without another subscription to /state, because rospy would reuse that one's
+        # connections, on which latched messages do not arrive again
         subscriber = rospy.Subscriber("/state", String, lambda m: take(m.data))
         return lambda: subscriber.unregister()
 

@@ -39,7 +39,7 @@ class Ros2Program(Program):
         for kind, type_ in KINDS.items():
             self._publishers[kind] = self._node.create_publisher(type_, f"/{self.name}/{kind}", DEPTH)
         self._publishers["state"] = self._node.create_publisher(String, "/state", _latched(1))
-        self._node.create_subscription(String, "/state", lambda m: self.stated(m.data), _latched(DEPTH))
+        self._node.create_subscription(String, "/state", lambda m: self.record_line(m.data), _latched(DEPTH))
 
     @override
     def publish(self, kind: str, sent: float, number: int) -> None:
@@ -60,10 +60,10 @@ class Ros2Program(Program):
             self._node.create_subscription(Clock, "/clock", self._on_clock, DEPTH)
             return
         for kind, type_ in KINDS.items():
-            self._node.create_subscription(type_, f"/{source}/{kind}", self.hearer(source, kind), DEPTH)
+            self._node.create_subscription(type_, f"/{source}/{kind}", self.recorder(source, kind), DEPTH)
 
     def _on_clock(self, message: Any) -> None:
-        self.sound("/clock", message.clock.sec + message.clock.nanosec / 1e9, 0.0)
+        self.record_message("/clock", message.clock.sec + message.clock.nanosec / 1e9, 0.0)
 
     @override
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
@@ -79,7 +79,7 @@ class Ros2Program(Program):
     def close(self) -> None:
         self._executor.shutdown(2.0)
         self._spinner.join(2.0)
-        self._node.destroy_node()  # otherwise the others consider it alive until its lease expires
+        self._node.destroy_node()  # otherwise other participants consider it alive until its lease expires
         rclpy.shutdown()
 
     def _spin(self) -> None:

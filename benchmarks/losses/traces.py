@@ -25,15 +25,15 @@ def left_behind(field: Field) -> list[str]:
     ]
 
 
-def _patiently(look: Callable[[], list[str]]) -> list[str]:
+def _patiently(find: Callable[[], list[str]]) -> list[str]:
     end = time.monotonic() + SECONDS
-    while (stale := look()) and time.monotonic() < end:
+    while (stale := find()) and time.monotonic() < end:
         time.sleep(0.2)
     return stale
 
 
 def _on_master(field: Field) -> list[str]:
-    """Return Midspan's stale registrations: of dead nodes, or for topics that the live node itself does not report."""
+    """Return Midspan's stale registrations: of dead nodes, and those that the live node itself does not report."""
     state = field.master("getSystemState")
     if state is None:
         return ["the master does not reply"]

@@ -34,10 +34,10 @@ class Fault:
         make: causes the fault, and ends it when the context is left.
         lasts: duration, seconds.
         limit: seconds until the wheels should stand; infinite if the robot should continue.
-        says: text that the client's status reason must contain.
+        says: text that the reason in the client's status must contain.
         ends: expected final state of the goal; None: any.
         code: expected error_code of the result; None: any.
-        tries: whether the robot may move briefly during the fault to test whether it is over.
+        tries: whether the robot may move briefly during the fault, to test whether the fault is over.
         again: whether another goal to the same place is sent after the fault.
         where: creates the deployment.
     """

@@ -18,7 +18,7 @@ class Outcome:
         distance: meters that the robot moved meanwhile.
         reported: state and reason that the client received.
         onward: seconds from the end of the fault until the robot continued; infinite if it did not.
-        anew: seconds from sending the goal again until the robot drove; infinite if it was not sent, or it did not.
+        anew: seconds from sending the goal again until the robot drove; infinite if it did not, or no goal was sent.
         end: final state of the client's goal, and its reason.
         wrong: the deviation from the expected outcome.
     """

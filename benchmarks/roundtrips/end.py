@@ -1,7 +1,7 @@
 """Base of the programs, which measure round trips and are controlled by JSON lines. Standard library only.
 
 Under a prefix (``/there``) a server has four names: ``call`` (a small service), ``map`` (GetMap of 1 MB), ``go`` (an
-action whose goals succeed at once) and ``hold`` (one whose goals end when they are canceled).
+action whose goals succeed at once) and ``hold`` (an action whose goals end when they are canceled).
 """
 
 from __future__ import annotations

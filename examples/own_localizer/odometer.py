@@ -1,4 +1,4 @@
-"""A localizer of your own, the simplest one: the robot's pose from a known start and the wheels' odometry.
+"""A localizer of your own, as simple as possible: it computes the pose from a known start and the wheels' odometry.
 
 LocalizationServer publishes the estimate to all sides, answers `ILocalization2D`, and publishes the odometry frame's
 pose on the map. Replace `estimate` and `correction`, and keep the rest.
@@ -19,7 +19,7 @@ from navigation.pose import Pose
 class Odometer(PoseSource):
     """Option: ``drift``, the error of the odometry, in meters per meter that the robot drives."""
 
-    accepts_starts = True  # from `/initialpose` and `setInitialPose`
+    accepts_starts = True  # LocalizationServer passes on poses from `/initialpose` and `setInitialPose`
     corrects = True  # LocalizationServer publishes `correction` as the transform from map to odom
 
     def __init__(self, _host: Host, section: LocalizationServerSection, frames: RobotFrames) -> None:

@@ -15,7 +15,7 @@ from bridge.worker import Health
 
 
 class Charge(Module):
-    """Options: ``place``, the charger's location; ``below``, the battery's share (0 to 1) that is low."""
+    """Options: ``place``, the charger's location; ``below``, the charge (0 to 1) below which the battery is low."""
 
     name = "charge"
 
@@ -42,7 +42,7 @@ class Charge(Module):
         elif not self._on:
             self._report(f"{share:.0%} left; off")
         elif not self._sent:
-            self._sent = True  # only once per discharge: an operator may send the robot elsewhere
+            self._sent = True  # only once per discharge, because an operator may send the robot elsewhere
             self._report(f"{share:.0%} left: to {self._place}")
             self._go_to.call({"name": self._place}, self._answered)
 

@@ -25,7 +25,7 @@ from navigation.status import Fault, PlanError, PlannerStatus, State
 
 
 class Wavefront(Module):
-    """Option: ``robot_radius``, meters of free floor that the robot needs around its center."""
+    """Option: ``robot_radius``, in meters, within which the floor around the robot's center must be free."""
 
     def start(self, host: Host, section: Any) -> None:
         """Open the planner's action, and a client of the driver's action."""

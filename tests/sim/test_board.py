@@ -45,16 +45,16 @@ def test_position_moves_reach_their_targets(simulation: Simulation, board: Wheel
     left, right = simulation.wheels.board.positions()
     assert (left, right) == pytest.approx((45.0, -45.0), abs=0.5)
     assert answer(board, "checkMotionDoneAllRPC", [])[1] is True
-    assert abs(simulation.wheels.board.turning()).max() < 1.0
+    assert abs(simulation.wheels.board.measured_velocities()).max() < 1.0
     assert simulation.base.pose().yaw < -0.1
 
 
 def test_velocity_commands_expire(simulation: Simulation, board: WheelBoard) -> None:
     answer(board, "velocityMoveAllRPC", [[60.0, 60.0]])
     simulation.run(simulation.robot.limits.timeout - 0.05)
-    assert simulation.wheels.board.turning() == pytest.approx([60.0, 60.0], abs=5.0)
+    assert simulation.wheels.board.measured_velocities() == pytest.approx([60.0, 60.0], abs=5.0)
     simulation.run(0.3)
-    assert simulation.wheels.board.turning() == pytest.approx([0.0, 0.0], abs=1.0)
+    assert simulation.wheels.board.measured_velocities() == pytest.approx([0.0, 0.0], abs=1.0)
     simulation.command(Twist(0.2, 0.0, 0.0))  # without board commands, other sources can drive
     simulation.run(0.4)
     assert simulation.base.twist().x > 0.05

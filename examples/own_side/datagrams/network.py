@@ -3,10 +3,10 @@
 A program announces itself with ``{"hello": ID, "node": NAME, "by": "", "ends": {ID: [KIND, TOPIC, TYPE, LATCHED,
 NUMBERS]}, "record": ""}``, twice a second, and at once when it opens or closes an endpoint or changes its record. It
 leaves with ``{"bye": ID}``. A message is ``{"from": ENDPOINT, "topic": TOPIC, "message": {...}}``. Latched messages
-also have ``"source"`` and ``"number"``, and the publisher's hello lists the numbers of its retained messages. A late
-subscriber, or one that lost a datagram, sends ``{"again": [ENDPOINT]}``; the publisher then sends the retained messages
-to this subscriber only. A subscriber may receive latched messages twice and in any order; it detects that by their
-numbers.
+also have ``"source"`` and ``"number"``, and the publisher's hello lists the numbers of its retained messages. A
+subscriber that is late, or lost a datagram, sends ``{"again": [ENDPOINT]}``; the publisher then sends the retained
+messages to this subscriber only. A subscriber may receive latched messages twice and in any order, which it detects by
+their numbers.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ LARGEST = 60_000
 class End:
     """A publisher (``kind`` is "pub") or a subscription ("sub").
 
-    The ``id`` of another program's endpoint ends with ``@`` and a number that changes when the program was silent and
-    returns, so that its latched messages are received again, for the new endpoint.
+    The ``id`` of another program's endpoint ends with ``@`` and a number. The number changes when the program returns
+    after a silence, so that its latched messages are received again, for the new endpoint.
     """
 
     id: str
@@ -188,7 +188,7 @@ class Node:
                 try:
                     self._dispatch(json.loads(data), address)
                 except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-                    continue  # any program may send an invalid datagram: ignore it
+                    continue  # an invalid datagram, which any program may send
 
     def _dispatch(self, datagram: dict[str, Any], address: tuple[str, int]) -> None:
         if "from" in datagram:
@@ -220,7 +220,7 @@ class Node:
         program = self.programs.get(str(datagram["from"]).partition(".")[0])
         publisher = None if program is None else program.ends.get(datagram["from"])
         if publisher is None and "number" in datagram:
-            return  # requested again after the publisher's next hello, which lists the number
+            return  # `_ask` requests it after the publisher's next hello, which lists its number
         id_ = str(datagram["from"]) if publisher is None else publisher.id
         with self._lock:
             ends = [e for e in self._ends.values() if e.topic == datagram["topic"] and e.take]

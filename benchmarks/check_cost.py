@@ -1,8 +1,8 @@
-"""The cost of an engine's check of both graphs with many endpoints, after one changed, or none did.
+"""How long an engine takes to check both graphs when there are many endpoints and one of them, or none, has changed.
 
 Half of the endpoints are on the side (in memory), half on the hub (another session), each on a separate topic; one more
-is added and removed on each. The peer of each row is the same check with 50 endpoints: a check that processes only
-changes costs the same with thousands.
+is added and removed on each. The `peer` column has the same check with 50 endpoints, because a check that processes
+only changes costs the same with thousands.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class EngineUnderLoad:
         self._hub = Hub.open(hubs.settings("midspan"))
         edge = FakeEdge(self._network, registry)
         self._engine = Engine(edge, self._hub, RoutingSection(), "midspan", print, registry)
-        self.took: list[float] = []
-        self._time_looks()
+        self._durations: list[float] = []
+        self._time_checks()
         for number in range(count // 2):
             self._native(f"/side/t{number}")
             self._other.publisher(f"/hub/t{number}", TYPE, self._hash, Qos())
@@ -54,14 +54,14 @@ class EngineUnderLoad:
         writer = self._network.write_on(topic, TYPE, Qos(), MadeBy.NATIVE, "/node")
         return lambda: self._network.remove(writer)
 
-    def _time_looks(self) -> None:
+    def _time_checks(self) -> None:
         loop = self._engine._loop
         check = loop._check
 
         def timed() -> bool:
             began = time.perf_counter()
             again = check()
-            self.took.append(time.perf_counter() - began)
+            self._durations.append(time.perf_counter() - began)
             return again
 
         loop._check = timed
@@ -69,15 +69,18 @@ class EngineUnderLoad:
     def _settle(self) -> None:
         """Wait until no check is pending, so that the next check is caused by the next change."""
         while True:
-            before = len(self.took)
+            before = len(self._durations)
             time.sleep(0.15)
-            if len(self.took) == before:
+            if len(self._durations) == before:
                 return
 
     def change(self, times: int) -> list[float]:
-        """Return the seconds of each check: an endpoint is added on the side, moved to the hub, and removed."""
+        """Add an endpoint on the side, replace it with one on the hub, and remove that; repeat.
+
+        Return the duration of each check in seconds.
+        """
         self._settle()
-        self.took.clear()
+        self._durations.clear()
         for number in range(times):
             remove = self._native(f"/more/s{number}")
             self._settle()
@@ -86,16 +89,16 @@ class EngineUnderLoad:
             self._settle()
             publisher.close()
             self._settle()
-        return list(self.took)
+        return list(self._durations)
 
     def idle(self, times: int) -> list[float]:
-        """Return the seconds of each check without changes."""
+        """Return the duration in seconds of each check when nothing has changed."""
         self._settle()
-        self.took.clear()
+        self._durations.clear()
         for _ in range(times):
             self._engine.graph_changed()
             self._settle()
-        return list(self.took)
+        return list(self._durations)
 
     def close(self) -> None:
         self._engine.stop()
@@ -108,10 +111,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--endpoints", nargs="+", type=int, default=[500, 2000], metavar="N", help="numbers of existing endpoints"
     )
-    parser.add_argument("--times", type=int, default=10, metavar="N", help="changes of each kind (%(default)s)")
+    parser.add_argument("--times", type=int, default=10, metavar="N", help="rounds of changes (default %(default)s)")
     add_json_option(parser)
     args = parser.parse_args(arguments)
-    registry, few, rows = Registry(), dict[tuple[str, str], float](), list[Row]()
+    registry, baseline, rows = Registry(), dict[tuple[str, str], float](), list[Row]()
     for count in (FEW, *args.endpoints):
         with HubNetwork() as hubs:
             engine = EngineUnderLoad(hubs, count, registry)
@@ -119,10 +122,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 durations = {"one changed": engine.change(args.times), "nothing changed": engine.idle(2 * args.times)}
             finally:
                 engine.close()
-        for change, took in durations.items():
-            cuts = statistics.quantiles(took, n=100, method="inclusive")
+        for change, values in durations.items():
+            cuts = statistics.quantiles(values, n=100, method="inclusive")
             for figure, seconds in (("p50", cuts[49]), ("p99", cuts[98])):
-                peer = few.setdefault((change, figure), seconds)
+                peer = baseline.setdefault((change, figure), seconds)
                 rows.append(Row(f"{count} endpoints, {change}, {figure}", seconds * 1e3, peer * 1e3, "ms"))
     report(rows, args.json)
     return 0
