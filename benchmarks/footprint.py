@@ -6,7 +6,7 @@ Five parts, selected by `--parts`:
   and one subscriber: seconds to the first heartbeat and until it runs, processor time until then.
 - `robot`: `midspan run` with all sides and the demo's robot at rest: memory of each process compared with the
   project's aims and the bare peers, seconds until all sides run, processor time.
-- `idle`: as `robot`, without a robot and with the zenoh side: idle processor time, compared with bare zenoh sessions that
+- `idle`: as `robot`, without a robot, with the zenoh side: idle processor time, compared with bare zenoh sessions that
   are configured and joined like the hub's, and idle ROS 1 and ROS 2 programs. The difference is what could be saved.
 - `metrics`: the cost of metrics at rest, without scrapes and with one every five seconds, compared with no metrics.
 - `cli`: seconds of the command line's verbs, with the robot's daemon.

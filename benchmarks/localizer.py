@@ -55,7 +55,7 @@ class Tour:
     """Drives a simulated robot between random places by its true pose, so that the localizer has no influence.
 
     Args:
-        simulation: the simulation.
+        there: the simulation.
         seed: seed of the places.
 
     Attributes:
@@ -63,17 +63,17 @@ class Tour:
         ahead: the remaining path, meters.
     """
 
-    def __init__(self, simulation: Simulation, seed: int) -> None:
-        self.simulation = simulation
-        self.grid = export.grid(simulation.plan, simulation.floor)
+    def __init__(self, there: Simulation, seed: int) -> None:
+        self.there = there
+        self.grid = export.grid(there.plan, there.floor)
         self._rng = np.random.default_rng(seed)
         self.ahead: list[tuple[float, float]] = []
         self._moved, self._at, self._backs = 0.0, (0.0, 0.0), 0.0
 
     def steer(self) -> None:
         """Command the velocity along the path."""
-        x, y, yaw = self.simulation.base.pose()
-        now = self.simulation.time_ns / 1e9
+        x, y, yaw = self.there.base.pose()
+        now = self.there.time_ns / 1e9
         if math.hypot(x - self._at[0], y - self._at[1]) > 0.1:
             self._at, self._moved = (x, y), now
         if now - self._moved > _STUCK:
@@ -86,14 +86,14 @@ class Tour:
         error = wrapped(math.atan2(to_y - y, to_x - x) - yaw)
         speed = 0.3 * math.cos(error) if abs(error) < _TURN_FIRST and not self._blocked(x, y, yaw) else 0.0
         speed = -0.1 if now < self._backs else speed
-        self.simulation.command(Twist(speed, 0.0, max(-0.5, min(0.5, 1.5 * error))))
+        self.there.command(Twist(speed, 0.0, max(-0.5, min(0.5, 1.5 * error))))
 
     def _blocked(self, x: float, y: float, yaw: float) -> bool:
         """Return whether a person stands ahead."""
         return any(
             math.hypot(person.x - x, person.y - y) < _PERSON
             and abs(wrapped(math.atan2(person.y - y, person.x - x) - yaw)) < 2 * _TURN_FIRST
-            for person in self.simulation.world.people.values()
+            for person in self.there.world.people.values()
         )
 
     def _next(self, x: float, y: float) -> list[tuple[float, float]]:
@@ -113,7 +113,7 @@ class Tour:
         solid = self.grid.flags == MapFlag.WALL
         rows, columns = np.indices(solid.shape)
         middles = self.grid.centers_of(np.stack((columns, rows), axis=-1))
-        world = self.simulation.world
+        world = self.there.world
         for piece in (*(crate.now() for crate in world.crates.values()), *world.leaves(is_open=False)):
             solid |= np.hypot(middles[..., 0] - piece.x, middles[..., 1] - piece.y) < piece.reach
         clear = distance_transform(solid) * self.grid.resolution
@@ -128,7 +128,7 @@ def simulated(world: str, seed: int) -> Simulation:
 
 def drive(tour: Tour, localizer: Localizer, seconds: float, costs: list[float]) -> Iterator[tuple[float, float, float]]:
     """Drive, and yield ten times per second the time and the localizer's error (m, degrees)."""
-    simulation = tour.simulation
+    simulation = tour.there
     begun = simulation.time_ns
     last = -1
     for n in range(round(seconds * 100)):
@@ -156,7 +156,7 @@ def held(
     """Drive from the correct pose; return the errors, (n, 3): time in s, m, degrees."""
     tour = Tour(simulated(world, seed), seed)
     localizer = Localizer(tour.grid, settings, seed)
-    localizer.initial(Pose(*tour.simulation.base.pose()))
+    localizer.initial(Pose(*tour.there.base.pose()))
     costs: list[float] = []
     return np.array(list(drive(tour, localizer, minutes * 60.0, costs))), costs, localizer
 
@@ -167,8 +167,8 @@ def recovered(world: str, seed: int, settings: LocalizerSection) -> float:
     tour = Tour(simulated(world, seed), seed)
     for _ in range(round(10.0 * float(rng.random())) * 10):  # drive to a random place on the path first
         tour.steer()
-        tour.simulation.run(0.1)
-    truth = tour.simulation.base.pose()
+        tour.there.run(0.1)
+    truth = tour.there.base.pose()
     away, turned = float(rng.uniform(0.0, math.tau)), math.radians(float(rng.choice([-30.0, 30.0])))
     localizer = Localizer(tour.grid, settings, seed)
     localizer.initial(Pose(truth.x + 3.0 * math.cos(away), truth.y + 3.0 * math.sin(away), truth.yaw + turned))

@@ -78,7 +78,7 @@ def simulated_roscore(field: Field) -> Outcome:
 
 
 def program(field: Field, side: str, *, forget: bool = True) -> Outcome:
-    """Kill and restart a program of a side; at the end stop it or, with ``forget``, kill it, and wait until it is removed."""
+    """Kill and restart a side's program; at the end stop it or, with ``forget``, kill it and await its removal."""
     name = EXTRAS[side]
     field.start_programs(name)
     watch = _settled(field)
