@@ -30,8 +30,8 @@ class Judge:
     Attributes:
         contacts: ticks in which the hull touched something while the robot was moving.
         room: minimum distance between the hull and the nearest thing while the robot was moving, meters.
-        driving_room: as ``room``, only while the robot was commanded to move, so not while it braked and people walked up
-        to it.
+        driving_room: as ``room``, but only while the robot was commanded to move, so not while it braked and people
+            walked up to it.
         entered: distance checks at which its hull was in a keep-out area.
         keep_out_room: minimum distance between its hull and the nearest keep-out area, meters.
         where: time and place of the first contact or entry, for display.
