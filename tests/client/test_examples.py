@@ -106,7 +106,7 @@ def test_examples_are_short(package: ModuleType) -> None:
     assert 5 <= len([line for line in example(package).splitlines() if line.strip()]) <= 11
 
 
-def test_the_page_of_the_client_library_names_its_files_and_shows_its_example() -> None:
+def test_the_client_library_page_lists_the_files_and_shows_the_example() -> None:
     root = Path(__file__).parents[2]
     page = (root / "docs" / "develop" / "client_library.md").read_text()
     rows = dict(re.findall(r"^\| `(\w+)\.py` \| (.*)", page, re.MULTILINE))

@@ -1,4 +1,4 @@
-"""Clients of this machine's hub and of others."""
+"""Clients of this machine's hub, and of other machines' hubs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def rig(tmp_path: Path) -> Iterator[HubRig]:
 
 
 @pytest.mark.parametrize("here", [True, False])
-def test_a_client_knows_whether_the_hub_is_that_of_this_machine(rig: HubRig, here: bool) -> None:
-    """`bridge.client.status.daemon_names` does not take another hub's daemons for this machine's."""
+def test_a_client_detects_whether_its_hub_is_this_machines(rig: HubRig, here: bool) -> None:
+    """Otherwise `bridge.client.status.daemon_names` would take another hub's daemons for this machine's."""
     with connect(rig.config(), here=here) as client:
         assert client.here is here

@@ -144,7 +144,7 @@ def test_definitions_are_installed_or_from_a_worker(far: Hub, topics: HubTopics)
 
 
 def test_a_follower_counts_the_lost_messages_of_closed_subscriptions() -> None:
-    """`midspan topic hz` prints its last figures after it has unsubscribed."""
+    """`midspan topic hz` needs them, because it prints its last figures after it has unsubscribed."""
     subscription = SimpleNamespace(lost=3, refused=0, close=lambda: None)
     hub: Any = SimpleNamespace(subscription=lambda *_, exact: subscription)  # noqa: ARG005
     follower = TopicFollower(hub, lambda _key, _sample: None)

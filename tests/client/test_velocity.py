@@ -44,7 +44,7 @@ class Robot:
         return hub
 
     def has(self, expected: dict[str, list[str]], endpoints: int = 0) -> Callable[[], bool]:
-        """Return a function that returns whether these subscribers and this number of hub subscriptions are known."""
+        """Return a function: whether exactly these subscribers, and this number of hub subscriptions, are known."""
 
         def known() -> bool:
             return len(self.graph.subscriptions(CMD_VEL)) == endpoints and subscribers(self.graph, CMD_VEL) == expected
@@ -97,7 +97,7 @@ class Output:
         self._published.open.remove(self._type_name)
 
 
-def test_nodes_of_one_form_and_sides_count_as_subscribers(robot: Robot) -> None:
+def test_nodes_that_accept_one_form_and_sides_count_as_subscribers(robot: Robot) -> None:
     robot.node("base_control", TWIST, TWIST_STAMPED)
     robot.node("foxglove", TWIST)
     robot.node("midspan_cli_7", TWIST)
@@ -112,7 +112,7 @@ def test_nodes_of_one_form_and_sides_count_as_subscribers(robot: Robot) -> None:
     until(robot.has({TWIST_STAMPED: ["/base"]}, endpoints=5), "the subscribers are known")
 
 
-def test_the_form_of_the_base_is_published_after_zero_in_the_old_one(robot: Robot) -> None:
+def test_a_change_of_form_publishes_zero_in_the_old_form_first(robot: Robot) -> None:
     published = Published()
     publisher = published.publisher(robot)
     publisher.publish(0.1)
@@ -142,7 +142,7 @@ def test_a_publisher_that_was_not_used_publishes_no_zero(robot: Robot) -> None:
     assert (published, published.open) == ([], [TWIST_STAMPED])
 
 
-def test_two_forms_are_reported_once_and_one_is_published(robot: Robot) -> None:
+def test_subscribers_to_both_forms_are_reported_once_and_get_one_form(robot: Robot) -> None:
     robot.node("base", TWIST)
     robot.side("ros2", TWIST_STAMPED)
     until(robot.has({TWIST: ["/base"], TWIST_STAMPED: ["ros2"]}, endpoints=1), "the subscribers are known")
@@ -156,7 +156,7 @@ def test_two_forms_are_reported_once_and_one_is_published(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize(("stamped", "type_name"), [(True, TWIST_STAMPED), (False, TWIST)])
-def test_a_chosen_form_stays_whatever_the_base_subscribes_to(robot: Robot, stamped: Enabled, type_name: str) -> None:
+def test_a_configured_form_does_not_follow_the_base(robot: Robot, stamped: Enabled, type_name: str) -> None:
     other = {TWIST: TWIST_STAMPED, TWIST_STAMPED: TWIST}[type_name]
     robot.side("ros2", other)
     until(robot.has({other: ["ros2"]}), "the subscribers are known")
@@ -165,7 +165,7 @@ def test_a_chosen_form_stays_whatever_the_base_subscribes_to(robot: Robot, stamp
     assert (published.forward, published.reports) == ([(type_name, 0.1)], [])
 
 
-def test_stamps_are_those_of_the_run(robot: Robot) -> None:
+def test_stamps_are_from_the_runs_clock(robot: Robot) -> None:
     clock = RunClock(simulated=True)
     clock.receive(bytes(4) + (12).to_bytes(4, "little") + (34).to_bytes(4, "little"))
     published = Published()

@@ -68,12 +68,14 @@ def example() -> Any:
 
 
 @pytest.mark.parametrize(("end", "code"), [("goal_reached", 0), ("aborted", 1)])
-def test_the_first_status_may_be_the_end_of_the_drive(robot: Robot, example: Any, end: str, code: int) -> None:
+def test_the_example_ends_if_the_first_status_is_the_end_of_the_drive(
+    robot: Robot, example: Any, end: str, code: int
+) -> None:
     robot.goes = lambda: robot.publish(status(2, end))
     assert example.main("kitchen", robot.place) == code
 
 
-def test_it_queries_the_status_if_no_update_arrives(
+def test_the_example_queries_the_status_if_no_update_arrives(
     robot: Robot, example: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def goes() -> None:
@@ -85,7 +87,7 @@ def test_it_queries_the_status_if_no_update_arrives(
     assert capsys.readouterr().out.splitlines() == ["drives", "aborted "], "the end of the previous goal is ignored"
 
 
-def test_it_continues_after_a_temporary_planner_error(robot: Robot, example: Any) -> None:
+def test_the_example_continues_after_a_temporary_planner_error(robot: Robot, example: Any) -> None:
     def goes() -> None:
         robot.publish(status(2, "error"))
         robot.publish(status(3, "moving"))
@@ -95,7 +97,7 @@ def test_it_continues_after_a_temporary_planner_error(robot: Robot, example: Any
     assert example.main("kitchen", robot.place) == 0
 
 
-def test_it_fails_if_no_status_is_available(robot: Robot, example: Any) -> None:
+def test_the_example_fails_if_no_status_is_available(robot: Robot, example: Any) -> None:
     robot.goes = lambda: setattr(robot, "now", None)
     with pytest.raises(SystemExit, match="no navigation status"):
         example.main("kitchen", robot.place)

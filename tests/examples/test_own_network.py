@@ -60,10 +60,10 @@ def test_a_latched_message_that_overtakes_its_publishers_hello_is_requested_agai
     assert not requested(node, program)
 
 
-def test_a_program_that_was_silent_returns_with_other_endpoints(node: Node, program: socket.socket) -> None:
-    """The endpoints get new IDs.
+def test_a_program_that_returns_after_a_silence_has_new_endpoint_ids(node: Node, program: socket.socket) -> None:
+    """With the old id, the engine could receive the message before it has removed the previous endpoint.
 
-    Otherwise, the engine could receive the message before it has removed the previous endpoint, which still retains it.
+    That endpoint would still retain the message.
     """
     publishers: list[str] = []
     node.open("sub", TOPIC, TYPE, latched=True, take=lambda _, publisher: publishers.append(publisher))
@@ -75,7 +75,7 @@ def test_a_program_that_was_silent_returns_with_other_endpoints(node: Node, prog
     assert len(set(publishers)) == 2
 
 
-def test_a_message_of_a_program_that_is_dropped_at_that_moment_is_requested_again(
+def test_a_message_is_requested_again_if_its_program_is_dropped_meanwhile(
     node: Node, program: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node.open("sub", TOPIC, TYPE, latched=True, take=lambda *_: None)

@@ -111,7 +111,7 @@ def sample(gid: bytes, data: bytes) -> HubSample:
     return HubSample(zenoh.ZBytes(data), 1, 1, gid, "1")
 
 
-def test_a_latched_message_may_arrive_before_its_publisher_is_in_the_graph() -> None:
+def test_a_latched_message_is_cached_before_the_graph_lists_its_publisher() -> None:
     key, recorded = TopicKey("/map", "nav_msgs/msg/OccupancyGrid", "*"), RecordingChannel()
     gids = [bytes([number]) * 16 for number in range(MOST_EARLY + 2)]
     ends = [endpoint("/map", gid, LATCHED if gid != gids[-2] else STREAM) for gid in gids]
@@ -122,7 +122,7 @@ def test_a_latched_message_may_arrive_before_its_publisher_is_in_the_graph() -> 
     recorded.logged.clear()
     channel.follow(HubTopic(key, tuple(ends)))
     channel.resend_latched()
-    # the first one was evicted, and nothing is cached for the second to last
+    # the first message was evicted, and the last but one was not cached, because its publisher is not latched
     assert recorded.logged == [gid[:1] for gid in gids[2:] if gid != gids[-2]]
 
 
@@ -180,8 +180,8 @@ def test_invalid_frames_of_a_client_affect_no_other(desk: Desk) -> None:
         assert app.received("/said", 2)[1][1] == cdr("again")
 
 
-def test_the_newest_latched_message_is_the_last_for_a_late_client() -> None:
-    """A message that arrives while older ones are sent again follows them."""
+def test_a_late_client_receives_the_newest_latched_message_last() -> None:
+    """A message that arrives while older messages are sent again is sent after these."""
     end, recorded = endpoint("/map", b"1" * 16, LATCHED), RecordingChannel()
     topic = HubTopic(TopicKey("/map", end.type_name, "*"), (end,))
     channel = TopicChannel(topic, recorded)
@@ -200,7 +200,7 @@ def test_the_newest_latched_message_is_the_last_for_a_late_client() -> None:
 
 
 class ListedTopics:
-    """The hub's topics as given; ``refreshed`` counts the refreshes."""
+    """Stands in for the hub's topics, with given keys; ``refreshed`` counts the refreshes."""
 
     def __init__(self, *keys: TopicKey, definition: str | None) -> None:
         self.refreshed = 0
@@ -226,7 +226,7 @@ def channels_of(topics: ListedTopics) -> Channels:
 
 
 def test_a_second_version_of_a_type_is_refused_with_its_reason() -> None:
-    """Topics are not listed again each second, because nothing can change unless the graph does."""
+    """Topics are not listed again each second, because nothing can change unless the graph changes."""
     name = "std_msgs/msg/String"
     topics = ListedTopics(TopicKey("/a", name, "1"), TopicKey("/a", name, "2"), definition="string data")
     channels = channels_of(topics)

@@ -65,7 +65,7 @@ def status_of(desk: Desk, **options: Any) -> int:
     return refused.value.response.status_code
 
 
-def test_it_is_disabled_and_local_by_default() -> None:
+def test_the_server_is_disabled_and_local_by_default() -> None:
     section = Config().section(FoxgloveSection)
     assert (section.enabled, section.listen, section.drive, section.guarded) == (False, "127.0.0.1:8765", False, False)
 
@@ -73,7 +73,7 @@ def test_it_is_disabled_and_local_by_default() -> None:
 @pytest.mark.parametrize(
     ("section", "reason"),
     [
-        ({"listen": "0.0.0.0:8765"}, r"other machines reach 0\.0\.0\.0, and it would be open to anyone"),
+        ({"listen": "0.0.0.0:8765"}, r"other machines reach 0\.0\.0\.0, so it would be open to anyone"),
         ({"listen": "0.0.0.0:8765", "drive": True}, "set foxglove.tokens"),
         ({"listen": "robot1:8765"}, "reach it by a tunnel"),
         ({"listen": "[::]:8765"}, "other machines reach ::"),
@@ -151,7 +151,7 @@ def test_a_client_that_bypasses_the_front_may_not_publish(desk: Desk) -> None:
         assert not desk.far.publishers("/said")
 
 
-def test_a_secret_is_valid_once(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_cannot_use_a_secret_a_second_time(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     desk.open_with(**DRIVE)
     visitors, recorded = desk.live.visitors, list[tuple[int, str]]()
     identify = visitors.identify

@@ -1,4 +1,4 @@
-"""Parameters of ROS 2 nodes for the app: read on request, set if permitted."""
+"""The app reads parameters of ROS 2 nodes on request, and sets them if permitted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clients' messages on the hub: unchanged, by role; velocities only while they are repeated."""
+"""Clients' messages are published unchanged, if the role permits; velocities only while they are repeated."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_a_velocity_expires_and_zero_follows_once(driven: Desk) -> None:
     with driven.app() as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
         first = drive_until_received(driven, app, number, subscription)
-        assert first["linear"]["x"] == 0.3, "limited as in the console (web.speed)"
+        assert first["linear"]["x"] == 0.3, "the velocity is limited as in the console (web.speed)"
         until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "a zero velocity follows the silence")
         count = len(driven.far.wait(subscription, 1))
         assert [entry["linear"]["x"] for entry in driven.far.wait(subscription, 1)].count(0.0) == 1

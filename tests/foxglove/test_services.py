@@ -1,4 +1,4 @@
-"""Services of the hub for the app: announced, and called with CDR."""
+"""The hub's services are announced to the app, which calls them with CDR."""
 
 from __future__ import annotations
 

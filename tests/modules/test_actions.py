@@ -24,7 +24,7 @@ from tests.support.wait import until
 BOOL, LOOKUP = "std_srvs/srv/SetBool", "tf2_msgs/action/LookupTransform"
 
 
-class Two:
+class NodePair:
     """A server node and a client node, each with its own thread."""
 
     def __init__(self) -> None:
@@ -42,20 +42,20 @@ class Two:
 
 
 @pytest.fixture
-def two() -> Iterator[Two]:
-    with contextlib.closing(Two()) as nodes:
+def pair() -> Iterator[NodePair]:
+    with contextlib.closing(NodePair()) as nodes:
         yield nodes
 
 
-def ask(two: Two, client: Any, request: dict[str, Any]) -> list[Any]:
+def ask(pair: NodePair, client: Any, request: dict[str, Any]) -> list[Any]:
     """Call a service; return the list to which its replies are appended."""
     replies: list[Any] = []
     until(lambda: client.ready, "the server is available")
-    two.on(two.client, lambda: client.call(request, replies.append))
+    pair.on(pair.client, lambda: client.call(request, replies.append))
     return replies
 
 
-def test_a_call_has_one_reply_or_one_error(two: Two) -> None:
+def test_a_call_has_one_reply_or_one_error(pair: NodePair) -> None:
     def serve(request: dict[str, Any], answer: Any) -> None:
         if request["data"]:
             answer({"success": True, "message": "on"})
@@ -63,16 +63,16 @@ def test_a_call_has_one_reply_or_one_error(two: Two) -> None:
         else:
             raise ValueError("off")
 
-    server = two.server.server("/switch", BOOL, serve)
-    client = two.client.client("/switch", BOOL)
-    replies = ask(two, client, {"data": True})
+    server = pair.server.server("/switch", BOOL, serve)
+    client = pair.client.client("/switch", BOOL)
+    replies = ask(pair, client, {"data": True})
     assert until(lambda: replies, "a reply arrives") == [{"success": True, "message": "on"}]
-    errors = ask(two, client, {"data": False})
+    errors = ask(pair, client, {"data": False})
     assert "ValueError: off" in str(until(lambda: errors, "an error arrives")[0])
     with pytest.raises(ConversionError, match="dta"):
         client.call({"dta": True}, replies.append)
     assert server.counters.messages == 2
-    last_replies = ask(two, client, {"data": True})
+    last_replies = ask(pair, client, {"data": True})
     until(lambda: last_replies, "a reply arrives")
     server.close()
     late_replies: list[Any] = []
@@ -80,30 +80,30 @@ def test_a_call_has_one_reply_or_one_error(two: Two) -> None:
     assert isinstance(until(lambda: late_replies, "an error arrives")[0], CallError)
 
 
-def test_a_malformed_reply_and_a_busy_server_are_errors(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_malformed_reply_and_a_busy_server_are_errors(pair: NodePair, monkeypatch: pytest.MonkeyPatch) -> None:
     pending: list[Any] = []
-    two.server.server("/slow", BOOL, lambda _request, answer: pending.append(answer))
-    client = two.client.client("/slow", BOOL)
+    pair.server.server("/slow", BOOL, lambda _request, answer: pending.append(answer))
+    client = pair.client.client("/slow", BOOL)
     monkeypatch.setattr("bridge.modules.services.MAX_WAITING", 2)
-    first, second = ask(two, client, {}), ask(two, client, {})
+    first, second = ask(pair, client, {}), ask(pair, client, {})
     until(lambda: len(pending) == 2, "both requests are pending")
-    third = ask(two, client, {})
+    third = ask(pair, client, {})
     assert "is busy" in str(until(lambda: third, "the third request is rejected")[0])
     pending[0]({"sucess": True})
     assert "malformed reply" in str(until(lambda: first, "an error arrives")[0])
     pending[1]({"success": True})
     assert until(lambda: second, "a reply arrives")[0]["success"]
-    ask(two, client, {})
+    ask(pair, client, {})
     until(lambda: len(pending) == 3, "the next request is accepted")
 
 
 class Served:
     """An action server whose goals name their outcome in ``target_frame``."""
 
-    def __init__(self, two: Two) -> None:
+    def __init__(self, pair: NodePair) -> None:
         self.goals: list[Goal] = []
         self.may_cancel = True
-        two.server.action_server("/lookup", LOOKUP, self.accept, lambda _goal: self.may_cancel)
+        pair.server.action_server("/lookup", LOOKUP, self.accept, lambda _goal: self.may_cancel)
 
     def accept(self, goal: Goal) -> bool:
         self.goals.append(goal)
@@ -119,11 +119,11 @@ class Served:
 class Sent:
     """A sent goal, with the feedback and results that its client received."""
 
-    def __init__(self, two: Two, client: Any, outcome: str) -> None:
+    def __init__(self, pair: NodePair, client: Any, outcome: str) -> None:
         self.feedback: list[Any] = []
         self.ends: list[tuple[Any, ...]] = []
-        self.goal = two.on(
-            two.client,
+        self.goal = pair.on(
+            pair.client,
             lambda: client.send({"target_frame": outcome}, lambda *end: self.ends.append(end), self.feedback.append),
         )
 
@@ -132,43 +132,43 @@ class Sent:
         return goal.status, result, reason
 
 
-def test_goals_end_as_their_server_decides(two: Two) -> None:
-    served = Served(two)
-    client = two.client.action_client("/lookup", LOOKUP)
+def test_goals_end_as_their_server_decides(pair: NodePair) -> None:
+    served = Served(pair)
+    client = pair.client.action_client("/lookup", LOOKUP)
     until(lambda: client.ready, "the action is available")
-    status, result, _ = Sent(two, client, "done").ended()
+    status, result, _ = Sent(pair, client, "done").ended()
     assert status is GoalState.SUCCEEDED
     assert result["transform"]["child_frame_id"] == "here"
-    assert "rejected" in Sent(two, client, "no").ended()[2]
-    assert "ValueError" in Sent(two, client, "broken").ended()[2]
-    late = Sent(two, client, "wait")
+    assert "rejected" in Sent(pair, client, "no").ended()[2]
+    assert "ValueError" in Sent(pair, client, "broken").ended()[2]
+    late = Sent(pair, client, "wait")
     until(lambda: late.goal.accepted, "the goal is accepted")
     goal = served.goals[-1]
-    hub = two.server.hub
-    until(lambda: hub.graph.zid_of(goal.client) == two.client.hub.zid, "the graph lists the goal's client")
-    until(lambda: two.client.hub.zid in hub.neighbors(), "the client's session is known to be on this machine")
-    two.on(two.server, goal.execute)
-    until(lambda: (two.on(two.server, lambda: goal.feedback({})), late.feedback)[1], "the client receives feedback")
+    hub = pair.server.hub
+    until(lambda: hub.graph.zid_of(goal.client) == pair.client.hub.zid, "the graph lists the goal's client")
+    until(lambda: pair.client.hub.zid in hub.neighbors(), "the client's session is known to be on this machine")
+    pair.on(pair.server, goal.execute)
+    until(lambda: (pair.on(pair.server, lambda: goal.feedback({})), late.feedback)[1], "the client receives feedback")
     assert not late.ends
-    two.on(two.server, lambda: (goal.abort(), goal.succeed()))
+    pair.on(pair.server, lambda: (goal.abort(), goal.succeed()))
     assert late.ended()[0] is GoalState.ABORTED
     assert len(late.ends) == 1
     results: list[Any] = []
-    get_result = two.client.client("/lookup/_action/get_result", f"{LOOKUP}_GetResult")
+    get_result = pair.client.client("/lookup/_action/get_result", f"{LOOKUP}_GetResult")
     until(lambda: get_result.ready, "the get_result service is available")
     get_result.call({"goal_id": {"uuid": list(goal.id)}}, results.append)
     assert until(lambda: results, "the cached result arrives")[0]["status"] == GoalState.ABORTED
 
 
-def test_one_goal_or_all_are_canceled(two: Two) -> None:
-    served = Served(two)
-    client = two.client.action_client("/lookup", LOOKUP)
+def test_a_cancel_request_applies_to_one_goal_or_to_all(pair: NodePair) -> None:
+    served = Served(pair)
+    client = pair.client.action_client("/lookup", LOOKUP)
     until(lambda: client.ready, "the action is available")
-    goals = [Sent(two, client, "wait") for _ in range(3)]
+    goals = [Sent(pair, client, "wait") for _ in range(3)]
     until(lambda: all(sent.goal.accepted for sent in goals), "all goals are accepted")
     served.may_cancel = False
-    two.on(two.client, goals[0].goal.cancel)
-    cancel = two.client.client("/lookup/_action/cancel_goal", "action_msgs/srv/CancelGoal")
+    pair.on(pair.client, goals[0].goal.cancel)
+    cancel = pair.client.client("/lookup/_action/cancel_goal", "action_msgs/srv/CancelGoal")
     until(lambda: cancel.ready, "the cancel_goal service is available")
     codes: list[Any] = []
     for uuid in (goals[0].goal.id, bytes([7] * 16)):
@@ -176,28 +176,28 @@ def test_one_goal_or_all_are_canceled(two: Two) -> None:
     until(lambda: len(codes) == 2, "both requests have a reply")
     assert [code["return_code"] for code in codes] == [1, 2]
     served.may_cancel = True
-    two.on(two.client, goals[0].goal.cancel)
+    pair.on(pair.client, goals[0].goal.cancel)
     goal = next(g for g in served.goals if g.id == goals[0].goal.id)
     until(lambda: goal.status is GoalState.CANCELING, "the goal is canceling")
-    two.on(two.server, goal.canceled)
+    pair.on(pair.server, goal.canceled)
     assert goals[0].ended()[0] is GoalState.CANCELED
-    two.on(two.client, client.cancel)
+    pair.on(pair.client, client.cancel)
     until(lambda: all(g.cancel_wanted for g in served.goals), "the cancel request applies to all goals")
-    two.on(two.server, lambda: [g.canceled() for g in served.goals])
+    pair.on(pair.server, lambda: [g.canceled() for g in served.goals])
     assert [sent.ended()[0] for sent in goals] == [GoalState.CANCELED] * 3
 
 
 CANCEL_GOAL = "/lookup/_action/cancel_goal"
 
 
-def until_canceling(two: Two, client: ActionClient) -> None:
+def until_canceling(pair: NodePair, client: ActionClient) -> None:
     """Wait until goals can be sent and canceled."""
-    cancel = two.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
+    cancel = pair.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
     until(lambda: client.ready and cancel.ready, "the action is available")
 
 
 def record_cancel_requests(monkeypatch: pytest.MonkeyPatch, fails: Callable[[int], bool]) -> list[bytes]:
-    """Record the goal IDs of cancel requests; request ``n`` (from 1) fails as if without a server if ``fails(n)``."""
+    """Record the goal ids of cancel requests; if ``fails(n)``, request ``n`` (from 1) fails like without a server."""
     requested, call = list[bytes](), ServiceClient.call
 
     def record_and_call(self: ServiceClient, request: dict[str, Any], replied: Callable[[Any], None]) -> Any:
@@ -211,75 +211,75 @@ def record_cancel_requests(monkeypatch: pytest.MonkeyPatch, fails: Callable[[int
 
 
 def test_a_cancel_request_that_fails_is_repeated_until_the_server_responds(
-    two: Two, monkeypatch: pytest.MonkeyPatch
+    pair: NodePair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    served = Served(two)
-    client = two.client.action_client("/lookup", LOOKUP)
-    until_canceling(two, client)
-    sent = Sent(two, client, "wait")
+    served = Served(pair)
+    client = pair.client.action_client("/lookup", LOOKUP)
+    until_canceling(pair, client)
+    sent = Sent(pair, client, "wait")
     ended = lambda: served.goals[0].status is GoalState.CANCELED  # noqa: E731
     requested = record_cancel_requests(monkeypatch, lambda count: count < 3 or ended())
     until(lambda: sent.goal.accepted, "the goal is accepted")
-    two.on(two.client, sent.goal.cancel)
+    pair.on(pair.client, sent.goal.cancel)
     until(lambda: served.goals[0].cancel_wanted, "the server has the cancel request")
     assert requested == [sent.goal.id] * 3
-    two.on(two.server, served.goals[0].canceled)
+    pair.on(pair.server, served.goals[0].canceled)
     assert sent.ended()[0] is GoalState.CANCELED
-    two.on(two.client, sent.goal.cancel)
+    pair.on(pair.client, sent.goal.cancel)
     period_over = threading.Event()
-    two.client.loop.after(1.5 * CANCEL_AGAIN, period_over.set)
+    pair.client.loop.after(1.5 * CANCEL_AGAIN, period_over.set)
     assert period_over.wait(40)
     assert len(requested) == 4, "the request for a goal that has ended is not repeated"
 
 
 def test_a_request_to_cancel_all_goals_is_repeated_until_a_goal_is_sent(
-    two: Two, monkeypatch: pytest.MonkeyPatch
+    pair: NodePair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    served = Served(two)
-    client = two.client.action_client("/lookup", LOOKUP)
-    until_canceling(two, client)
+    served = Served(pair)
+    client = pair.client.action_client("/lookup", LOOKUP)
+    until_canceling(pair, client)
     monkeypatch.setattr("bridge.client.actions.CANCEL_ALL_SECONDS", 60.0)
     requested = record_cancel_requests(monkeypatch, lambda count: count != 3)
-    sent = Sent(two, client, "wait")
+    sent = Sent(pair, client, "wait")
     until(lambda: sent.goal.accepted, "the goal is accepted")
-    two.on(two.client, client.cancel)
+    pair.on(pair.client, client.cancel)
     until(lambda: served.goals[0].cancel_wanted, "the server has the cancel request")
     assert requested == [bytes(16)] * 3
-    two.on(two.client, lambda: (client.cancel(), client.send({"target_frame": "wait"}, lambda *_end: None)))
+    pair.on(pair.client, lambda: (client.cancel(), client.send({"target_frame": "wait"}, lambda *_end: None)))
     period_over = threading.Event()
-    two.client.loop.after(1.5 * CANCEL_AGAIN, period_over.set)
+    pair.client.loop.after(1.5 * CANCEL_AGAIN, period_over.set)
     assert period_over.wait(40)
     assert len(requested) == 4, "the new goal is not canceled"
 
 
-def test_goals_abort_when_their_server_closes(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_goals_abort_when_their_server_closes(pair: NodePair, monkeypatch: pytest.MonkeyPatch) -> None:
     requests, ask = list[None](), Goal.ask
     monkeypatch.setattr(Goal, "ask", lambda goal, answer: requests.append(ask(goal, answer)))
-    Served(two)
-    client = two.client.action_client("/lookup", LOOKUP)
+    Served(pair)
+    client = pair.client.action_client("/lookup", LOOKUP)
     until(lambda: client.ready, "the action is available")
-    sent = Sent(two, client, "wait")
+    sent = Sent(pair, client, "wait")
     until(lambda: requests, "the result is requested")
-    two.server.close()
+    pair.server.close()
     status, _, reason = sent.ended()
     assert status is GoalState.ABORTED
     assert "left" in reason
 
 
-def test_cancel_by_time_includes_goals_accepted_before_the_clock_was_set_back(two: Two) -> None:
+def test_cancel_by_time_includes_goals_accepted_before_the_clock_was_set_back(pair: NodePair) -> None:
     now = [1_790_000_000_000_000_000]
-    two.server.clock = RunClock(system=SystemClock(lambda: now[0], poll=0))
-    served = Served(two)
-    client = two.client.action_client("/lookup", LOOKUP)
+    pair.server.clock = RunClock(system=SystemClock(lambda: now[0], poll=0))
+    served = Served(pair)
+    client = pair.client.action_client("/lookup", LOOKUP)
     until(lambda: client.ready, "the action is available")
-    early, late = Sent(two, client, "wait"), None
+    early, late = Sent(pair, client, "wait"), None
     until(lambda: early.goal.accepted, "the early goal is accepted")
     now[0] -= 3_600_000_000_000
     until_ns = now[0] + 1_000_000_000
     now[0] += 2_000_000_000
-    late = Sent(two, client, "wait")
+    late = Sent(pair, client, "wait")
     until(lambda: late.goal.accepted, "the late goal is accepted")
-    cancel = two.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
+    cancel = pair.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
     until(lambda: cancel.ready, "the cancel_goal service is available")
     codes: list[Any] = []
     stamp = {"sec": until_ns // 10**9, "nanosec": 0}
@@ -287,4 +287,4 @@ def test_cancel_by_time_includes_goals_accepted_before_the_clock_was_set_back(tw
     until(lambda: codes, "the request has a reply")
     wanted = {goal.id: goal.cancel_wanted for goal in served.goals}
     assert wanted == {early.goal.id: True, late.goal.id: False}
-    two.on(two.server, lambda: [goal.canceled() for goal in served.goals])
+    pair.on(pair.server, lambda: [goal.canceled() for goal in served.goals])

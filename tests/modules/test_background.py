@@ -54,12 +54,12 @@ class Jobs:
         return [name for name, _ in self.delivered]
 
 
-def test_a_newer_job_replaces_the_waiting_one_and_the_thread_stays_free(loop: EventLoop) -> None:
+def test_a_newer_job_replaces_the_waiting_job_and_the_loop_stays_responsive(loop: EventLoop) -> None:
     background, jobs = Background(loop, "test"), Jobs()
     loop.call(lambda: jobs.submit(background, "first", "second", "third"))
     until(lambda: jobs.threads, "the first job runs")
     assert jobs.prepared == ["first"]
-    own = loop.call(threading.current_thread)  # the loop answers although a job runs
+    own = loop.call(threading.current_thread)  # the loop executes the call although a job runs
     jobs.free.set()
     until(lambda: len(jobs.delivered) == 2, "two results are delivered")
     assert jobs.results == jobs.prepared == ["first", "third"]
@@ -82,7 +82,7 @@ def test_an_error_is_reported_until_a_job_succeeds(loop: EventLoop, caplog: pyte
     background.close()
 
 
-def test_the_end_waits_for_the_running_job_and_drops_its_result(loop: EventLoop) -> None:
+def test_close_waits_for_the_running_job_and_drops_its_result(loop: EventLoop) -> None:
     background, jobs = Background(loop, "test"), Jobs()
     loop.call(lambda: jobs.submit(background, "first", "second"))
     until(lambda: jobs.threads, "the first job runs")

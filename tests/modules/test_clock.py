@@ -1,4 +1,4 @@
-"""The clock on which a module's timers run: the system's clock, or that of a simulation on the hub."""
+"""The clock on which a module's timers run: the system's clock, or the clock of a simulation on the hub."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
     assert Ticking.seen == ["11", "12", "13"]
     until(lambda: place.far.wait(done, 1)[-1]["stamp"]["sec"] == 13, "the module has acknowledged the time")
     assert place.far.wait(done, 1)[-1]["frame_id"] == "ticking"
-    # with a simulation's clock, jobs run on the module's thread, so that the simulation waits for slow ones
+    # with a simulation's clock, jobs run on the module's thread, so that the simulation waits for slow jobs
     jobs: list[threading.Thread] = []
     host = Ticking.host
     host.loop.call(lambda: host.background.submit(lambda: threading.current_thread, jobs.append))

@@ -52,7 +52,7 @@ def test_one_module_runs_alone_and_stops_cleanly(tmp_path: Path) -> None:
         hubs.stop_router()
 
 
-def test_the_error_for_a_disabled_module_names_the_enabled_ones(tmp_path: Path) -> None:
+def test_the_error_for_a_disabled_module_names_the_enabled_modules(tmp_path: Path) -> None:
     command = [*COMMAND, "nothing", "--config", str(_config(tmp_path, "tcp/127.0.0.1:9"))]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=100, check=False)
     assert done.returncode == 1

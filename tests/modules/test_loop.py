@@ -30,7 +30,7 @@ def test_actions_run_in_order_on_one_thread(loop: EventLoop) -> None:
     assert len({thread for _, thread in seen} - {threading.get_ident()}) == 1
 
 
-def test_a_call_gives_the_result_and_the_error_and_may_be_nested(loop: EventLoop) -> None:
+def test_a_call_returns_its_result_or_raises_its_error_and_may_be_nested(loop: EventLoop) -> None:
     assert loop.call(lambda: loop.call(lambda: 7)) == 7
     with pytest.raises(ZeroDivisionError):
         loop.call(lambda: 1 // 0)
@@ -42,7 +42,7 @@ def test_failed_action_does_not_end_the_thread(loop: EventLoop, caplog: pytest.L
     assert "one step failed" in caplog.text
 
 
-def test_a_timer_leaves_out_the_times_that_were_missed(loop: EventLoop) -> None:
+def test_a_timer_skips_missed_times(loop: EventLoop) -> None:
     ran = threading.Semaphore(0)
     timer = loop.every(0.01, ran.release)
     for _ in range(3):
@@ -116,7 +116,7 @@ def use_processor(seconds: float) -> None:
 
 
 def hung(loop: EventLoop) -> str:
-    """Return how the loop is reported as hanging, "" if it is not."""
+    """Return the text that reports the loop as hanging; "" if it is not reported."""
     try:
         loop.computes()
     except TimeoutError as err:
@@ -124,7 +124,7 @@ def hung(loop: EventLoop) -> str:
     return ""
 
 
-def test_computing_step_is_distinguished_from_a_hanging_one(loop: EventLoop) -> None:
+def test_computing_step_is_distinguished_from_a_hanging_step(loop: EventLoop) -> None:
     done = threading.Event()
     loop.post(lambda: compute(done))
     try:
@@ -172,7 +172,9 @@ def test_work_behind_a_hanging_step_is_skipped(loop: EventLoop) -> None:
     assert not ran
 
 
-def test_work_for_the_main_thread_counts_as_its_progress(loop: EventLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_that_the_main_thread_awaits_counts_as_its_progress(
+    loop: EventLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("bridge.progress.BUSY_SECONDS", 0.0)
     with working.busy("waiting"):
         loop.work(lambda: use_processor(0.2))

@@ -83,7 +83,7 @@ def _stored(config: Config) -> list[str]:
     return sorted(json.loads(file.read_text()).get("/echo/rpc", {})) if file.exists() else []
 
 
-def test_a_native_client_is_served_again_when_the_module_is_back(
+def test_a_native_client_is_served_again_after_a_restart_of_the_module(
     config: Config, names: NameClient, modules: Modules
 ) -> None:
     with contextlib.closing(NativeClient("/native/rpc", names)) as client:
@@ -98,8 +98,10 @@ def test_a_native_client_is_served_again_when_the_module_is_back(
     until(lambda: not _stored(config), "a client that leaves is no longer stored")
 
 
-def test_client_without_a_call_meanwhile_is_served_again(config: Config, names: NameClient, modules: Modules) -> None:
-    client = NativeClient("/native/rpc", names)  # this native client still lists the connection that ended
+def test_a_client_that_did_not_call_meanwhile_is_served_again(
+    config: Config, names: NameClient, modules: Modules
+) -> None:
+    client = NativeClient("/native/rpc", names)  # it still lists the connection that has ended
     try:
         until(lambda: client.connect("/echo/rpc"), "the port is registered")
         until(lambda: _stored(config), "the port's client is stored")
@@ -130,7 +132,9 @@ def test_yarp_compats_own_client_is_served_again(config: Config, names: NameClie
         until(served, "calls are served again")
 
 
-def test_successor_of_a_dead_client_name_is_not_connected(config: Config, names: NameClient, modules: Modules) -> None:
+def test_another_program_with_a_dead_clients_name_is_not_connected(
+    config: Config, names: NameClient, modules: Modules
+) -> None:
     client = NativeClient("/native/rpc", names)
     until(lambda: client.connect("/echo/rpc"), "the port is registered")
     until(lambda: _stored(config), "the port's client is stored")

@@ -1,4 +1,4 @@
-"""A module that is stopped first brings its robot to rest, within the time that the host allows."""
+"""Before a module stops, it brings its robot to rest, within the time that the host allows."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_a_module_is_stopped_once_it_has_wound_down(place: Place, monkeypatch: p
     until(lambda: not place.far.hub.graph.publishers("/said"), "the module's endpoints are closed")
 
 
-def test_a_module_that_does_not_wind_down_is_stopped_all_the_same(
+def test_a_module_that_does_not_wind_down_is_stopped_after_the_time_limit(
     place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 0.3)
@@ -94,7 +94,7 @@ def test_a_module_that_does_not_wind_down_is_stopped_all_the_same(
     stopping = Stopping(running)
     stopping.join()
     assert winding.events == ["winding down", "stopped"]
-    assert 0.3 <= stopping.seconds < 10.0, "the module had its time, but no more"
+    assert 0.3 <= stopping.seconds < 10.0, "the module had its whole time, but no more"
     assert winding.done is not None
     winding.done()  # too late, but harmless
 

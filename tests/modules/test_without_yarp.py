@@ -33,7 +33,7 @@ def no_conf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("named", [False, True], ids=["no name server", "a name server"])
-def test_ports_that_are_switched_off_look_for_no_name_server(no_conf: Path, named: bool) -> None:
+def test_disabled_ports_do_not_look_for_a_name_server(no_conf: Path, named: bool) -> None:
     number = free_port()
     with NameServer(port=number, gc_seconds=0):
         before = threading.active_count()
@@ -47,7 +47,7 @@ def test_ports_that_are_switched_off_look_for_no_name_server(no_conf: Path, name
         ports.close()
 
 
-def test_without_a_configured_name_server_nothing_is_reported(no_conf: Path) -> None:
+def test_no_problem_is_reported_if_no_name_server_is_configured(no_conf: Path) -> None:
     ports = ports_of(no_conf)
     port = ports.output("/said:o")
     until(lambda: "no address of YARP" in port.trouble, "the port has looked for a name server")
@@ -62,10 +62,10 @@ def test_without_a_configured_name_server_nothing_is_reported(no_conf: Path) -> 
 
 
 @pytest.mark.parametrize("yarp", [{"enabled": True}, {"namespace": "/lab"}])
-def test_a_missing_server_is_reported_if_yarp_is_used(no_conf: Path, yarp: dict[str, Any]) -> None:
+def test_a_missing_name_server_is_reported_if_yarp_is_used(no_conf: Path, yarp: dict[str, Any]) -> None:
     ports = ports_of(no_conf, **yarp)
     ports.output("/said:o")
-    until(lambda: "no address of YARP" in ports.trouble(), "the trouble is reported")
+    until(lambda: "no address of YARP" in ports.trouble(), "the problem is reported")
     ports.close()
 
 

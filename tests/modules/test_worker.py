@@ -125,8 +125,8 @@ def test_a_failing_health_check_does_not_affect_other_modules(
     assert caplog.text.count("echo: health check failed") == 1
 
 
-def test_a_reload_only_touches_changed_modules(place: Place) -> None:
-    """All modules share a session; opening and closing the endpoints of one module leaves the others' open."""
+def test_a_reload_affects_only_changed_modules(place: Place) -> None:
+    """All modules share a session; opening and closing one module's endpoints leaves the other modules' open."""
     graph = place.far.hub.graph
 
     def ends(node: str) -> dict[str, bytes]:
@@ -179,7 +179,7 @@ def test_a_changed_yarp_release_applies_without_a_restart(place: Place) -> None:
     host = place.worker.running("echo").host
     assert host is not None
     assert not host.yarp.generations.of("/nav").sure
-    topics = [{"topic": "/scan", "as": "natural"}]  # concerns only the ports of other workers
+    topics = [{"topic": "/scan", "as": "natural"}]  # this setting concerns only the ports of other workers
     for changed in ({"release": "3.9"}, {"peers": [{"port": "/nav", "release": "3.9"}], "topics": topics}):
         assert place.worker.reload(place.config(echo(), yarp=place.yarp_section(**changed)))
         assert host.yarp.generations.of("/nav").generation is Generation.YARP_3_6

@@ -1,4 +1,4 @@
-"""What the set-up has compiled, for tests that set Midspan up again: one part of each kind is left to compile."""
+"""What the set-up has compiled, for tests that set Midspan up again, and compile only one part of each kind."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bridge.interfaces.cache import BuildCache, default_cache
 
 KERNEL = "sim.depth_kernel"
 PACKAGE = "octomap_msgs"
-"""The kernel and the message package that are left out; of all, they take the least time."""
+"""The kernel and the message package that are not copied, because they take the least time to compile."""
 
 
 def copy_kernels(folder: Path) -> bool:

@@ -51,7 +51,7 @@ def test_the_image_installs_no_ros_1() -> None:
 
 @pytest.mark.parametrize("installed", [True, False])
 def test_messages_are_built_only_if_pip_installed_ros_2(tmp_path: Path, installed: bool) -> None:
-    """On arm64, pip installs none: `midspan interfaces build` would fail there, and stop the image's build."""
+    """On arm64, pip does not install ROS 2, so `midspan interfaces build` would fail, and stop the image's build."""
     (line,) = [arguments for _, arguments in instructions() if "interfaces build" in arguments]
     programs = tmp_path / "bin"
     programs.mkdir()

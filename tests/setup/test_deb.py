@@ -218,7 +218,7 @@ OWN = re.compile(
 
 
 def packages(release: deb.Release, folder: Path) -> list[Path]:
-    """Build this version's package, one that differs only in its version, and one without libraries, for lintian.
+    """Build this version's package, a package that differs only in its version, and one without libraries for lintian.
 
     Lintian takes a minute and a half for the libraries, whose wheels Midspan does not change.
     """
@@ -360,7 +360,7 @@ def longest(gap: Process) -> float:
 
 
 def left_behind(tree: Tree, installed: set[str]) -> list[str]:
-    """Return files that are named after Midspan, were created after its installation, or no longer have an owner."""
+    """Return files that are named after Midspan, were created after its installation, or have no owner any longer."""
     files = tree.files()
     left = {path for path in files if "midspan" in path and not OTHERS.search(path)}
     left |= {path for path in files - installed if not OTHERS.search(path)}

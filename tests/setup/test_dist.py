@@ -169,7 +169,7 @@ def test_a_second_build_elsewhere_has_the_same_bytes(
         assert {info.external_attr >> 16 for info in archive.infolist()} <= {0o100644, 0o100755}
 
 
-def test_the_time_of_all_files_is_the_commits_or_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_files_have_the_commits_time_or_a_given_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
     commit = subprocess.run(["git", "show", "-s", "--format=%ct"], cwd=ROOT, capture_output=True, check=True, text=True)
     assert reproducible.epoch() == int(commit.stdout)

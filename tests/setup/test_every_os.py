@@ -1,4 +1,4 @@
-"""The workflow for systems that CI does not have, and the file for launchd: nothing here can run them."""
+"""Checks of the workflow for systems that CI does not have, and of the file for launchd; CI cannot run either."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def steps(workflow: dict[Any, Any]) -> list[dict[str, Any]]:
     return [step for job in workflow["jobs"].values() for step in job["steps"]]
 
 
-def test_jobs_have_the_keys_of_github(workflow: dict[Any, Any]) -> None:
+def test_jobs_have_only_keys_that_github_knows(workflow: dict[Any, Any]) -> None:
     # YAML 1.1 reads the key "on" as true
     assert set(workflow) == {"name", True, "permissions", "concurrency", "jobs"}
     assert workflow["permissions"] == {"contents": "read"}
@@ -76,13 +76,13 @@ class UniqueKeys(yaml.SafeLoader):
         return mapping
 
 
-def test_no_key_is_there_twice() -> None:
+def test_no_mapping_has_two_equal_keys() -> None:
     yaml.load(WORKFLOW.read_text(encoding="utf-8"), UniqueKeys)
     with pytest.raises(AssertionError, match="two equal keys"):
         yaml.load("run: a\nrun: b\n", UniqueKeys)
 
 
-def test_events_machines_and_inputs_are_those_of_github(workflow: dict[Any, Any]) -> None:
+def test_events_machines_and_inputs_are_valid_on_github(workflow: dict[Any, Any]) -> None:
     events = {"push": {"branches": ["main"]}, "pull_request": None, "workflow_dispatch": None}
     assert workflow[True] == events
     assert set(workflow["concurrency"]) == {"group", "cancel-in-progress"}
@@ -107,7 +107,7 @@ def test_the_wheels_that_one_job_uploads_are_installed_in_the_other(workflow: di
     assert ["--find-links", download["with"]["path"]] == shlex.split(install["run"].splitlines()[1])[4:6]
 
 
-def test_expressions_name_what_exists(workflow: dict[Any, Any]) -> None:
+def test_expressions_refer_to_existing_values(workflow: dict[Any, Any]) -> None:
     matrix = workflow["jobs"]["run"]["strategy"]["matrix"]
     assert set(workflow["jobs"]["wheels"]["strategy"]["matrix"]["os"]) == {"ubuntu-24.04", "ubuntu-24.04-arm"}
     known = {f"matrix.{name}" for name in matrix} | {"github.ref"}
@@ -141,7 +141,7 @@ def test_all_its_tests_can_be_collected_without_what_windows_lacks(workflow: dic
 @pytest.mark.long
 @pytest.mark.timeout(600)
 def test_its_last_step_passes_with_the_packages_that_it_installs(workflow: dict[Any, Any], tmp_path: Path) -> None:
-    """The temporary folder has a longer path than that of macOS."""
+    """The temporary folder's path is longer than on macOS."""
     *_, install, _, _, last = workflow["jobs"]["run"]["steps"]
     commands = [shlex.split(line)[4:] for line in install["run"].splitlines()]
     words = {word for command in commands for word in command if word[0] != "-"} - {"pip", "dist"}
@@ -184,7 +184,7 @@ def test_launchd_gets_a_valid_file() -> None:
 
 
 def test_the_task_of_windows_does_not_end_by_itself() -> None:
-    """Each setting replaces a default of the Task Scheduler, with which the daemon would end or be slow."""
+    """With the Task Scheduler's defaults, which these settings replace, the daemon would end or be slow."""
     task = ET.parse(ROOT / "packaging/midspan-task.xml").getroot()
     space = task.tag.partition("}")[0] + "}"
 

@@ -29,7 +29,7 @@ _OURS = (
 pytestmark = pytest.mark.timeout(2 * SECONDS)
 
 _FOLDER = ROOT / ".cache" / "first-run"
-"""The folder with the clone and the user's home. Both tests use it, in two processes of pytest-xdist; `make` removes
+"""The folder with the clone and the user's home, which both tests use, in two processes of pytest-xdist; `make` removes
 what a failed run left behind."""
 
 _CACHE = _FOLDER / "home" / "cache"
@@ -43,7 +43,7 @@ def clone() -> Path:
     folder = _FOLDER / "my robots" / "midspan"
     if not folder.exists():
         _copy(folder)
-        # compiling all again would take two minutes of processor time, and check only what CI's own set-up has checked
+        # compiling everything would take two minutes of processor time, and CI's own set-up has checked it already
         if copy_kernels(_KERNELS):
             copy_packages(_PACKAGES)
     return folder

@@ -80,7 +80,7 @@ def test_kilted_is_locked() -> None:
 
 @every_system
 def test_requirements_of_locked_packages_are_locked(system: str) -> None:
-    """Checked with the metadata of each package that is installed here in the version that is locked for the system."""
+    """This covers the packages that are installed here in the version locked for the system, by their metadata."""
     locked = pins(*FILES, system=system)
     met = [name for name, version in locked.items() if installed(name) == version]
     assert len(met) > 50
@@ -113,7 +113,7 @@ def test_a_package_that_newer_pythons_do_not_need_gets_a_marker() -> None:
 
 
 def test_development_dependencies_are_groups_and_no_extras() -> None:
-    """See PEP 735: the metadata that users see then has only what they can use. No extra is empty."""
+    """With dependency groups (PEP 735), users see only extras that they can use in the metadata. No extra is empty."""
     assert sorted(settings()["dependency-groups"]) == ["bench", "dev", "dist", "kilted"]
     extras = project()["optional-dependencies"]
     assert not set(extras) & {"bench", "dev", "dist", "kilted"}

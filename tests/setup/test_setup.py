@@ -39,7 +39,7 @@ def test_kernels_are_compiled_once_and_a_failure_is_reported(tmp_path: Path) -> 
     assert without.setup(NO_COMPILER="1", CI="true").returncode == 1
 
 
-def test_the_log_is_of_the_last_run_that_changed_something(tmp_path: Path) -> None:
+def test_only_a_run_that_changes_something_replaces_the_log(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     machine.setup()
     log = machine.checkout / ".cache" / "setup.log"
@@ -185,7 +185,7 @@ def test_kilted_is_installed_once_for_tests_and_shared_by_checkouts(tmp_path: Pa
     assert (other.checkout / ".cache/kilted/lib").is_dir()
 
 
-def test_kilted_is_left_out_where_it_cannot_be_installed(tmp_path: Path) -> None:
+def test_kilted_is_omitted_if_it_cannot_be_installed(tmp_path: Path) -> None:
     machine = Machine(tmp_path)
     done = machine.setup(KILTED="yes", NO_WHEELS="1")
     assert done.returncode == 0

@@ -36,7 +36,7 @@ def test_the_base_never_passes_a_wall(speed: float, direction: float) -> None:
         assert max(abs(x), abs(y)) < INSIDE - REACH + 0.005
         assert tilt(sim) < 5
         bumped |= bool(sim.bumps)
-    # at 1 rad/s it does not reach a wall
+    # with wheels at 1 rad/s, the base does not reach a wall in this time
     assert bumped == (speed > 1.0)
 
 

@@ -31,7 +31,7 @@ def camera(**changed: object) -> DepthCamera:
     return DepthCamera(CameraSection.model_validate(values), seed=3)
 
 
-def test_the_field_of_view_is_that_of_a_d435() -> None:
+def test_the_default_field_of_view_equals_a_d435s() -> None:
     depth_camera = camera()
     assert depth_camera.size == (640, 480)
     fx, fy, cx, cy = depth_camera.lens
@@ -73,7 +73,7 @@ def test_depths_out_of_range_are_infinite() -> None:
 
 
 def test_the_mounts_pitch_and_yaw_turn_the_rays() -> None:
-    """The middle pixel's ray hits the floor at the distance given by the pitch, in the direction of the yaw."""
+    """The middle pixel's ray hits the floor at a distance that follows from the pitch, in the direction of the yaw."""
     depth_camera = camera(at=(0.2, 0.1, 1.2), pitch=30.0, yaw=20.0, width=17, height=17)
     box = (1.2 / math.tan(math.radians(30.0))) * np.array([math.cos(math.radians(20.0)), math.sin(math.radians(20.0))])
     spot = np.array([(box[0] + 0.2, box[1] + 0.1, 1.0, 0.0, 0.01, 0.0, 0.0, 1e-4)])
@@ -177,7 +177,7 @@ def test_the_robot_tips_into_a_drop() -> None:
     assert (seen.depth() > flat.depth() + 0.05).any()
 
 
-def test_a_map_contains_only_what_the_laser_sees() -> None:
+def test_a_map_contains_only_things_that_the_laser_sees() -> None:
     from sim.export import grid
     from yarp_compat.dev.mapflag import MapFlag
 
@@ -201,7 +201,7 @@ def test_boxes_above_the_floor_cannot_be_movable() -> None:
         Floor.model_validate({"tables": [{"at": (0, 0, 0), "size": (1.0, 0.05, 0.7)}]})
 
 
-def test_pictures_show_removed_things_no_longer() -> None:
+def test_pictures_no_longer_show_removed_things() -> None:
     sim = Simulation(
         SimSection(camera={"rate": 5.0, "noise": 0.0}),
         Plan(name="p", floors={"p": Floor(boxes=(Box(name="crate", at=(1.0, 0, 0), size=(0.3,) * 3, mass=2.0),))}),

@@ -16,7 +16,7 @@ LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A camera that looks along the world's x."""
 
 NONE = np.zeros((0, 8))
-COUNT, FOCAL = 41, 30.0  # so that column 20 and row 20 are the middle
+COUNT, FOCAL = 41, 30.0  # with 41 columns and rows, the middle is column 20 and row 20
 
 
 def solid(x: float, y: float, half: float, wide: float, low: float, high: float, yaw: float = 0.0) -> list[float]:

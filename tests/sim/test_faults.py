@@ -77,7 +77,7 @@ def test_a_missing_opengl_library_is_reported_with_its_package(monkeypatch: pyte
         ("darwin", "arm64", (3, 11), "run 'midspan sim' on such a machine, joined to the same hub"),
     ],
 )
-def test_a_machine_without_dart_names_what_to_do(
+def test_the_error_without_dart_names_the_remedy(
     system: str, processor: str, version: tuple[int, int], cure: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)

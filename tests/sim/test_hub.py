@@ -85,7 +85,7 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place, monke
     acknowledge = far.advertise("/sim/acknowledge", "std_msgs/Header")
 
     def go(publisher: Any, command: dict[str, Any]) -> float:
-        """Step 0.1 s with a command; the first commands may be lost before the subscription is connected."""
+        """Step 0.1 s with a command, which may be lost until the subscription is connected."""
         far.publish(publisher, command)
         place.step(0.1)
         return float(-place.answer("sim")["truth"][1] + 8.2)

@@ -1,4 +1,4 @@
-"""The pace of ticks: steady, caught up after a short delay, skipped after a long one."""
+"""The pace of ticks: steady; caught up after a short delay, skipped after a long delay."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_the_speed_sets_the_ticks_per_second(clock: Clock, speed: float) -> None
     assert pace.late == pace.left_out == 0 or speed > 1
 
 
-def test_timer_jitter_does_not_matter(clock: Clock) -> None:
+def test_timer_jitter_neither_skips_nor_repeats_ticks(clock: Clock) -> None:
     pace, counts = Pace(1.0), []
     for moved in (0.0099, 0.0102, 0.0095, 0.0104, 0.01):
         clock.now += moved

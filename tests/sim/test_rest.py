@@ -1,4 +1,4 @@
-"""A base at rest costs no DART steps, and later moves as if the steps had not been skipped."""
+"""For a base at rest, DART's steps are skipped; it later moves as if they had not been skipped."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ def stamp_ns(message: dict[str, Any]) -> int:
 
 
 def evenly(stamps_ns: list[int], every: int) -> bool:
-    """Return whether stamps (ns) are whole ticks apart, at least a period, and at least half of them exactly a period.
+    """Return whether stamps (ns) are apart by whole ticks, at least by a period, and at least half exactly by a period.
 
     Messages may be lost and time may be skipped.
     """

@@ -1,4 +1,4 @@
-"""The example of docs/develop/add_a_view.md, made by applying that page's edits to a copy of the console's files."""
+"""Creates the example of docs/develop/add_a_view.md, by applying the page's edits to a copy of the console's files."""
 
 from __future__ import annotations
 

@@ -286,7 +286,7 @@ def test_a_wrong_token_waits_longer_each_time_and_does_not_delay_others(guesser:
     guesser.now += access.FORGET_SECONDS + 1.0
     assert guesser.wait("a", "old") == 0
     guesser.now += 0.5
-    assert guesser.wait("a", "old") == 1, "a token that was not used for a long time starts without a delay again"
+    assert guesser.wait("a", "old") == 1, "a token that was not used for a long time is again without a delay"
 
 
 def test_many_wrong_tokens_of_an_address_share_a_delay(guesser: Guesser) -> None:
@@ -344,7 +344,7 @@ def test_the_secret_is_readable_only_by_its_owner(tmp_path: Path) -> None:
 
 
 def test_the_certificates_names_are_valid_hosts(guarded: GuardedDesk) -> None:
-    """This prevents DNS rebinding: a name that an attacker points to this address is not among them."""
+    """This prevents DNS rebinding, because a name that an attacker points to this address is not in the certificate."""
     port = guarded.port
     token = {"Authorization": f"Bearer {DRIVE[0]}"}
     for host in ("robot.test", "127.0.0.1", "here", "HERE.local"):

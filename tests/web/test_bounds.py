@@ -79,7 +79,7 @@ def test_an_unfinished_request_is_closed(desk: Desk, monkeypatch: pytest.MonkeyP
 def test_a_page_outlives_the_time_limit_of_a_request(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.3)
     with TestPage(desk.port) as page, connect(desk.port) as other:
-        assert is_closed(other), "the time limit is over"
+        assert is_closed(other), "the time limit has passed"
         assert page.call("ping")["ok"]
 
 

@@ -55,7 +55,7 @@ def test_certificate_and_key_are_examined(tmp_path: Path, days: int, mode: int, 
     assert seen in only(check_certificate(place(tmp_path, names=names))).seen
 
 
-def test_the_mode_of_a_key_says_nothing_on_windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_mode_of_a_key_is_ignored_on_windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Authority(tmp_path).make()
     Authority(tmp_path).issue("robot1")
     (tmp_path / "robot1.key").chmod(0o666)
@@ -63,7 +63,7 @@ def test_the_mode_of_a_key_says_nothing_on_windows(tmp_path: Path, monkeypatch: 
     assert only(check_certificate(place(tmp_path))).result is Result.OK
 
 
-def test_a_certificate_that_is_not_valid_yet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_certificate_that_is_not_valid_yet_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Authority(tmp_path).make()
     monkeypatch.setattr(certificates, "_EARLIER", timedelta(hours=-6))
     Authority(tmp_path).issue("robot1")

@@ -76,7 +76,7 @@ def page(desk: Desk) -> Iterator[TestPage]:
 
 
 def shown(page: TestPage, state: str) -> tuple[float | None, list[float]]:
-    """Return the distance and the path when the page shows the state and has received the reply to a later ping."""
+    """Return distance and path, once the page shows the state, and has then received the reply to a ping."""
     page.value("driving", lambda value: value["state"] == state)
     assert page.call("ping")["ok"]
     return page.values["driving"]["value"]["distance"], page.values["path"]["value"]["points"]
@@ -128,7 +128,9 @@ def test_a_page_that_opens_during_a_pause_shows_distance_and_path(desk: Desk, pl
 @pytest.mark.parametrize(
     ("state", "goal"), [(State.IDLE, NO_GOAL), (State.ABORTED, GOAL), (State.MOVING, OTHER), (State.PAUSED, OTHER)]
 )
-def test_what_follows_a_pause_clears_the_distance(planner: Planner, page: TestPage, state: State, goal: bytes) -> None:
+def test_a_new_state_or_goal_after_a_pause_clears_the_distance(
+    planner: Planner, page: TestPage, state: State, goal: bytes
+) -> None:
     planner.drive(page)
     planner.state(State.PAUSED)
     assert shown(page, "paused") == (3.2, STRAIGHT)

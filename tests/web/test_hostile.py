@@ -32,7 +32,7 @@ def test_hostile_input_neither_crashes_the_console_nor_drives_without_a_hold(con
         give(console, content)
     console.check()
     assert console.sent > 1000
-    assert console.drove > 0, "no valid hold drove the base, so the test could not detect driving"
+    assert console.drove > 0, "no valid hold drove the base, so the test could not have detected driving"
 
 
 def test_the_test_detects_driving_without_a_hold(console: HostileConsole) -> None:

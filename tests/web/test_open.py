@@ -1,4 +1,4 @@
-"""The console is opened on the network by the steps in docs/operate/console.md."""
+"""The steps in docs/operate/console.md open the console on the network."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ class Socket:
 
 
 def sent(prepare: Callable[[PageOutbox], None], *then: Callable[[PageOutbox], None]) -> list[str]:
-    """Return the messages that a page receives; each step of ``then`` follows when all previous messages are sent."""
+    """Return the messages that a page receives; each step of ``then`` runs once all previous messages are sent."""
 
     async def send() -> list[str]:
         box, socket = PageOutbox("somebody"), Socket()
@@ -41,7 +41,7 @@ def sent(prepare: Callable[[PageOutbox], None], *then: Callable[[PageOutbox], No
     return asyncio.run(send())
 
 
-def test_all_replies_are_sent_in_order_but_only_the_newest_value() -> None:
+def test_all_replies_but_only_the_newest_value_are_sent() -> None:
     def prepare(box: PageOutbox) -> None:
         for number in (1, 2):
             box.changed("map", number, f"map {number}")

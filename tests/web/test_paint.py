@@ -90,7 +90,7 @@ def test_image_addresses_depend_on_the_content() -> None:
     assert flags_picture(grid) is None
     walls = pictures.put("occupancy", occupancy_picture(grid))
     grid.flags[1, 1] = KEEP_OUT
-    assert pictures.put("occupancy", occupancy_picture(grid)) == walls, "keep-out cells are in the other image only"
+    assert pictures.put("occupancy", occupancy_picture(grid)) == walls, "keep-out cells are only in the image of flags"
     tints = flags_picture(grid)
     assert tints is not None
     assert np.argwhere(tints).tolist() == [[1, 1]]

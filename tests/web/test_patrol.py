@@ -24,7 +24,7 @@ PLACES = {"a": 1.0, "b": 2.0, "c": 3.0}
 
 
 class FakeGateway(HubNode):
-    """A gateway that executes one goal at a time, the newest, and publishes the goal's status."""
+    """A gateway that executes only the newest goal, and publishes the goal's status."""
 
     def __init__(self, settings: Any) -> None:
         super().__init__(settings)
@@ -133,7 +133,7 @@ def gateway(desk: Desk) -> Iterator[FakeGateway]:
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Extend a time limit: on a busy machine the gateway may take more than 5 s to reply, which would end a patrol."""
+    """Extend the time limit for the gateway's reply: on a busy machine it may take over 5 s, which ends a patrol."""
     monkeypatch.setattr(patrol, "ANSWER_SECONDS", 40.0)
 
 

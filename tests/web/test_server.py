@@ -79,7 +79,7 @@ def test_with_tls_a_proxy_does_not_change_the_scheme() -> None:
         assert (refusal(request, OWN, NAMED) == "") == accepted
 
 
-def test_a_prefix_is_served_with_and_without_it(desk: Desk) -> None:
+def test_paths_are_served_with_and_without_the_prefix(desk: Desk) -> None:
     desk.open_with(web={"prefix": "/lab/robot1/", "names": ["robot.lab"]})
     assert desk.console.server.address == f"http://127.0.0.1:{desk.port}/lab/robot1/"
     for path in ("/", "/lab/robot1/"):
@@ -94,7 +94,7 @@ def test_a_prefix_is_served_with_and_without_it(desk: Desk) -> None:
         assert ask(desk.port, path)[0] == 404, path
 
 
-def test_two_hosts_or_none_are_refused() -> None:
+def test_a_request_without_exactly_one_host_is_refused() -> None:
     assert refusal({"type": "http", "headers": [(b"host", b"localhost:8480")] * 2}, OWN)
     assert refusal({"type": "http", "headers": []}, OWN)
 

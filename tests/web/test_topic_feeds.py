@@ -31,7 +31,7 @@ class LengthFeed(NewestFeed):
 
 
 class Surroundings:
-    """Stands in for the console's loop, its hub, an executor and a page; ``now`` is the time in seconds."""
+    """Stands in for the console's loop and hub, an executor and a page; ``now`` is the time in seconds."""
 
     def __init__(self) -> None:
         self.node = self.hub = self.graph = self.loop = self
@@ -101,7 +101,7 @@ def test_the_rate_of_a_publisher_that_pauses_is_zero(place: Surroundings) -> Non
 
 
 def test_a_publisher_without_a_type_hash_does_not_double_the_rate(place: Surroundings) -> None:
-    """The subscription to the other publisher's hash receives its messages, too."""
+    """The subscription to the other publisher's hash also receives this publisher's messages."""
     place.endpoints.append(dataclasses.replace(endpoint("/odom", b"2" * 16), type_hash=NO_HASH))
     watch(place)
     place.second(10)

@@ -117,7 +117,7 @@ def test_the_feeds_and_verbs_of_the_documentation_work(
     until(shown, "the charge is shown", 20, every=0.2)
 
 
-def test_a_view_outside_the_tree_brings_its_own_folder(tmp_path: Path) -> None:
+def test_a_view_outside_the_tree_uses_its_own_folder(tmp_path: Path) -> None:
     (tmp_path / "view.js").write_text("export default () => ({});\n")
     (tmp_path / "view.css").write_text("\n")
     view = views.View(name="battery", label="Battery & more", icon="<path/>", folder=tmp_path)

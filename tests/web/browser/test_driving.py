@@ -13,7 +13,7 @@ from tests.peers.browser.operator import FREE, Operator, distance, moves, offset
 from tests.peers.browser.page import TestPage
 
 SPOTS = (FREE, (7.5, 4.8), (3.0, 7.4))
-"""Free places to drive to, at least one of which is near the robot at any time."""
+"""Free points to drive to; at any time, at least one is near the robot."""
 NEAR = 0.4
 HANGING = 8.0
 HANG = f"const end = Date.now() + {1000 * HANGING}; setTimeout(() => {{ while (Date.now() < end); }}, 0)"
@@ -61,7 +61,7 @@ def test_a_pause_keeps_distance_and_path(operator: Operator, watch: TestPage) ->
 
 
 @pytest.mark.parametrize("how", ["button", "space"])
-def test_stop_during_a_drive(operator: Operator, watch: TestPage, how: str) -> None:
+def test_a_stop_during_a_drive_halts_the_robot(operator: Operator, watch: TestPage, how: str) -> None:
     pose = watch.values["robot"]["value"]["pose"]
     place = max(
         watch.value("places")["locations"].items(),

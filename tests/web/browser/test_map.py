@@ -30,7 +30,7 @@ def test_another_robot_has_its_own_color(operator: Operator, watch: TestPage) ->
 
 
 def table_about(x: float, y: float) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return a layer with a table around a place, and its heights; next to the table is a drop."""
+    """Return a layer with a table around x, y and a drop next to the table, and the heights of both."""
     rows, columns, size = 20, 30, 0.05
     corner = (x - 0.5 * columns * size, y - 0.5 * rows * size)
     lowest = np.full((rows, columns), np.nan, np.float32)

@@ -16,7 +16,7 @@ from tests.web import example_view
 from tests.web.conftest import Desk
 
 WINDOWS = ((1440, 760), (1536, 730), (1600, 789), (1440, 900), (1879, 1019), (1880, 920), (1920, 937), (2560, 1300))
-"""Window sizes on common screens, and on both sides of the breakpoints in the styles of the Drive view."""
+"""Window sizes on common screens, and just above and below the breakpoints in the Drive view's styles."""
 _MAIN, _LESS = ("drive", "status"), ("places", "topics", "frames", "system")
 
 
@@ -66,7 +66,7 @@ def places(watch: TestPage) -> Iterator[Callable[[int], None]]:
     yield set_number
     for name in added:
         watch.call("delete_place", name=name, kind="location")
-    # the reply may arrive before the feed's next value, which the next test would count
+    # wait for the feed's next value, which may arrive after the reply, and which the next test would count
     watch.value("places", lambda value: not set(added) & set(value["locations"]), "the places are deleted")
 
 
@@ -95,7 +95,7 @@ def assert_places_are_visible(operator: Operator, where: str) -> None:
     assert operator.button("Turn left").is_displayed()
     panel = chrome.execute_script(SENDING)
     assert panel["content"] <= panel["panel"], (
-        f"the panel does not scroll with the controls for manual driving either {where}"
+        f"with the controls for manual driving, the panel does not scroll either {where}"
     )
 
 
@@ -207,7 +207,7 @@ import("./lib/socket.js").then(({ Socket }) => {
 
 
 def test_a_feed_that_ends_during_drawing_does_not_block_others(operator: Operator) -> None:
-    """For example, received transforms make the page watch another pose."""
+    """A feed ends, for example, if received transforms make the page watch another pose."""
     address = operator.robot.address.replace("http", "ws", 1).rstrip("/") + "/socket"
     try:
         assert operator.chrome.execute_async_script(TWO_FEEDS, address) == [1, 3, 4]
