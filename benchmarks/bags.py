@@ -144,8 +144,8 @@ def work(what: str, source: Path, target: Path) -> None:
     WORK[what](source, target)
     with target.open("rb") as file:
         os.fsync(file.fileno())
-    took = time.perf_counter() - begun
-    print(json.dumps([took, _peak()]))
+    duration = time.perf_counter() - begun
+    print(json.dumps([duration, _peak()]))
 
 
 def _peak() -> float:

@@ -94,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; return 1 if a limit is exceeded and ``--check`` is given."""
     args = _parser().parse_args(arguments)
     cases = [case for case in CASES if args.cases is None or case.key in args.cases]
-    taken: dict[tuple[str, str], list[Figures]] = defaultdict(list)
+    measured: dict[tuple[str, str], list[Figures]] = defaultdict(list)
     floors: dict[str, list[Figures]] = defaultdict(list)
     for number in range(args.rounds):
         print(f"round {number + 1} of {args.rounds}", file=sys.stderr, flush=True)
@@ -105,18 +105,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     for hop in ("ros1", THERE, "zenoh", BACK, "ros2"):
                         times[hop] += network.measure(case, hop, case.count // TURNS)
                 for hop, durations in times.items():
-                    taken[case.key, hop].append(figures(durations))
+                    measured[case.key, hop].append(figures(durations))
                 floors[case.key].append(floor([times[hop] for hop in HOPS], number))
     print("hops in us (p50 / p99), whose sum is the floor:", file=sys.stderr)
     for case in cases:
-        hop_figures = ((hop, over_rounds(taken[case.key, hop])) for hop in HOPS)
+        hop_figures = ((hop, over_rounds(measured[case.key, hop])) for hop in HOPS)
         line = "".join(f"  {hop} {f.p50:7.0f} /{f.p99:7.0f}" for hop, f in hop_figures)
         print(f"  {case.name:<16}{line}", file=sys.stderr)
     rows = []
     for case in cases:
         peer = over_rounds(floors[case.key])
         for direction, (name, _, _) in WAYS.items():
-            ours = over_rounds(taken[case.key, direction])
+            ours = over_rounds(measured[case.key, direction])
             rows += [Row(f"{case.name}, {name}, {f}", getattr(ours, f), getattr(peer, f), "us") for f in ("p50", "p99")]
     report(rows, args.json)
     marks = {case.name: case.mark for case in cases}

@@ -114,7 +114,7 @@ class Churn:
         deployment.ask(side, "drop", publish=names, subscribe=feeds)
 
     def _all_received(self) -> bool:
-        received = self._deployment.ask(self._side, "report")["heard"]
+        received = self._deployment.ask(self._side, "report")["received"]
         return all(ear["count"] for ear in received.values())
 
     def settled(self) -> Census:

@@ -106,8 +106,8 @@ def measure(source: str, target: str, args: argparse.Namespace) -> list[Row]:
         flood.turn(min(args.seconds, 1.0), flooded=True)  # the first images allocate their memory
         for _ in range(args.turns):
             for flooded in (False, True):
-                for topic, taken in flood.turn(args.seconds, flooded=flooded).items():
-                    ages[topic, flooded] += taken
+                for topic, received in flood.turn(args.seconds, flooded=flooded).items():
+                    ages[topic, flooded] += received
         sent = round(flood.image_rate * (args.seconds + 2)) * args.turns
     rows = []
     for topic in SMALL:

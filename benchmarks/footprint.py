@@ -233,16 +233,16 @@ def _verbs(place: Processes, times: int) -> list[Row]:
     for verb in VERBS:
         config = [] if verb.startswith("-") else ["--config", str(place.place.config_file)]
         command = [sys.executable, "-m", "bridge.cli.main", *verb.split(), *config]
-        took: list[float] = []
+        durations: list[float] = []
         for _ in range(3 * times):  # the first run warms the caches; failed runs on a busy machine do not count
             began = time.monotonic()
             ended = subprocess.run(command, env=place.place.environment(), stdout=subprocess.DEVNULL, check=False)
             if ended.returncode == 0:
-                took.append(time.monotonic() - began)
-            if len(took) > times:
+                durations.append(time.monotonic() - began)
+            if len(durations) > times:
                 break
         rows.append(
-            Row(f"midspan {verb}", statistics.median(took[1:] or [math.inf]), HELP if config == [] else VERB, "s")
+            Row(f"midspan {verb}", statistics.median(durations[1:] or [math.inf]), HELP if config == [] else VERB, "s")
         )
     return rows
 

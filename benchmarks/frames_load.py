@@ -95,7 +95,7 @@ class Load:
         ticks = round(rate * seconds)
         self.setter.ask("set", rate=rate, ticks=ticks, first=1)
         done = self.setter.ask("done", seconds=3 * seconds + 60)
-        took = time.monotonic() - start
+        duration = time.monotonic() - start
         used = {name: sum(process.cpu_times()[:2]) - spent[name] for name, process in processes.items()}
         sent = done["sent"]
         rows = []
@@ -114,8 +114,8 @@ class Load:
             )
         )
         rows.append(Row("setTransforms, p50, compared with its period", done["ms"], 1000 / rate, "ms"))
-        rows.append(Row("total time, compared with the nominal time", took, seconds, "s"))
-        rows += [Row(f"CPU of {name}, cores", used[name] / took, 1.0, "cores") for name in processes]
+        rows.append(Row("total time, compared with the nominal time", duration, seconds, "s"))
+        rows += [Row(f"CPU of {name}, cores", used[name] / duration, 1.0, "cores") for name in processes]
         return rows
 
     def join(self, count: int) -> list[Row]:

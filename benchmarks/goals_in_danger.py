@@ -145,17 +145,19 @@ class Goal:
         self.killed_at = time.monotonic()
 
     def _observe(self, name: str) -> None:
-        self._looker = self.scene.peer(self.sides[1], "looker")
+        self._observer = self.scene.peer(self.sides[1], "looker")
         if self.sides[1] == ROS1:
-            self._heard = self._looker.subscribe(f"{name}/status", "actionlib_msgs/GoalStatusArray")
+            self._status = self._observer.subscribe(f"{name}/status", "actionlib_msgs/GoalStatusArray")
         else:
-            self._heard = self._looker.subscribe(f"{name}/_action/status", "action_msgs/GoalStatusArray", latched=True)
+            self._status = self._observer.subscribe(
+                f"{name}/_action/status", "action_msgs/GoalStatusArray", latched=True
+            )
         until(lambda: self._states(), "the goal is in the status list", SECONDS)
 
     def _states(self) -> dict[str, list[int]]:
         """Return the reported states of every goal on the side, in order, without repetitions."""
         seen: dict[str, list[int]] = defaultdict(list)
-        for message in self._looker.wait(self._heard, 0, 0.0):
+        for message in self._observer.wait(self._status, 0, 0.0):
             for status in message["status_list"]:
                 goal = status["goal_id"]["id"] if self.sides[1] == ROS1 else str(status["goal_info"]["goal_id"]["uuid"])
                 if seen[goal][-1:] != [status["status"]]:
@@ -188,10 +190,10 @@ class Goal:
     def end(self) -> End:
         """Wait until the client receives the end, and then for a second end, which must not arrive."""
         state = self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=SECONDS)
-        took = time.monotonic() - self.killed_at
+        seconds = time.monotonic() - self.killed_at
         time.sleep(SETTLE)
         state = self.client.ask("goal", id=self.id, until={}, seconds=0)
-        return End(state["status"], max(state["ends"], self.reported_ends()), took)
+        return End(state["status"], max(state["ends"], self.reported_ends()), seconds)
 
     def end_for_others(self) -> End:
         """Wait until other subscribers receive the end."""
@@ -199,11 +201,11 @@ class Goal:
             until(self.reported_ends, "an end is reported to other subscribers", SECONDS, every=0.1)
         except AssertionError:
             return End(0, 0, SECONDS)
-        took = time.monotonic() - self.killed_at
+        seconds = time.monotonic() - self.killed_at
         time.sleep(SETTLE)
         last = {state for states in self._states().values() for state in states[-1:]}
         done = 3 if self.sides[1] == ROS1 else SUCCEEDED
-        return End(SUCCEEDED if last == {done} else 6, self.reported_ends(), took)
+        return End(SUCCEEDED if last == {done} else 6, self.reported_ends(), seconds)
 
 
 # -- the dangers -------------------------------------------------------------------------------------------------------
@@ -272,8 +274,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print()
     for (danger, direction), goal_ends in ends.items():
         states = ", ".join(f"{n} {state}" for state, n in Counter(STATES[e.status] for e in goal_ends).items())
-        took = [end.seconds for end in goal_ends]
-        print(f"{danger}, {direction}: {states}; {statistics.median(took):.2f} / {max(took):.2f} s (p50 / max)")
+        durations = [end.seconds for end in goal_ends]
+        print(
+            f"{danger}, {direction}: {states}; {statistics.median(durations):.2f} / {max(durations):.2f} s (p50 / max)"
+        )
     rows = [Row(f"{d}, {w}, one end", sum(e.good for e in es), len(es), "times", "more") for (d, w), es in ends.items()]
     print()
     report(rows, args.json)

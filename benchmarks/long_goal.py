@@ -43,9 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for direction, pair in pairs.items():
             goal, began = goals[direction]
             state = pair.client.ask("goal", id=goal, until={"ends": 1}, seconds=args.minutes * 60 + SLACK)
-            took = time.monotonic() - began
+            duration = time.monotonic() - began
             print(
-                f"{direction}: status {state['status']}, reported {state['ends']} times, after {took:.1f} s", flush=True
+                f"{direction}: status {state['status']}, reported {state['ends']} times, after {duration:.1f} s",
+                flush=True,
             )
             well = well and state["status"] == SUCCEEDED and state["ends"] == 1
             rows.append(Row(f"{direction}, feedback", len(state["feedback"]), count, "messages", "more"))

@@ -176,7 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     args = _parser().parse_args(arguments)
     logging.basicConfig(level=logging.WARNING)
     needed = {"idle", "busy", "fast"} & set(args.parts)
-    taken = [_measure(args, lane=lane) for lane in LANES[args.lane]] if needed else []
+    measurements = [_measure(args, lane=lane) for lane in LANES[args.lane]] if needed else []
     rows: list[Row] = []
     if "tf" in args.parts:
         rows += _tf_rows(args)
@@ -185,19 +185,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with Bare(count // 2, realtime=args.realtime) as crowd:
             title = f"{count} topics at {args.rate:g} Hz by bare relays"
             bare = _busy(crowd, "many", list(WAYS), args.rate, args.seconds, title)
-        for measurement in taken:
+        for measurement in measurements:
             rows += _busy_rows(f"{count} at {args.rate:g} Hz{measurement.suffix}", measurement.busy[0], bare)
-        if len(taken) > 1:
-            ours, off = (measurement.busy[0].cpu for measurement in taken)
+        if len(measurements) > 1:
+            ours, off = (measurement.busy[0].cpu for measurement in measurements)
             rows.append(Row(f"{count} at {args.rate:g} Hz, CPU of both workers, to lane off", ours, off, "%"))
-    for measurement in taken:
+    for measurement in measurements:
         rows += _idle(measurement.quiet, count, measurement.suffix) + measurement.samples.rows(
             count, measurement.suffix
         )
     report(rows, args.json)
 
 
-class Taken:
+class Measurement:
     """The measurements with the lane on, or with it off."""
 
     def __init__(self, *, lane: bool) -> None:
@@ -207,21 +207,21 @@ class Taken:
         self.busy: list[Busy] = []
 
 
-def _measure(args: argparse.Namespace, *, lane: bool) -> Taken:
-    count, taken = 2 * (args.topics // 2), Taken(lane=lane)
+def _measure(args: argparse.Namespace, *, lane: bool) -> Measurement:
+    count, measurement = 2 * (args.topics // 2), Measurement(lane=lane)
     for condition in ("alone", "beside", "alone") if "fast" in args.parts else ("beside",):
         topics = count // 2 if condition == "beside" else 0
         with Crowd(topics, realtime=args.realtime, lane=lane) as crowd:
             if "idle" in args.parts:
                 idle = crowd.idle(args.seconds)
-                report_progress(text(f"{condition}, nothing sent{taken.suffix}", idle))
-                taken.quiet[condition].append(total(idle, DAEMON))
+                report_progress(text(f"{condition}, nothing sent{measurement.suffix}", idle))
+                measurement.quiet[condition].append(total(idle, DAEMON))
             if "fast" in args.parts:
-                taken.samples.measure(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
+                measurement.samples.measure(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
             if condition == "beside" and "busy" in args.parts:
-                title = f"{count} topics at {args.rate:g} Hz{taken.suffix}"
-                taken.busy.append(_busy(crowd, "many", list(WAYS), args.rate, args.seconds, title))
-    return taken
+                title = f"{count} topics at {args.rate:g} Hz{measurement.suffix}"
+                measurement.busy.append(_busy(crowd, "many", list(WAYS), args.rate, args.seconds, title))
+    return measurement
 
 
 def _tf_rows(args: argparse.Namespace) -> list[Row]:
@@ -250,7 +250,7 @@ def _tf_rows(args: argparse.Namespace) -> list[Row]:
 def _idle(quiet: dict[str, list[float]], count: int, suffix: str) -> list[Row]:
     """Return rows of the daemon's idle processor time, with and without idle routes."""
     case = f"{count} idle, CPU of the daemon, to the limit{suffix}"
-    rows = [Row(case, took, IDLE_CPU, "%") for took in quiet.get("beside", ())]
+    rows = [Row(case, load, IDLE_CPU, "%") for load in quiet.get("beside", ())]
     if quiet.get("alone"):
         added = quiet["beside"][0] - statistics.median(quiet["alone"])
         rows.append(Row(f"{count} idle, CPU beyond that without routes, to the limit{suffix}", added, IDLE_CPU, "%"))

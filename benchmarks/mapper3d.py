@@ -92,26 +92,26 @@ def placed(at: SensorPose, seen: NDArray[np.float32], every: int) -> NDArray[np.
     return (points @ at.rotation.T.astype(np.float32) + np.array(at.origin, np.float32)).astype(np.float64)
 
 
-def ours(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
+def ours(shots: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
     """Return Mapper3D's processor time per image, in milliseconds."""
     space, rays = Space(settings), Rays(settings.pixels)
     begin = time.process_time()
-    for index, (at, seen) in enumerate(taken):
+    for index, (at, seen) in enumerate(shots):
         space.add(rays.points(seen, CAMERA), at, FieldOfView(OPTICAL, CAMERA.view), index / RATE)
-    return 1000.0 * (time.process_time() - begin) / len(taken)
+    return 1000.0 * (time.process_time() - begin) / len(shots)
 
 
-def octomaps(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
+def octomaps(shots: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> float:
     """Return octomap's processor time per image, in milliseconds; its points are already in the map's frame."""
     tree = importlib.import_module("pyoctomap").OcTree(settings.resolution)
-    clouds = [(placed(at, seen, settings.pixels), np.array(at.origin)) for at, seen in taken]
+    clouds = [(placed(at, seen, settings.pixels), np.array(at.origin)) for at, seen in shots]
     begin = time.process_time()
     for points, origin in clouds:
         tree.insertPointCloud(points, origin, max_range=settings.farthest, discretize=True)
-    return 1000.0 * (time.process_time() - begin) / len(taken)
+    return 1000.0 * (time.process_time() - begin) / len(shots)
 
 
-def layer(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> tuple[float, float]:
+def layer(shots: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3DSection) -> tuple[float, float]:
     """Return the median milliseconds of computing a layer, and of publishing it to a subscriber, after each image."""
     space, rays = Space(settings), Rays(settings.pixels)
     computing, publishing = [], []
@@ -121,7 +121,7 @@ def layer(taken: list[tuple[SensorPose, NDArray[np.float32]]], settings: Mapper3
         for end, kind in (("", GRID), ("_updates", UPDATE), (HEIGHTS, GRID_MAP)):
             listener.subscription(f"{settings.layer.topic}{end}", kind, "*", LATCHED if end != "_updates" else Qos(),
                                   lambda _: received.set())  # fmt: skip
-        for index, (at, seen) in enumerate(taken):
+        for index, (at, seen) in enumerate(shots):
             space.add(rays.points(seen, CAMERA), at, FieldOfView(OPTICAL, CAMERA.view), index / RATE)
             begin = time.thread_time()
             result = space.layer((0.0, 0.0, 0.0))
@@ -143,13 +143,13 @@ def main() -> int:
     need_peers("pyoctomap")
     rows = []
     for size in args.rooms:
-        taken = images(args.images, size)
+        shots = images(args.images, size)
         for every in (1, 2):
             settings = Mapper3DSection(pixels=every, forget_after=30.0)
-            case, cost = f"room of {size:g} m, {WIDTH // every} x {HEIGHT // every}", ours(taken, settings)
-            rows.append(Row(f"{case}, octomap", cost, octomaps(taken, settings), "ms"))
+            case, cost = f"room of {size:g} m, {WIDTH // every} x {HEIGHT // every}", ours(shots, settings)
+            rows.append(Row(f"{case}, octomap", cost, octomaps(shots, settings), "ms"))
             rows.append(Row(f"{case}, at {RATE:g} Hz", 0.1 * cost * RATE, 100.0 * MOST, "% core"))
-        for step, cost in zip(("computed", "published"), layer(taken, Mapper3DSection()), strict=True):
+        for step, cost in zip(("computed", "published"), layer(shots, Mapper3DSection()), strict=True):
             rows.append(Row(f"room of {size:g} m, layer {step}", cost, 1000.0 * MOST / RATE, "ms"))
     report(rows, args.json)
     return 0

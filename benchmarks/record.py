@@ -132,7 +132,7 @@ def listen(endpoint: str, domain: int) -> None:
             latencies = sorted(ages)
             ages.clear()
             share = {name: latencies[int(len(latencies) * part)] / 1e6 for name, part in (("p50", 0.5), ("p99", 0.99))}
-            send_line({**share, "heard": len(latencies), "images": images[0]})
+            send_line({**share, "received": len(latencies), "images": images[0]})
             images[0] = 0
 
 

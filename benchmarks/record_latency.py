@@ -63,15 +63,15 @@ class Bench:
             self.sender.send(str(WARM_SECONDS + self.args.seconds * 1.5))
             time.sleep(WARM_SECONDS)  # wait until messages flow, and the file's channels are written
             prepared = self.network.messages[_CASE.key]
-            taken = {direction: self.network.measure(prepared, direction, count) for direction in WAYS}
+            latencies = {direction: self.network.measure(prepared, direction, count) for direction in WAYS}
             sent = self.sender.receive()
         self.file.unlink(missing_ok=True)
         megabytes = sent["images"] * self.image / sent["seconds"] / 1e6
         summary = ", ".join(
-            f"{direction} {figures(ages)}, {count - len(ages)} lost" for direction, ages in taken.items()
+            f"{direction} {figures(ages)}, {count - len(ages)} lost" for direction, ages in latencies.items()
         )
         print(f"{'midspan' if recorded else 'nobody':8} {megabytes:.0f} MB/s: {summary}", file=sys.stderr, flush=True)
-        return taken
+        return latencies
 
     def _recorder(self) -> list[str | Path]:
         topics = [record.IMAGE, "/small_*", *(f"/{direction}/{_CASE.key}" for direction in WAYS)]

@@ -43,8 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 began = time.monotonic()
                 outcome = loss.happen(field)
                 outcomes[loss.key].append(outcome)
-                took = time.monotonic() - began
-                print(f"{number + 1}/{args.times} {loss.key:<17} {outcome} (took {took:.0f} s)", flush=True)
+                duration = time.monotonic() - began
+                print(f"{number + 1}/{args.times} {loss.key:<17} {outcome} (took {duration:.0f} s)", flush=True)
         if args.cases is None or LITTER in args.cases:
             left = litter(field, args.kills)
     print()

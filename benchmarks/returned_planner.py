@@ -164,8 +164,8 @@ class Bench(Processes):
         process = psutil.Process(self._worker())
         before, began = process.cpu_times(), time.monotonic()
         time.sleep(_IDLE_SECONDS)
-        after, took = process.cpu_times(), time.monotonic() - began
-        return 100.0 * (after.user + after.system - before.user - before.system) / took
+        after, seconds = process.cpu_times(), time.monotonic() - began
+        return 100.0 * (after.user + after.system - before.user - before.system) / seconds
 
     def _worker(self) -> int:
         status = ask_daemon(self.place.config)

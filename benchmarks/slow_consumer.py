@@ -97,7 +97,7 @@ def measure(
     result = []
     for stream in streams:
         side = stream.side
-        read = deployment.ask(f"{side} slow", "report")["heard"][stream.names[BIG]]["count"]
+        read = deployment.ask(f"{side} slow", "report")["received"][stream.names[BIG]]["count"]
         more = {r: n - drops.get((side, r), 0) for (s, r), n in _drops(deployment).items() if s == side}
         dropped = {reason: count for reason, count in more.items() if count}
         result.append(Slow(side, before[side], beside[side], read, dropped, memory_before, memory_beside))
@@ -133,7 +133,7 @@ class Stream:
 
     def received(self) -> dict[str, dict[str, Any]]:
         """Return what the fast program has received, by topic."""
-        report = self._deployment.ask(self.side, "report")["heard"]
+        report = self._deployment.ask(self.side, "report")["received"]
         return {topic: report[name] for topic, name in self.names.items()}
 
 
@@ -167,10 +167,10 @@ def _watch(
     return result, memory
 
 
-def _reception(sent: int, start: int, told: dict[str, Any], heard: dict[str, Any]) -> Reception:
-    lost = heard["lost"] - told["lost"] + behind(sent, heard["last"]) - behind(start, told["last"])
-    repeated = heard["repeated"] - told["repeated"]
-    ages = heard["ages"]
+def _reception(sent: int, start: int, earlier: dict[str, Any], received: dict[str, Any]) -> Reception:
+    lost = received["lost"] - earlier["lost"] + behind(sent, received["last"]) - behind(start, earlier["last"])
+    repeated = received["repeated"] - earlier["repeated"]
+    ages = received["ages"]
     return Reception(sent - start, lost, repeated, ages["p50"], ages["p99"], ages["max"])
 
 

@@ -116,12 +116,12 @@ class Soak:
     def _crosses(self) -> bool:
         for side in SIDES:
             self._deployment.ask(side, "put", topics=[t.name for t in self._topics if t.source == side])
-        return not any(self._unheard(_ear(side)) for side in SIDES)
+        return not any(self._silent_topics(_ear(side)) for side in SIDES)
 
     def run(self, seconds: float, every: float) -> None:
         """Send and count for a time, with periodic samples; Ctrl-C ends the run early, but in an orderly manner."""
         deployment = self._deployment
-        self._at_first = {side: deployment.ask(_ear(side), "report")["heard"] for side in SIDES}
+        self._at_first = {side: deployment.ask(_ear(side), "report")["received"] for side in SIDES}
         for side in SIDES:
             deployment.ask(side, "flow", rates={t.name: t.rate for t in self._topics if t.source == side})
         began = time.monotonic()
@@ -139,7 +139,7 @@ class Soak:
     def _sample(self, seconds: float) -> None:
         course = self.course
         self._join()
-        reports = [self._deployment.ask(_ear(side), "report")["heard"] for side in SIDES]
+        reports = [self._deployment.ask(_ear(side), "report")["received"] for side in SIDES]
         ages = [ear["ages"]["p99"] for report_ in reports for ear in report_.values() if ear["ages"]]
         course.seconds.append(seconds)
         course.censuses.append(self._deployment.census())
@@ -161,20 +161,20 @@ class Soak:
             topics = [t for t in self._topics if t.latched and t.source != side]
             deployment.ask(side, "subscribe", topics=self._described(side, topics))
             end = time.monotonic() + JOIN_SECONDS
-            while (missing := self._unheard(side)) and time.monotonic() < end:
+            while (missing := self._silent_topics(side)) and time.monotonic() < end:
                 time.sleep(0.05)
             deployment.ask(side, "drop", publish=[], subscribe=[t.name for t in topics])
             self.course.joins += len(topics)
             self.course.unanswered += missing
 
-    def _unheard(self, program: str) -> int:
+    def _silent_topics(self, program: str) -> int:
         """Return the number of a program's topics without messages."""
-        return sum(not ear["count"] for ear in self._deployment.ask(program, "report")["heard"].values())
+        return sum(not ear["count"] for ear in self._deployment.ask(program, "report")["received"].values())
 
     def _count(self) -> Sums:
         sums, kinds = Sums(), {t.name: t.kind for t in self._topics}
         for side in SIDES:
-            for name, ear in self._deployment.ask(_ear(side), "report")["heard"].items():
+            for name, ear in self._deployment.ask(_ear(side), "report")["received"].items():
                 first = self._at_first[side][name]
                 lost = ear["lost"] - first["lost"] + behind(self.sent[name], ear["last"])
                 sums.received += ear["count"] - first["count"]

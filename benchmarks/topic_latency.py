@@ -66,16 +66,16 @@ class Samples:
     def round(self, network: Network, number: int) -> None:
         """Measure every case once, the floor and Midspan in turns."""
         for key, prepared in network.messages.items():
-            taken: dict[str, list[int]] = defaultdict(list)
+            latencies: dict[str, list[int]] = defaultdict(list)
             for _ in range(TURNS):
                 for hop in ("ros1", THERE, "zenoh", BACK, "ros2"):
                     ages = network.measure(prepared, hop, prepared.case.count // TURNS)
-                    taken[hop] += ages
+                    latencies[hop] += ages
                     self.sent += prepared.case.count // TURNS
                     self.lost += prepared.case.count // TURNS - len(ages)
-            for hop, ages in taken.items():
+            for hop, ages in latencies.items():
                 self._hops[key, hop].append(figures(ages))
-            self._floors[key].append(floor([taken[hop] for hop in HOPS], number))
+            self._floors[key].append(floor([latencies[hop] for hop in HOPS], number))
 
     def rows(self, cases: Sequence[Case], suffix: str, off: Samples | None = None) -> list[Row]:
         """Return a row for each case, direction and figure, and if measured, another against the lane off."""
@@ -125,20 +125,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _measure(condition: Condition, cases: Sequence[Case], rounds: int, args: argparse.Namespace) -> list[Row]:
-    taken = [Samples(lane) for lane in LANES[args.lane]]
+    series = [Samples(lane) for lane in LANES[args.lane]]
     for number in range(rounds):
-        for samples in taken if number % 2 else reversed(taken):
+        for samples in series if number % 2 else reversed(series):
             topic = f"{condition.key}, lane {'on' if samples.lane else 'off'}"
             print(f"{topic}: round {number + 1} of {rounds}", file=sys.stderr, flush=True)
             _round(samples, condition, cases, number, args)
-    for samples in taken:
+    for samples in series:
         print(
             f"{condition.key}, lane {'on' if samples.lane else 'off'}: {samples.hops_text(cases)}\n"
             f"{samples.lost} of {samples.sent} messages lost",
             file=sys.stderr,
         )
-    first = taken[0].rows(cases, condition.name, taken[1] if len(taken) > 1 else None)
-    return first + [row for samples in taken[1:] for row in samples.rows(cases, condition.name)]
+    first = series[0].rows(cases, condition.name, series[1] if len(series) > 1 else None)
+    return first + [row for samples in series[1:] for row in samples.rows(cases, condition.name)]
 
 
 def _round(

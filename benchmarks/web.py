@@ -228,7 +228,7 @@ def _latency(deployment: Deployment, seconds: float) -> float:
     deployment.ask("ros2", "flow", rates={SMALL: RATE})
     time.sleep(seconds)
     deployment.ask("ros2", "still")
-    ages: dict[str, float] = deployment.ask("zenoh", "report")["heard"][SMALL]["ages"]
+    ages: dict[str, float] = deployment.ask("zenoh", "report")["received"][SMALL]["ages"]
     return ages["p50"]
 
 

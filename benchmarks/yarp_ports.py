@@ -199,12 +199,12 @@ class Bare:
 
 
 def _median(call: Callable[[], object], times: int) -> float:
-    taken = []
+    durations = []
     for _ in range(times):
         start = time.perf_counter()
         call()
-        taken.append(time.perf_counter() - start)
-    return statistics.median(taken) * 1e6
+        durations.append(time.perf_counter() - start)
+    return statistics.median(durations) * 1e6
 
 
 def _cores(place: str) -> tuple[set[int] | None, set[int] | None]:

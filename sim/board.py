@@ -51,7 +51,7 @@ class WheelCommands:
         self.zero = np.zeros(count)  # wheel angles at which the reported positions are 0, degrees
         self.now_ns = now_ns
         self._encoders = Encoders(0, np.zeros(count), np.zeros(count))
-        self._moving = np.zeros(count)
+        self._output = np.zeros(count)  # velocities for the motors, degrees per second
 
     def read(self, encoders: Encoders) -> None:
         """Store a reading of the encoders."""
@@ -73,7 +73,7 @@ class WheelCommands:
     def release(self, wheel: int) -> None:
         """Cancel a wheel's command."""
         self.targets[wheel] = None
-        self.velocities[wheel] = self._moving[wheel] = 0.0
+        self.velocities[wheel] = self._output[wheel] = 0.0
         self._until[wheel] = 0
 
     def halt(self) -> None:
@@ -98,10 +98,10 @@ class WheelCommands:
         positions = self.positions()
         for wheel, target in enumerate(self.targets):
             if self.modes[wheel] in _TO_POSITIONS:
-                self._moving[wheel] = 0.0 if target is None else self._toward(wheel, target - positions[wheel], seconds)
+                self._output[wheel] = 0.0 if target is None else self._toward(wheel, target - positions[wheel], seconds)
             else:
-                self._moving[wheel] = self.velocities[wheel] if self.now_ns < self._until[wheel] else 0.0
-        return np.radians(self._moving)
+                self._output[wheel] = self.velocities[wheel] if self.now_ns < self._until[wheel] else 0.0
+        return np.radians(self._output)
 
     def is_done(self, wheel: int) -> bool:
         """Return whether a wheel has reached its target, or has no target."""
@@ -123,7 +123,9 @@ class WheelCommands:
         else:
             ramp = self.ramps[wheel]
             fastest = min(
-                self.speeds[wheel], math.sqrt(2.0 * ramp * abs(distance)), abs(self._moving[wheel]) + ramp * seconds
+                self.speeds[wheel],
+                math.sqrt(2.0 * ramp * abs(distance)),
+                abs(self._output[wheel]) + ramp * seconds,
             )
         return math.copysign(min(fastest, self.greatest, abs(distance) / seconds), distance)
 

@@ -23,7 +23,7 @@ from benchmarks.latency.stamps import Stamped
 DEPTH = 200
 """History depth of the programs' endpoints, so that a program that is not scheduled for a second loses nothing."""
 
-Heard = Callable[[bytes], None]
+OnMessage = Callable[[bytes], None]
 Close = Callable[[], None]
 
 
@@ -51,7 +51,7 @@ class Program(ABC):
         """Return a raw publisher of a type spelled ``package/msg/Name``."""
 
     @abstractmethod
-    def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
+    def listen(self, topic: str, type_: str, *, latched: bool, on_message: OnMessage) -> Close:
         """Create a raw subscription; return a function that closes it."""
 
     @abstractmethod
@@ -93,7 +93,9 @@ class Program(ABC):
         for topic in topics:
             name, ear = topic["topic"], Ear()
             stamped = _load(topic["file"], topic["offset"], topic["form"])
-            close = self.listen(name, topic["type"], latched=topic["latched"], heard=_receiver(stamped, ear, pause))
+            close = self.listen(
+                name, topic["type"], latched=topic["latched"], on_message=_receiver(stamped, ear, pause)
+            )
             self._in[name] = ear, close
         return {}
 
@@ -133,7 +135,7 @@ class Program(ABC):
     def _report(self) -> dict[str, Any]:
         """Return the counts of sent and received messages so far."""
         received = {topic: ear.report() for topic, (ear, _) in self._in.items()}
-        return {"sent": {topic: source.sent for topic, source in self._out.items()}, "heard": received}
+        return {"sent": {topic: source.sent for topic, source in self._out.items()}, "received": received}
 
 
 class Source:
@@ -189,7 +191,7 @@ class Flow:
             heapq.heapreplace(self._due, (max(due + period, time.monotonic() - 1.0), i, period, send))
 
 
-def _receiver(stamped: Stamped, ear: Ear, pause: float) -> Heard:
+def _receiver(stamped: Stamped, ear: Ear, pause: float) -> OnMessage:
     def on_message(payload: bytes) -> None:
         ear.receive(stamped.read(payload))
         if pause:

@@ -6,7 +6,7 @@ import os
 
 import rospy
 
-from benchmarks.endurance.program import Close, Heard, Program
+from benchmarks.endurance.program import Close, OnMessage, Program
 from benchmarks.latency.ros1_end import BUFFER, QUEUE, raw_class
 
 
@@ -37,9 +37,9 @@ class Ros1Program(Program):
     def publisher(self, topic: str, type_: str, *, latched: bool) -> Ros1Publisher:
         return Ros1Publisher(topic, type_, latched=latched)
 
-    def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:  # noqa: ARG002
+    def listen(self, topic: str, type_: str, *, latched: bool, on_message: OnMessage) -> Close:  # noqa: ARG002
         subscriber = rospy.Subscriber(
-            topic, rospy.AnyMsg, lambda message: heard(message._buff), buff_size=BUFFER, tcp_nodelay=True
+            topic, rospy.AnyMsg, lambda message: on_message(message._buff), buff_size=BUFFER, tcp_nodelay=True
         )
         unregister: Close = subscriber.unregister
         return unregister

@@ -9,7 +9,7 @@ import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from typing_extensions import override
 
-from benchmarks.endurance.program import DEPTH, Close, Heard, Program
+from benchmarks.endurance.program import DEPTH, Close, OnMessage, Program
 from benchmarks.latency.taker import Taker, message_class
 
 
@@ -42,8 +42,8 @@ class Ros2Program(Program):
         return Ros2Publisher(self._node, topic, type_, latched=latched)
 
     @override
-    def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
-        return self._taker.listen(self._node, topic, type_, _qos(latched=latched), heard)
+    def listen(self, topic: str, type_: str, *, latched: bool, on_message: OnMessage) -> Close:
+        return self._taker.listen(self._node, topic, type_, _qos(latched=latched), on_message)
 
     @override
     def close(self) -> None:

@@ -10,7 +10,7 @@ import sys
 
 from typing_extensions import override
 
-from benchmarks.endurance.program import DEPTH, Close, Heard, Program
+from benchmarks.endurance.program import DEPTH, Close, OnMessage, Program
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Durability, Qos
@@ -31,11 +31,11 @@ class ZenohProgram(Program):
         return self._hub.publisher(topic, type_, self._registry.ros2(type_).type_id, _qos(latched=latched))
 
     @override
-    def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
-        # ``heard`` runs on zenoh's receiving thread, so that a program with a slow callback (``pause``) blocks its link
+    def listen(self, topic: str, type_: str, *, latched: bool, on_message: OnMessage) -> Close:
+        # ``on_message`` runs on zenoh's receiving thread, so that a slow callback (``pause``) blocks the program's link
         type_hash = self._registry.ros2(type_).type_id
         subscription = self._hub.subscription(
-            topic, type_, type_hash, _qos(latched=latched), lambda sample: heard(sample.data())
+            topic, type_, type_hash, _qos(latched=latched), lambda sample: on_message(sample.data())
         )
         return subscription.close
 

@@ -35,7 +35,7 @@ class Program:
         self.reader: Any = None
         self.setting: Any = None
         self.sent = 0
-        self.took: list[float] = []
+        self._durations: list[float] = []
 
     def count(self) -> dict[str, Any]:
         """Start counting the streamed messages."""
@@ -60,7 +60,7 @@ class Program:
 
     def set(self, rate: float, ticks: int, first: int) -> dict[str, Any]:
         """Start to set all frames in one request per tick, at ``rate`` ticks per second, numbered from ``first``."""
-        self.sent, self.took = 0, []
+        self.sent, self._durations = 0, []
         transforms = [FrameTransform("base", f"load{n}") for n in range(self.frames)]
 
         def work() -> None:
@@ -72,7 +72,7 @@ class Program:
                         transform.timestamp, transform.tX = now, float(tick)
                     start = time.monotonic()
                     assert client.send(transforms)
-                    self.took.append(time.monotonic() - start)
+                    self._durations.append(time.monotonic() - start)
                     self.sent = tick - first + 1
                     due += 1.0 / rate
                     time.sleep(max(0.0, due - time.monotonic()))
@@ -84,7 +84,7 @@ class Program:
     def done(self, seconds: float) -> dict[str, Any]:
         """Wait at most ``seconds`` until all ticks are sent; return their number, and the median of a request in ms."""
         self.setting.join(seconds)
-        return {"sent": self.sent, "ms": 1000 * statistics.median(self.took) if self.took else 0.0}
+        return {"sent": self.sent, "ms": 1000 * statistics.median(self._durations) if self._durations else 0.0}
 
     def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
         """Connect to the server as a late joiner, ``count`` times, each with a new client.

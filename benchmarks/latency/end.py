@@ -36,7 +36,7 @@ class End(ABC):
         """Return a raw publisher's functions: one publishes, one returns whether it has subscribers."""
 
     @abstractmethod
-    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
+    def listen(self, topic: str, type_: str, on_message: Callable[[bytes], None]) -> None:
         """Create a raw subscription."""
 
     @abstractmethod

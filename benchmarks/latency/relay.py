@@ -27,7 +27,7 @@ from benchmarks.latency.zenoh_end import ZenohEnd
 from bridge.adapters.ros1.handshake import connect, encode, read_header
 from bridge.adapters.ros1_peers import DeadlineSocket
 
-Heard = Callable[[bytes], None]
+OnMessage = Callable[[bytes], None]
 
 NODE = "/bare_relay"
 TYPE = {"type": "std_msgs/String", "md5sum": "992ce8a1687cec8c8bd883ec73ca41d1", "message_definition": "string data\n"}
@@ -46,8 +46,8 @@ class Ros1Half:
         self._link = link
         self._master = xmlrpc.client.ServerProxy(master)
         self._poll = select.epoll()
-        self._incoming: dict[int, tuple[socket.socket, Heard]] = {}
-        self._senders: dict[str, Heard] = {}
+        self._incoming: dict[int, tuple[socket.socket, OnMessage]] = {}
+        self._senders: dict[str, OnMessage] = {}
         self._outgoing: dict[str, list[socket.socket]] = defaultdict(list)
         self._tcp = socket.create_server(("127.0.0.1", 0), backlog=1024)
         self._api = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
@@ -103,7 +103,7 @@ class Ros1Half:
                     at += 4 + size
 
     @staticmethod
-    def _writer(socks: list[socket.socket]) -> Heard:
+    def _writer(socks: list[socket.socket]) -> OnMessage:
         def write(cdr: bytes) -> None:
             (size,) = _LENGTH.unpack_from(cdr, 4)
             message = _LENGTH.pack(size + 3) + _LENGTH.pack(size - 1) + cdr[8 : 7 + size]

@@ -34,8 +34,10 @@ class Ros1End(End):
 
         return publish, lambda: publisher.get_num_connections() > 0
 
-    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002
-        rospy.Subscriber(topic, rospy.AnyMsg, lambda message: heard(message._buff), buff_size=BUFFER, tcp_nodelay=True)
+    def listen(self, topic: str, type_: str, on_message: Callable[[bytes], None]) -> None:  # noqa: ARG002
+        rospy.Subscriber(
+            topic, rospy.AnyMsg, lambda message: on_message(message._buff), buff_size=BUFFER, tcp_nodelay=True
+        )
 
     def close(self) -> None:
         rospy.signal_shutdown("done")

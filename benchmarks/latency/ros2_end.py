@@ -32,8 +32,8 @@ class Ros2End(End):
         return publisher.publish, lambda: publisher.get_subscription_count() > 0
 
     @override
-    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
-        self._taker.listen(self._node, topic, type_, _qos(), heard)
+    def listen(self, topic: str, type_: str, on_message: Callable[[bytes], None]) -> None:
+        self._taker.listen(self._node, topic, type_, _qos(), on_message)
 
     @override
     def close(self) -> None:

@@ -35,14 +35,16 @@ class Taker:
         self._write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
         threading.Thread(target=self._run, name="take", daemon=True).start()
 
-    def listen(self, node: Any, topic: str, type_: str, qos: Any, heard: Callable[[bytes], None]) -> Callable[[], None]:
+    def listen(
+        self, node: Any, topic: str, type_: str, qos: Any, on_message: Callable[[bytes], None]
+    ) -> Callable[[], None]:
         """Subscribe; return a function that closes the subscription."""
         class_ = message_class(type_)
         subscription = node.create_subscription(class_, topic, lambda _payload: None, qos, raw=True)
         handle = subscription.handle
         handle.__enter__()
         descriptor = os.eventfd(0, os.EFD_NONBLOCK)
-        self._open[descriptor] = (handle, class_, heard)
+        self._open[descriptor] = (handle, class_, on_message)
         self._poll.register(descriptor, select.EPOLLIN)
         if self._set_callback(handle.pointer, self._write, descriptor):
             msg = "rcl_subscription_set_on_new_message_callback failed"

@@ -46,8 +46,8 @@ class ZenohEnd(End):
         return lambda payload: publisher.put(payload, attachment=attached), lambda: self._is_linked(publisher)
 
     @override
-    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
-        handler: Any = zenoh.handlers.Callback(lambda sample: heard(sample.payload.to_bytes()), indirect=False)
+    def listen(self, topic: str, type_: str, on_message: Callable[[bytes], None]) -> None:
+        handler: Any = zenoh.handlers.Callback(lambda sample: on_message(sample.payload.to_bytes()), indirect=False)
         self._endpoints.append(self._session.declare_subscriber(topic.strip("/"), handler))
 
     @override

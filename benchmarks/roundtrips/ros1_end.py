@@ -57,10 +57,10 @@ class Ros1End(End):
     def get_map(self, prefix: str) -> int:
         began = time.perf_counter_ns()
         reply = self._services[f"{prefix}/map"]()
-        took = time.perf_counter_ns() - began
+        duration = time.perf_counter_ns() - began
         if len(reply.map.data) != MAP_SIDE * MAP_SIDE:
             raise RuntimeError("the map is incomplete")
-        return took
+        return duration
 
     def run_goal(self, prefix: str) -> int:
         began = time.perf_counter_ns()

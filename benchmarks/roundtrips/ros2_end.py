@@ -87,10 +87,10 @@ class Ros2End(End):
         began = time.perf_counter_ns()
         path = f"{prefix}/map"
         reply = self._until(path, self._ends[path].call_async(GetMap.Request()))
-        took = time.perf_counter_ns() - began
+        duration = time.perf_counter_ns() - began
         if len(reply.map.data) != MAP_SIDE * MAP_SIDE:
             raise RuntimeError("the map is incomplete")
-        return took
+        return duration
 
     @override
     def run_goal(self, prefix: str) -> int:

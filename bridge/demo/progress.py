@@ -47,17 +47,17 @@ class DemoProgress:
         self._at: tuple[float, float, float] | None = None
         self._work: dict[int, float] = {}
         self._worked = 0.0
-        self._moved = clock()
+        self._progressed_at = clock()
 
     def begin(self) -> None:
         """Restart for the next condition to wait for."""
         self._seen.clear()
-        self._moved = self._clock()
+        self._progressed_at = self._clock()
 
     @property
     def still(self) -> float:
         """Seconds since the last progress."""
-        return self._clock() - self._moved
+        return self._clock() - self._progressed_at
 
     @property
     def stalled(self) -> bool:
@@ -70,7 +70,7 @@ class DemoProgress:
         if entry in self._seen or len(self._seen) >= _MOST:
             return False
         self._seen.add(entry)
-        self._moved = self._clock()
+        self._progressed_at = self._clock()
         return True
 
     def note_pose(self, x: float, y: float, yaw: float) -> None:
@@ -81,7 +81,7 @@ class DemoProgress:
             if math.dist(before[:2], (x, y)) < _METERS and turned < _RADIANS:
                 return
         self._at = x, y, yaw
-        self._moved = self._clock()
+        self._progressed_at = self._clock()
 
     def note_work(self, pids: Iterable[int]) -> None:
         """Record the processor time of starting processes, which counts as progress."""
@@ -89,7 +89,7 @@ class DemoProgress:
         self._worked += sum(max(0.0, spent - self._work.get(pid, spent)) for pid, spent in now.items())
         self._work |= now
         if self._worked >= _WORK:
-            self._worked, self._moved = 0.0, self._clock()
+            self._worked, self._progressed_at = 0.0, self._clock()
 
 
 def _spent(pid: int) -> float | None:

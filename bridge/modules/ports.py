@@ -56,22 +56,24 @@ class HostedPort:
 
     def write(self, content: Content, envelope: str = "") -> int:
         """Send a message to all connected ports without waiting; return how many accepted it."""
-        took: int = self.core.write(payload_of(content), envelope, strict=False)
-        if took:
+        accepted: int = self.core.write(payload_of(content), envelope, strict=False)
+        if accepted:
             self.counters.crossed(0)
-        return took
+        return accepted
 
     def write_by_release(self, make: Callable[[Generation], Content], envelope: str = "") -> int:
         """Send each reader what ``make`` returns for its YARP generation; the port must be an output ``by_release``."""
         readers: dict[Generation, set[AnyOutput]] = {}
         for output in self.core.connections.outputs:
             readers.setdefault(self._generation(output), set()).add(output)
-        took = 0
+        accepted = 0
         for generation, outputs in readers.items():
-            took += self.core.write(payload_of(make(generation)), envelope, strict=False, chosen=outputs.__contains__)
-        if took:
+            accepted += self.core.write(
+                payload_of(make(generation)), envelope, strict=False, chosen=outputs.__contains__
+            )
+        if accepted:
             self.counters.crossed(0)
-        return took
+        return accepted
 
     def _generation(self, output: AnyOutput) -> Generation:
         decision = self._decision(output)

@@ -118,18 +118,18 @@ class Exchange:
         if static:
             self._reset_frames(stamped)
         refusals = self.buffer.set_transforms(stamped, YARP, static=static)
-        taken = []
+        inserted = []
         for transform, published, refusal in zip(transforms, stamped, refusals, strict=True):
             if refusal is None:
                 self.view.remember_spelling(transform.src_frame_id)
                 self.view.remember_spelling(transform.dst_frame_id)
                 shown = replace(transform, timestamp=self._clock.to_readers(transform.timestamp))
                 self.view.set(shown, published)
-                taken.append(published)
-        if taken and static:
+                inserted.append(published)
+        if inserted and static:
             self._publish_static_frames()
-        elif taken:
-            self._publish(write(taken))
+        elif inserted:
+            self._publish(write(inserted))
         return next((refusal for refusal in refusals if refusal not in _HARMLESS), None)
 
     def _reset_frames(self, stamped: Iterable[Stamped]) -> None:

@@ -137,13 +137,13 @@ class View:
         """Return all frames; those from the hub get the current time."""
         now = self._now()
         self._expire(now)
-        given = []
+        transforms = []
         for entry in self._entries.values():
             transform = entry.transform
             if not entry.ours:
                 transform.timestamp = now
-            given.append(transform)
-        return given
+            transforms.append(transform)
+        return transforms
 
     def delete(self, first: str, second: str) -> list[str]:
         """Delete the transforms that YARP programs set between two frames, in either order; return the child frames.

@@ -124,7 +124,7 @@ class Patrol:
         self._goals: dict[str, ActionClient] = {}  # by the action's name
         self._route = PatrolRoute((), USUAL)
         self._step = 0  # increases with each step; callbacks of earlier steps are ignored
-        self._active = self._held = self._seen = False
+        self._active = self._paused = self._seen = False
         self._goal: SentGoal | None = None
         self._newest = b""  # the id of the newest goal
         self._timer: Timer | None = None
@@ -137,13 +137,13 @@ class Patrol:
     @property
     def busy(self) -> str:
         """Why manual driving is refused; "" if it is allowed."""
-        return "a patrol is active; pause or stop it first" if self._active and not self._held else ""
+        return "a patrol is active; pause or stop it first" if self._active and not self._paused else ""
 
     def end(self, why: str) -> None:
         """End the patrol, and cancel its goal."""
         if not self._active:
             return
-        self._active = self._held = False
+        self._active = self._paused = False
         self._next_step()
         goal, self._goal = self._goal, None
         if goal is not None:
@@ -155,13 +155,13 @@ class Patrol:
         """Pause or resume a patrol between two goals; return the reply, or "" if the gateway has to do it."""
         if not self._active or self._goal is not None:
             return ""
-        if verb == "pause" and not self._held:
-            self._held = True
+        if verb == "pause" and not self._paused:
+            self._paused = True
             self._next_step()
             self._publish("held")
             return "patrol paused"
-        if verb == "resume" and self._held:
-            self._held = False
+        if verb == "resume" and self._paused:
+            self._paused = False
             self._find()
             return "patrol resumed"
         return ""
@@ -176,7 +176,7 @@ class Patrol:
         if self._active:
             raise VerbError("a patrol is active; stop it first")
         self._route = PatrolRoute(places, wait)
-        self._active, self._held, self._seen = True, False, False
+        self._active, self._paused, self._seen = True, False, False
         self._host.log.info("patrolling %s", ", ".join(places))
         self._find()
 
@@ -237,7 +237,7 @@ class Patrol:
 
     def _advance(self, index: int) -> None:
         if self._route.advance(index):
-            self._publish("held" if self._held else "drives")
+            self._publish("held" if self._paused else "drives")
 
     def _accepted(self) -> None:
         if self._goal is not None and self._goal.accepted is None:
@@ -252,7 +252,7 @@ class Patrol:
             self.end(f"driving to {self._route.place}: {reason}")
             return
         self._next_step()
-        self._held = False
+        self._paused = False
         self._advance(self._route.last)
         self._after(self._route.wait or SHORTEST, self._next_place)
         self._publish("waits")
@@ -270,10 +270,10 @@ class Patrol:
         state, of = self._gateway.state, self._gateway.goal_id
         if self._goal is not None and of == self._goal.id:
             self._seen = True
-            held = state == "paused"
-            if held != self._held:
-                self._held = held
-                self._publish("held" if held else "drives")
+            paused = state == "paused"
+            if paused != self._paused:
+                self._paused = paused
+                self._publish("held" if paused else "drives")
         elif self._seen and state == "idle":
             self.end(STOPPED)
         elif self._seen and self._goal is None and any(of) and of != self._newest:
