@@ -143,7 +143,7 @@ def all_topics(client: Client) -> Views:
 def all_services(client: Client) -> Views:
     """Return every service of the hub and of the workers' sides by name, without the parts of actions."""
     views: Views = {}
-    for name, type_name, item in _calls(client, "srv"):
+    for name, type_name, item in _services_and_parts(client, "srv"):
         if not split(name)[1]:
             views.setdefault(name, GraphView("service", name)).add(item, type_name)
     return views
@@ -152,7 +152,7 @@ def all_services(client: Client) -> Views:
 def all_actions(client: Client) -> Views:
     """Return every action of the hub and of the workers' sides, by name."""
     views: Views = {}
-    for part_name, type_name, item in _calls(client, "action"):
+    for part_name, type_name, item in _services_and_parts(client, "action"):
         name, part = split(part_name)
         if part == "send_goal":
             views.setdefault(name, GraphView("action", name)).add(item, type_name.removesuffix("_SendGoal"))
@@ -170,8 +170,8 @@ def _topics(client: Client, decisions: Iterable[Decision]) -> Views:
     return views
 
 
-def _calls(client: Client, middle: str) -> Iterator[tuple[str, str, HubEndpoint | Decision]]:
-    """Yield name and type of each service, including services of actions, with its endpoint or decision."""
+def _services_and_parts(client: Client, middle: str) -> Iterator[tuple[str, str, HubEndpoint | Decision]]:
+    """Yield name and type of each service, including the parts of actions, with its endpoint or decision."""
     decisions = ask_decisions(client, "", kind="service")
     client.settle()
     for endpoint in _on_hub(client, EndpointKind.SERVER, EndpointKind.CLIENT):

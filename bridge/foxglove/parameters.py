@@ -65,9 +65,9 @@ class Parameters:
     def answer(self, names: Sequence[str]) -> list[foxglove.Parameter]:
         """Return the known values of these parameters, or of all if ``names`` is empty."""
         now = time.monotonic()
-        cold, self._asked = now - self._read > IDLE_SECONDS, now
+        is_first, self._asked = now - self._read > IDLE_SECONDS, now
         if now - self._read > FRESH_SECONDS:
-            self._await(lambda done: self._host.loop.post(partial(self._refresh, done)), wait=cold)
+            self._await(lambda done: self._host.loop.post(partial(self._refresh, done)), wait=is_first)
         known = self._known()
         return [_foxglove_parameter(name, known[name]) for name in (names or sorted(known)) if name in known]
 
@@ -120,24 +120,24 @@ class Parameters:
         for key in [key for key in self._clients if key[0] not in nodes]:
             self._host.node.release(self._clients.pop(key))
         self._values = {node: values for node, values in self._values.items() if node in nodes}
-        left = set(nodes)
+        remaining = set(nodes)
 
-        def over(node: str, values: dict[str, ParameterValue] | None) -> None:
-            if node not in left:
+        def on_read(node: str, values: dict[str, ParameterValue] | None) -> None:
+            if node not in remaining:
                 return
-            left.discard(node)
+            remaining.discard(node)
             if values is not None:
                 self._values = {**self._values, node: values}
-            if not left:
+            if not remaining:
                 self._finish(done)
 
-        def late() -> None:
-            for node in list(left):
-                over(node, None)
+        def give_up() -> None:
+            for node in list(remaining):
+                on_read(node, None)
 
         for node in nodes:
-            self._read_node(node, partial(over, node))
-        self._host.loop.after(NODE_SECONDS, late)
+            self._read_node(node, partial(on_read, node))
+        self._host.loop.after(NODE_SECONDS, give_up)
         if not nodes:
             self._finish(done)
 
@@ -145,22 +145,22 @@ class Parameters:
         self._read, self._reading = time.monotonic(), None
         done.set_result(None)
 
-    def _read_node(self, node: str, over: Callable[[dict[str, ParameterValue] | None], None]) -> None:
-        def listed(reply: dict[str, Any] | CallError) -> None:
+    def _read_node(self, node: str, on_read: Callable[[dict[str, ParameterValue] | None], None]) -> None:
+        def on_names(reply: dict[str, Any] | CallError) -> None:
             if isinstance(reply, CallError):
-                over(None)
+                on_read(None)
                 return
             names = list(reply["result"]["names"])[: MOST_PARAMETERS // 10]
-            self._call(node, GET, {"names": names}, partial(got, names))
+            self._call(node, GET, {"names": names}, partial(on_values, names))
 
-        def got(names: list[str], reply: dict[str, Any] | CallError) -> None:
+        def on_values(names: list[str], reply: dict[str, Any] | CallError) -> None:
             if isinstance(reply, CallError) or len(reply["values"]) != len(names):
-                over(None)
+                on_read(None)
                 return
             values = {name: ParameterValue.read(value) for name, value in zip(names, reply["values"], strict=True)}
-            over({name: value for name, value in values.items() if value != NOT_SET})
+            on_read({name: value for name, value in values.items() if value != NOT_SET})
 
-        self._call(node, LIST, {"prefixes": [], "depth": 0}, listed)
+        self._call(node, LIST, {"prefixes": [], "depth": 0}, on_names)
 
     def _set(self, values: dict[str, Any], done: Future[None]) -> None:
         """Set the parameters on each node, then read all its parameters."""
@@ -172,10 +172,10 @@ class Parameters:
             except UnrepresentableError as err:
                 self._warn(f"{full}: {err}")
         by_node.pop("", None)
-        left = set(by_node)
+        remaining = set(by_node)
         for node, new_values in by_node.items():
-            self._set_node(node, new_values, partial(self._set_done, left, node, done))
-        if not left:
+            self._set_node(node, new_values, partial(self._set_done, remaining, node, done))
+        if not remaining:
             done.set_result(None)
 
     def _find(self, full: str) -> tuple[str, str, ParameterValue]:
@@ -187,27 +187,27 @@ class Parameters:
         self._warn(f"{full[:200]}: no node on the hub has this parameter")
         return "", full, NOT_SET
 
-    def _set_node(self, node: str, new_values: dict[str, ParameterValue], over: Callable[[], None]) -> None:
-        def answered(reply: dict[str, Any] | CallError) -> None:
+    def _set_node(self, node: str, new_values: dict[str, ParameterValue], done: Callable[[], None]) -> None:
+        def on_reply(reply: dict[str, Any] | CallError) -> None:
             if isinstance(reply, CallError):
                 self._warn(f"{node} did not set its parameters: {reply}")
             else:
                 for name, result in zip(new_values, reply["results"], strict=False):
                     if not result["successful"]:
                         self._warn(f"{node} refuses {name}: {result['reason'] or 'no reason given'}")
-            self._read_node(node, read)
+            self._read_node(node, on_read)
 
-        def read(values: dict[str, ParameterValue] | None) -> None:
+        def on_read(values: dict[str, ParameterValue] | None) -> None:
             if values is not None:
                 self._values = {**self._values, node: values}
-            over()
+            done()
 
         parameters = [{"name": name, "value": new.message()} for name, new in new_values.items()]
-        self._call(node, SET, {"parameters": parameters}, answered)
+        self._call(node, SET, {"parameters": parameters}, on_reply)
 
-    def _set_done(self, left: set[str], node: str, done: Future[None]) -> None:
-        left.discard(node)
-        if not left and not done.done():
+    def _set_done(self, remaining: set[str], node: str, done: Future[None]) -> None:
+        remaining.discard(node)
+        if not remaining and not done.done():
             done.set_result(None)
 
     def _call(self, node: str, kind: str, request: dict[str, Any], replied: Replied, tries: int = READY_TRIES) -> None:

@@ -209,7 +209,7 @@ class Publishing:
         self._velocity = section.velocity
         self._velocities = {section.velocity, *(planner.velocity for planner in section.others.values())} - {""}
         self._rules = RuleSet(host.config.rules)
-        self._routes: dict[tuple[int, int], PublishedChannel] = {}
+        self._channels: dict[tuple[int, int], PublishedChannel] = {}
         self._warned: dict[tuple[int, int], str] = {}
         self._closed = False
 
@@ -218,23 +218,23 @@ class Publishing:
         advertised, messages = self._events.pop_published()
         if self._closed:
             return
-        for key, route in list(self._routes.items()):
-            if advertised.get(key) is not route.channel:
+        for key, published in list(self._channels.items()):
+            if advertised.get(key) is not published.channel:
                 self._close(key)
         for key, channel in advertised.items():
-            if key not in self._routes:
+            if key not in self._channels:
                 self._open(key, channel)
         for message in messages:
             key = message.channel.client, message.channel.number
-            if key in self._routes and self._routes[key].channel is message.channel:
-                self._send(key, self._routes[key], message)
+            if key in self._channels and self._channels[key].channel is message.channel:
+                self._send(key, self._channels[key], message)
 
     def _open(self, key: tuple[int, int], channel: Advertised) -> None:
         visitor = self._visitors.visitor_of(channel.client)
         try:
-            self._routes[key] = self._create(channel, visitor)
+            self._channels[key] = self._create(channel, visitor)
         except NotPublishedError as err:
-            self._routes[key] = RefusedChannel(channel, visitor, str(err), waits=isinstance(err, UnknownYetError))
+            self._channels[key] = RefusedChannel(channel, visitor, str(err), waits=isinstance(err, UnknownYetError))
             self._warn(key, f"{channel.topic[:200]}: {err}")
         else:
             assert visitor is not None
@@ -260,12 +260,12 @@ class Publishing:
             )
         return ClientVelocity(self._driving, channel, visitor, coder)
 
-    def _send(self, key: tuple[int, int], route: PublishedChannel, message: ClientMessage) -> None:
+    def _send(self, key: tuple[int, int], published: PublishedChannel, message: ClientMessage) -> None:
         try:
-            route.send(message)
+            published.send(message)
         except NotPublishedError as err:
-            route.counters.failed(str(err))
-            self._warn(key, f"{route.channel.topic}: {err}")
+            published.counters.failed(str(err))
+            self._warn(key, f"{published.channel.topic}: {err}")
 
     def _warn(self, key: tuple[int, int], text: str) -> None:
         """Warn all clients (the SDK cannot address a single one), unless the text is the same as before."""
@@ -274,31 +274,31 @@ class Publishing:
             self._server.warn(text, f"publish-{key[0]}-{key[1]}")
 
     def _close(self, key: tuple[int, int]) -> None:
-        self._routes.pop(key).close()
+        self._channels.pop(key).close()
         if self._warned.pop(key, ""):
             self._server.clear_warning(f"publish-{key[0]}-{key[1]}")
 
     def tick(self) -> None:
         """Update rates, and retry channels that wait for a definition."""
-        for key, route in list(self._routes.items()):
-            route.counters.tick()
-            if isinstance(route, RefusedChannel) and route.waits:
+        for key, published in list(self._channels.items()):
+            published.counters.tick()
+            if isinstance(published, RefusedChannel) and published.waits:
                 self._close(key)
-                self._open(key, route.channel)
+                self._open(key, published.channel)
 
     def status(self) -> list[ChannelStatus]:
         """Return the clients' channels, for the status document."""
         return [
             ChannelStatus(
-                topic=route.channel.topic[:255], type=route.channel.type_name[:255], end="publisher",
-                by=route.visitor.who if route.visitor else "unknown client", why=route.reason,
-                **route.counters.as_dict(),
+                topic=published.channel.topic[:255], type=published.channel.type_name[:255], end="publisher",
+                by=published.visitor.who if published.visitor else "unknown client", why=published.reason,
+                **published.counters.as_dict(),
             )
-            for route in self._routes.values()
+            for published in self._channels.values()
         ]  # fmt: skip
 
     def close(self) -> None:
         """Stop the robot if a client drives it; close all channels, and open no new ones."""
         self._closed = True
-        for key in list(self._routes):
+        for key in list(self._channels):
             self._close(key)

@@ -76,7 +76,7 @@ class PatrolRoute:
         return self.places[self.at]
 
     @property
-    def wanted(self) -> str:
+    def next_unknown(self) -> str:
         """The next place whose pose is not known yet."""
         return self.places[(self.at + len(self.poses)) % len(self.places)]
 
@@ -124,9 +124,9 @@ class Patrol:
         self._goals: dict[str, ActionClient] = {}  # by the action's name
         self._route = PatrolRoute((), USUAL)
         self._step = 0  # increases with each step; callbacks of earlier steps are ignored
-        self._active = self._paused = self._seen = False
+        self._active = self._paused = self._goal_seen = False
         self._goal: SentGoal | None = None
-        self._newest = b""  # the id of the newest goal
+        self._newest_id = b""  # the id of the newest goal
         self._timer: Timer | None = None
         gateway.on_change(self._on_status)
 
@@ -176,7 +176,7 @@ class Patrol:
         if self._active:
             raise VerbError("a patrol is active; stop it first")
         self._route = PatrolRoute(places, wait)
-        self._active, self._paused, self._seen = True, False, False
+        self._active, self._paused, self._goal_seen = True, False, False
         self._host.log.info("patrolling %s", ", ".join(places))
         self._find()
 
@@ -199,7 +199,7 @@ class Patrol:
     def _find_next(self) -> None:
         step = self._next_step()
         self._locate = self._locate or self._host.node.client(_LOCATE, GET_LOCATION)
-        self._locate.call({"name": self._route.wanted}, partial(self._on_pose, step))
+        self._locate.call({"name": self._route.next_unknown}, partial(self._on_pose, step))
         self._after(ANSWER_SECONDS, lambda: self.end(f"{_LOCATE} has not answered in {ANSWER_SECONDS:g} s"))
 
     def _on_pose(self, step: int, reply: dict[str, Any] | CallError) -> None:
@@ -227,7 +227,7 @@ class Patrol:
             self._goals[action] = self._host.node.action_client(action, kind)
         self._route.last = self._route.at + count - 1
         self._goal = self._goals[action].send(goal, self._ended, partial(self._on_feedback, step))
-        self._newest = self._goal.id
+        self._newest_id = self._goal.id
         self._after(ANSWER_SECONDS, self._accepted)
 
     def _on_feedback(self, step: int, feedback: dict[str, Any]) -> None:
@@ -267,19 +267,19 @@ class Patrol:
         """Check the gateway's status, which shows a pause of the goal, a stop, or another client's goal."""
         if not self._active:
             return
-        state, of = self._gateway.state, self._gateway.goal_id
-        if self._goal is not None and of == self._goal.id:
-            self._seen = True
+        state, goal_id = self._gateway.state, self._gateway.goal_id
+        if self._goal is not None and goal_id == self._goal.id:
+            self._goal_seen = True
             paused = state == "paused"
             if paused != self._paused:
                 self._paused = paused
                 self._publish("held" if paused else "drives")
-        elif self._seen and state == "idle":
+        elif self._goal_seen and state == "idle":
             self.end(STOPPED)
-        elif self._seen and self._goal is None and any(of) and of != self._newest:
+        elif self._goal_seen and self._goal is None and any(goal_id) and goal_id != self._newest_id:
             self.end(ANOTHER)
 
     def _publish(self, state: str, why: str = "") -> None:
         route = self._route
-        now = {"state": state, "places": list(route.places), "at": route.at, "round": route.round}
-        self._publish_state({**now, "wait": route.wait, "why": why})
+        value = {"state": state, "places": list(route.places), "at": route.at, "round": route.round}
+        self._publish_state({**value, "wait": route.wait, "why": why})
