@@ -204,11 +204,9 @@ class CycloneNodes(Part):
     Attributes:
         nodes: the nodes on Cyclone DDS.
         both: the services and actions that have servers both on Cyclone DDS and on another DDS.
-        mixed: the services and actions with a client on Cyclone DDS and a server on another DDS, or vice versa; each
-            with its nodes.
+        mixed: the services and actions with a client on Cyclone DDS and a server elsewhere, or vice versa; with nodes.
         foreign: if the worker itself is on Cyclone DDS, the nodes on another DDS that have a service or action.
-        uncallable: the services and actions of the ``foreign`` nodes, which this worker cannot call; not those that
-            every node has.
+        uncallable: these nodes' services and actions, except those of every node; the worker cannot call them.
     """
 
     nodes: list[Text] = []

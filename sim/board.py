@@ -123,9 +123,7 @@ class WheelCommands:
         else:
             ramp = self.ramps[wheel]
             fastest = min(
-                self.speeds[wheel],
-                math.sqrt(2.0 * ramp * abs(distance)),
-                abs(self._output[wheel]) + ramp * seconds,
+                self.speeds[wheel], math.sqrt(2.0 * ramp * abs(distance)), abs(self._output[wheel]) + ramp * seconds
             )
         return math.copysign(min(fastest, self.greatest, abs(distance) / seconds), distance)
 

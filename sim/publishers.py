@@ -11,10 +11,7 @@ from sim.messages import TopicNames
 from sim.simulation import Simulation
 
 _PICTURE = Qos(depth=2)  # large messages, of which only the newest count
-# ticks between two messages, at 100 ticks per second
-_ODOMETRY = 2
-_BUMPER = 10
-_BATTERY = 100
+_ODOMETRY, _BUMPER, _BATTERY = 2, 10, 100  # ticks between two messages, at 100 ticks per second
 
 _PLACE, _STILL = BasePose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0)
 _MOTION = "header.stamp", "pose.pose", "twist.twist"
@@ -90,10 +87,8 @@ class SimPublishers:
             self._clock.publish({"clock": messages.stamp(time_ns)})
 
     def _publish_pose(self, time_ns: int) -> None:
-        base = self._simulation.base
-        self._truth.offer(
-            lambda: self._truth_template.fill(*messages.odometry_numbers(time_ns, base.pose(), base.twist()))
-        )
+        base, numbers = self._simulation.base, messages.odometry_numbers
+        self._truth.offer(lambda: self._truth_template.fill(*numbers(time_ns, base.pose(), base.twist())))
         if self._odometry is not None and "encoders_silent" not in self._simulation.faults:
             self._odometry.publish(time_ns)
 

@@ -1,8 +1,7 @@
 """Commands and calls from other machines that a router refuses (`hub.open.trusted`).
 
-zenoh drops them at the external listener without a report, so they are derived: the routers' status documents show
-which machines a router does not trust, and which sessions these have; the hub's graph shows what the sessions publish
-and call.
+zenoh drops them at the external listener without a report, so they are derived. The routers' status documents show
+the untrusted machines and their sessions; the hub's graph shows what these sessions publish and call.
 """
 
 from __future__ import annotations

@@ -151,8 +151,7 @@ class Front:
         section: the configuration.
         inner: address of the SDK's server.
         visitors: registry of the clients.
-        announces: whether a first message to the SDK identifies each client (`Visitors.expect`); the SDK accepts such
-            messages only if clients may publish.
+        announces: whether a first message identifies clients to the SDK, which accepts it only if clients may publish.
         tls: certificate and key; None without TLS.
 
     Attributes:

@@ -1,10 +1,9 @@
 """Parameters of the hub's ROS 2 nodes for the app, named ``/node.name``.
 
 Parameters are read only while clients request them. The SDK expects immediate answers, on the threads that send, so
-clients get the values that were read last; if those are older than `FRESH_SECONDS`, they are read again for the next
-request. Changes made by others are not published, because the process could deadlock: ``publish_parameter_values`` of
-the SDK 0.30 takes a lock while it holds Python's GIL, but a thread that holds this lock waits for the GIL if a client
-subscribes at that moment.
+clients get the values that were read last; if older than `FRESH_SECONDS`, they are read again for the next request.
+Changes made by others are not published, because the process could deadlock: ``publish_parameter_values`` of the SDK
+0.30 takes a lock while it holds the GIL, but a thread with this lock waits for the GIL if a client subscribes then.
 """
 
 from __future__ import annotations

@@ -68,9 +68,8 @@ class HostedPort:
             readers.setdefault(self._generation(output), set()).add(output)
         accepted = 0
         for generation, outputs in readers.items():
-            accepted += self.core.write(
-                payload_of(make(generation)), envelope, strict=False, chosen=outputs.__contains__
-            )
+            payload = payload_of(make(generation))
+            accepted += self.core.write(payload, envelope, strict=False, chosen=outputs.__contains__)
         if accepted:
             self.counters.crossed(0)
         return accepted

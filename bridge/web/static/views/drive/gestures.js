@@ -5,9 +5,8 @@ const LINE = 33; // px per line of a mouse wheel
 
 /**
  * Call `target`'s methods for gestures, in CSS pixels of the canvas: `pan(dx, dy)`, `zoom(factor, x, y)`, `tap(x, y)`.
- * If `aims()` returns true, a press sets a point, and a drag the heading there. The methods are then `press(x, y)`,
- * `aim(x, y)` during a drag, and `let(x, y, far)` on release (`far`: whether the pointer was dragged) or `forget()` if
- * the press is canceled.
+ * If `aims()` returns true, a press sets a point and a drag the heading: `press(x, y)`, `aim(x, y)` during a drag, then
+ * `let(x, y, far)` on release (`far`: whether the pointer was dragged), or `forget()` if the press is canceled.
  */
 export function gestures(canvas, target) {
   const down = new Map(); // pointer -> its last pixel
