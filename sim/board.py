@@ -88,12 +88,12 @@ class WheelCommands:
 
     def duties(self) -> Floats:
         """Return the commanded duty cycles in percent; 0 for expired commands and wheels in other modes."""
-        driven = [self.modes[w] == modes.VOCAB_CM_PWM and self._commanded(w) for w in range(len(self.names))]
+        driven = [self.modes[w] == modes.VOCAB_CM_PWM and self._has_command(w) for w in range(len(self.names))]
         return np.where(driven, 100.0 * self.velocities / self.greatest, 0.0)
 
     def next_velocities(self, seconds: float) -> Floats | None:
         """Return wheel velocities (radians per second) for the next ``seconds``; None if no command is active."""
-        if not any(self._commanded(wheel) for wheel in range(len(self.names))):
+        if not any(self._has_command(wheel) for wheel in range(len(self.names))):
             return None
         positions = self.positions()
         for wheel, target in enumerate(self.targets):
@@ -108,7 +108,7 @@ class WheelCommands:
         target = self.targets[wheel]
         return target is None or abs(target - self.positions()[wheel]) <= _THERE
 
-    def _commanded(self, wheel: int) -> bool:
+    def _has_command(self, wheel: int) -> bool:
         if self.modes[wheel] in _TO_POSITIONS:
             return self.targets[wheel] is not None
         return self.now_ns < self._until[wheel]

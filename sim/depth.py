@@ -36,7 +36,7 @@ class DepthCamera:
         fx, fy = (n / 2 / math.tan(math.radians(a) / 2) for n, a in zip(self.size, section.fov, strict=True))
         self.lens = fx, fy, (width - 1) / 2, (height - 1) / 2
         self._error = section.noise / (fx * section.baseline)
-        self._turned = _about_z(section.yaw) @ _about_y(section.pitch) @ _OPTICAL
+        self._rotation = _about_z(section.yaw) @ _about_y(section.pitch) @ _OPTICAL
         rows, columns = np.indices((height, width), np.float32)
         self._rays = np.stack(((columns - self.lens[2]) / fx, (rows - self.lens[3]) / fy), -1).astype(np.float32)
 
@@ -65,7 +65,7 @@ class DepthCamera:
         """Return the optical frame's rotation (3, 3) and position (3, meters; z from the floor) for a base pose."""
         around = _about_z(math.degrees(pose.yaw))
         x, y, z = self._section.at
-        return np.ascontiguousarray(around @ self._turned), around @ (x, y, 0.0) + (pose.x, pose.y, z)
+        return np.ascontiguousarray(around @ self._rotation), around @ (x, y, 0.0) + (pose.x, pose.y, z)
 
     def points(self, depths: Depths) -> Depths:
         """Return a picture's points in the optical frame, (height, width, 3) meters; not finite for missing depths."""

@@ -45,7 +45,7 @@ def grid(plan: Plan, floor: str, resolution: float = 0.05) -> MapGrid2D:
         if piece.above <= SEEN < piece.top:
             _mark(wall, piece, left, bottom, resolution)
     inside = (plan_floor.start, *plan_floor.places.values())
-    free = _reached(wall, [((x - left) / resolution, (y - bottom) / resolution) for x, y, _ in inside])
+    free = _reachable(wall, [((x - left) / resolution, (y - bottom) / resolution) for x, y, _ in inside])
     flags = np.where(wall, MapFlag.WALL, np.where(free, MapFlag.FREE, MapFlag.UNKNOWN)).astype(np.uint8)
     return MapGrid2D.of(flags[::-1].copy(), name=floor, resolution=resolution, origin=(left, bottom, 0.0))
 
@@ -55,10 +55,10 @@ def places(plan: Plan) -> Places:
     result = Places()
     for floor, plan_floor in plan.floors.items():
         for name, (x, y, degrees) in plan_floor.places.items():
-            result.locations[_named(plan, floor, name)] = Map2DLocation(floor, x, y, degrees, "")
+            result.locations[_full_name(plan, floor, name)] = Map2DLocation(floor, x, y, degrees, "")
         for name, room in plan_floor.rooms.items():
             corners = [Vec2D(float(x), float(y)) for x, y in room.area]
-            result.areas[f"{_named(plan, floor, name)}_area"] = Map2DArea(floor, corners, name)
+            result.areas[f"{_full_name(plan, floor, name)}_area"] = Map2DArea(floor, corners, name)
     return result
 
 
@@ -66,7 +66,7 @@ def links(plan: Plan) -> dict[str, MapLink]:
     """Return the links between floors, by name."""
     result = {}
     for link in plan.links:
-        first, second = (_named(plan, floor, place) for floor, place in link.split)
+        first, second = (_full_name(plan, floor, place) for floor, place in link.split)
         result[link.name] = MapLink(first, second, link.cost)
     return result
 
@@ -92,7 +92,7 @@ def save(plan: Plan, folder: Path, resolution: float = 0.05) -> list[Path]:
     return sorted(folder.iterdir())
 
 
-def _named(plan: Plan, floor: str, name: str) -> str:
+def _full_name(plan: Plan, floor: str, name: str) -> str:
     return name if len(plan.floors) == 1 else f"{floor}_{name}"
 
 
@@ -118,7 +118,7 @@ def _range(middle: float, reach: float, origin: float, resolution: float, count:
     return np.arange(first, max(first, last))
 
 
-def _reached(wall: NDArray[np.bool_], starts: list[tuple[float, float]]) -> NDArray[np.bool_]:
+def _reachable(wall: NDArray[np.bool_], starts: list[tuple[float, float]]) -> NDArray[np.bool_]:
     """Return the free cells that are 4-connected to the start cells."""
     height, width = wall.shape
     free = np.zeros(wall.shape, np.bool_)

@@ -187,15 +187,15 @@ class Stepping:
             self._finish()
         return self._left > 0
 
-    def _waiting(self) -> set[str]:
+    def _unacknowledged(self) -> set[str]:
         return {name for name in self._wait_for if self._acknowledged.get(name, -1) < self._now}
 
     def _finish(self) -> None:
-        if self._answer is not None and not self._left and not self._waiting():
+        if self._answer is not None and not self._left and not self._unacknowledged():
             self.give_up("")
 
     def _on_timeout(self) -> None:
-        if self._answer is not None and not self._left and (missing := self._waiting()):
+        if self._answer is not None and not self._left and (missing := self._unacknowledged()):
             self.give_up(f"not acknowledged by {', '.join(sorted(missing))} within {self._patience:g} s")
 
 

@@ -173,7 +173,7 @@ class LatestMessage:
         data = sample.data()
         if self._on_message is not None:
             try:
-                message = self._decoded(data)
+                message = self._decode(data)
             except (ClientError, ConversionError):
                 return
             self._on_message(message)
@@ -181,7 +181,7 @@ class LatestMessage:
             self._data, self.count = data, self.count + 1
             self._arrived.notify_all()
 
-    def _decoded(self, data: bytes) -> dict[str, Any]:
+    def _decode(self, data: bytes) -> dict[str, Any]:
         return self._types.decode(self._type, self._hash, data)
 
     def newer(self, count: int, seconds: float) -> bool:
@@ -191,7 +191,7 @@ class LatestMessage:
 
     def read(self) -> dict[str, Any] | None:
         """Return the newest message, None before the first; raises `ClientError` or `ConversionError` if invalid."""
-        return self._decoded(self._data) if self._data else None
+        return self._decode(self._data) if self._data else None
 
     def wait(self, seconds: float) -> dict[str, Any] | None:
         """Return the newest message; None if no message arrives in time, or the newest one is invalid."""

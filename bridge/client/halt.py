@@ -152,28 +152,28 @@ class ZeroVelocities:
 
     def put(self) -> None:
         """Publish zero once on each topic, including new topics."""
-        for kind in self._wanted() - self._publishers.keys() - self._failed.keys():
-            with self._reported(kind):
+        for kind in self._find_topics() - self._publishers.keys() - self._failed.keys():
+            with self._record_failure(kind):
                 self._publishers[kind] = self._hub.publisher(*kind, Qos(depth=1), priority="command")
         for kind, publisher in self._publishers.items():
-            with self._reported(kind):
+            with self._record_failure(kind):
                 message = velocity_message(kind[1], self._clock, self._frame)
                 publisher.put(encode(self._types, kind[1], message))
 
-    def _wanted(self) -> set[_Kind]:
+    def _find_topics(self) -> set[_Kind]:
         graph = self._hub.graph
         ends = [*graph.publishers(), *graph.subscriptions()]
         known = {(e.topic, e.type_name, e.type_hash) for e in ends if e.type_name in VELOCITIES}
         for _, topic, name in graph.velocities():
             if name in VELOCITIES:
-                with self._reported((topic, name, NO_HASH)):
+                with self._record_failure((topic, name, NO_HASH)):
                     known.add((topic, name, self._types.hash_of(name)))
         topics = {topic for topic, _, _ in known}
         forms = {topic: driven_forms(graph, topic) if subscribers(graph, topic) else VELOCITIES for topic in topics}
         return {kind for kind in known if kind[1] in forms[kind[0]]}
 
     @contextmanager
-    def _reported(self, kind: _Kind) -> Iterator[None]:
+    def _record_failure(self, kind: _Kind) -> Iterator[None]:
         try:
             yield
         except Exception as err:  # of any kind; the other topics must get zero nevertheless
@@ -231,7 +231,7 @@ class GoalCancellation:
             return
         self.waits, self.error = False, "it has not answered"
         try:
-            self._end.call(_ALL, self._answered)
+            self._end.call(_ALL, self._on_reply)
         except Exception as err:  # of any kind; the rest must stop nevertheless
             self.error = _reason(err)
 
@@ -241,7 +241,7 @@ class GoalCancellation:
         if end is not None:
             end.close()
 
-    def _answered(self, reply: dict[str, Any] | CallError) -> None:
+    def _on_reply(self, reply: dict[str, Any] | CallError) -> None:
         if self._end is None:
             return
         if isinstance(reply, CallError):

@@ -79,7 +79,7 @@ class ServiceClient:
         """
         payload = self._codec.request(request)
         self.counters.crossed(len(payload))
-        return self._end.call(payload, lambda result: self._post(lambda: replied(self._decoded(result))))
+        return self._end.call(payload, lambda result: self._post(lambda: replied(self._decode(result))))
 
     def ask(self, request: Any, seconds: float | None = None, check: Callable[[], None] = lambda: None) -> Any:
         """Call and wait for the reply; raises `ClientError`. ``check`` is called regularly; its error ends the call."""
@@ -101,7 +101,7 @@ class ServiceClient:
         """Close the client; pending calls end with an error."""
         self._end.close()
 
-    def _decoded(self, result: bytes | CallError) -> Any:
+    def _decode(self, result: bytes | CallError) -> Any:
         if isinstance(result, CallError):
             self.counters.failed(str(result))
             return result

@@ -115,7 +115,7 @@ class VelocityPublisher:
 
     def follow(self) -> None:
         """Change to the base's message type if it has changed."""
-        wanted = self._wanted()
+        wanted = self._choose_type()
         if wanted == self.type_name:
             return
         if self._used:
@@ -134,13 +134,13 @@ class VelocityPublisher:
         self._used = True
         self._out.publish(velocity_message(self.type_name, self._clock, self._form.frame, (x, y, turn)))
 
-    def _wanted(self) -> str:
+    def _choose_type(self) -> str:
         if self._form.stamped != "auto":
             return TWIST_STAMPED if self._form.stamped else TWIST
         names = subscribers(self._graph, self._form.topic)
         (wanted,) = names if len(names) == 1 else [self.type_name or TWIST]
         doubt = "" if len(names) < 2 else (
-            f"{self._form.topic} has subscribers to both forms, {_listed(names)}: only {wanted} is published;"
+            f"{self._form.topic} has subscribers to both forms, {_list_names(names)}: only {wanted} is published;"
             " navigation.stamped chooses the form"
         )  # fmt: skip
         if doubt != self._reported:
@@ -170,5 +170,5 @@ def open_velocity(
     return VelocityPublisher(client.hub.graph, form, clock, open_as, report)
 
 
-def _listed(names: Mapping[str, list[str]]) -> str:
+def _list_names(names: Mapping[str, list[str]]) -> str:
     return " and ".join(f"{type_name} ({', '.join(names[type_name])})" for type_name in sorted(names))

@@ -263,7 +263,7 @@ class Front:
                 await writer.drain()
                 return
             if self._announces:
-                inner.write(_masked(first))
+                inner.write(_client_frame(first))
             _log.info("%s connected, role %s", visitor.who, visitor.grant.role)
             writer.transport.set_write_buffer_limits(high=MOST_UNREAD, low=MOST_UNREAD - _STEP)
             await _either(_forward(reader, inner, None), _forward(answers, writer, visitor))
@@ -305,6 +305,6 @@ async def _refuse(writer: asyncio.StreamWriter, err: TurnedAwayError) -> None:
             await writer.wait_closed()
 
 
-def _masked(text: bytes) -> bytes:
+def _client_frame(text: bytes) -> bytes:
     """Return the text frame of a WebSocket client (RFC 6455, 5.2), with a mask of zeros."""
     return bytes((0x81, 0x80 | 126)) + len(text).to_bytes(2, "big") + bytes(4) + text

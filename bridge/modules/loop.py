@@ -116,7 +116,7 @@ class EventLoop:
         call = _Call(action)
         with self._condition:
             if self._closed:
-                raise self._ended()
+                raise self._end_error()
             self._calls.add(call)
             self._ready.append(lambda: self._answer(call))
             self._condition.notify()
@@ -146,11 +146,11 @@ class EventLoop:
             waiting, self._calls = self._calls, set()
             self._condition.notify()
         for call in waiting:
-            call.fail(self._ended())
+            call.fail(self._end_error())
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(seconds)
 
-    def _ended(self) -> TimeoutError:
+    def _end_error(self) -> TimeoutError:
         """Return the error for callers of a loop that has ended."""
         return TimeoutError(f"{self._name} has ended")
 

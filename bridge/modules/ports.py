@@ -239,9 +239,9 @@ class Ports:
     def trouble(self) -> str:
         """Return why a port is not open; "" if all are open, or if YARP is not used here."""
         trouble = next((f"{port.name}: {port.trouble}" for port in self._ports if port.trouble), "")
-        return "" if trouble and self._unused() else trouble
+        return "" if trouble and self._is_unused() else trouble
 
-    def _unused(self) -> bool:
+    def _is_unused(self) -> bool:
         """Return whether YARP is switched off, or neither the configuration nor a yarp.conf names a name server."""
         section = self._config.yarp
         if self._off or section.enabled is True or section.configured:

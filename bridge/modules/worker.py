@@ -93,10 +93,10 @@ class Running:
             host.answer("status", self._status)
             host.loop.every(1.0, host.tick)
         except (RuntimeError, HubError, MessageError, OSError, TimeoutError) as err:
-            self._failed(str(err) or type(err).__name__)
+            self._on_failure(str(err) or type(err).__name__)
         except Exception as err:
             _log.exception("%s", self.name)
-            self._failed(f"{type(err).__name__}: {err}")
+            self._on_failure(f"{type(err).__name__}: {err}")
         else:
             self._trouble = ""
 
@@ -159,7 +159,7 @@ class Running:
                 _log.exception("%s: health check failed", self.name)
             return Health("waiting", f"health check failed: {type(err).__name__}: {err}")
 
-    def _failed(self, why: str) -> None:
+    def _on_failure(self, why: str) -> None:
         self.stop()
         pause = self._backoff.pause(time.monotonic() - self._started)
         self._trouble, self._again = why, time.monotonic() + pause

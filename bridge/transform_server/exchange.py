@@ -114,7 +114,7 @@ class Exchange:
     def _set(self, transforms: list[FrameTransform], *, static: bool) -> FrameRefusal | None:
         if not transforms:
             return None
-        stamped = [self._stamped(transform) for transform in transforms]
+        stamped = [self._to_stamped(transform) for transform in transforms]
         if static:
             self._reset_frames(stamped)
         refusals = self.buffer.set_transforms(stamped, YARP, static=static)
@@ -138,7 +138,7 @@ class Exchange:
             if not self.view.is_static(transform.child_frame_id):
                 self.buffer.remove(transform.child_frame_id)
 
-    def _stamped(self, transform: FrameTransform) -> Stamped:
+    def _to_stamped(self, transform: FrameTransform) -> Stamped:
         moved, turned = (
             (transform.tX, transform.tY, transform.tZ),
             (transform.qX, transform.qY, transform.qZ, transform.qW),
@@ -147,7 +147,7 @@ class Exchange:
         return Stamped(parent, child, self._clock.to_run_ns(transform.timestamp), moved, turned)
 
     def _publish_static_frames(self) -> None:
-        self._publish_static(write(self._stamped(transform) for transform in self.view.own_static()))
+        self._publish_static(write(self._to_stamped(transform) for transform in self.view.own_static()))
 
 
 def _plain(name: str) -> str:

@@ -121,7 +121,7 @@ class Page:
             if message["type"] == "websocket.disconnect":
                 return
             try:
-                self._handle(_parsed(message))
+                self._handle(_parse(message))
             except BadMessageError as err:
                 self._errors += 1
                 self._outbox.queue({"op": "error", "error": str(err)})
@@ -162,11 +162,11 @@ class Page:
                 feed.watch(self._outbox)
             except LookupError as err:
                 reason = str(err)
-                self._outbox.call_soon(lambda: self._not_watched(name, reason))
+                self._outbox.call_soon(lambda: self._refuse_feed(name, reason))
 
         self._run_posted(watch)
 
-    def _not_watched(self, name: str, why: str) -> None:
+    def _refuse_feed(self, name: str, why: str) -> None:
         """Report to the page that a feed cannot be watched; the page may then try again."""
         self._watched.discard(name)
         self._outbox.queue({"op": "error", "error": why})
@@ -204,7 +204,7 @@ class Page:
             self._calls.begin(number, verb, args, self._outbox)
 
 
-def _parsed(message: Any) -> dict[str, Any]:
+def _parse(message: Any) -> dict[str, Any]:
     """Return the JSON object of a frame; raises `BadMessageError`."""
     text = message.get("text")
     if not isinstance(text, str):

@@ -103,9 +103,9 @@ def evaluate(reports: Mapping[str, Mapping[str, Any]], drives: Sequence[Drive]) 
             _check_received(Expectation("greeting", topic, 3, f"from {source}"), source, target, reports[target])
         )
     for source, topic in zip((ROS1, ROS2, ZENOH, YARP), messages.HELLOS, strict=True):
-        checks.append(_not_echoed(source, topic, reports[source]))
+        checks.append(_check_no_echo(source, topic, reports[source]))
     for source in (ROS2, ZENOH, YARP, YARP_TEXT):
-        checks += _driven(source, next((d for d in drives if d.source == source), None))
+        checks += _check_drive(source, next((d for d in drives if d.source == source), None))
     return checks
 
 
@@ -126,13 +126,13 @@ def _check_received(expectation: Expectation, source: str, target: str, report: 
     return CrossingCheck(expectation.name, source, target, expectation.topic, expected.rstrip(": "), seen, ok)
 
 
-def _not_echoed(source: str, topic: str, report: Mapping[str, Any]) -> CrossingCheck:
+def _check_no_echo(source: str, topic: str, report: Mapping[str, Any]) -> CrossingCheck:
     count, repeated, _ = _received(report, topic)
     seen = f"{repeated} of {count} came back"
     return CrossingCheck("no echo", source, source, topic, "its own messages once", seen, count > 0 and repeated == 0)
 
 
-def _driven(source: str, drive: Drive | None) -> list[CrossingCheck]:
+def _check_drive(source: str, drive: Drive | None) -> list[CrossingCheck]:
     if drive is None:
         return [
             CrossingCheck("drive", source, ROS1, messages.CMD_VEL, "the robot moves", "there was no drive", ok=False)

@@ -113,8 +113,8 @@ class FramePoseFeed(FrameFeed):
 
     def __init__(self, host: Host, follower: FrameFollower, name: str) -> None:
         super().__init__(host, follower, name, POSE_SECONDS)
-        self._reference, parted, self._frame = name.removeprefix(PREFIX).partition(">")
-        if not parted or not all(0 < len(frame) <= _MOST_NAME for frame in (self._reference, self._frame)):
+        self._reference, separator, self._frame = name.removeprefix(PREFIX).partition(">")
+        if not separator or not all(0 < len(frame) <= _MOST_NAME for frame in (self._reference, self._frame)):
             raise LookupError(f"{name[:80]!r} is not a pose feed: use pose:REFERENCE>FRAME")
 
     @override

@@ -100,8 +100,8 @@ def tint(grid: dict[str, Any], heights: dict[str, Any] | None, frame: Pose) -> d
     origin = Pose(float(position["x"]), float(position["y"]), yaw_of(orientation))
     cell_heights = _heights_of(blocked, heights, grid, origin)
     while np.count_nonzero(blocked) > MOST_TINTED:
-        blocked = np.asarray(_halved(blocked, False).any((1, 3)))
-        cell_heights, size = _halved(cell_heights, np.inf).min((1, 3)), 2.0 * size
+        blocked = np.asarray(_group_cells(blocked, False).any((1, 3)))
+        cell_heights, size = _group_cells(cell_heights, np.inf).min((1, 3)), 2.0 * size
     return {"origin": place(frame @ origin), "size": round(size, 4), "runs": runs_of(blocked, cell_heights)}
 
 
@@ -124,7 +124,7 @@ def _heights_of(
     return known
 
 
-def _halved(cells: NDArray[Any], fill: float) -> NDArray[Any]:
+def _group_cells(cells: NDArray[Any], fill: float) -> NDArray[Any]:
     """Group the cells in squares of four: (rows, 2, columns, 2)."""
     rows, columns = cells.shape
     full = np.pad(cells, ((0, rows % 2), (0, columns % 2)), constant_values=fill)

@@ -112,7 +112,7 @@ class Pictures:
         """Return the PNG at an address, in the colors for dark or light pages; None if it has expired."""
         with self._lock:
             png = next((picture[version] for picture in self._cached.get(name, ()) if version in picture), None)
-        return _recolored(png, PALETTES[name].dark) if png is not None and dark else png
+        return _recolor(png, PALETTES[name].dark) if png is not None and dark else png
 
 
 def _png(cells: Cells, palette: Palette) -> bytes:
@@ -123,7 +123,7 @@ def _png(cells: Cells, palette: Palette) -> bytes:
     return out.getvalue()
 
 
-def _recolored(png: bytes, colors: bytes) -> bytes:
+def _recolor(png: bytes, colors: bytes) -> bytes:
     """Replace the palette of a PNG (ISO/IEC 15948: chunk PLTE), so that nothing is compressed again."""
     at = png.index(b"PLTE")
     (length,) = struct.unpack(">I", png[at - 4 : at])

@@ -43,7 +43,7 @@ def decode(message: Mapping[str, Any], most: int) -> Picture:
 
     Raises `ConversionError` with the reason if it cannot be shown.
     """
-    return _compressed(message, most) if "format" in message else _raw(message, most)
+    return _decode_compressed(message, most) if "format" in message else _decode_raw(message, most)
 
 
 def _colors(order: tuple[int, ...]) -> Callable[[Cells], Image.Image]:
@@ -81,7 +81,7 @@ _YUV = {
 KNOWN = (*_OCTETS, *_MEASURES, *_BAYER, *_YUV)
 
 
-def _raw(message: Mapping[str, Any], most: int) -> Picture:
+def _decode_raw(message: Mapping[str, Any], most: int) -> Picture:
     encoding, width, height = message["encoding"], int(message["width"]), int(message["height"])
     if encoding not in KNOWN:
         raise ConversionError(f"images encoded as {encoding[:40]!r} are not supported; supported: {', '.join(KNOWN)}")
@@ -93,7 +93,7 @@ def _raw(message: Mapping[str, Any], most: int) -> Picture:
     rows = _rows(message, height, values * kind.itemsize).view(kind).reshape(height, values)
     about = (width, height, encoding)
     if encoding in _MEASURES:
-        return _of_measures(rows[:: _step(height, most), :: _step(width, most)], most, *about)
+        return _draw_measures(rows[:: _step(height, most), :: _step(width, most)], most, *about)
     if encoding in _OCTETS:
         channels, make = _OCTETS[encoding]
         cells = rows.reshape(height, width, channels)
@@ -102,7 +102,7 @@ def _raw(message: Mapping[str, Any], most: int) -> Picture:
         image = _bayer(rows, *_BAYER[encoding])
     else:
         image = _yuv(rows, _YUV[encoding])
-    return Picture(_fitted(image, width, height, most), *about)
+    return Picture(_fit(image, width, height, most), *about)
 
 
 def _rows(message: Mapping[str, Any], height: int, octets: int) -> Cells:
@@ -122,20 +122,20 @@ def _step(size: int, most: int) -> int:
     return max(1, size // (2 * most))
 
 
-def _fitted(image: Image.Image, width: int, height: int, most: int) -> Image.Image:
+def _fit(image: Image.Image, width: int, height: int, most: int) -> Image.Image:
     """Scale the image to the proportions of its message, within ``most``."""
     scale = min(1.0, most / max(width, height))
     size = max(1, round(width * scale)), max(1, round(height * scale))
     return image if image.size == size else image.resize(size, Image.Resampling.BILINEAR)
 
 
-def _of_measures(values: Cells, most: int, width: int, height: int, encoding: str) -> Picture:
+def _draw_measures(values: Cells, most: int, width: int, height: int, encoding: str) -> Picture:
     numbers = values.astype(np.float64)
     known = np.isfinite(numbers) & (numbers != 0)  # a depth of 0 is unknown
     low, high = (float(numbers[known].min()), float(numbers[known].max())) if known.any() else (0.0, 0.0)
     shade = (np.where(known, numbers, low) - low) * (255.0 / (high - low) if high > low else 0.0)
     image = Image.fromarray(np.rint(np.where(known, shade, 0.0)).astype(np.uint8), "L")
-    return Picture(_fitted(image, width, height, most), width, height, encoding, (low, high))
+    return Picture(_fit(image, width, height, most), width, height, encoding, (low, high))
 
 
 def _bayer(rows: Cells, red: tuple[int, int], blue: tuple[int, int]) -> Image.Image:
@@ -164,7 +164,7 @@ def _yuv(rows: Cells, places: tuple[int, int, int, int]) -> Image.Image:
     ).convert("RGB")  # fmt: skip
 
 
-def _compressed(message: Mapping[str, Any], most: int) -> Picture:
+def _decode_compressed(message: Mapping[str, Any], most: int) -> Picture:
     format_ = str(message["format"])
     data = bytes(message["data"])
     if "compressedDepth" in format_:
@@ -178,8 +178,8 @@ def _compressed(message: Mapping[str, Any], most: int) -> Picture:
             image.load()
             about = (width, height, format_ or str(image.format).lower())
             if image.mode.startswith("I"):
-                return _of_measures(np.asarray(image), most, *about)
-            return Picture(_fitted(image.convert("L" if image.mode == "L" else "RGB"), width, height, most), *about)
+                return _draw_measures(np.asarray(image), most, *about)
+            return Picture(_fit(image.convert("L" if image.mode == "L" else "RGB"), width, height, most), *about)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as err:
         shown_format = format_[:40] or "no format"
         raise ConversionError(f"cannot read the compressed image ({shown_format}): {err}") from None

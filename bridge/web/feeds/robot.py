@@ -112,7 +112,7 @@ class LaserFeed(TopicsFeed):
         frames, header = self._follower.frames, scan["header"]
         try:
             laser = laser_pose(frames, header["frame_id"])
-            at = _moved(frames, stamp_ns(header))
+            at = _robot_pose(frames, stamp_ns(header))
         except FramesError as err:
             self.put(None, str(err))
             return
@@ -285,7 +285,7 @@ class DrivingFeed(TopicsFeed):
             )
 
 
-def _moved(frames: RobotFrames, stamp: int) -> Pose:
+def _robot_pose(frames: RobotFrames, stamp: int) -> Pose:
     """Return the robot's pose on the map at a time, by odometry if possible, because a localizer may publish rarely."""
     try:
         return frames.correction() @ frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=LATE)

@@ -114,9 +114,9 @@ class NewestFeed(Feed):
                 reason = str(err)
             except Exception as err:  # whatever a message contains, the feeds must continue
                 reason = f"the message cannot be shown: {type(err).__name__}: {err}"
-        self._host.loop.post(partial(self._decoded, type_name, value, reason))
+        self._host.loop.post(partial(self._on_decoded, type_name, value, reason))
 
-    def _decoded(self, type_name: str, value: dict[str, Any] | None, reason: str) -> None:
+    def _on_decoded(self, type_name: str, value: dict[str, Any] | None, reason: str) -> None:
         self._busy = False
         if self.watched and self._follower:
             self._show(None if value is None else {"type": type_name, **value, "rate": self._rate}, reason)

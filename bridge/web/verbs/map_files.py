@@ -196,13 +196,13 @@ class MapFileVerbs:
         store, taken = self._store(), set[tuple[str, str]]()
         keys = {(write.kind.name, write.name) for write in writes}
 
-        def wanted() -> list[Write[Any]]:
+        def make_writes() -> list[Write[Any]]:
             nonlocal taken
             taken = set() if replace else keys & store.keys()
             chosen = [Write(CURRENT, THE_MAP, maps[0].name)] if use and maps else []
             return [] if taken else [*writes, *chosen]
 
-        store.change(wanted)
+        store.change(make_writes)
         if not taken:
             self._up.remove(key)
             self._changed()

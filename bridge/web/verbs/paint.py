@@ -3,7 +3,7 @@
 A run is ``[row, column, length, flag]`` or ``[row, column, length, flag, was]``: cells of one row of the map's image,
 with the first row at the top; flags have YARP's numbers. Without a flag (null), cells get their flags from the
 occupancy. With ``was``, only cells that have this flag now are changed, so that an undo preserves what others have
-painted since.
+make_writes since.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Run(NamedTuple):
     was: int | None  #: the flag that the cells must have now; None: any
 
 
-def _whole(value: Any, most: int) -> int:
+def _integer(value: Any, most: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
         raise ValueError(f"{value!r:.40} is not an integer up to {most}")
     return value
@@ -45,8 +45,8 @@ def _whole(value: Any, most: int) -> int:
 def _run(value: Any) -> Run:
     if not isinstance(value, list) or len(value) not in (4, 5):
         raise ValueError(f"{value!r:.40} is not a run")
-    row, column, length = (_whole(part, MAX_CELLS) for part in value[:3])
-    flag, was = (None if part is None else _whole(part, max(MapFlag)) for part in (*value[3:], None)[:2])
+    row, column, length = (_integer(part, MAX_CELLS) for part in value[:3])
+    flag, was = (None if part is None else _integer(part, max(MapFlag)) for part in (*value[3:], None)[:2])
     return Run(row, column, length, flag, was)
 
 
@@ -67,7 +67,7 @@ def size_of(value: Any) -> tuple[int, int]:
     """Check the size of a map."""
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError("must be [width, height] of the map")
-    return _whole(value[0], MAX_CELLS), _whole(value[1], MAX_CELLS)
+    return _integer(value[0], MAX_CELLS), _integer(value[1], MAX_CELLS)
 
 
 def paint(grid: MapGrid2D, runs: Iterable[Run]) -> list[Run]:
@@ -123,7 +123,7 @@ class Painter:
         store = self._store()
         undo: list[Run] = []
 
-        def painted() -> list[Write[Any]]:
+        def make_writes() -> list[Write[Any]]:
             grid = store.get(MAP, map)
             if grid is None:
                 raise VerbError(f"no map {map!r} in the store; existing maps: {', '.join(store.names(MAP)) or 'none'}")
@@ -133,7 +133,7 @@ class Painter:
             return [Write(MAP, map, grid)] if undo else []
 
         with self._painting:
-            store.change(painted)
+            store.change(make_writes)
         if undo:
             self._changed()
         return {"changed": sum(run.length for run in undo), "undo": [list(run) for run in undo]}

@@ -66,7 +66,7 @@ class RobotVerbs:
         named = {"name": name_of}
         return {
             "goto": PageVerb(self._goto, xy, {"theta": number_of}),
-            "goto_place": PageVerb(partial(self._named, "go_to"), named, {}),
+            "goto_place": PageVerb(partial(self._call_with_name, "go_to"), named, {}),
             "stop": PageVerb(self._stop, {}, {}, stops=True),
             "pause": PageVerb(partial(self._pause, "pause"), {}, {}, stops=True),
             "resume": PageVerb(partial(self._pause, "resume"), {}, {}),
@@ -123,11 +123,11 @@ class RobotVerbs:
     def _stop(self) -> str:
         return self._trigger("stop", STOP_SECONDS)
 
-    def _named(self, service: str, name: str) -> str:
+    def _call_with_name(self, service: str, name: str) -> str:
         return self._ask(f"/navigation/{service}", NAMED, {"name": name}, ANSWER_SECONDS)
 
     def _choose(self, name: str) -> str:
-        reply = self._named("choose_planner", name)
+        reply = self._call_with_name("choose_planner", name)
         self._host.loop.post(lambda: self._on_planner(name))
         return reply
 

@@ -118,7 +118,7 @@ class Verbs:
         page_verb = self.known.get(verb)
         if page_verb is None:
             raise VerbError(f"unknown verb {verb[:80]!r}; known: {', '.join(self.known)}")
-        checked = _checked(verb, page_verb, args)
+        checked = _check_arguments(verb, page_verb, args)
         if page_verb.commands and page_verb.logged:
             arguments = " ".join(f"{key}={value!r}"[:100] for key, value in args.items())
             _log.info("%s: %s %s", who, verb, arguments)
@@ -153,7 +153,7 @@ def _run(action: Callable[..., Any], args: dict[str, Any], latest: float) -> Any
         raise VerbError(str(err)) from None
 
 
-def _checked(verb: str, page_verb: PageVerb, args: Mapping[str, Any]) -> dict[str, Any]:
+def _check_arguments(verb: str, page_verb: PageVerb, args: Mapping[str, Any]) -> dict[str, Any]:
     known = {**page_verb.needs, **page_verb.may}
     for key in args:
         if key not in known:
