@@ -46,10 +46,12 @@ class Refusal:
     @property
     def text(self) -> str:
         """Return the refusal as a sentence."""
-        who = self.machine or "a machine without a certificate"
-        one, what = ("call", "calls of {} to") if self.is_service else ("message", "commands of {} on")
-        count = "" if self.messages is None else f"; {plural(self.messages, one)} so far"
-        return f"{self.daemon} refuses the {what.format(who)} {self.topic} ({self.nodes}){count}"
+        machine = self.machine or "a machine without a certificate"
+        unit, phrase = (
+            ("call", f"calls of {machine} to") if self.is_service else ("message", f"commands of {machine} on")
+        )
+        count = "" if self.messages is None else f"; {plural(self.messages, unit)} so far"
+        return f"{self.daemon} refuses the {phrase} {self.topic} ({self.nodes}){count}"
 
     @property
     def cure(self) -> str:
@@ -69,12 +71,12 @@ def refusals(client: Client, documents: Sequence[StatusDocument]) -> list[Refusa
         harmless = _harmless(router.commands)
         zids = {endpoint.zid for endpoint in graph.endpoints()}
         for machine in distrusted:
-            theirs = _sessions(router, machine, documents, zids)
-            served = {server.topic for server in graph.servers() if server.zid not in theirs}
+            sessions = _sessions(router, machine, documents, zids)
+            served = {server.topic for server in graph.servers() if server.zid not in sessions}
             for endpoints, allowed in ((graph.publishers(), harmless), (graph.clients(), _QUESTIONS)):
-                groups = _by_topic(e for e in endpoints if e.zid in theirs)
-                barred = [group for group in groups if not _is_among(allowed, _key(group[0], client.hub.domain))]
-                reports = (_refusal(router, machine, group, documents) for group in barred)
+                groups = _by_topic(e for e in endpoints if e.zid in sessions)
+                refused_groups = [g for g in groups if not _is_among(allowed, _key(g[0], client.hub.domain))]
+                reports = (_refusal(router, machine, group, documents) for group in refused_groups)
                 refused += [r for r in reports if not r.is_service or (r.topic in served and r.messages != 0)]
     return refused
 
@@ -129,9 +131,8 @@ def _sessions(
 ) -> set[str]:
     """Return the sessions that reach a router through its link with a machine, from ``known`` and from the documents.
 
-    These are the machine's own sessions and those of the routers connected to the machine, even if the machine is a
-    router without a status document, such as zenohd. If the router has no other machine, these are all sessions except
-    the router's own.
+    These are the sessions of the machine and of the routers connected to it, even if the machine is a router without a
+    status document, such as zenohd. If the router has no other machine, these are all sessions except the router's own.
     """
     links: dict[str, set[str]] = defaultdict(set)
     members: dict[str, set[str]] = {}
@@ -141,16 +142,16 @@ def _sessions(
             for other in other_router.machines:
                 links[external].add(other.zid)
                 links[other.zid].add(external)
-    start, here = machine.zid, router.door
-    reached, waiting = links[here] | {here}, [start]  # another machine of the router has its own link
-    sessions = {start}
-    while waiting:
-        place = waiting.pop()
-        sessions |= {place} | members.get(place, set())
-        waiting += links[place] - reached
-        reached |= links[place]
-    own = members.get(here, set())
-    if len(links[here]) == 1 and len(own) >= (router.sessions or 1):  # the list is complete
+    door = router.door
+    visited, unvisited = links[door] | {door}, [machine.zid]  # another machine of the router has its own link
+    sessions = {machine.zid}
+    while unvisited:
+        zid = unvisited.pop()
+        sessions |= {zid} | members.get(zid, set())
+        unvisited += links[zid] - visited
+        visited |= links[zid]
+    own = members.get(door, set())
+    if len(links[door]) == 1 and len(own) >= (router.sessions or 1):  # the list of the router's sessions is complete
         own |= {document.zid for document in documents if document.daemon == router.daemon}
         sessions |= set(known) - own
     return sessions
