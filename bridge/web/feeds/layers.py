@@ -13,7 +13,7 @@ from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.web.feeds.frames import FrameFollower
-from bridge.web.feeds.robot import TopicsFeed, place
+from bridge.web.feeds.robot import TopicsFeed, pose_json
 from navigation.frames import FramesError
 from navigation.maps.grid import yaw_of
 from navigation.maps.grid_map import GRID_MAP, HEIGHTS, LOWEST, values_at
@@ -40,7 +40,7 @@ class LayerFeed(TopicsFeed):
         self._grid: dict[str, Any] | None = None
         self._heights: dict[str, Any] | None = None
         self._fresh = False
-        self._at: dict[str, float] | None = None
+        self._drawn_pose: dict[str, float] | None = None
         self._timer: Timer | None = None
 
     @override
@@ -56,7 +56,7 @@ class LayerFeed(TopicsFeed):
     @override
     def close(self) -> None:
         super().close()
-        self._grid = self._heights = self._at = None
+        self._grid = self._heights = self._drawn_pose = None
         if self._timer is not None:
             self._timer.close()
             self._timer = None
@@ -77,9 +77,9 @@ class LayerFeed(TopicsFeed):
         except FramesError as err:
             self.put(None, str(err))
             return
-        if not self._fresh and place(frame) == self._at:
+        if not self._fresh and pose_json(frame) == self._drawn_pose:
             return
-        self._fresh, self._at = False, place(frame)
+        self._fresh, self._drawn_pose = False, pose_json(frame)
         try:
             self.put(tint(grid, self._heights, frame))
         except ValueError as err:
@@ -102,7 +102,7 @@ def tint(grid: dict[str, Any], heights: dict[str, Any] | None, frame: Pose) -> d
     while np.count_nonzero(blocked) > MOST_TINTED:
         blocked = np.asarray(_group_cells(blocked, False).any((1, 3)))
         cell_heights, size = _group_cells(cell_heights, np.inf).min((1, 3)), 2.0 * size
-    return {"origin": place(frame @ origin), "size": round(size, 4), "runs": runs_of(blocked, cell_heights)}
+    return {"origin": pose_json(frame @ origin), "size": round(size, 4), "runs": runs_of(blocked, cell_heights)}
 
 
 def _heights_of(

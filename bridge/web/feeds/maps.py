@@ -24,7 +24,7 @@ from bridge.stores.kinds import AREA, LOCATION, MAP, PATH
 from bridge.stores.wire import prefix
 from bridge.web.feeds.feed import Feed
 from bridge.web.feeds.map_pictures import Pictures, flags_picture, occupancy_picture
-from bridge.web.feeds.robot import TopicsFeed, place
+from bridge.web.feeds.robot import TopicsFeed, pose_json
 from navigation.maps.grid import from_grid
 from navigation.messages import GRID
 from navigation.pose import Pose
@@ -148,7 +148,7 @@ class StoreFollower:
 
 def _places(client: StoreClient) -> dict[str, Any]:
     locations = {
-        name: {"map": value.map_id, **place(Pose(value.x, value.y, math.radians(value.theta)))}
+        name: {"map": value.map_id, **pose_json(Pose(value.x, value.y, math.radians(value.theta)))}
         for name, value in client.all(LOCATION).items()
     }
     areas = {

@@ -50,7 +50,7 @@ class RobotFeed(FrameFeed):
         except FramesError as err:
             self.put(None, str(err))
             return
-        self.put({"pose": place(pose), "footprint": self._footprint})
+        self.put({"pose": pose_json(pose), "footprint": self._footprint})
 
 
 class TopicsFeed(Feed):
@@ -182,12 +182,12 @@ class DrivingFeed(TopicsFeed):
         self._config = config
         self._status: dict[str, Any] | None = None
         self._distance: float | None = None
-        self._changes: list[Callable[[], None]] = []
+        self._callbacks: list[Callable[[], None]] = []
         self.planner = config.navigation.planner
 
     def on_change(self, action: Callable[[], None]) -> None:
         """Register a callback for changes of state or planner."""
-        self._changes.append(action)
+        self._callbacks.append(action)
 
     @property
     def drives(self) -> bool:
@@ -220,7 +220,7 @@ class DrivingFeed(TopicsFeed):
         section = self._config.navigation
         if section.planner:
             topic, kind = names(section.at(self.planner)).feedback, types(NAVIGATE).feedback
-            self.follow(topic, kind, self._progress, Qos(depth=1))
+            self.follow(topic, kind, self._on_feedback, Qos(depth=1))
         self._publish()
 
     @override
@@ -250,7 +250,7 @@ class DrivingFeed(TopicsFeed):
         self._publish()
         self._notify()
 
-    def _progress(self, message: dict[str, Any]) -> None:
+    def _on_feedback(self, message: dict[str, Any]) -> None:
         if self.paused:
             return  # feedback from before the pause
         left = float(message["feedback"]["distance_remaining"])
@@ -260,8 +260,8 @@ class DrivingFeed(TopicsFeed):
             self._publish()
 
     def _notify(self) -> None:
-        for action in self._changes:
-            action()
+        for callback in self._callbacks:
+            callback()
 
     def _publish(self) -> None:
         section, status = self._config.navigation, self._status
@@ -277,7 +277,7 @@ class DrivingFeed(TopicsFeed):
                 {
                     "state": status["state"],
                     "reason": status["reason"],
-                    "goal": place(at) if any(status["goal_id"]) and under_way else None,
+                    "goal": pose_json(at) if any(status["goal_id"]) and under_way else None,
                     "distance": self._distance if under_way else None,
                     "planner": self.planner,
                     "planners": list(section.choices),
@@ -306,7 +306,7 @@ def points_of_path(path: dict[str, Any]) -> list[float]:
     return [round(float(spot[axis]), 3) for spot in spots for axis in "xy"]
 
 
-def place(pose: Pose) -> dict[str, float]:
+def pose_json(pose: Pose) -> dict[str, float]:
     """Return a pose for pages, rounded to millimeters and 0.1 milliradians."""
     return {"x": round(pose.x, 3), "y": round(pose.y, 3), "theta": round(pose.theta, 4)}
 

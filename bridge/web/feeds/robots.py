@@ -12,7 +12,7 @@ from bridge.modules.endpoints import Subscription
 from bridge.modules.host import Host
 from bridge.tf.transform import LATEST
 from bridge.web.feeds.frames import FrameFeed, FrameFollower
-from bridge.web.feeds.robot import ROBOT_SECONDS, disc, place, points_of_path
+from bridge.web.feeds.robot import ROBOT_SECONDS, disc, points_of_path, pose_json
 from bridge.web.section import OtherRobot
 from navigation.frames import FramesError
 from navigation.gateway.telemetry import PATH
@@ -65,7 +65,7 @@ class RobotsFeed(FrameFeed):
         if age > AGE:
             return {"name": robot.name, "pose": None, "why": f"no recent transform of {robot.base_frame}"}
         path = self._paths.get(robot.name, [])
-        return {"name": robot.name, "pose": place(pose), "footprint": disc(robot.radius), "path": path}
+        return {"name": robot.name, "pose": pose_json(pose), "footprint": disc(robot.radius), "path": path}
 
     def _on_path(self, name: str, path: dict[str, Any]) -> None:
         self._paths[name] = points_of_path(path)
