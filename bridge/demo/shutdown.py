@@ -37,7 +37,7 @@ class Shutdown:
 
     def __init__(self) -> None:
         self._interrupted_at: float | None = None
-        self._held = 0
+        self._deferrals = 0
         self._erasers: list[Callable[[], Any]] = []
         self._old: dict[signal.Signals, Any] = {}
         self._old_wakeup = -1
@@ -62,24 +62,24 @@ class Shutdown:
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
         """Defer the handling of a signal to the end of the block."""
-        self._held += 1
+        self._deferrals += 1
         try:
             yield
         finally:
-            self._held -= 1
+            self._deferrals -= 1
         self.check()
 
     def ignore_signals(self) -> None:
         """Ignore signals from now on, for the cleanup."""
-        self._held += 1
+        self._deferrals += 1
 
     def guard(self, erase: Callable[[], Any]) -> None:
-        """Add a function that removes leftovers if the main thread is too late; called on any thread."""
+        """Add a function that removes leftovers; any thread may call it if the main thread is too slow."""
         self._erasers.append(erase)
 
     def check(self) -> None:
         """Raise `KeyboardInterrupt` if the demo was interrupted."""
-        if self._interrupted_at is not None and not self._held:
+        if self._interrupted_at is not None and not self._deferrals:
             raise KeyboardInterrupt
 
     def until(self, seconds: float) -> Callable[[], bool]:
@@ -93,7 +93,7 @@ class Shutdown:
         return may
 
     def exit_if_interrupted(self, code: int) -> None:
-        """Exit the process at once if the demo was interrupted: zenoh's threads delay a normal exit by up to 2 s."""
+        """If the demo was interrupted, exit at once, because zenoh's threads delay a normal exit by up to 2 s."""
         if self.interrupted:
             sys.stdout.flush()
             sys.stderr.flush()
@@ -106,7 +106,7 @@ class Shutdown:
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         first = self._interrupted_at is None
         self._interrupted_at = self._interrupted_at or time.monotonic()
-        if first and not self._held:
+        if first and not self._deferrals:
             raise KeyboardInterrupt
 
     def _watch(self) -> None:
