@@ -212,7 +212,7 @@ class SimWorker(Worker):
             return False
         self._config = config
         logging.getLogger().setLevel(config.log.level.upper())
-        running.take_up_releases(config)
+        running.adopt_releases(config)
         section = config.section(SimSection)
         if running.section != section:
             running.reload(section, config)
