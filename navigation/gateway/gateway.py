@@ -45,7 +45,7 @@ class Gateway:
     ) -> None:
         self._host, self._frames = host, frames
         self._publish, self._hold = publish, hold
-        self.motion = Motion(frames, simulated=host.clock.simulated)
+        self.motion = Motion(frames, host.clock.now_ns, simulated=host.clock.simulated)
         self._localized = Localized(host)
         self._order = StopOrder(self.motion, VelocityWatch(host, section.velocity))
         self._choice = PlannerChoice(host, section, self._on_change)

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from enum import Enum
 from functools import partial
+from typing import NamedTuple
 
 from bridge.client.velocity import driven_forms
 from bridge.hub.wire.qos import Qos
@@ -32,6 +33,15 @@ ZERO_SECONDS = 0.3
 FRESH_SECONDS = 0.35
 """The last pose is used for no longer than this, because odometry may end just before the base begins to move."""
 
+OLD_SECONDS = 0.6
+"""A pose that was measured longer ago shows nothing, even if it has just arrived: odometry may wait in a queue.
+
+`RobotFrames` returns poses of up to 0.5 s, and a poll later they are 0.1 s older.
+"""
+
+STALL_SECONDS = 0.5
+"""After a longer pause between two checks, velocity commands may have arrived that have not been read yet."""
+
 _HISTORY_SECONDS = 3.0
 """Poses are kept for this time, for `Motion.speed`."""
 
@@ -44,17 +54,27 @@ class Base(Enum):
     MOVING = "moving"
 
 
+class _Seen(NamedTuple):
+    """A pose of the base, with times in monotonic seconds."""
+
+    arrival: float
+    measured: float  #: according to the pose's stamp, but not after the arrival; in simulated time, the arrival
+    pose: Pose
+
+
 class Motion:
     """Follows the base's odometry: `poll` on the module's thread, everything else on any thread.
 
     Args:
+        now_ns: returns the time of the stamps' clock.
         simulated: the stamps are those of a simulation, which may run faster than real time.
     """
 
-    def __init__(self, frames: RobotFrames, *, simulated: bool = False) -> None:
-        self._frames, self._simulated = frames, simulated
-        self._poses: tuple[tuple[float, Pose], ...] = ()
-        """Times of arrival and poses. Never changed, only replaced, because other threads read the tuple."""
+    def __init__(self, frames: RobotFrames, now_ns: Callable[[], int], *, simulated: bool = False) -> None:
+        self._frames, self._now_ns, self._simulated = frames, now_ns, simulated
+        self._poses: tuple[_Seen, ...] = ()
+        """Never changed, only replaced, because other threads read the tuple."""
+        self._moved = False  # whether the base moved when its odometry last showed whether it moves
 
     def poll(self) -> None:
         """Record the pose of the base; called about ten times a second."""
@@ -65,38 +85,54 @@ class Motion:
             self._poses = ()
             return
         before = self._poses
-        if not before or pose.stamp_ns != before[-1][1].stamp_ns:
-            self._poses = (*(entry for entry in before if entry[0] >= now - _HISTORY_SECONDS), (now, pose))
+        if not before or pose.stamp_ns != before[-1].pose.stamp_ns:
+            age = 0.0 if self._simulated else max(0.0, (self._now_ns() - pose.stamp_ns) / 1e9)
+            recent = (seen for seen in before if seen.arrival >= now - _HISTORY_SECONDS)
+            self._poses = (*recent, _Seen(now, now - age, pose))
+        standing = self.is_standing()
+        if standing is not None:
+            self._moved = not standing
+
+    def rest(self) -> None:
+        """Count the base as no longer moving, because something other than odometry has shown that."""
+        self._moved = False
 
     def is_standing(self, since: float = 0.0) -> bool | None:
         """Return whether the base has stood for `STANDING_SECONDS`, in three or more poses.
 
-        None if odometry is missing, has ended, or does not cover this time.
+        None if odometry is missing, has ended, is old, or does not cover this time.
 
-        The poses' stamps count and, except in simulated time, also their times of arrival. Poses that arrived before
-        ``since`` (monotonic seconds) do not count.
+        The poses' stamps count and, except in simulated time, also their times of arrival. Poses that were measured
+        before ``since`` (monotonic seconds) do not count.
         """
         poses = self._poses
         if not poses:
             return None
-        last = poses[-1][1]
-        for count, (arrival, pose) in enumerate(reversed(poses)):
+        newest, last = poses[-1], poses[-1].pose
+        for count, (arrival, measured, pose) in enumerate(reversed(poses)):
             rotation = math.remainder(pose.theta - last.theta, math.tau)
             if math.hypot(pose.x - last.x, pose.y - last.y) > STILL_METERS or abs(rotation) > STILL_RADIANS:
                 return False
-            if arrival < since:
+            if measured < since:
                 return None
             passed = (last.stamp_ns - pose.stamp_ns) / 1e9
             if not self._simulated:
-                passed = min(passed, poses[-1][0] - arrival)  # a step of the odometry's clock is not time that passed
+                passed = min(passed, newest.arrival - arrival)  # a step of the odometry's clock is not time that passed
             if passed >= STANDING_SECONDS and count >= 2:
-                fresh = self._simulated or time.monotonic() < poses[-1][0] + FRESH_SECONDS
-                return True if fresh else None
+                return True if self._simulated or self._is_fresh(newest) else None
         return None
 
+    @staticmethod
+    def _is_fresh(seen: _Seen) -> bool:
+        return time.monotonic() < min(seen.arrival + FRESH_SECONDS, seen.measured + OLD_SECONDS)
+
     def base(self, since: float = 0.0) -> Base:
-        """Return the base's state from odometry since a time; `Base.UNKNOWN` until it has covered enough time."""
-        return {True: Base.STANDING, False: Base.MOVING, None: Base.UNKNOWN}[self.is_standing(since)]
+        """Return the base's state from odometry since a time; `Base.UNKNOWN` until it has covered enough time.
+
+        A base that moved when its odometry ended counts as moving until something shows that it stands.
+        """
+        unknown = Base.MOVING if self._moved else Base.UNKNOWN
+        return {True: Base.STANDING, False: Base.MOVING, None: unknown}[self.is_standing(since)]
 
     @property
     def known(self) -> bool:
@@ -109,7 +145,7 @@ class Motion:
         poses = self._poses
         if len(poses) < 2:
             return None
-        first, last = poses[0][1], poses[-1][1]
+        first, last = poses[0].pose, poses[-1].pose
         seconds = (last.stamp_ns - first.stamp_ns) / 1e9
         moved = math.hypot(last.x - first.x, last.y - first.y)
         return moved / seconds if seconds > 0 and moved > 2 * STILL_METERS else None
@@ -133,7 +169,7 @@ class VelocityWatch:
     def __init__(self, host: Host, topic: str) -> None:
         self._host, self._topic = host, topic
         self._subscriptions: list[Subscription] = []
-        self._opened = 0.0
+        self._opened = self._checked_at = 0.0
         self._moving_at = -math.inf  # when the last command other than zero arrived (monotonic)
         self._zero_at: dict[str, float] = {}
 
@@ -141,7 +177,7 @@ class VelocityWatch:
         """Subscribe, if not subscribed yet."""
         if self._subscriptions or not self._topic:
             return
-        self._opened = time.monotonic()
+        self._opened = self._checked_at = time.monotonic()
         self._moving_at, self._zero_at = -math.inf, {}
         for kind, begin in ((TWIST, _begin_of_twist), (TWIST_STAMPED, _begin_of_stamped)):
             receive = partial(self._on_velocity, kind, begin)
@@ -156,12 +192,17 @@ class VelocityWatch:
     def zero(self, since: float) -> bool:
         """Return whether the base is commanded to stand: zeros only, or silence for `SILENCE_SECONDS`.
 
-        Commands before ``since`` (monotonic seconds) do not count. Without a velocity topic the result is False.
+        Commands before ``since`` (monotonic seconds) do not count, nor does silence while this process stalled, so that
+        this has to be called often. Without a velocity topic the result is False.
         """
         if not self._subscriptions:
             return False
+        now = time.monotonic()
+        if now > self._checked_at + STALL_SECONDS:
+            self._opened = now
+        self._checked_at = now
         begin = max(self._moving_at, self._opened, since)
-        return time.monotonic() > begin + (ZERO_SECONDS if self._last_zero() > begin else SILENCE_SECONDS)
+        return now > begin + (ZERO_SECONDS if self._last_zero() > begin else SILENCE_SECONDS)
 
     def _last_zero(self) -> float:
         """Return when the base received the last zero; if both forms may drive it, when it had received both."""

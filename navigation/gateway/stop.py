@@ -134,4 +134,7 @@ class StopOrder:
         self._velocity.open()
         # before the release, silence proves nothing: an unreachable planner's velocities do not reach the hub
         self._released_at = (self._released_at or time.monotonic()) if released else 0.0
-        return released and self._velocity.zero(self._released_at)
+        stands = released and self._velocity.zero(self._released_at)
+        if stands:
+            self._motion.rest()
+        return stands

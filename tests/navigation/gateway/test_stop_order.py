@@ -44,6 +44,7 @@ class Base:
     Attributes:
         speed: m/s of the base.
         odometry: whether it publishes odometry.
+        lag: seconds by which odometry arrives late.
         commands: velocities that are published in each step, m/s.
         kind: type of these commands.
         form: the type that the base subscribes to, "" if it is unknown.
@@ -58,6 +59,8 @@ class Base:
             monkeypatch.setattr(module, "time", self.clock)
         self.speed, self._x = 0.5, 0.0
         self.odometry = True
+        self.lag = 0.0
+        self._track: list[tuple[float, float]] = []
         self.commands: tuple[float, ...] = ()
         self.kind = TWIST
         self.released, self.reachable = False, True
@@ -68,7 +71,8 @@ class Base:
         self.hub = SimpleNamespace(graph=graph)
         self.hub.graph.origin_of = lambda _: None
         host = SimpleNamespace(node=self)
-        self.motion = Motion(cast("Any", SimpleNamespace(odometry=self._pose)))
+        frames = SimpleNamespace(odometry=self._pose)
+        self.motion = Motion(cast("Any", frames), lambda: round(self.clock.now * 1e9))
         self.order = StopOrder(self.motion, VelocityWatch(cast("Any", host), "/cmd_vel"))
         self.states: list[StopState] = []
 
@@ -90,11 +94,13 @@ class Base:
     def _pose(self) -> Pose:
         if not self.odometry:
             raise FramesError("odometry is missing")
-        return Pose(self._x, 0.0, 0.0, int(self.clock.now * 1e9))
+        at, x = next(seen for seen in reversed(self._track) if seen[0] <= self.clock.now - self.lag + TICK / 10)
+        return Pose(x, 0.0, 0.0, round(at * 1e9))
 
     def step(self) -> StopState:
         self.clock.now += TICK
         self._x += self.speed * TICK
+        self._track.append((self.clock.now, self._x))
         for velocity in self.commands:
             for kind, receive in list(self.subscribed):
                 if kind == self.kind:
@@ -165,6 +171,20 @@ def test_a_base_that_stood_before_the_request_does_not_confirm_the_stop(base: Ba
     base.order.ask("it was stopped")
     assert base.run(STANDING_SECONDS - TICK) is StopState.SETTLING, "odometry from before the stop does not count"
     base.until(StopState.CONFIRMED, 0.5)
+
+
+def test_odometry_that_was_measured_before_the_request_and_arrives_after_it_does_not_confirm_the_stop(
+    base: Base,
+) -> None:
+    """A starved worker delays odometry; the base begins to move just before the stop, and the planner releases it."""
+    base.speed, base.lag = 0.0, 0.4
+    base.run(2.0)
+    base.speed, base.released = 0.5, True
+    base.order.ask("it was stopped")
+    assert base.run(1.0) is StopState.SETTLING
+    assert StopState.CONFIRMED not in base.states
+    base.speed = 0.0
+    assert base.until(StopState.CONFIRMED, 2.0) >= STANDING_SECONDS + base.lag - TICK
 
 
 def test_a_standing_base_confirms_the_stop_if_the_planner_is_late(base: Base) -> None:
@@ -295,6 +315,29 @@ def test_without_odometry_silence_before_the_release_does_not_count(blind: Base)
     blind.reachable = blind.released = True
     blind.commands = (0.5,)
     assert blind.run(2.0) is StopState.SETTLING
+
+
+def test_without_odometry_commands_that_wait_for_a_stalled_process_are_not_silence(blind: Base) -> None:
+    """The process is stopped, or starved: when it runs again, it has not read yet what arrived meanwhile."""
+    blind.order.ask("it was stopped")
+    blind.released, blind.commands = True, (0.5,)
+    blind.run(1.0)
+    blind.commands = ()
+    blind.clock.now += 2.0
+    assert blind.step() is StopState.SETTLING
+    blind.commands = (0.5,)
+    assert blind.run(1.0) is StopState.SETTLING
+    assert StopState.CONFIRMED not in blind.states
+
+
+def test_a_base_that_moved_when_its_odometry_ended_counts_as_moving_until_a_stop_is_confirmed(base: Base) -> None:
+    base.odometry = False
+    base.run(3.0)
+    assert base.motion.base() is motion.Base.MOVING
+    base.order.ask("it was stopped")
+    base.released, base.commands = True, (0.0,)
+    base.until(StopState.CONFIRMED, 1.0)
+    assert base.motion.base() is motion.Base.UNKNOWN
 
 
 def test_odometry_that_returns_takes_over(blind: Base) -> None:

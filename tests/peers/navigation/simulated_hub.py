@@ -48,9 +48,21 @@ class Loop:
 
     def __init__(self, clock: Clock) -> None:
         self._clock, self.dead = clock, False
+        self._stalled_until = 0.0
+
+    def stall(self, seconds: float) -> None:
+        """Run nothing for a time; actions that become due run afterwards, in order."""
+        self._stalled_until = self._clock.now + seconds
+
+    @property
+    def stalled(self) -> bool:
+        """Whether it runs nothing now."""
+        return self._clock.now < self._stalled_until
 
     def _run(self, timer: Timer, action: Callable[[], Any]) -> None:
-        if not (self.dead or timer.closed):
+        if self.stalled:
+            self._clock.after(self._stalled_until - self._clock.now, lambda: self._run(timer, action))
+        elif not (self.dead or timer.closed):
             action()
 
     def post(self, action: Callable[[], Any]) -> None:
@@ -65,11 +77,11 @@ class Loop:
         timer = Timer()
 
         def run() -> None:
-            if not (self.dead or timer.closed):
-                action()
-                self._clock.after(seconds, run)
+            action()
+            if not timer.closed:
+                self._clock.after(seconds, lambda: self._run(timer, run))
 
-        self._clock.after(seconds, run)
+        self._clock.after(seconds, lambda: self._run(timer, run))
         return timer
 
 

@@ -46,6 +46,8 @@ class PlannerSide(ABC):
         # the base
         self.x = self.v = 0.0
         self._moving_since: float | None = None
+        self.bridged = False  # whether its velocities come through the worker of the planner's side
+        self._driven_at = 0.0
         # the planner's process
         self.planner_alive, self.planner_hangs = True, False
         self._when_awake: list[Callable[[], None]] = []
@@ -85,8 +87,11 @@ class PlannerSide(ABC):
         if self.commanded:
             self._commanded_at = now
         # if the planner falls silent, the base keeps its last velocity for 0.5 s, its timeout, then brakes
-        silent = not self.planner_alive or self.planner_hangs
-        driven = self.commanded or (silent and self.v > 0.0 and now < self._commanded_at + 0.5)
+        passes = not self.bridged or (self.worker_alive and bool(self.gid) and not self.held)
+        if self.commanded and passes:
+            self._driven_at = now
+        silent = not self.planner_alive or self.planner_hangs or not passes
+        driven = (self.commanded and passes) or (silent and self.v > 0.0 and now < self._driven_at + 0.5)
         self.v = SPEED if driven else max(0.0, self.v - BRAKE * TICK)
         self.x += self.v * TICK
         moving = self.v > MOVING
@@ -121,7 +126,8 @@ class PlannerSide(ABC):
         return {"goal_info": {"goal_id": {"uuid": list(goal.id)}}, "status": int(goal.status)}
 
     def _publish_controller(self) -> None:
-        running = self.planner_alive and (bool(self._active()) or self.clock.now < self.controller_until)
+        driven = bool(self._active()) or self.clock.now < self.controller_until
+        running = self.clock.now < self.orphan_until or (self.planner_alive and driven)
         status = GoalState.EXECUTING if running else GoalState.CANCELED
         entry = {"goal_info": {"goal_id": {"uuid": list(b"controller-goal-")}}, "status": int(status)}
         topic = names(self.controller).status
@@ -254,7 +260,7 @@ class PlannerSide(ABC):
         return self.planner_alive and not self.planner_hangs and not goal.status.ended
 
     def _cancel_controller(self, _request: dict[str, Any], answer: Callable[[Any], None]) -> None:
-        self.controller_until = 0.0
+        self.controller_until = self.orphan_until = 0.0
         self._publish_controller()
         answer({"return_code": 0, "goals_canceling": []})
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
@@ -43,6 +44,9 @@ _TIMED = (
 
 NOTICE = 0.6
 """Seconds for which a report may be outdated after the base starts moving for a goal that the planner lists later."""
+
+STALE, TRACK = 0.5, 200
+"""Seconds after which odometry is stale, as in `RobotFrames`; number of stored poses, one per `TICK`."""
 
 QUIET = 11.0
 """Seconds without a goal or motion after which a run ends; after 10 s the gateway gives up a stop or a planner."""
@@ -89,6 +93,8 @@ class World(PlannerSide):
         self.loop = Loop(self.clock)
         self.client_goals: list[ClientGoal] = []
         self.answers: list[tuple[float, str, str]] = []
+        self.lag = 0.0  # seconds by which odometry arrives late
+        self._track: deque[tuple[float, float]] = deque([(clock.now, 0.0)], maxlen=TRACK)
         self.start_modules()
         self.clock.after(TICK, self._tick)
 
@@ -98,6 +104,7 @@ class World(PlannerSide):
 
     def _tick(self) -> None:
         self.step()
+        self._track.append((self.clock.now, self.x))
         self.check()
         self.clock.after(TICK, self._tick)
 
@@ -130,7 +137,9 @@ class World(PlannerSide):
         host: Any = SimpleNamespace(
             node=node,
             loop=loop,
-            clock=SimpleNamespace(stamp=lambda: {"sec": 0, "nanosec": 0}, simulated=False),
+            clock=SimpleNamespace(
+                stamp=lambda: {"sec": 0, "nanosec": 0}, now_ns=lambda: round(self.clock.now * 1e9), simulated=False
+            ),
             config=SimpleNamespace(name="robot", hosted={}),
             log=logging.getLogger("model"),
         )
@@ -141,13 +150,31 @@ class World(PlannerSide):
     def odometry(self) -> Pose:
         if not self.has_odometry:
             raise FramesError("odometry is missing")
-        return Pose(self.x, 0.0, 0.0, int(self.clock.now * 1e9))
+        at, x = next(((at, x) for at, x in reversed(self._track) if at <= self.clock.now - self.lag), self._track[0])
+        if self.clock.now - at > STALE:
+            raise FramesError("the odometry is stale")
+        return Pose(x, 0.0, 0.0, int(at * 1e9))
 
     def pose(self) -> Pose:
         return self.odometry()
 
     def on_map(self, frame: str) -> Pose:
         raise FramesError(f"{frame} is unknown")
+
+    def delay_odometry(self) -> None:
+        """Let odometry wait on its way, as in a starved worker."""
+        self.lag = self.random.choice((0.3, 0.45, 3.0))
+
+    def deliver_odometry(self) -> None:
+        self.lag = 0.0
+
+    def bridge_base(self) -> None:
+        """Let the base be on another side than the planner."""
+        self.bridged = True
+
+    def stall_modules(self) -> None:
+        """Let the gateway's process not run for a time."""
+        self.loop.stall(self.random.uniform(0.3, 2.0))
 
     # -- clients -------------------------------------------------------------------------------------------------------
 
@@ -206,8 +233,10 @@ class World(PlannerSide):
             return
         status = self.gateway.state()
         untrue = self._moved_by_planner() and status.state in ENDED | {State.PREPARING}
-        if untrue and not self.has_odometry and not self.gateway.link.state.reported:
+        if untrue and (not self.has_odometry or self.lag > STALE) and not self.gateway.link.state.reported:
             untrue = False  # the gateway has no information about the base, and does not claim to have any
+        if untrue and self.loop.stalled and any(not self.gateway.link.mark.is_own(goal.id) for goal in self._active()):
+            untrue = False  # it learns of the goal of a client that bypasses it when it runs again
         self._untrue_since = (self._untrue_since or self.clock.now) if untrue else None
         if self._untrue_since is not None and self.clock.now > self._untrue_since + NOTICE:
             raise ContradictionError(self.report(f"the status is {status} at {self.v:.2f} m/s"))
@@ -225,6 +254,7 @@ class World(PlannerSide):
         for name in ("start_master", "start_planner", "wake_planner", "start_worker", "start_modules"):
             self.do(name)
         self.planner_registered = True
+        self.lag = 0.0
         self.clock.after(1.0, self._find)
 
     def finish(self) -> None:
@@ -264,12 +294,18 @@ OPERATIONS = (
 )  # fmt: skip
 
 
-def run(seed: int) -> World:
+LATE = (
+    *OPERATIONS, "delay_odometry", "delay_odometry", "deliver_odometry", "bridge_base", "stall_modules", "stall_modules"
+)  # fmt: skip
+"""Also faults of timing: odometry that arrives late, and a gateway whose process stalls."""
+
+
+def run(seed: int, operations: Sequence[str] = OPERATIONS) -> World:
     """Run operations in random order at random times, then heal all faults; raise `ContradictionError`."""
     with simulated(seed) as world:
         world.clock.run_to(world.clock.now + 1.0)
         for _ in range(world.random.randint(3, 14)):
-            name = world.random.choice(OPERATIONS)
+            name = world.random.choice(operations)
             if name == "kill_all":
                 for process in ("kill_worker", "kill_modules"):
                     world.do(process)
