@@ -77,6 +77,15 @@ class ClientDrive:
         """Whether the planner no longer has the drive's goal, even if an earlier list shows the goal."""
         return self.sent is not None and self.sent is self.followed and self.sent.status is GoalState.UNKNOWN
 
+    def begin_stop(self, event: DriveEvent) -> bool:
+        """Handle a client's request to pause or stop; return whether it changes the state.
+
+        If the planner has just ended the goal without a code, its controller may drive on, so that has to end first.
+        """
+        if self.state is DriveState.JUDGING and self.begun:
+            self.released = False
+        return self.machine.on(event)
+
     def end(self, status: GoalState, code: int, reason: str) -> None:
         """End the drive, and the client's own goal if it used the action."""
         self.machine.on(DriveEvent.END)

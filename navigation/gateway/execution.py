@@ -119,7 +119,7 @@ class Execution:
             raise RequestError(foreign if self._link.foreign else "no goal to pause")
         self._unpause()
         drive.pause_seconds = seconds
-        if drive.machine.on(DriveEvent.PAUSE):
+        if drive.begin_stop(DriveEvent.PAUSE):
             drive.reason = "it was paused"
             self.cancel(drive)
             self._order.ask(drive.reason)
@@ -202,7 +202,7 @@ class Execution:
     def stop_drive(self, reason: str) -> None:
         """End the drive as soon as the planner has released its goal, or the stop is confirmed or takes too long."""
         drive = self.drive
-        if drive is None or not drive.machine.on(DriveEvent.STOP):
+        if drive is None or not drive.begin_stop(DriveEvent.STOP):
             return
         drive.reason = reason
         self._unpause()
@@ -407,8 +407,8 @@ class Execution:
             self._abort(drive, Fault.OTHER, drive.reason or self._without_reason("aborted"))
 
     def _abort(self, drive: ClientDrive, code: int, reason: str) -> None:
-        """End a drive that the planner aborted; first stop other actions that may move the base (Nav2's controller)."""
-        if self._motion.base() is Base.STANDING or self._link.foreign or not self._link.may_move:
+        """End an aborted drive; first stop other actions (Nav2's controller) unless the base stood all the time."""
+        if self._motion.base(drive.sent_at) is Base.STANDING or self._link.foreign or not self._link.may_move:
             self.finish(drive, GoalState.ABORTED, code, reason)
         else:
             self._abort_moving(drive, code, reason)

@@ -11,13 +11,14 @@ import pytest
 
 from bridge.messages.actions import PARTS, GoalState
 from bridge.modules.action_server import Goal
+from navigation.gateway import execution as execution_module
 from navigation.gateway import gateway as gateway_module
 from navigation.gateway.machine import DriveState
 from navigation.status import Fault, State
 from tests.peers.hub.calls import Calling
 from tests.peers.hub.node import HubNode
 from tests.peers.navigation.driving import MAY_MOVE, SPEED, Scene, scene
-from tests.peers.navigation.gateway import Rig
+from tests.peers.navigation.gateway import ClientGoal, Rig, pose
 from tests.support.wait import until
 
 PLANNER = "nav2"
@@ -157,6 +158,54 @@ def test_an_abort_is_reported_when_the_controller_has_ended_and_the_base_stands(
     rig.state(State.ABORTED, "the controller failed (Nav2 100)")
     states = [status["state"] for status in rig.statuses[begin:]]
     assert set(states[:-1]) == {State.MOVING}, "no other state is reported before the base stands"
+
+
+def test_an_abort_ends_the_controllers_goal_although_the_base_stood_before_the_goal(
+    robot: Scene, controller: Controller
+) -> None:
+    """The worker that carries odometry is starved as the robot starts: the last poses still show that it stands."""
+    robot.base.speed = 0.0
+    robot.stands()
+    robot.base.silent = True
+    client_goal = ClientGoal(robot.rig.client, pose(5.0))
+    robot.goal(1)
+    robot.planner.end(GoalState.ABORTED, 100)
+    assert controller.canceled.wait(20)
+    assert not client_goal.ended
+    robot.rig.state(State.MOVING, "the controller failed (Nav2 100)")
+    controller.end()
+    robot.base.silent = False
+    assert client_goal.end() == ("ABORTED", "the controller failed (Nav2 100)")
+
+
+@pytest.mark.parametrize("request_", ["pause", "stop", "cancel"])
+def test_a_request_after_an_abort_without_a_code_ends_the_controllers_goal(
+    robot: Scene, controller: Controller, monkeypatch: pytest.MonkeyPatch, request_: str
+) -> None:
+    """The planner's reason is still awaited; its controller drives on."""
+    monkeypatch.setattr(execution_module, "JUDGING_SECONDS", LONG)
+    monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", LONG)
+    client_goal = robot.drive()
+    robot.planner.end(GoalState.ABORTED)
+    robot.rig.state(State.MOVING, "ended the goal; waiting for its reason")
+    begin = len(robot.rig.statuses)
+    calling = None if request_ == "cancel" else robot.begin(request_)
+    if calling is None:
+        client_goal.cancel()
+    assert controller.canceled.wait(20)
+    polls = count_polls(robot.rig)
+    until(lambda: polls() > 5, "the gateway has polled the planner several times")
+    assert robot.states(begin) <= {State.MOVING}
+    assert not client_goal.ended
+    controller.end()
+    robot.base.speed = 0.0
+    if calling is not None:
+        confirmed(calling)
+    if request_ == "pause":
+        robot.rig.state(State.PAUSED)
+    else:
+        assert client_goal.end()[0] == "CANCELED"
+        robot.rig.state(State.IDLE)
 
 
 def test_a_stop_that_is_late_names_the_action_that_has_not_ended(robot: Scene, controller: Controller) -> None:
