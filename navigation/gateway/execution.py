@@ -167,7 +167,8 @@ class Execution:
             self._order.drop(f"{MAY_MOVE}: {drive.client} gave another goal")
         drive.machine.on(DriveEvent.SEND)
         drive.released, drive.path_canceled, drive.sent_at, drive.reason = False, False, now, ""
-        drive.several, robot = several, robot_pose(self._frames)
+        drive.sent, drive.several, robot = None, several, robot_pose(self._frames)
+        self._changed()  # no status that says that the robot stands may be in use when the planner receives the goal
         drive.sent = self._link.send(
             goal_through(drive.left, self._planner, robot) if several else drive.target.goal(self._planner, robot),
             lambda sent, result, reason: self._on_end(drive, sent, result, reason),

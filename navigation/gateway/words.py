@@ -12,6 +12,8 @@ from navigation.status import Fault, PlannerStatus, State
 
 MAY_MOVE = "the robot may still be moving"
 
+_MAY_START = "the robot stands, and may move again"
+
 _LIST_LAG = 0.5
 """The lists of Nav2's servers may show the end of a goal this much later than its result, in seconds."""
 
@@ -85,19 +87,24 @@ def _stopping(now: Situation) -> PlannerStatus:
 
 
 def _waiting(now: Situation) -> PlannerStatus:
-    """Return the status while the goal is not at the planner or contact is lost; an earlier goal may be executing."""
+    """Return the status while the goal is not at the planner or contact is lost; an earlier goal may be executing.
+
+    A goal that may be executing can move a base that stands now before its odometry arrives here.
+    """
     may_drive = now.unreleased or now.goals is True
-    moves = now.base is Base.MOVING or (now.base is Base.UNKNOWN and may_drive)
-    state = State.MOVING if moves else State.PREPARING
+    state = State.MOVING if may_drive or now.base is Base.MOVING else State.PREPARING
     if now.planner_state.reachable:
         reason = now.reason or f"waiting for the goal list of {now.planner}"
         return PlannerStatus(state, reason, Fault.OTHER if now.reason else Fault.NONE)
     reason = f"the planner {now.planner} is not available; waiting for it"
-    return PlannerStatus(state, f"{reason}; {MAY_MOVE}" if moves and may_drive else reason, Fault.NO_NAVIGATOR)
+    if may_drive:
+        reason = f"{reason}; {_MAY_START if now.base is Base.STANDING else MAY_MOVE}"
+    return PlannerStatus(state, reason, Fault.NO_NAVIGATOR)
 
 
 def _sent(now: Situation) -> PlannerStatus:
-    return PlannerStatus(State.MOVING if now.base is Base.MOVING else State.PREPARING)
+    """Return the status of a goal that the planner may execute before its acceptance arrives here."""
+    return PlannerStatus(State.MOVING, f"waiting for {now.planner} to accept the goal")
 
 
 def _driving(now: Situation) -> PlannerStatus:
@@ -109,7 +116,8 @@ def _driving(now: Situation) -> PlannerStatus:
         return PlannerStatus(State.MOVING, "", status.fault)  # the goal's result reports the end
     if now.localization and not status.reason:
         return PlannerStatus(State.MOVING, now.localization, Fault.NOT_LOCALIZED)
-    return status._replace(state=State.MOVING) if status.state is State.PAUSED else status
+    moves = status.state is State.PREPARING and now.base is Base.MOVING
+    return status._replace(state=State.MOVING) if moves or status.state is State.PAUSED else status
 
 
 def _judging(now: Situation) -> PlannerStatus:
