@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 
 import pytest
 
 from tests.interop.test_stop_nav2 import assert_ends_once, assert_stops, drive_in, wait
 from tests.peers.navigation.mix import Mix
-from tests.peers.navigation.mix_clients import ROS1, YARP, ZENOH
-from tests.peers.navigation.mix_faults import STANDS_SECONDS, Watch, kill_workers
+from tests.peers.navigation.mix_clients import ROS1, SECONDS, YARP, ZENOH
+from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, Watch, kill_workers
+from tests.support.process import is_stopped
+from tests.support.wait import until
 
 PATIENT = {"navigation": {"patience": 30.0}}
 MISSING = PATIENT | {"base_side": "ros1", "nav2": {"navigator": (), "controller": ("--tf-tolerance", "0.5")}}
@@ -34,10 +38,39 @@ def test_the_ros2_worker_is_killed_and_transforms_are_missing(mix: Mix, client: 
     assert_continues(drive_in(mix, client))
 
 
+@pytest.mark.parametrize("shared_mix", [pytest.param(PATIENT, id="patient")], indirect=True)
+def test_the_gateway_is_stopped_before_it_learns_that_its_goal_is_accepted(mix: Mix) -> None:
+    """Its last status does not claim that the robot stands, although the robot has not started yet."""
+    client, pids = mix.clients[ZENOH], mix.processes()
+    with ExitStack() as stopping:
+        with stopped(pids["ros2"]):  # the goal waits there
+            known = len(mix.statuses)
+            client.goto(AWAY)
+            until(lambda: len(mix.statuses) > known, "the goal has a status", SECONDS)
+            watch = Watch(mix, ZENOH)
+            stopping.enter_context(stopped(pids["gateway"]))
+        until(lambda: mix.base.moved(watch.began, time.monotonic()) > 1.0, "the base moves", SECONDS)
+    watch.until(lambda: client.progress() and mix.state() == "moving", "the gateway follows its goal")
+    watch.close()
+    client.cancel()
+    watch.until(lambda: client.end() == "canceled" and not mix.base.moves, "its goal is canceled", STANDS_SECONDS)
+
+
 @thorough
 @pytest.mark.parametrize("shared_mix", [pytest.param(PATIENT, id="patient")], indirect=True)
 def test_the_ros2_worker_is_killed(mix: Mix) -> None:
     assert_continues(drive_in(mix, YARP))
+
+
+@contextmanager
+def stopped(pid: int) -> Iterator[None]:
+    """Stop a process for a while."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        until(lambda: is_stopped(pid), "the process is stopped")
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
 
 
 def assert_continues(watch: Watch) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Self
 from bridge.hub.wire.qos import LATCHED
 from bridge.messages.actions import STATUSES, GoalState, names
 from bridge.modules.endpoints import Subscription
+from navigation.messages import stamp_ns
 from navigation.status import STATUS
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.hub.node import HubNode
@@ -251,7 +252,7 @@ class Mix:
 
     def pid(self, worker: str) -> int:
         """Return the process ID of a worker that will be killed; `back` waits for all workers that are running now."""
-        self._pids |= self._processes()
+        self._pids |= self.processes()
         self._kills[worker] += 1
         return self._pids[worker]
 
@@ -265,12 +266,13 @@ class Mix:
         kills = max(self._kills.values(), default=0)
         return bool(self._kills["gateway"]) or kills >= MOST_KILLS or (self.kind == NAV2 and self.planner.killed)
 
-    def _processes(self) -> dict[str, int]:
+    def processes(self) -> dict[str, int]:
+        """Return the process ID of each running worker."""
         return {str(worker.get("worker")): int(worker["pid"]) for worker in self.deployment.status() if "pid" in worker}
 
     def back(self) -> bool:
         """Return whether all workers are running and the gateway can reach its planner."""
-        return self._chosen(self.kind) and self._processes().keys() >= self._pids.keys()
+        return self._chosen(self.kind) and self.processes().keys() >= self._pids.keys()
 
     def _follow(self, planner: str) -> None:
         if self._list is not None:
@@ -285,7 +287,9 @@ class Mix:
         }
 
     def _on_status(self, message: dict[str, Any]) -> None:
-        self.statuses.append((time.monotonic(), message))
+        """Record a status with the time of its stamp, because this process may be starved, and receive it late."""
+        late = time.time() - stamp_ns(message["header"]) / 1e9
+        self.statuses.append((time.monotonic() - max(0.0, late), message))
 
     def driving(self) -> set[bytes]:
         """Return the goals that the planner is executing."""
