@@ -91,7 +91,7 @@ def _waiting(now: Situation) -> PlannerStatus:
 
     A goal that may be executing can move a base that stands now before its odometry arrives here.
     """
-    may_drive = now.unreleased or now.goals is True
+    may_drive = now.unreleased or now.goals is True or bool(now.motion)
     state = State.MOVING if may_drive or now.base is Base.MOVING else State.PREPARING
     if now.planner_state.reachable:
         reason = now.reason or f"waiting for the goal list of {now.planner}"

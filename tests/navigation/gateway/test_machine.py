@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from enum import Enum
 from typing import Any
 
@@ -116,6 +117,16 @@ def test_no_end_is_reported_while_the_goal_is_not_released() -> None:
     for now in SITUATIONS:
         if now.drive in (DriveState.PAUSING, DriveState.STOPPING, DriveState.LOST, DriveState.JUDGING):
             assert derive(now).state not in ENDED, now
+
+
+def test_a_drive_is_prepared_only_while_nothing_may_execute_a_goal() -> None:
+    """The base may move before its odometry arrives."""
+    prepared = [now for now in SITUATIONS if derive(now).state is State.PREPARING]
+    assert not prepared, "none of their goals is released"
+    released = [replace(now, unreleased=False) for now in SITUATIONS]
+    prepared = [now for now in released if derive(now).state is State.PREPARING]
+    assert {now.drive for now in prepared} == {DriveState.WAITING, DriveState.LOST}
+    assert {(now.base is Base.MOVING, now.goals is True, now.motion) for now in prepared} == {(False, False, ())}
 
 
 def test_an_unknown_planner_is_not_idle() -> None:
