@@ -24,7 +24,7 @@ def reply_error(query: zenoh.Query, error: CallError, refuse: Refuse | None = No
     try:
         with query:
             query.reply_err(str(error)[:MAX_ERROR].encode(), encoding=REFUSED_ENCODING if refused else None)
-            if isinstance(error, UnsentCallError) and error.reply and refuse is not None:
+            if error.reply and refuse is not None:
                 refuse(query, error.reply)
     except zenoh.ZError as err:
         _log.debug("the client no longer waits for the reply: %s", err)
@@ -181,10 +181,10 @@ class CallServer:
             prepare_to_send(len(payload))
             query.reply(self._reply_key(query), payload, encoding=self.encoding, attachment=self._attached(pending))
 
-        if isinstance(result, UnsentCallError) and result.reply:
-            refused = self._outgoing(pending.query, result.reply)
-            result.reply = refused if isinstance(refused, bytes) else b""
         if isinstance(result, CallError):
+            if result.reply:
+                refused = self._outgoing(pending.query, result.reply)
+                result.reply = refused if isinstance(refused, bytes) else b""
             reply_error(pending.query, result, reply)
             return
         try:

@@ -23,17 +23,17 @@ from bridge.hub.zenoh_compat import keep_thread_state, undeclare
 
 
 class CallError(Exception):
-    """A call failed; the text is the reason that the client receives."""
+    """A call failed; the text is the reason that the client receives.
 
-
-class UnsentCallError(CallError):
-    """A call was refused before any server received it.
-
-    ``reply`` is a reply of the service's type that means refusal, for clients of rmw_zenoh, which cannot report errors;
-    b"" if the type has no such reply.
+    ``reply`` is a reply of the service's type that means the failure, for clients of rmw_zenoh, which cannot report
+    errors; b"" if it has none.
     """
 
     reply = b""
+
+
+class UnsentCallError(CallError):
+    """A call was refused before any server received it."""
 
 
 Done = Callable[[bytes | CallError], None]

@@ -37,8 +37,9 @@ class SideToHubService(ServiceRoute):
 
     Clients of rmw_zenoh cannot receive errors. So a failed call to a service of an action gets a reply of its type,
     which says that the goal is rejected, that its end is unknown (it may still be executing, so no client gets
-    *aborted*), or that the cancel request is rejected. If the call was refused before a server received it, the error
-    with its reason precedes this reply, and Midspan's own clients use the error.
+    *aborted*), or that the cancel request is rejected. If the call was refused before a server received it, or asked
+    for a result, the error with its reason precedes this reply, and Midspan's own clients use the error. So a goal
+    whose server has left ends in one state, whether the report of the side or that of the hub arrives first.
     """
 
     direction = "in"
@@ -63,12 +64,16 @@ class SideToHubService(ServiceRoute):
         refuse = self._refusal
         if refuse is None:
             return self._call(request, done)
+        gets_result = split(self.hub_topic)[1] == GET_RESULT
 
         def ended(result: bytes | CallError) -> None:
-            if isinstance(result, UnsentCallError):
-                result.reply = refuse(str(result))
-            elif isinstance(result, CallError):
-                result = refuse(str(result))
+            if isinstance(result, CallError):
+                reply = refuse(str(result))
+                if gets_result or isinstance(result, UnsentCallError):
+                    error = type(result)(str(result))  # several calls may end with the same error
+                    error.reply, result = reply, error
+                else:
+                    result = reply
             done(result)
 
         return self._call(request, ended)

@@ -5,6 +5,7 @@ from uuid import UUID
 from bridge.adapters.ros1.actions import states, wire
 from bridge.adapters.ros1.actions.client import ActionlibClient
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, GoalStatus, RosTime
+from bridge.hub.endpoints.calls import CallError
 from bridge.messages.actions import CancelCode, GoalState
 
 EMPTY = b"\0\0\0\0"
@@ -96,6 +97,13 @@ def result(answers):
 def reason(answers):
     (reply,) = answers
     return wire.read_result_response(reply)[2]
+
+
+def lost(answers):
+    """Return the error of a get_result call whose goal was lost."""
+    (reply,) = answers
+    assert isinstance(reply, CallError), reply
+    return str(reply)
 
 
 def canceled(answers):

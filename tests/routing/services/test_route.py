@@ -13,11 +13,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import zenoh
 
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.session import Hub
+from bridge.messages.actions import GoalState
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.routing import counters
@@ -258,7 +260,6 @@ def test_the_end_of_the_network_ends_its_calls(rig: Rig) -> None:
     ("part", "type_name", "refusal"),
     [
         ("send_goal", f"{GO}_SendGoal", {"accepted": False}),
-        ("get_result", f"{GO}_GetResult", {"status": 0}),
         ("cancel_goal", "action_msgs/srv/CancelGoal", {"return_code": 1}),
     ],
 )
@@ -276,6 +277,24 @@ def test_an_error_of_an_actions_service_becomes_a_refusing_reply(
     assert {name: reply[name] for name in refusal} == refusal
     row = rig.row(f"/go/_action/{part}")
     assert (row["action"], row["errors"], row["error"]) == ("/go", 1, "the planner fell over")
+
+
+@pytest.mark.parametrize("action", [GO, "tf2_msgs/action/LookupTransform"])
+def test_an_error_of_a_result_request_precedes_its_reply(rig: Rig, action: str) -> None:
+    """Midspan's clients use the error, as if the hub had reported it; clients of rmw_zenoh receive only the reply."""
+    name, type_name = "/go/_action/get_result", f"{action}_GetResult"
+    rig.serve(name, type_name, error="the planner fell over")
+    client = rig.client(name, type_name)
+    assert Calling(REGISTRY, type_name, {}, client.call).result()["error"] == "the planner fell over"
+    request = from_json(REGISTRY, f"{type_name}_Request", {})
+    everything = zenoh.ConsolidationMode.NONE
+    received = list(
+        rig.far._session.get(client._key, payload=request, attachment=client._attached(2), consolidation=everything)
+    )
+    assert [reply.err.payload.to_string() for reply in received[:1]] == ["the planner fell over"]
+    replies = [to_json(REGISTRY, f"{type_name}_Response", reply.ok.payload.to_bytes()) for reply in received[1:]]
+    assert [reply["status"] for reply in replies] == [GoalState.UNKNOWN]
+    assert replies[0]["result"].get("error_msg", "the planner fell over") == "the planner fell over"
 
 
 def test_explain_lists_the_parts_of_an_action(rig: Rig) -> None:

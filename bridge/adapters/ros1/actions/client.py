@@ -113,7 +113,7 @@ class ActionlibClient:
             done(wire.result_response(GoalState.UNKNOWN, self._empty))
         elif goal.result is not None:
             goal.result_delivered = True
-            done(wire.result_response(goal.state, goal.result, goal.reason))
+            done(_result(goal, goal.result))
         else:
             goal.waiting.append(done)
             return lambda: _remove(goal.waiting, done)
@@ -179,7 +179,7 @@ class ActionlibClient:
 
         A goal that the status list has reported as ended ends in that state with an empty result, and a goal that was
         not sent yet is rejected. For all other goals no state is published, because they may still be executing;
-        clients of get_result receive UNKNOWN, with a text that begins with `LOST`.
+        clients of get_result receive an error, with a text that begins with `LOST`.
         """
         self._ready, self._lost_reason, self._has_list = False, reason, False
         self._cancels.reachable = False
@@ -353,7 +353,7 @@ class ActionlibClient:
         self._changed = True
         goal.result_delivered = goal.result_delivered or bool(goal.waiting)
         for done in goal.waiting:
-            done(wire.result_response(state, result, goal.reason))
+            done(_result(goal, result))
         goal.waiting.clear()
         self._cancels.send()
 
@@ -371,3 +371,8 @@ class ActionlibClient:
 def _remove(items: list[Any], item: Any) -> None:
     if item in items:
         items.remove(item)
+
+
+def _result(goal: TrackedGoal, body: bytes) -> bytes | CallError:
+    """Return the response to a get_result call of an ended goal: an error if the goal was lost."""
+    return CallError(goal.text) if goal.lost else wire.result_response(goal.state, body, goal.reason)

@@ -15,8 +15,8 @@ from tests.peers.ros1.client_world import (
     World,
     accepted,
     canceled,
+    lost,
     name,
-    reason,
     result,
     status,
     uuid,
@@ -109,17 +109,15 @@ def test_goals_of_a_lost_server_are_unknown_once_and_no_state_is_published(world
     world.client.lost("the server is gone")
     (error,) = waiting
     assert (str(error), accepted(running), accepted(over)) == (GONE, True, True)
-    assert [result(a) for a in requests] == [
-        (GoalState.UNKNOWN, EMPTY), (GoalState.UNKNOWN, EMPTY), (GoalState.SUCCEEDED, EMPTY)
-    ]  # fmt: skip
-    assert [reason(a) for a in requests[:2]] == [GONE, GONE]
+    assert [lost(a) for a in requests[:2]] == [GONE, GONE]
+    assert result(requests[2]) == (GoalState.SUCCEEDED, EMPTY)
     assert canceled(stop) == (CancelCode.REJECTED, set()), "the request can no longer be confirmed"
     assert accepted(world.send(4)) is False, "no goal is held for an unreachable server"
     world.advance(10.0)
     assert world.states == states_before, (
         "the goal may still be executing, so neither its end nor a list without it is published"
     )
-    assert result(world.ask(2)) == (GoalState.UNKNOWN, EMPTY)
+    assert lost(world.ask(2)) == GONE
     world.client.discovered()
     world.client.connected()
     assert not world.send(5)
@@ -171,7 +169,7 @@ def test_a_goal_that_its_server_no_longer_lists_is_unknown(world):
     call = world.ask(1)
     world.report((1, Ros1State.ACTIVE))
     world.report()
-    assert result(call) == (GoalState.UNKNOWN, EMPTY)
+    assert lost(call) == "lost sight of the goal: the server no longer lists it"
     assert world.states[-1] == {}, "the server's list shows that the server has no such goal"
     world.advance(5.0)
     assert not world.ask(2), "the goal was never in the list, so it may not have arrived yet"
@@ -200,7 +198,7 @@ def test_closing_cancels_and_ends_the_goals_of_the_hub(world):
     world.report((1, Ros1State.ACTIVE), ("/rviz-1", Ros1State.ACTIVE))
     world.client.close("the bridge stops")
     assert world.cancels == [GoalId(ZERO, name(1))]
-    assert result(request) == (GoalState.UNKNOWN, EMPTY)
+    assert lost(request) == "lost sight of the goal: the bridge stops"
     assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}
 
 

@@ -6,7 +6,7 @@ from bridge.adapters.ros1.actions import goal as goal_module
 from bridge.adapters.ros1.actions.client import RESULT_SECONDS
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.messages.actions import GoalState
-from tests.peers.ros1.client_world import EMPTY, World, accepted, reason, result, status, uuid
+from tests.peers.ros1.client_world import EMPTY, World, accepted, lost, reason, result, status, uuid
 
 
 @pytest.fixture
@@ -37,8 +37,8 @@ def test_lost_goals_have_a_reason(world):
     world.client.lost("its action server /move_base left")
     assert accepted(removed)
     assert accepted(forgotten)
-    assert reason(world.ask(1)) == "lost sight of the goal: its action server /move_base left"
-    assert reason(world.ask(2)) == "lost sight of the goal: the server no longer lists it"
+    assert lost(world.ask(1)) == "lost sight of the goal: its action server /move_base left"
+    assert lost(world.ask(2)) == "lost sight of the goal: the server no longer lists it"
 
 
 def test_a_result_before_any_status_accepts_and_ends_the_goal(world):

@@ -135,8 +135,7 @@ def test_a_server_that_is_killed_later_is_lost(drive, away):
     drive.goes_on()
     lists = drive.hub.states()
     drive.server.signal(signal.SIGKILL)
-    state, _, reason = wire.read_result_response(drive.hub.reply(drive.asked))
-    assert (GoalState(state), reason) == (GoalState.UNKNOWN, LOST)
+    assert LOST in drive.hub.reply(drive.asked)
     until(lambda: not shown(edge), "the server leaves the graph", SECONDS)
     assert drive.hub.states() == lists, "the list does not contain the goals' ends"
     if away:
