@@ -18,6 +18,7 @@ import roslib.message
 import rospy
 from actionlib.action_client import CommState
 from actionlib_msgs.msg import GoalID, GoalStatus
+from rospy.impl.registration import RegManager
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
@@ -45,6 +46,8 @@ class Server(Record):
     def __init__(self, name, type):
         super().__init__()
         self.type, self.handles = type, {}
+        self.free = threading.Event()
+        self.free.set()
         self.server = actionlib.ActionServer(name, action_class(type), self.on_goal, self.on_cancel, auto_start=False)
         self.server.start()
 
@@ -64,6 +67,7 @@ class Server(Record):
         handle.publish_feedback(self.message("Feedback", feedback=number))
         if outcome != "hold":
             self.finish(goal_id, outcome)
+        self.free.wait()
 
     def finish(self, id, outcome):
         handle = self.handles[id]
@@ -169,8 +173,38 @@ class Flood:
             self.publisher.publish(message)
 
 
+class Connector:
+    """Counts the attempts of rospy to connect to the publishers that the master reports, by topic."""
+
+    def __init__(self):
+        self.attempts = Record()
+        connect = RegManager._connect_topic_thread
+
+        def connect_and_record(manager, topic, uri) -> None:
+            connect(manager, topic, uri)
+            self.attempts.add(topic)
+
+        RegManager._connect_topic_thread = connect_and_record
+
+
+CONNECTOR = Connector()
+
+
 class Peer(Commands):
     """Executes the commands."""
+
+    def stall(self, id):
+        """Let the callback of the next goal wait for ``resume``, after the goal has ended."""
+        self.parts[id].free.clear()
+        return {}
+
+    def resume(self, id):
+        self.parts[id].free.set()
+        return {}
+
+    def attempts(self, topic):
+        """Return how often rospy has tried to connect to a publisher of a topic."""
+        return {"count": CONNECTOR.attempts.items.count(topic)}
 
     def server(self, name, type="actionlib/Test", simple=False):
         return self.add((Simple if simple else Server)(name, type))

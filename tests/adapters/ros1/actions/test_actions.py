@@ -213,6 +213,25 @@ def test_an_action_that_is_opened_again_accepts_goals(edge, servers):
         hub.close()
 
 
+def test_a_server_that_notices_the_end_of_its_connection_late_receives_goals(edge, servers):
+    """While a callback keeps rospy from reading the end of a connection, it ignores the publisher's return."""
+    server = servers.ask("server", name="/late")["id"]
+    hub = HubClient(edge, "/late")
+    servers.ask("stall", id=server)
+    goal, sent = hub.send(10)
+    assert hub.accepted(sent)
+    assert hub.result(hub.ask(goal)) == (GoalState.SUCCEEDED, 10)
+    before = servers.ask("attempts", topic="/late/goal")["count"]
+    hub.close()
+    again = HubClient(edge, "/late")
+    until(lambda: servers.ask("attempts", topic="/late/goal")["count"] > before, "the publisher is ignored", SECONDS)
+    servers.ask("resume", id=server)
+    goal, sent = again.send(10)
+    assert again.accepted(sent), edge.output()[-3000:]
+    assert again.result(again.ask(goal)) == (GoalState.SUCCEEDED, 10)
+    again.close()
+
+
 def test_a_returning_server_is_discovered_by_its_connection(tmp_path):
     """Only the server's connection to the edge's topics reveals it, because the master is not polled."""
     with RosMaster() as master, edge_on(master, tmp_path) as edge:
