@@ -7,7 +7,8 @@ or both no message crosses it until it is cut once more. Measured: if a link is 
 again, this happens nearly always; if it is cut 250 ms after, never.
 
 So each external router has a token, which it sends and loses together with the rest of its state. If a neighbor's token
-has disappeared although the neighbor is linked, `LinkRestarts` closes the link, and zenoh connects it again.
+has disappeared although the neighbor is linked, `LinkRestarts` closes the link, and zenoh connects it again. If that
+does not bring the token back, the pauses between restarts double, because each restart also cuts what does cross.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ import contextlib
 import logging
 import socket
 import time
+from dataclasses import dataclass, field
 from threading import Lock
 
 import psutil
 import zenoh
 
+from bridge.concurrency import Backoff
 from bridge.hub.graph.tokens import MIDSPAN_SPACE
 from bridge.hub.links import duplicate
 from bridge.hub.security.handshake import HostPort
@@ -32,8 +35,35 @@ _KEY = f"{MIDSPAN_SPACE}/external"
 _SECONDS = 1.5
 """Seconds for which a link must lack the token before it is closed: zenoh computes its trees every 0.1 s."""
 
+_LONGEST_SECONDS = 60.0
+"""Maximum of the same after restarts that did not bring the token back."""
+
+_LOG_SECONDS = 600.0
+"""Minimum seconds between two log lines about the same neighbor."""
+
 _REMEMBERED_SECONDS = 60.0
 """Seconds for which a lost router may return with the same zenoh id."""
+
+
+@dataclass(slots=True)
+class _Lost:
+    """A router whose token has disappeared.
+
+    Attributes:
+        linked: when it was last linked.
+        pause: seconds after which a link without the token is closed.
+        restarts: number of times that its links were closed.
+        logged: when that was last logged.
+    """
+
+    linked: float
+    pauses: Backoff = field(default_factory=lambda: Backoff(_SECONDS, _LONGEST_SECONDS))
+    pause: float = field(init=False)
+    restarts: int = 0
+    logged: float = float("-inf")
+
+    def __post_init__(self) -> None:
+        self.pause = self.pauses.pause(0.0)
 
 
 class LinkRestarts:
@@ -45,8 +75,8 @@ class LinkRestarts:
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._lock = Lock()
-        self._lost: dict[str, float] = {}
-        """By zenoh id, when a router whose token has disappeared was last linked."""
+        self._lost: dict[str, _Lost] = {}
+        """By zenoh id."""
         self._since: dict[tuple[str, str, str], float] = {}
         """By zenoh id and both addresses, when a link was first seen without the token."""
         self._token = session.liveliness().declare_token(f"{_KEY}/{session.zid()}")
@@ -61,12 +91,19 @@ class LinkRestarts:
         links = [(str(link.zid), str(link.src), str(link.dst)) for link in self._session.info.links()]
         now, linked = time.monotonic(), {zid for zid, *_ in links}
         with self._lock:
-            last = {zid: now if zid in linked else at for zid, at in self._lost.items()}
-            self._lost = {zid: at for zid, at in last.items() if now - at < _REMEMBERED_SECONDS}
+            for zid in linked & self._lost.keys():
+                self._lost[zid].linked = now
+            self._lost = {zid: lost for zid, lost in self._lost.items() if now - lost.linked < _REMEMBERED_SECONDS}
             self._since = {link: self._since.get(link, now) for link in links if link[0] in self._lost}
-        for (_, here, there), since in self._since.items():
-            if now - since >= _SECONDS:
-                _close_connection(here, there)
+            overdue = [link for link, since in self._since.items() if now - since >= self._lost[link[0]].pause]
+            for link in overdue:  # if it stays open, it gets the next pause, too
+                del self._since[link]
+            routers = {zid: self._lost[zid] for zid, *_ in overdue}
+        for zid, here, there in overdue:
+            if _close_connection(here, there):
+                _log_restart(routers[zid], there, now)
+        for lost in routers.values():
+            lost.pause = lost.pauses.pause(0.0)
 
     def close(self) -> None:
         """Stop following tokens; the own token ends with the session, and so not before the links."""
@@ -78,20 +115,35 @@ class LinkRestarts:
         zid = str(sample.key_expr).rpartition("/")[2]
         with self._lock:
             if sample.kind == zenoh.SampleKind.DELETE:
-                self._lost[zid] = time.monotonic()
+                self._lost.setdefault(zid, _Lost(time.monotonic()))
             else:
                 self._lost.pop(zid, None)
+                self._since = {link: since for link, since in self._since.items() if link[0] != zid}
 
 
-def _close_connection(here: str, there: str) -> None:
-    """Shut down the TCP connection between two locators of zenoh; do nothing for other protocols."""
+def _log_restart(lost: _Lost, place: str, now: float) -> None:
+    lost.restarts += 1
+    if now - lost.logged < _LOG_SECONDS:
+        return
+    lost.logged = now
+    again = "" if lost.restarts == 1 else f"; it did so {lost.restarts} times: restart Midspan there"
+    _log.warning("restarting the link to %s: zenoh restored it without the other machine's topics%s", place, again)
+
+
+def _close_connection(here: str, there: str) -> bool:
+    """Shut down the TCP connection between two locators of zenoh, and return whether it was open.
+
+    Other protocols are not supported.
+    """
     ends = [(place.host, place.port) for place in (HostPort.of(here), HostPort.of(there)) if place is not None]
     try:
         connections = psutil.Process().net_connections("tcp")
     except (psutil.Error, OSError):
-        return
+        return False
+    closed = False
     for connection in connections:
         if connection.fd >= 0 and [tuple(connection.laddr), tuple(connection.raddr)] == ends:
             with contextlib.suppress(OSError), duplicate(connection.fd) as copy:
                 copy.shutdown(socket.SHUT_RDWR)
-                _log.warning("restarting the link to %s: zenoh restored it without the other machine's topics", there)
+                closed = True
+    return closed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 import zenoh
@@ -56,4 +57,42 @@ def test_a_neighbor_that_never_had_a_token_keeps_its_link(monkeypatch: pytest.Mo
         restarts.check()
         restarts.check()
         assert addresses(here) == before
+        restarts.close()
+
+
+def test_the_pauses_between_restarts_double_while_the_token_stays_away(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    restarted: list[float] = []
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(link_restart, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(link_restart, "_close_connection", lambda *_: restarted.append(clock.now) or True)
+    with routers() as (here, other):
+        restarts = LinkRestarts(here)
+
+        def lose_token() -> None:
+            token = other.liveliness().declare_token(f"{link_restart._KEY}/{other.zid()}")
+            key = f"{link_restart._KEY}/{other.zid()}"
+            until(lambda: not restarts._lost and list(here.liveliness().get(key)), "the token arrives")
+            token.undeclare()
+            until(lambda: restarts._lost, "the token is lost")
+
+        def pauses(seconds: int) -> list[float]:
+            restarted.clear()
+            start = clock.now
+            for _ in range(seconds):
+                clock.now += 1.0
+                restarts.check()
+            return [second - first for first, second in zip([start, *restarted], restarted, strict=False)]
+
+        lose_token()
+        restarts.check()
+        assert pauses(260) == [2, 4, 7, 13, 25, 49, 61, 61]
+        assert len(caplog.messages) == 1
+        assert pauses(600)[1:] == [61] * 9
+        again = [message.partition(";")[2] for message in caplog.messages]
+        assert again == ["", " it did so 15 times: restart Midspan there"]
+        lose_token()
+        restarts.check()
+        assert pauses(10) == [2, 4]
         restarts.close()
