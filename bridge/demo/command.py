@@ -23,6 +23,9 @@ _EXTRA = (
     "pip install 'midspan[demo]' installs the Python packages of the demo (ROS 2, the simulator, the console and"
     " zenoh-ros2-sdk); in a checkout, make setup installs all of it"
 )
+_INTERRUPTED = 130
+"""Exit code after an interrupt, as in `bridge.demo.shutdown`, whose imports may be what is interrupted."""
+
 _NOT_WINDOWS = (
     "the demo runs only on Linux, because ROS 2's wheels and DART (the simulator) are published only for Linux; run it"
     " on a Linux machine. On Windows, 'midspan run' joins ROS 1, YARP and zenoh (docs/start/pip.md)"
@@ -67,7 +70,10 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; return 0 if everything went well."""
     if sys.platform == "win32":  # before the imports, because the demo's process groups and locks are POSIX's
         raise ClientError(_NOT_WINDOWS)
-    from bridge.demo.shutdown import INTERRUPTED, Shutdown
+    try:
+        from bridge.demo.shutdown import INTERRUPTED, Shutdown
+    except KeyboardInterrupt:  # Python would first free all that was imported, which takes seconds on a busy machine
+        os._exit(_INTERRUPTED)
 
     logging.basicConfig(format="%(message)s", level=logging.WARNING)
     with Shutdown() as shutdown:

@@ -23,6 +23,9 @@ SECONDS = 3.0
 _KILL_SECONDS, _EXIT_SECONDS = 0.9, 1.7
 """Seconds after Ctrl-C at which remaining processes are killed, and at which the demo exits in any case."""
 
+_ERASE_SECONDS = 1.0
+"""Seconds by which the exit is delayed while the main thread removes leftovers."""
+
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 INTERRUPTED = 130
 """Exit code after an interrupt."""
@@ -39,6 +42,7 @@ class Shutdown:
         self._interrupted_at: float | None = None
         self._deferrals = 0
         self._erasers: list[Callable[[], Any]] = []
+        self._erasing = threading.Lock()
         self._old: dict[signal.Signals, Any] = {}
         self._old_wakeup = -1
 
@@ -76,6 +80,15 @@ class Shutdown:
     def guard(self, erase: Callable[[], Any]) -> None:
         """Add a function that removes leftovers; any thread may call it if the main thread is too slow."""
         self._erasers.append(erase)
+
+    @contextlib.contextmanager
+    def erasing(self) -> Iterator[None]:
+        """Let the thread that ends the process wait for the block, which removes leftovers itself.
+
+        Both would search all processes of the machine at the same time, which on a busy machine takes seconds.
+        """
+        with self._erasing:
+            yield
 
     def check(self) -> None:
         """Raise `KeyboardInterrupt` if the demo was interrupted."""
@@ -118,6 +131,7 @@ class Shutdown:
             os.close(self._reads)
             return
         time.sleep(_EXIT_SECONDS)
+        self._erasing.acquire(timeout=_ERASE_SECONDS)  # the process ends, and with it the lock
         for erase_leftovers in self._erasers:
             with contextlib.suppress(Exception):
                 erase_leftovers()
@@ -154,10 +168,11 @@ def end_all(sandbox: Sandbox, shutdown: Shutdown, stages: Sequence[Stage]) -> No
             if time.monotonic() > looked + _MEMORY_SECONDS:
                 looked = time.monotonic()
                 memory.note()
-    left = erase(sandbox.folder, sandbox.domain_ports)
-    if left and not shutdown.interrupted:
-        _log.warning("these processes had to be killed: %s", ", ".join(left))
-    memory.remove()
+    with shutdown.erasing():
+        left = erase(sandbox.folder, sandbox.domain_ports)
+        if left and not shutdown.interrupted:
+            _log.warning("these processes had to be killed: %s", ", ".join(left))
+        memory.remove()
     for process in every:
         if not shutdown.interrupted:
             process.close()  # to read the remaining output

@@ -93,6 +93,8 @@ def test_ctrl_c_during_the_start_ends_the_demo_in_time(folder: Path, seconds: fl
     demo = start(folder, "--stay")
     try:
         time.sleep(seconds)
+        used = psutil.Process(demo.pid).cpu_times
+        until(lambda: sum(used()[:2]) > 0.2, "Python has started; until then it prints a traceback", 60.0)
         assert_ends(demo, folder)
     finally:
         demo.kill()
@@ -134,6 +136,42 @@ def test_a_hanging_demo_is_ended_in_time(tmp_path: Path) -> None:
         assert stuck.wait(60) == 130
         assert time.monotonic() - began < SECONDS
         assert stuck.stdout.read() == "erased\n"
+
+
+def test_the_demo_does_not_search_for_leftovers_twice_at_the_same_time() -> None:
+    code = """
+import os, signal, time
+from bridge.demo.shutdown import Shutdown
+with Shutdown() as ending:
+    ending.guard(lambda: print("guarded", flush=True))
+    ending.ignore_signals()
+    os.kill(os.getpid(), signal.SIGINT)
+    with ending.erasing():
+        time.sleep(2.2)
+        print("erased", flush=True)
+    time.sleep(600)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout.split(), done.returncode) == (["erased", "guarded"], 130), done.stderr
+
+
+def test_an_interrupt_during_the_imports_ends_the_demo_without_freeing_them() -> None:
+    code = """
+import argparse, builtins, sys
+from bridge.demo.command import run
+class Freed:
+    def __del__(self):
+        print("freed", flush=True)
+class Interrupted:
+    def find_spec(self, name, path, target=None):
+        if name == "bridge.demo.shutdown":
+            raise KeyboardInterrupt
+builtins.freed = Freed()
+sys.meta_path.insert(0, Interrupted())
+run(argparse.Namespace())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout, done.returncode) == ("", 130), done.stderr
 
 
 def test_a_signal_is_deferred_by_a_held_block_and_raised_once() -> None:
