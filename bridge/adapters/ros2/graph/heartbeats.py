@@ -95,8 +95,10 @@ class Heartbeats:
     def _send(self) -> None:
         now = time.monotonic()
         with self._lock:
-            self._pending = {writer: prepared for writer, prepared in self._pending.items() if now < prepared.end}
-            pending = dict(self._pending)
+            pending = self._pending  # also if the time is over: this thread may not have run before
+            self._pending = {writer: prepared for writer, prepared in pending.items() if now < prepared.end}
+            again = bool(self._pending)
         if pending:
             self._send_all(spdp.heartbeats({writer: prepared.last for writer, prepared in pending.items()}))
+        if again:
             self._later.after(PAUSE_SECONDS, self._send, once=True)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
@@ -47,22 +50,50 @@ def test_many_writers_share_messages_that_fit_into_a_frame() -> None:
     assert spdp.heartbeats({}) == []
 
 
-def test_heartbeats_are_repeated_until_the_participant_has_settled(
-    later: DelayedCalls, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(heartbeats, "_SETTLE_SECONDS", 0.2)
-    monkeypatch.setattr(heartbeats, "MATCH_SECONDS", 0.1)
-    sent: list[Sequence[bytes]] = []
-    beats = Heartbeats(sent.append, later)
-    began = time.monotonic()
-    assert beats.prepare(WRITER, 0, [READER]) - began == pytest.approx(0.3, abs=0.05)
-    until(lambda: len(sent) >= 3, "heartbeats are sent")
-    assert sent[0] == spdp.heartbeats({WRITER: 0})
-    until(lambda: not beats._pending, "the heartbeats end")
-    assert time.monotonic() - began >= 0.3
-    now = time.monotonic()  # the participant has settled: only the time of a match is left
-    assert beats.prepare(WRITER, 5, [READER]) - now == pytest.approx(0.1, abs=0.05)
-    until(lambda: sent[-1] == spdp.heartbeats({WRITER: 5}), "the new count is sent")
+class Clock:
+    """Makes scheduled calls at once, each at its time of a simulated clock."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        self._due: list[tuple[float, Callable[[], None]]] = []
+        monkeypatch.setattr(heartbeats, "time", SimpleNamespace(monotonic=lambda: self.now))
+
+    def after(self, seconds: float, call: Callable[[], None], *, once: bool) -> None:
+        if not (once and self._due):
+            self._due.append((self.now + seconds, call))
+
+    def run(self, late: float = 0.0) -> None:
+        """Make all calls, also those that they schedule; the first one is ``late``."""
+        self.now += late
+        while self._due:
+            at, call = self._due.pop()
+            self.now = max(self.now, at)
+            call()
+
+
+def test_heartbeats_are_repeated_until_the_participant_has_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, sent = Clock(monkeypatch), list[tuple[float, Sequence[bytes]]]()
+    beats = Heartbeats(lambda messages: sent.append((clock.now, messages)), cast("DelayedCalls", clock))
+    end = beats.prepare(WRITER, 0, [READER])
+    assert end - clock.now == pytest.approx(heartbeats._SETTLE_SECONDS + heartbeats.MATCH_SECONDS)
+    clock.run()
+    assert {tuple(messages) for _, messages in sent} == {tuple(spdp.heartbeats({WRITER: 0}))}
+    pauses = [after - before for (before, _), (after, _) in pairwise(sent)]
+    assert pauses == pytest.approx([heartbeats.PAUSE_SECONDS] * len(pauses))
+    assert sent[-1][0] == pytest.approx(end, abs=1.1 * heartbeats.PAUSE_SECONDS)
+    # the participant has settled: only the time of a match is left
+    assert beats.prepare(WRITER, 5, [READER]) - clock.now == pytest.approx(heartbeats.MATCH_SECONDS)
+    clock.run()
+    assert sent[-1][1] == spdp.heartbeats({WRITER: 5})
+
+
+def test_a_heartbeat_is_sent_even_if_its_thread_did_not_run_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread also has other calls, and a reader without a heartbeat skips the first message."""
+    clock, sent = Clock(monkeypatch), list[Sequence[bytes]]()
+    beats = Heartbeats(sent.append, cast("DelayedCalls", clock))
+    beats.prepare(WRITER, 2, [READER])
+    clock.run(late=60.0)
+    assert sent == [spdp.heartbeats({WRITER: 2})]
 
 
 def test_readers_of_one_writer_are_prepared_together(later: DelayedCalls, monkeypatch: pytest.MonkeyPatch) -> None:
