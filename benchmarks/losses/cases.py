@@ -69,12 +69,25 @@ def roscore(field: Field, *, simulated: bool = False) -> Outcome:
 def simulated_roscore(field: Field) -> Outcome:
     """Restart roscore with ``/use_sim_time`` and a clock that restarts."""
     outcome = roscore(field, simulated=True)
+    since = time.monotonic()
     for listener in ("ros2", "hub"):
-        last = field.sounds(time.monotonic() - 1.0).get((listener, "/clock"), [(0.0, 1000.0, 0.0)])[-1][1]
+        last = _time_at(field, listener, since)
         if last >= 1000.0:
             outcome.left.append(f"{listener} receives the old time {last:g}")
     field.command("ros1", "clock", "ticking", start=1000.0)
     return outcome
+
+
+def _time_at(field: Field, listener: str, since: float) -> float:
+    """Return the newest simulated time that a program has received since a moment, once there is one."""
+    flow, times = (listener, "/clock"), list[float]()
+
+    def received() -> bool:
+        times[:] = [sent for _, sent, _ in field.sounds(since).get(flow, ())]
+        return bool(times)
+
+    field.until(received, f"{listener} receives /clock")
+    return times[-1]
 
 
 def program(field: Field, side: str, *, forget: bool = True) -> Outcome:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
@@ -14,6 +16,7 @@ from benchmarks.losses import cases
 from benchmarks.losses.field import WORKERS, Field
 from benchmarks.losses.litter import litter
 from benchmarks.losses.outcome import Outcome
+from tests.support.wait import until
 
 pytestmark = [pytest.mark.thorough, pytest.mark.alone]
 
@@ -65,6 +68,13 @@ def test_all_messages_flow_again_after_a_loss(fields: Fields, loss: str) -> None
     with fields.one() as field:
         outcome = LOSSES[loss](field)
         assert outcome.good, f"{outcome}\n{field.words()}"
+
+
+def test_a_listener_that_does_not_run_for_a_second_has_no_old_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    arrivals = iter([{}, {("ros2", "/clock"): [(0.0, 3.0, 0.0)]}, {("hub", "/clock"): [(0.0, 4.0, 0.0)]}])
+    field = SimpleNamespace(sounds=lambda _since: next(arrivals), until=until, command=lambda *_, **__: None)
+    monkeypatch.setattr(cases, "roscore", lambda _field, **_: Outcome())
+    assert cases.simulated_roscore(cast("Field", field)).good
 
 
 def test_repeatedly_killed_workers_leave_no_more_than_one_does(fields: Fields) -> None:
