@@ -69,8 +69,8 @@ CURES = {
 
 def refusal(reason: FrameRefusal, parent: str, child: str, stamp: int, authority: str) -> str:
     """Return why a transform was refused, as text."""
-    link = f'"{parent}" to "{child}"'
-    return f'{reason}: the transform from {link} at {seconds(stamp):.9f} of "{authority}": {CURES[reason]}'
+    link, publisher = f'"{parent}" to "{child}"', f' of "{authority}"' if authority else ""
+    return f"{reason}: the transform from {link} at {seconds(stamp):.9f}{publisher}: {CURES[reason]}"
 
 
 def empty_name(role: str) -> str:

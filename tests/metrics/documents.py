@@ -17,8 +17,8 @@ def route(topic: str = "/scan", **more: Any) -> dict[str, Any]:
     counters.crossed(100)
     for before in (0.003, 2.0):
         counters.carried(100, time.monotonic() - before)
-    counters.latency(300_000)
-    counters.latency(40_000_000)
+    counters.add_latency(300_000)
+    counters.add_latency(40_000_000)
     counters.dropped("queue")
     row = {"kind": "topic", "direction": "in", "hub_topic": topic, "type": "sensor_msgs/msg/LaserScan"}
     return {**row, **counters.as_dict(), "ways": {"lane": 2, "zenoh": 1}, **more}

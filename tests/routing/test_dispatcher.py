@@ -30,7 +30,7 @@ def test_work_on_the_callers_thread_is_watched(monkeypatch: pytest.MonkeyPatch) 
         inside.set()
         go_on.wait(40)
 
-    thread = threading.Thread(target=dispatcher.here, args=(work,))
+    thread = threading.Thread(target=dispatcher.run_here, args=(work,))
     thread.start()
     assert inside.wait(40)
     monkeypatch.setattr("bridge.routing.dispatcher._STUCK_SECONDS", 0.01)

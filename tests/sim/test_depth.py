@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageWriter
 from bridge.tf.buffer import TransformBuffer
-from navigation.clouds import placed, read_points
+from navigation.clouds import read_points, transform_points
 from sim import messages
 from sim.base import BasePose
 from sim.depth import DepthCamera
@@ -101,7 +101,7 @@ def test_the_cloud_fits_the_published_frames() -> None:
     )
     box = np.array([(1.3, -0.3, 1.0, 0.0, 0.2, 0.2, 0.0, 0.3)])
     cloud = messages.points(0, depth_camera.points(depth_camera.picture(0, BasePose(0.0, 0.0, 0.0), box, NONE)))
-    points = placed(read_points({"is_bigendian": False, **cloud}), at)
+    points = transform_points(read_points({"is_bigendian": False, **cloud}), at)
     np.testing.assert_allclose(points[:, 2].min(), -0.16, atol=1e-5)
     top = points[np.abs(points[:, 2] - (0.3 - 0.16)) < 1e-4]
     assert len(top) > 5

@@ -12,7 +12,7 @@ from bridge.clock import RunClock, SystemClock
 from bridge.messages.actions import GoalState
 from bridge.tf.buffer import TransformBuffer
 from bridge.transform_server.buffer_server import ACTION, FRAME_GRAPH, FRAMES, LOOKUP, BufferServer
-from tests.modules.test_actions import Two
+from tests.modules.test_actions import NodePair
 from tests.support.wait import until
 
 S = 1_000_000_000
@@ -25,7 +25,7 @@ class Served:
     """A buffer with its server, and a client."""
 
     def __init__(self) -> None:
-        self.two = Two()
+        self.two = NodePair()
         self.buffer = TransformBuffer()
         self.clock = RunClock(simulated=True)
         self.set_time(START)
