@@ -129,6 +129,14 @@ def test_a_drive_is_prepared_only_while_nothing_may_execute_a_goal() -> None:
     assert {(now.base is Base.MOVING, now.goals is True, now.motion) for now in prepared} == {(False, False, ())}
 
 
+def test_a_base_that_moves_is_not_reported_as_prepared_although_its_planner_prepares() -> None:
+    """RobotGoto backs off before it drives to its goal."""
+    reported = PlannerStatus(State.PREPARING, "waiting for a map", Fault.NO_MAP)
+    now = Situation("robot_goto", PlannerState.DRIVING, drive=DriveState.DRIVING, reported=reported)
+    assert derive(replace(now, base=Base.STANDING)) == reported
+    assert derive(replace(now, base=Base.MOVING)) == reported._replace(state=State.MOVING)
+
+
 def test_an_unknown_planner_is_not_idle() -> None:
     for planner in (PlannerState.UNKNOWN, PlannerState.UNREPORTED):
         moving = derive(Situation("nav2", planner, base=Base.MOVING))
