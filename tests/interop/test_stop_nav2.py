@@ -49,11 +49,13 @@ def wait(watch: Watch, seconds: float) -> None:
     watch.until(lambda: time.monotonic() > watch.began + seconds, "the fault lasts for a while")
 
 
-def assert_stops(watch: Watch, *callers: str) -> None:
-    """Let clients request a stop, which must reach whatever moves the base."""
+def assert_stops(watch: Watch, *callers: str, through: str = "") -> None:
+    """Let clients request a stop, which must reach whatever moves the base; ``through``: a worker that restarts."""
     watch.ask("stop", callers or ALL)
     for name, (_, answer) in watch.answers.items():
         assert not answer or answer == "not ok" or UNCONFIRMED in answer, f"{name} received {answer!r}; {watch}"
+    if through:  # on a busy machine, a restart takes longer than a stop
+        watch.until(lambda: watch.mix.runs(through), f"{through} has restarted")
     watch.until(lambda: not watch.base.moves, "the base stands", STANDS_SECONDS)
     wait(watch, time.monotonic() - watch.began + 1.0)
     watch.until(lambda: watch.mix.state() in ("idle", "aborted"), "the status shows no goal", STANDS_SECONDS)

@@ -103,5 +103,5 @@ def test_stop_after_the_ros2_worker_was_killed(mix: Mix) -> None:
     watch = drive_in(mix, ZENOH)
     kill_workers("ros2")(mix)
     wait(watch, 0.3)
-    assert_stops(watch, YARP, ZENOH)
+    assert_stops(watch, YARP, ZENOH, through="ros2")
     assert_ends_once(watch)

@@ -270,6 +270,12 @@ class Mix:
         """Return the process ID of each running worker."""
         return {str(worker.get("worker")): int(worker["pid"]) for worker in self.deployment.status() if "pid" in worker}
 
+    def runs(self, worker: str) -> bool:
+        """Return whether a worker is running and has joined its network."""
+        return any(
+            status.get("worker") == worker and status["state"] == "running" for status in self.deployment.status()
+        )
+
     def back(self) -> bool:
         """Return whether all workers are running and the gateway can reach its planner."""
         return self._chosen(self.kind) and self.processes().keys() >= self._pids.keys()
