@@ -36,6 +36,10 @@ class UnsentCallError(CallError):
     """A call was refused before any server received it."""
 
 
+class ClosedCallError(CallError):
+    """The client of a call was closed before the reply."""
+
+
 Done = Callable[[bytes | CallError], None]
 """Receives the result of a call, once and on any thread; it may only append and wake, or send."""
 
@@ -185,7 +189,7 @@ class CallClient:
     def _ask(self, pending: _PendingCall) -> None:
         querier = self._querier
         if querier is None:
-            self._end(pending.number, CallError(_CLOSED.format(name=self.name)))
+            self._end(pending.number, ClosedCallError(_CLOSED.format(name=self.name)))
             return
         number = pending.number
         replied, over = partial(self._on_reply, number), partial(self._on_over, number)
@@ -210,7 +214,7 @@ class CallClient:
         with self._lock:
             querier, self._querier = self._querier, None
         if querier is not None:
-            self._end_all(CallError(_CLOSED.format(name=self.name)))
+            self._end_all(ClosedCallError(_CLOSED.format(name=self.name)))
             self._withdraw()
             undeclare(self._listener)
             _undeclare_querier(querier)

@@ -13,7 +13,7 @@ from typing import Any
 from typing_extensions import override
 
 from bridge.concurrency import BoundedQueue
-from bridge.hub.endpoints.calls import LEFT, Abandon, CallError, Done
+from bridge.hub.endpoints.calls import LEFT, Abandon, CallError, ClosedCallError, Done
 from bridge.hub.endpoints.services import HubClient, HubServer
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import ServiceConversion
@@ -65,7 +65,8 @@ class BridgedCall:
 
     def _on_result(self, result: bytes | CallError) -> None:
         if isinstance(result, CallError):
-            self.end(result)
+            closing = self._route.closing  # the reason why the far client was closed
+            self.end(closing if closing is not None and isinstance(result, ClosedCallError) else result)
         elif not self._route.carry(lambda: self._finish(result), len(result)):
             self.end(CallError("too many large replies are pending; call again later"))
 
@@ -135,6 +136,8 @@ class ServiceRoute(Route):
     kind = "service"
     request: Convert = None
     reply: Convert = None
+    closing: CallError | None = None
+    """The error with which pending calls end because the route closes; None before."""
 
     def __init__(
         self, key: RouteKey, names: tuple[str, str], conversion: ServiceConversion, policy: RoutePolicy,
@@ -234,7 +237,7 @@ class ServiceRoute(Route):
         with self._lock:
             far, self._far = self._far, None
             near, self._near = self._near, None
-        error = CallError(why or LEFT.format(name=self.side_topic))
+        error = self.closing = CallError(why or LEFT.format(name=self.side_topic))
         if isinstance(far, HubClient):
             self._end_calls(error)
         if far is not None:

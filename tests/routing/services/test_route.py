@@ -10,13 +10,13 @@ from base64 import b64decode
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import zenoh
 
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.endpoints.calls import Abandon, CallError, Done
+from bridge.hub.endpoints.calls import Abandon, CallError, ClosedCallError, Done
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.session import Hub
 from bridge.messages.actions import GoalState
@@ -241,6 +241,27 @@ def test_held_call_ends_when_its_route_closes(rig: Rig) -> None:
     until(lambda: rig.row()["pending"] == 1, "the call is held")
     rig.network.restart(None)
     assert call.result()["error"]
+
+
+def test_calls_of_a_closing_route_end_with_the_reason_why_it_closes(rig: Rig) -> None:
+    """An edge's client that is closed ends its calls itself, but only the route knows why it is closed."""
+    serving = rig.serve(held=True)
+    call = ask(rig.client())
+    serving.requests(1)
+    (route,) = rig.engine.routes()
+    assert isinstance(route, service_route.ServiceRoute)
+    far, calls = route._far, tuple(route._calls)
+
+    def close() -> None:
+        for pending in calls:
+            pending._on_result(ClosedCallError("its client was closed"))
+
+    route._far = cast("Any", SimpleNamespace(close=close))
+    route.close()
+    assert call.result()["error"] == "the server of /do left before it answered"
+    assert far is not None
+    far.close()
+    serving.release()
 
 
 def test_the_end_of_the_network_ends_its_calls(rig: Rig) -> None:
