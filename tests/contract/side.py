@@ -5,6 +5,7 @@ An adapter joins the suite with one subclass here and one line in ``conftest.py`
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import subprocess
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from bridge.config.model import Config
+from bridge.daemon.heartbeat import DUMP_STACKS
 from tests.peers.peer import stop_all
 from tests.support.hidden import as_on
 from tests.support.process import Process
@@ -142,9 +144,17 @@ class WorkerProcess:
             try:
                 self.process.popen.wait(5)
             except subprocess.TimeoutExpired:
-                raise AssertionError("worker did not stop in 5 s: " + self.process.output()[-4000:]) from None
+                raise AssertionError("worker did not stop in 5 s: " + self._stacks()) from None
             finally:
                 self.process.stop()
+
+    def _stacks(self) -> str:
+        """Return the end of the worker's output, with the stacks of its threads unless it ends now."""
+        if DUMP_STACKS is not None:
+            self.process.signal(DUMP_STACKS)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.popen.wait(1)
+        return self.process.output()[-12_000:]
 
     def kill(self) -> None:
         """Kill the worker with SIGKILL."""
