@@ -94,7 +94,12 @@ def _requests() -> Subject:
 
         loop = _Loop()
         server = SimpleNamespace(
-            is_open=True, call=call, name="/s", gone="", traffic=Traffic(), left=lambda _client: loop.over.set()
+            is_open=True,
+            call=call,
+            name="/s",
+            closed_reason="",
+            traffic=Traffic(),
+            remove=lambda _client: loop.over.set(),
         )
         ours, theirs = _connection(data)
         with theirs:
