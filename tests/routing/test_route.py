@@ -420,7 +420,7 @@ def test_latency_is_measured_after_the_system_clock_was_set(monkeypatch: pytest.
         key, conversion = RouteKey(topic, STRING, type_.type_id), Conversion(type_, type_, None)
         route = HubToSideRoute(key, topic, None, conversion, policy, context)
         latencies: list[int] = []
-        monkeypatch.setattr(Counters, "latency", lambda _counters, latency: latencies.append(latency))
+        monkeypatch.setattr(Counters, "add_latency", lambda _counters, latency: latencies.append(latency))
         route.update([publisher], [])
         real = time.time_ns
 
