@@ -2,13 +2,13 @@
 
 Half of the topics go from ROS 1 to ROS 2, half back. There are four parts:
 - ``idle``: nothing is sent;
-- ``fast``: one more topic runs at 250 Hz beside the idle topics, and without them in separate rounds before and after;
+- ``fast``: one more topic runs at 250 Hz: alone, then beside the idle topics, then alone again;
 - ``busy``: ten messages per second are sent on each topic, all numbered, and counted at the receiver;
 - ``tf``: one topic of TF with 20 transforms runs at 2,000 Hz.
 
-If the project promises an absolute limit, this is the peer. Since the cost depends on the machine, the busy topics also
-run through two bare relays (`benchmarks.latency.relay`). The relays do not convert TF, so the peer of TF is a topic of
-strings at 2,000 Hz through the relays.
+If the project has a limit for a figure, the limit is in the row's column ``peer``. Since the cost depends on the
+machine, the busy topics also run through two bare relays (`benchmarks.latency.relay`). The relays do not convert TF,
+so the peer of TF is a topic of strings at 2,000 Hz through the relays.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Bare(Crowd):
 
     @override
     def process_ids(self) -> dict[str, int]:
-        """Return process ids by name: the relays as ``ros1`` and ``ros2``, the ends."""
+        """Return process ids by name: of the relays ``ros1`` and ``ros2``, and of the senders and receivers."""
         return {name: child.pid for name, child in self._children.items()}
 
 

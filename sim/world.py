@@ -149,7 +149,7 @@ class FloorWorld:
 
     @property
     def rests(self) -> bool:
-        """Whether no body in DART has moved in the last step, or was changed since."""
+        """Whether nothing moved or was commanded to move in the last step, and nothing was changed since."""
         return self._rests
 
     def _slowed_down(self) -> bool:

@@ -1,4 +1,4 @@
-"""A worker that fails for a plain reason: the daemon gets the reason, and the log has no traceback."""
+"""A worker that fails with an expected error: the daemon gets the message, and the log has no traceback."""
 
 from __future__ import annotations
 

@@ -44,7 +44,8 @@ def socketpair(*_):
 socket.socket, socket.socketpair = Socket, socketpair
 selectors.DefaultSelector = selectors.SelectSelector
 """
-"""To run in a process before yarp_compat is imported; no library that yarp_compat imports then needs what is hidden."""
+"""Code to run before yarp_compat is imported. It first imports the libraries that yarp_compat needs, because they use
+what is hidden afterwards."""
 
 LIBRARIES = """
 import cryptography.x509, numpy, psutil, pydantic, rich.console, rosbags.typesys, ruamel.yaml, xxhash, yaml, zenoh
@@ -55,8 +56,8 @@ vars(whole).update(vars(os))
 for module in (psutil, psutil._common, psutil._pslinux, psutil._psposix):
     module.os = whole
 """
-"""To run before `HIDE` if the bridge itself runs in the same process: imports libraries with Windows
-implementations."""
+"""Code to run before `HIDE` in a process that also runs the bridge: imports the libraries that have separate code for
+Windows. Here they run their Linux code, which needs what is hidden."""
 
 ROOT = Path(__file__).parents[2]
 

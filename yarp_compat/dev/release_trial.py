@@ -1,10 +1,13 @@
-"""Determines the YARP release of a remote client: by its process, and by a reply that not all releases can read.
+"""Determines the YARP release of a remote client.
+
+A client on this machine has loaded a YARP library, which names its release. For any other client, a trial sends a reply
+that not all releases can read.
 
 The name server has the process of each C++ port (property ``process``), so a finding about one device applies to all
 devices of its process. A trial uses the port ``<local>/user_commands/rpc`` of a ``navigation2D_nwc_yarp``: the client's
-reply to ``listLocations`` contains the names from its map server (``Navigation2D_nwc_yarp.cpp``, 3.6 to 4.0). If that
-map server is one of this package's, it sends the names once in the format of 3.6 to 3.10, and the client's reply
-contains them only if the client could read them.
+reply to ``listLocations`` contains the names from its map server (``Navigation2D_nwc_yarp.cpp``, 3.6 to 4.0). During a
+trial, a map server of this package sends the names in the format of 3.6 to 3.10. If the client's reply then contains
+the names, the client could read that format.
 """
 
 from __future__ import annotations
@@ -97,4 +100,9 @@ class ReleaseTrials:
             reason = "a guess: it did not read a reply in the format of 3.6 to 3.10"
             finding = ReleaseFinding(Generation.YARP_3_12, reason, sure=False)
         self._generations.findings.add(peer, finding, link)
-        log.info("%s: replying to its calls as YARP %s (%s)", device_of(peer), finding.generation.value, reason)
+        log.info(
+            "%s: its calls are answered in the format of YARP %s (%s)",
+            device_of(peer),
+            finding.generation.value,
+            reason,
+        )

@@ -55,7 +55,7 @@ def delay(seconds: float) -> None:
 
 
 def wait(stop: threading.Event, seconds: float, since: float) -> bool:
-    """Wait until ``seconds`` after ``since`` by `steady`, or until ``stop`` is set; return whether it is."""
+    """Wait until ``seconds`` after ``since`` (of `steady`), or until ``stop`` is set; return whether it is set."""
     clock = _InUse.clock
     if clock is None:
         return interruptible(stop.wait, max(since + seconds - steady(), 0.0))

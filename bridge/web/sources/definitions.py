@@ -1,4 +1,4 @@
-"""Message definitions in the form from which pages build input forms."""
+"""Message definitions as JSON, from which pages build input fields."""
 
 from __future__ import annotations
 

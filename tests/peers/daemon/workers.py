@@ -94,7 +94,7 @@ def _constant(answer: Any) -> Callable[[dict[str, Any]], Any]:
 
 
 class _Edge(FakeEdge):
-    """A fake edge named ros1, so that ROS 1's private names apply."""
+    """A fake edge named ros1, so that names that concern only ROS 1 are withheld, such as /rosout."""
 
     side = "ros1"
 

@@ -126,7 +126,7 @@ class HubPeer(Commands):
             for work in (lambda: session.get("other/key"), lambda: session.declare_subscriber("other/key")):
                 other = Thread(target=work, daemon=True)
                 other.start()
-                other.join(0.2)  # until it waits for a lock, which no interface shows
+                other.join(0.2)  # by then it waits for zenoh's lock; no function of zenoh shows that
             drop()
 
         def colliding(callback: Any, drop: Callable[[], None] | None = None, **options: Any) -> Any:

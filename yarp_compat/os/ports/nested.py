@@ -14,7 +14,8 @@ CLIENT = "+1"
 SERVER = "-1"
 
 LATCHED = "latched"
-"""The property of publishers that send late joiners the last message, in their port and at the name server."""
+"""Name of the property that marks publishers that send late joiners their last message: on the port, and at the name
+server."""
 
 _ROLES = (CLIENT, SERVER, PUBLISHER, SUBSCRIBER)
 
