@@ -124,7 +124,7 @@ def _rows(case: str, drives: list[Drive], judge: Judge, factor: float, fastest: 
 
 
 def _pace(drives: list[Drive]) -> float:
-    """Return the seconds of drives per meter of their shortest paths; NaN if there is no drive."""
+    """Return the seconds of drives per meter of their shortest paths; NaN without drives."""
     best = sum(drive.optimum for drive in drives)
     return sum(drive.seconds for drive in drives) / best if best else math.nan
 

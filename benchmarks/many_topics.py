@@ -2,7 +2,7 @@
 
 Half of the topics go from ROS 1 to ROS 2, half back. There are four parts:
 - ``idle``: nothing is sent;
-- ``fast``: one more topic runs at 250 Hz: alone, then beside the idle topics, then alone again;
+- ``fast``: one more topic runs at 250 Hz: by itself, then together with the idle topics, then by itself again;
 - ``busy``: ten messages per second are sent on each topic, all numbered, and counted at the receiver;
 - ``tf``: one topic of TF with 20 transforms runs at 2,000 Hz.
 
@@ -89,7 +89,7 @@ class Crowd(Stage):
         self.until(all_cross, f"a message arrives on all {len(topics)} topics from {sender} to {listener}")
 
     def _tally(self, listener: str, sent: int, seconds: float) -> dict[str, Any]:
-        """Return a listener's counts, once all messages have arrived, or no more arrive."""
+        """Return a listener's counts, once all messages have arrived, or none arrives any longer."""
         return self.command(listener, "tally", "tallied", sent=sent, seconds=seconds)
 
     def idle(self, seconds: float) -> dict[str, Usage]:

@@ -34,7 +34,7 @@ def ros2_type(registry: Registry, topic: BagTopic) -> SideType:
 
     If the bag's definition does not have the bag's hash, the definition wins, because the messages were written with
     it. Raises `MessageTypeError` if the definition cannot be read and the bag has no hash; if the definition nests a
-    type that is missing in it and differs here; and if there is no readable definition and the type or its hash is
+    type that is missing in it and differs here; and if no definition can be read and the type or its hash is
     unknown here.
     """
     name, type_hash = topic.type_name, topic.type_hash

@@ -143,7 +143,7 @@ class Shutdown:
 _log = logging.getLogger(__name__)
 _POLL_SECONDS = 0.02
 _MEMORY_SECONDS = 0.2
-"""Interval of the checks which shared memory is in use; a process that ends during its start may leave some."""
+"""Interval of the checks for shared memory in use; a process that ends during its start may leave some."""
 
 Stage = tuple[Sequence[DemoChild | Program], float]
 """Processes that are asked to end at the same time, and their time limit in seconds."""

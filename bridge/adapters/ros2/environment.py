@@ -125,7 +125,7 @@ def _site(prefix: str | Path) -> Path:
 
 
 def _installation(environ: Mapping[str, str]) -> Path | None:
-    """Return the prefix of the ROS 2 that a worker would use; None if there is no ROS 2."""
+    """Return the prefix of the ROS 2 that a worker would use; None if ROS 2 is missing."""
     sourced = next((p for p in _prefixes(environ) if (_site(p) / "rclpy").is_dir()), None)
     if sourced is not None:
         return sourced

@@ -123,7 +123,7 @@ class EndpointVersions:
         """Return the servers that get a service's requests: of each type, the servers of one version.
 
         This is this machine's version if a server has it, else the most frequent version that can be converted. All
-        servers are returned if there is no such version.
+        servers are returned if neither exists.
         """
         called: list[Endpoint] = []
         for type_name, of_type in _by_type(servers).items():
@@ -241,7 +241,7 @@ class EndpointVersions:
             type_name: the service.
             here: hash of this machine's version.
             request_hash: hash of that version's requests.
-            client: what the client announced, as `of_service` returns it.
+            client: hash that the client announced, as `of_service` returns it.
 
         Returns None if the client's version is unknown.
         """
@@ -261,7 +261,7 @@ class EndpointVersions:
         Args:
             service: the service's name.
             servers: all servers of the service.
-            expected: the version of the client that is to call them; None if there is no client yet.
+            expected: the version of the client that is to call them; None before a client exists.
         """
         for type_name, of_type in _by_type(servers).items():
             versions = {self._of_server(server) for server in of_type if server.made_by is MadeBy.NATIVE} - {None}

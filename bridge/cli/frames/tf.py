@@ -125,7 +125,7 @@ def _register_echo(verbs: Any) -> None:
     parser = add_verb(
         verbs, "echo", _echo, "print the pose of one frame in another",
         "Prints the pose of FRAME in REFERENCE, which maps points from FRAME to REFERENCE, until Ctrl-C. The pose is"
-        " for the newest time at which all frames between the two have data. While there is no pose, the reason is"
+        " for the newest time at which all frames between the two have data. While the pose is unknown, the reason is"
         " printed.",
         example="midspan tf echo map base_link", hub=False,
     )  # fmt: skip

@@ -17,7 +17,7 @@ _ANY = ("0.0.0.0", "::")  # noqa: S104  only compared, never bound
 class Ros1Section(SideSection):
     """The ROS 1 side."""
 
-    enabled: Enabled = setting("auto", "`auto` and `true` enable the side, which waits if there is no master.")
+    enabled: Enabled = setting("auto", "`auto` and `true` enable the side, which waits until a master runs.")
     master: MasterUri | None = setting(
         None,
         "ROS master URI; default $ROS_MASTER_URI or http://localhost:11311. `embedded`: Midspan runs a master itself;"

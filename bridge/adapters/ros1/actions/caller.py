@@ -182,7 +182,7 @@ class ActionCaller(ActionTopics):
         self._prompt(discovery.TO_SERVER - listening)
 
     def _prompt(self, missing: frozenset[str]) -> None:
-        """Publish the topics to which the server is not connected anew, so that the master reports them again."""
+        """Advertise again the topics to which the server is not connected, so that the master reports them to it."""
         now = time.monotonic()
         if not missing:
             self._pauses.reset()
@@ -275,7 +275,7 @@ def endpoint_id(server: FoundServer, part: str) -> str:
 
 
 class _DeferredCall:
-    """A call that may be abandoned before it has deferred."""
+    """A call that may be abandoned before it begins."""
 
     def __init__(self) -> None:
         self._abandon: Abandon | None = None
