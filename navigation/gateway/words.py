@@ -93,6 +93,9 @@ def _waiting(now: Situation) -> PlannerStatus:
     """
     may_drive = now.unreleased or now.goals is True or bool(now.motion)
     state = State.MOVING if may_drive or now.base is Base.MOVING else State.PREPARING
+    unseen = now.goals is None and now.planner_state is not PlannerState.ABSENT
+    if unseen and now.base is Base.UNKNOWN and state is State.PREPARING:
+        return _unknown(now)
     if now.planner_state.reachable:
         reason = now.reason or f"waiting for the goal list of {now.planner}"
         return PlannerStatus(state, reason, Fault.OTHER if now.reason else Fault.NONE)

@@ -129,6 +129,16 @@ def test_a_drive_is_prepared_only_while_nothing_may_execute_a_goal() -> None:
     assert {(now.base is Base.MOVING, now.goals is True, now.motion) for now in prepared} == {(False, False, ())}
 
 
+def test_a_goal_that_waits_for_a_planner_that_has_not_reported_does_not_show_a_robot_that_stands() -> None:
+    """A client of the planner itself may drive the robot before its first goal list arrives."""
+    waiting = Situation("nav2", PlannerState.UNKNOWN, drive=DriveState.WAITING)
+    assert derive(waiting) == derive(replace(waiting, drive=None))
+    assert derive(waiting).state is State.THINKING
+    assert derive(replace(waiting, base=Base.STANDING)).state is State.PREPARING
+    assert derive(replace(waiting, base=Base.MOVING)).state is State.MOVING
+    assert derive(replace(waiting, planner_state=PlannerState.ABSENT)).state is State.PREPARING
+
+
 def test_a_base_that_moves_is_not_reported_as_prepared_although_its_planner_prepares() -> None:
     """RobotGoto backs off before it drives to its goal."""
     reported = PlannerStatus(State.PREPARING, "waiting for a map", Fault.NO_MAP)
