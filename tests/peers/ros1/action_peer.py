@@ -18,11 +18,11 @@ import roslib.message
 import rospy
 from actionlib.action_client import CommState
 from actionlib_msgs.msg import GoalID, GoalStatus
-from rospy.impl.registration import RegManager
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from tests.peers.commands import Commands, Record, only_answers, serve
+from tests.peers.ros1.connector import Connector
 from tests.peers.ros1.shutdown import shut_down
 from tests.support.wait import until
 
@@ -173,20 +173,6 @@ class Flood:
             self.publisher.publish(message)
 
 
-class Connector:
-    """Counts the attempts of rospy to connect to the publishers that the master reports, by topic."""
-
-    def __init__(self):
-        self.attempts = Record()
-        connect = RegManager._connect_topic_thread
-
-        def connect_and_record(manager, topic, uri) -> None:
-            connect(manager, topic, uri)
-            self.attempts.add(topic)
-
-        RegManager._connect_topic_thread = connect_and_record
-
-
 CONNECTOR = Connector()
 
 
@@ -204,7 +190,7 @@ class Peer(Commands):
 
     def attempts(self, topic):
         """Return how often rospy has tried to connect to a publisher of a topic."""
-        return {"count": CONNECTOR.attempts.items.count(topic)}
+        return {"count": CONNECTOR.attempts(topic)}
 
     def server(self, name, type="actionlib/Test", simple=False):
         return self.add((Simple if simple else Server)(name, type))
