@@ -103,7 +103,7 @@ class Ros1Edge(SideEdge):
         period, daemon = self._config.ros1.poll, self._config.name
         self._master = Master(
             uri, self._node, daemon, self._ledger, period, self._on_master_state, listener.edge_failed,
-            self._services.is_gone, simulated=self._config.clock.simulated,
+            self._services.is_gone, self._pool, simulated=self._config.clock.simulated,
         )  # fmt: skip
         self._master.start()
 
@@ -234,7 +234,7 @@ class Ros1Edge(SideEdge):
             self._actions.on_master_changed(state)
             links = publishers | state.subscribers | state.servers if state else frozenset()
             self._names.learn({k.topic for k in links} | self._actions.names())
-            self._pool.retain({k.uri for k in publishers | (state.servers if state else frozenset())})
+            self._pool.retain({k.uri for k in links})
         self._topics.update(self._publishers)
         self._services.on_master_read(state)
         self._actions.on_master_read()

@@ -4,6 +4,8 @@ Beyond the common commands: ``define`` type, definition (full text: own fields, 
 ``=`` and ``MSG: name``; a service's request and response with a line ``---`` between) makes a type known that is not
 installed; ``advertise`` and ``subscribe`` take ``queue``
 (rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``connections`` id -> count;
+``stall`` id: the subscription's callback for the next message waits for ``resume`` id; ``attempts`` topic -> count: how
+often rospy has tried to connect to a publisher of the topic;
 ``parameters`` -> names; ``set_param`` name, value; ``get_param`` name -> value;
 ``now`` -> seconds: the node's time; with simulated time, 0 until /clock arrives;
 ``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service.
@@ -26,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from tests.peers.commands import Calling, Commands, Counting, Record, only_answers, serve
 from tests.peers.ros1.actions import Acting, Goal, action_client
+from tests.peers.ros1.connector import Connector
 from tests.peers.ros1.message_types import define, message_class, service_type
 from tests.peers.ros1.shutdown import shut_down
 
@@ -84,17 +87,21 @@ class Subscriber(Record):
     def __init__(self, topic, cls, queue):
         super().__init__(to_plain)
         self.headers = {}
+        self.free = threading.Event()
+        self.free.set()
         self.endpoint = rospy.Subscriber(topic, cls, self.on_message, queue_size=queue, tcp_nodelay=True)
 
     def on_message(self, message):
         header = dict(message._connection_header)
         self.headers[header.get("callerid", "")] = header
         self.add(message)
+        self.free.wait()
 
     def get_num_connections(self):
         return self.endpoint.get_num_connections()
 
     def drop(self):
+        self.free.set()
         self.endpoint.unregister()
 
 
@@ -122,6 +129,9 @@ class Serving(Record):
     def drop(self):
         self.released.set()
         self.service.shutdown("end of the test")
+
+
+CONNECTOR = Connector()
 
 
 class Peer(Commands):
@@ -159,6 +169,17 @@ class Peer(Commands):
 
         self.countings[id] = Counting(publish, 0, sys.maxsize, rate)
         return {}
+
+    def stall(self, id):
+        self.parts[id].free.clear()
+        return {}
+
+    def resume(self, id):
+        self.parts[id].free.set()
+        return {}
+
+    def attempts(self, topic):
+        return {"count": CONNECTOR.attempts(topic)}
 
     def header(self, id):
         return {"headers": self.parts[id].headers}

@@ -12,7 +12,7 @@ from bridge.adapters.ros1.actions.discovery import FoundServer
 from bridge.adapters.ros1.actions.frames import FrameGuard, empty
 from bridge.adapters.ros1.actions.network import ActionMessages, ActionNetwork, ActionTopics, OpenPart
 from bridge.adapters.ros1.graph.state import publisher_id
-from bridge.concurrency import Backoff, InlineExecutor
+from bridge.concurrency import InlineExecutor
 from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done, nothing
 from bridge.hub.wire.qos import Qos
 from bridge.messages import actions as ros2_action
@@ -23,14 +23,6 @@ _QUEUE = Qos(depth=10_000)
 """Goals and cancel requests must not be dropped."""
 
 _REJECTED = wire.goal_response(wire.ZERO, accepted=False)
-
-_FIRST_PROMPT, _LONGEST_PROMPT = 1.0, 30.0
-"""Seconds after which a server without a connection to the goals or cancel requests is prompted to connect, and the
-longest pause between prompts.
-
-rospy ignores a publisher that the master reports while it still has an earlier connection to the same node. It notices
-the end of a connection only after the callback for the last message has returned, and does not connect again then.
-"""
 
 STOPS = "the bridge no longer follows the action"
 GONE = "its action server {} left"
@@ -49,8 +41,6 @@ class ActionCaller(ActionTopics):
         self._open: list[object] = []
         self._server: FoundServer | None = None
         self._ready = False
-        self._pauses = Backoff(_FIRST_PROMPT, _LONGEST_PROMPT)
-        self._prompt_at = float("inf")
         self._newest_statuses: tuple[bytes, str] | None = None
         self._early_statuses: tuple[bytes, str] | None = None
         self._postponed: list[tuple[bytes, Done, _DeferredCall]] = []
@@ -121,15 +111,12 @@ class ActionCaller(ActionTopics):
         self._client.discovered()
         if not self._open or self._subscriptions:
             return
-        for part in discovery.TO_SERVER:
-            self._offer(part)
+        self._advertise(discovery.GOAL, self._types.goal, _QUEUE)
+        self._advertise(discovery.CANCEL, self._types.cancel, _QUEUE)
         self._subscribe(discovery.STATUS, self._types.status, self._on_status)
         self._subscribe(discovery.FEEDBACK, self._types.feedback, partial(self._on_outcome, discovery.FEEDBACK))
         self._subscribe(discovery.RESULT, self._types.result, partial(self._on_outcome, discovery.RESULT))
         self._guard.open(self)
-
-    def _offer(self, part: str) -> None:
-        self._advertise(part, self._types.goal if part == discovery.GOAL else self._types.cancel, _QUEUE)
 
     def _disconnect(self) -> None:
         if self._open:
@@ -137,7 +124,6 @@ class ActionCaller(ActionTopics):
         self._guard.close(self)
         self._client.disconnected()
         self._server, self._ready = None, False
-        self._prompt(frozenset())
         self._close_topics()
 
     def poll(self, servers: Sequence[FoundServer]) -> None:
@@ -157,7 +143,6 @@ class ActionCaller(ActionTopics):
         if self._server is not None:
             self._lose_server(GONE.format(self._server.node))
         if servers:
-            self._prompt(frozenset())
             self._server = servers[0]
             self._client.discovered()
             if self._early_statuses is not None:  # a list that arrived before the master's state was read
@@ -179,21 +164,6 @@ class ActionCaller(ActionTopics):
             self._client.disconnected()
         self._ready = ready
         self._client.reach(reachable=discovery.CANCEL in listening)
-        self._prompt(discovery.TO_SERVER - listening)
-
-    def _prompt(self, missing: frozenset[str]) -> None:
-        """Advertise again the topics to which the server is not connected, so that the master reports them to it."""
-        now = time.monotonic()
-        if not missing:
-            self._pauses.reset()
-            self._prompt_at = float("inf")
-        elif self._prompt_at == float("inf"):
-            self._prompt_at = now + self._pauses.pause(0.0)
-        elif now >= self._prompt_at:
-            self._prompt_at = now + self._pauses.pause(0.0)
-            for part in missing:
-                self._publishers.pop(part).close()
-                self._offer(part)
 
     def _lose_server(self, reason: str) -> None:
         self._ready = False

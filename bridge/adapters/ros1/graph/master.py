@@ -15,9 +15,11 @@ from collections.abc import Callable
 
 from bridge.adapters.ros1.graph.membership import Membership
 from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry
+from bridge.adapters.ros1.graph.prompts import Prompts
 from bridge.adapters.ros1.graph.registrations import NodeRegistrations, batches
 from bridge.adapters.ros1.graph.state import MasterReader, MasterState, Registration
 from bridge.adapters.ros1.node.node import Ros1Node
+from bridge.adapters.ros1.peer_pool import PeerPool
 from bridge.adapters.ros1_peers import Ros1Error, Ros1ProtocolError, UnreachableError, XmlRpcClient
 
 _log = logging.getLogger(__name__)
@@ -40,13 +42,13 @@ class Master:
     """Follows one master for one node.
 
     ``seen`` is called on its thread after each read, with None while the master is unreachable. ``is_dead`` returns
-    whether a service's server is known to be dead, so that Midspan may register the service. ``trouble`` is why the
-    master is unreachable, else ""; ``polled_at`` is ``time.monotonic()`` before the latest read.
+    whether a service's server is known to be dead, so that Midspan may register the service. ``pool`` calls nodes.
+    ``trouble`` is why the master is unreachable, else ""; ``polled_at`` is ``time.monotonic()`` before the latest read.
     """
 
     def __init__(
         self, uri: str, node: Ros1Node, daemon: str, ledger: Ledger, period: float, seen: Seen, lost_name: Lost,
-        is_dead: Callable[[Registration], bool], *, simulated: bool,
+        is_dead: Callable[[Registration], bool], pool: PeerPool, *, simulated: bool,
     ) -> None:  # fmt: skip
         self.uri = uri
         self.trouble = ""
@@ -57,7 +59,8 @@ class Master:
         self._client = XmlRpcClient(uri, _TIMEOUT)
         self._reader = MasterReader(self._client, node.name)
         self._membership = Membership(node, daemon, ledger, self._client, self._reader, simulated=simulated)
-        self._registrations = NodeRegistrations(node, is_dead)
+        prompts = Prompts(pool, lambda: node.name, self.wake)
+        self._registrations = NodeRegistrations(node, is_dead, prompts)
         self._run_id: str | None = None
         self._failures = 0
         self._answered_at = time.monotonic()

@@ -1,12 +1,14 @@
-"""This node's registrations: the calls that make the master's state match them."""
+"""This node's registrations: the calls that make the master's state match them, or prompt subscribers."""
 
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from bridge.adapters.ros1.graph.presence import NodeEntry
+from bridge.adapters.ros1.graph.presence import NodeEntry, others
+from bridge.adapters.ros1.graph.prompts import Prompts
 from bridge.adapters.ros1.graph.state import MasterState, Registration
 from bridge.adapters.ros1.node.node import Ros1Node
 from bridge.adapters.ros1_peers import Call
@@ -17,11 +19,23 @@ _BATCH = 200
 
 
 class _Own(NamedTuple):
-    """This node's topics in one state of the master."""
+    """This node's topics in one state of the master, and the subscribers of other nodes, except Midspan's."""
 
     state: MasterState
     published: frozenset[str]
     subscribed: frozenset[str]
+    subscribers: frozenset[Registration]
+
+    @classmethod
+    def of(cls, state: MasterState, entry: NodeEntry) -> _Own:
+        own = (entry.node, entry.uri)
+        published, subscribed = (
+            frozenset(r.topic for r in end if (r.node, r.uri) == own) for end in (state.publishers, state.subscribers)
+        )
+        # Midspan's nodes do not connect to each other's topics; an unknown address cannot be called
+        passed = {"", entry.uri, *(other.uri for other in others(state, entry))}
+        subscribers = frozenset(s for s in state.subscribers if s.topic in published and s.uri not in passed)
+        return cls(state, published, subscribed, subscribers)
 
 
 class NodeRegistrations:
@@ -29,10 +43,11 @@ class NodeRegistrations:
 
     Args:
         is_dead: returns whether a service's server is known to be dead, so that Midspan may register the service.
+        prompts: selects the topics that are registered again for subscribers that did not connect.
     """
 
-    def __init__(self, node: Ros1Node, is_dead: Callable[[Registration], bool]) -> None:
-        self._node, self._is_dead = node, is_dead
+    def __init__(self, node: Ros1Node, is_dead: Callable[[Registration], bool], prompts: Prompts) -> None:
+        self._node, self._is_dead, self._prompts = node, is_dead, prompts
         self._own: _Own | None = None
         self._refused: set[str] = set()
         self._ended_topics: set[str] = set()
@@ -43,18 +58,17 @@ class NodeRegistrations:
         self._ended_topics |= self._node.take_removed()
         published, subscribed = self._node.publications(), self._node.subscriptions()
         if self._own is None or self._own.state is not state:
-            ends = (state.publishers, state.subscribers)
-            self._own = _Own(
-                state, *(frozenset(r.topic for r in end if (r.node, r.uri) == (name, uri)) for end in ends)
-            )
-        _, has_published, has_subscribed = self._own
+            self._own = _Own.of(state, entry)
+        _, has_published, has_subscribed, subscribers = self._own
         # A publication that ended and was created again between two reads is unregistered and registered: a rospy
         # subscriber whose connection broke reconnects only when the master reports a publisher that was not listed.
         standing = has_published & published.keys() - self._ended_topics
+        missing = self._node.unconnected(frozenset(s for s in subscribers if s.topic in standing))
+        prompted = self._prompts.topics(missing, time.monotonic())
         calls: list[Call] = [
             *(("unregisterPublisher", (name, t, uri)) for t in has_published - standing),
             *(("unregisterSubscriber", (name, t, uri)) for t in has_subscribed - subscribed.keys()),
-            *(("registerPublisher", (name, t, published[t], uri)) for t in published.keys() - standing),
+            *(("registerPublisher", (name, t, published[t], uri)) for t in (published.keys() - standing) | prompted),
             *(("registerSubscriber", (name, t, subscribed[t], uri)) for t in subscribed.keys() - has_subscribed),
             *self._service_calls(state),
         ]

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from bridge.adapters.ros1.graph.presence import FIELD
 from bridge.adapters.ros1.graph.probe import Ros1Context
+from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import Header
 from bridge.adapters.ros1.node.address import NodeAddress
 from bridge.adapters.ros1.node.greeting import TcprosServer
@@ -83,6 +84,10 @@ class Ros1Node:
     def publications(self) -> dict[str, str]:
         """Return the published topics with their types."""
         return self._book.publications()
+
+    def unconnected(self, listed: frozenset[Registration]) -> frozenset[Registration]:
+        """Return the listed subscribers that are not connected, although this node accepts them."""
+        return self._book.unconnected(listed)
 
     def take_removed(self) -> set[str]:
         """Return the topics whose publications ended since the last call, even if they began again at once."""

@@ -7,6 +7,7 @@ from threading import Lock
 from typing import Any
 
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
+from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import Header, encode
 from bridge.adapters.ros1.topics.bus import TopicConnection
 from bridge.adapters.ros1.topics.connection import PublisherConnection
@@ -99,6 +100,7 @@ class TopicBook:
                 return
             del self._published[topic]
             self._removed.add(topic)
+            self._rejected = {(t, node): reason for (t, node), reason in self._rejected.items() if t != topic}
             self._ended_headers.pop(topic, None)
             self._ended_headers[topic] = header
             if len(self._ended_headers) > _MAX_ENDED:
@@ -151,6 +153,11 @@ class TopicBook:
     def subscribers(self) -> frozenset[tuple[str, str]]:
         """Return the connected subscribers, by node and topic."""
         return frozenset((c.peer, p.topic) for p in self._publications() for c in p.connections)
+
+    def unconnected(self, listed: frozenset[Registration]) -> frozenset[Registration]:
+        """Return the listed subscribers that are neither connected nor rejected."""
+        connected, rejected = self.subscribers(), self.rejected()
+        return frozenset(s for s in listed if (s.node, s.topic) not in connected and (s.topic, s.node) not in rejected)
 
     def bus_stats(self) -> list[list[Any]]:
         """Return the published and the subscribed topics as ``getBusStats`` does."""
@@ -211,7 +218,8 @@ class TopicBook:
         ours = publication.side_type
         theirs = f"{header.get('type', ours.name)} with md5 {header['md5sum']}"
         with self._lock:
-            if len(self._rejected) < _MAX_REJECTED:
+            current = self._published.get(publication.topic) is publication
+            if current and len(self._rejected) < _MAX_REJECTED:
                 self._rejected[publication.topic, header["callerid"]] = (
                     f"it requests {theirs}, but Midspan publishes {ours.name} with md5 {ours.type_id}"
                 )
