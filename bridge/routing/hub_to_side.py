@@ -53,14 +53,15 @@ class SidePublishers:
                 self.static = StaticTransforms()
             self.latched = self._open(Durability.TRANSIENT_LOCAL, 1 if self.static else depth)
 
-    def open_volatile(self, depth: int) -> None:
-        """Open the publisher for the other sources, if it is not open."""
+    def open_volatile(self, depth: int, lifespan_ns: int | None = None) -> None:
+        """Open the publisher for the other sources, if it is not open; older messages than the lifespan are useless."""
         if self.volatile is None:
-            self.volatile = self._open(Durability.VOLATILE, depth)
+            self.volatile = self._open(Durability.VOLATILE, depth, lifespan_ns)
 
-    def _open(self, durability: Durability, depth: int) -> EdgePublisher:
+    def _open(self, durability: Durability, depth: int, lifespan_ns: int | None = None) -> EdgePublisher:
         # Reliable writers match reliable and best-effort readers.
-        return self._advertise(Qos(Reliability.RELIABLE, durability, depth=min(max(depth, 1), 1000)))
+        depth = min(max(depth, 1), 1000)
+        return self._advertise(Qos(Reliability.RELIABLE, durability, depth=depth, lifespan_ns=lifespan_ns))
 
     def drop_source(self, gid: bytes) -> None:
         """Drop the messages that are retained for a source, except static transforms."""
@@ -152,8 +153,10 @@ class HubToSideRoute(TopicRoute):
         if latched:
             self._publishers.open_latched(max(latched), transforms=self.hub_type == TF_TYPE)
         if volatile and self._publishers.volatile is None:
-            depth = max(stream_depth(self.conversion.source.definition), *volatile)
-            self._publishers.open_volatile(1 if self._priority is Priority.COMMAND else depth)
+            if self._priority is Priority.COMMAND:
+                self._publishers.open_volatile(1, int(self.policy.timeout * 1e9))
+            else:
+                self._publishers.open_volatile(max(stream_depth(self.conversion.source.definition), *volatile))
 
     def _advertise(self, qos: Qos) -> EdgePublisher:
         return self._context.edge.advertise(self.side_topic, self.conversion.target, self.policy.override(qos))

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
 from bridge.adapters.ros2 import security
@@ -194,11 +195,13 @@ def _finite(nanoseconds: int) -> int | None:
 def to_rclpy(qos: Qos) -> Any:
     """Return the inner profile for an endpoint of Midspan: a bounded history, and no deadline that prevents a match."""
     profile: Any = QoSProfile
+    lifespan = {} if qos.lifespan_ns is None else {"lifespan": Duration(nanoseconds=qos.lifespan_ns)}
     return profile(
         reliability=int(qos.reliability),
         durability=int(qos.durability),
         history=int(History.KEEP_LAST),
         depth=max(1, qos.depth),
+        **lifespan,
     ).get_c_qos_profile()
 
 

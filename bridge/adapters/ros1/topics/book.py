@@ -13,6 +13,7 @@ from bridge.adapters.ros1.topics.bus import TopicConnection
 from bridge.adapters.ros1.topics.connection import PublisherConnection
 from bridge.adapters.ros1.topics.publication import ANY, Publication, figure
 from bridge.adapters.ros1_peers import DeadlineSocket
+from bridge.concurrency import DelayedCalls
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.transcode.conversion import SideType
 
@@ -60,6 +61,7 @@ class TopicBook:
     ) -> None:  # fmt: skip
         self._loop, self._node, self._origin = loop, node, origin
         self._changed, self._peer_changed = changed, peer_changed
+        self._later = DelayedCalls("midspan-ros1-commands")
         self._lock = Lock()
         self._published: dict[str, Publication] = {}
         self._subscribed: dict[str, SubscribedTopic] = {}
@@ -69,14 +71,20 @@ class TopicBook:
 
     # -- this node's endpoints -----------------------------------------------------------------------------------------
 
-    def publish(self, topic: str, side_type: SideType, *, latched: bool) -> Publication:
-        """Return the publication of a topic, for one more publisher; raises `MessageTypeError` for another type."""
+    def publish(
+        self, topic: str, side_type: SideType, *, latched: bool, lifespan: float | None = None
+    ) -> Publication:
+        """Return the publication of a topic, for one more publisher; raises `MessageTypeError` for another type.
+
+        ``lifespan``: time in seconds after which a command is too old.
+        """
         with self._lock:
             publication = self._published.get(topic)
             new = publication is None
             if publication is None:
-                publication = Publication(topic, side_type, self._node, self._origin, self._loop, self._peer_changed)
-                self._published[topic] = publication
+                publication = self._published[topic] = Publication(
+                    topic, side_type, self._node, self._origin, self._loop, self._peer_changed, self._later, lifespan
+                )
             elif publication.side_type.type_id != side_type.type_id:
                 raise MessageTypeError(
                     f"{topic} is already published on ROS 1 as {publication.side_type.name}, so it cannot also be"
@@ -130,6 +138,7 @@ class TopicBook:
         self._changed()
 
     def close(self) -> None:
+        self._later.close()
         for publication in self._publications():
             publication.close()
 

@@ -14,8 +14,10 @@ from typing import Any
 
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, encode
+from bridge.adapters.ros1.topics.commands import CommandConnection
 from bridge.adapters.ros1.topics.outlet import SubscriberConnection
 from bridge.adapters.ros1_peers import DeadlineSocket
+from bridge.concurrency import DelayedCalls
 from bridge.messages.transcode.conversion import SideType
 
 _log = logging.getLogger(__name__)
@@ -31,13 +33,14 @@ class Publication:
         users: number of publishers that share the publication.
         latches: number of these publishers that latch.
         published: bytes of all published messages.
+        lifespan: time in seconds after which a message is too old, for commands; None for other topics.
     """
 
     def __init__(
         self, topic: str, side_type: SideType, node: Callable[[], str], origin: str, loop: ConnectionLoop,
-        changed: Callable[[], None],
+        changed: Callable[[], None], later: DelayedCalls, lifespan: float | None = None,
     ) -> None:  # fmt: skip
-        self.topic, self.side_type = topic, side_type
+        self.topic, self.side_type, self.lifespan, self._later = topic, side_type, lifespan, later
         self.users = self.latches = self.published = 0
         self._node, self._origin, self._loop, self._changed = node, origin, loop, changed
         self._lock = Lock()
@@ -88,7 +91,7 @@ class Publication:
         that is admitted while the publication ends is disconnected after the header.
         """
         sock.sendall(encode(self.header()))
-        connection = SubscriberConnection(sock, f"midspan-ros1-out{self.topic}", subscriber, self.remove)
+        connection = self._connection(sock, subscriber)
         for old in [c for c in self._connections if c.peer == subscriber]:
             self.remove(old)
         with self._lock:
@@ -106,6 +109,12 @@ class Publication:
         if not admitted:
             self.remove(connection)
         self._changed()
+
+    def _connection(self, sock: DeadlineSocket, subscriber: str) -> SubscriberConnection:
+        name = f"midspan-ros1-out{self.topic}"
+        if self.lifespan is None:
+            return SubscriberConnection(sock, name, subscriber, self.remove)
+        return CommandConnection(sock, name, subscriber, self.remove, self.side_type.name, self.lifespan)
 
     def remove(self, connection: SubscriberConnection) -> None:
         """Disconnect a subscriber. Safe to call twice."""
@@ -140,6 +149,16 @@ class Publication:
             broken = [c for c in self._connections if not c.send(payload, source, depth)]
         for connection in broken:
             self.remove(connection)
+        if self.lifespan is not None:
+            self._later.after(self.lifespan, self._check_commands, once=True)
+
+    def _check_commands(self) -> None:
+        """Look for commands that have become late; once more while some may."""
+        with self._lock:
+            commands = [c for c in self._connections if isinstance(c, CommandConnection)]
+            again = any([c.check() for c in commands])
+        if again and self.lifespan is not None:
+            self._later.after(self.lifespan, self._check_commands, once=True)
 
     def drop_source(self, source: str) -> None:
         """Drop a source's retained messages."""

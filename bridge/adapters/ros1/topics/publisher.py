@@ -21,7 +21,8 @@ class Ros1Publisher:
         self._latched, self._depth = qos.latched, max(qos.depth, 1)
         self._sources: set[str] = set()
         self._closed = False
-        self._publication = book.publish(topic, side_type, latched=qos.latched)
+        lifespan = None if qos.lifespan_ns is None else qos.lifespan_ns / 1e9
+        self._publication = book.publish(topic, side_type, latched=qos.latched, lifespan=lifespan)
 
     def send(self, payload: bytes, source: str) -> None:
         """Publish a message of the hub publisher ``source``; retained for late joiners if this publisher is latched."""
