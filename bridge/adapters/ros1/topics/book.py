@@ -71,9 +71,7 @@ class TopicBook:
 
     # -- this node's endpoints -----------------------------------------------------------------------------------------
 
-    def publish(
-        self, topic: str, side_type: SideType, *, latched: bool, lifespan: float | None = None
-    ) -> Publication:
+    def publish(self, topic: str, side_type: SideType, *, latched: bool, lifespan: float | None = None) -> Publication:
         """Return the publication of a topic, for one more publisher; raises `MessageTypeError` for another type.
 
         ``lifespan``: time in seconds after which a command is too old.

@@ -2,8 +2,8 @@
 
 While a subscriber's computer cannot be reached, the system keeps what was sent, and delivers all of it when the network
 is back. So a command is dropped while an earlier one is unacknowledged for longer than a command may be old, and a stop
-(zero velocity) follows those that were sent before. What the subscriber's computer has acknowledged, but its program has
-not read yet, cannot be taken back.
+(zero velocity) follows those that were sent before. What the subscriber's computer has acknowledged cannot be taken
+back, even if its program has not read it yet.
 """
 
 from __future__ import annotations

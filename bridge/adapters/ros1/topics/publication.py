@@ -155,9 +155,8 @@ class Publication:
     def _check_commands(self) -> None:
         """Look for commands that have become late; once more while some may."""
         with self._lock:
-            commands = [c for c in self._connections if isinstance(c, CommandConnection)]
-            again = any([c.check() for c in commands])
-        if again and self.lifespan is not None:
+            checked = {c: c.check() for c in self._connections if isinstance(c, CommandConnection)}
+        if any(checked.values()) and self.lifespan is not None:
             self._later.after(self.lifespan, self._check_commands, once=True)
 
     def drop_source(self, source: str) -> None:
