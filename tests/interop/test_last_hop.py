@@ -121,7 +121,7 @@ class Drive:
         return [message["linear"]["x"] for message in messages]
 
     def until_text_crosses(self) -> None:
-        """Send texts, which are no commands, until one reaches the driver: the network is back."""
+        """Send texts, which no timeout drops, until one reaches the driver: the network is back."""
 
         def once() -> bool:
             self._commander.publish(self._text, {"data": "text"})
@@ -153,9 +153,9 @@ def test_commands_of_a_silent_commander_do_not_move_the_robot_after_a_cut(robot:
         time.sleep(CUT - COMMANDED)  # the commander is silent, and the network is still down
     restored = time.monotonic()
     drive.until_text_crosses()
-    time.sleep(HEARTBEAT)  # what is not delivered has no event
+    time.sleep(HEARTBEAT)  # an absent message causes no event to wait for
     drive.until_crosses(60)
     late = [sent for sent in drive.received()[before:] if sent < restored]
     print(f"{side}: {len(late)} of {COMMANDED * 20:.0f} commands arrived after the cut")
     assert not late or late[-1] == 0.0, "the robot stops"
-    assert not late or max(late) < cut + 0.8, "only commands from before the loss of the network is known"
+    assert not late or max(late) < cut + 0.8, "later commands are dropped"

@@ -42,7 +42,7 @@ _VELOCITY = 48
 
 
 def stop_after(type_name: str, payload: bytes) -> bytes:
-    """Return a command (ROS 1 bytes) with its velocity set to zero; "" for types that are no velocity."""
+    """Return a command (ROS 1 bytes) with its velocity set to zero; "" if the type is not a velocity."""
     return payload[:-_VELOCITY] + bytes(_VELOCITY) if type_name in _VELOCITIES else b""
 
 
