@@ -209,8 +209,9 @@ def test_other_protocols_are_refused_and_disconnected(desk: Desk, monkeypatch: p
     assert b"subprotocol foxglove.sdk.v1" in raw(desk, old)
     assert b"for the Foxglove app" in raw(desk, b"HELO robot\r\n\r\n")
     assert raw(desk, b"GET /" + b"x" * 100_000) == b""
-    monkeypatch.setattr(front, "HEAD_SECONDS", 0.2)
-    assert raw(desk, b"GET / HTTP/1.1\r\n") == b"", "an incomplete request is disconnected"
+    with monkeypatch.context() as patch:
+        patch.setattr(front, "HEAD_SECONDS", 0.2)
+        assert raw(desk, b"GET / HTTP/1.1\r\n") == b"", "an incomplete request is disconnected"
     with desk.app() as app:
         app.until(lambda: app.texts, "other clients are served")
 
