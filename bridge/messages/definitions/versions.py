@@ -32,7 +32,7 @@ _CHAINS = {"jazzy": (), "kilted": ("kilted",), "lyrical": ("lyrical", "kilted")}
 INSTALLED = "this machine"
 """Label of a version that neither Midspan nor a configured folder has, only another package on this machine."""
 
-_HASHLESS = "humble"
+_HASHLESS, _JAZZY = "humble", "jazzy"
 _MAX_CACHED = 10_000
 
 
@@ -120,6 +120,10 @@ class TypeVersions:
         jazzy = None if humble is None else _find(self._libraries["jazzy"], name)
         same = humble is None or (jazzy is not None and humble.types == jazzy.types)
         return None if same else humble
+
+    def jazzy(self, name: str) -> Schema | None:
+        """Return Jazzy's version of a type that has several versions, None for other types."""
+        return next((schema for label, schema in self.of(name).values() if label == _JAZZY), None)
 
     def _varies(self, name: str) -> bool:
         """Whether a type or one that it nests may have several versions."""

@@ -256,7 +256,7 @@ class ReleaseConversions:
         """Return the converter between two versions, given by their hashes; None if either is unknown or unusable.
 
         ``part`` is ``Request`` or ``Response`` of a service. The converter raises `ConversionError`; it is `same` if
-        either version is Humble's (`NO_HASH`), and Humble's equals Jazzy's.
+        either version is Humble's (`NO_HASH`), Humble's equals Jazzy's, and the other version is Jazzy's or unknown.
         """
         key = type_name, source, target, part
         with self._lock:
@@ -294,10 +294,10 @@ class ReleaseConversions:
 
     def _make(self, key: _Key) -> Convert | None:
         try:
-            if NO_HASH in key[1:3] and self._versions.hashless(key[0]) is None:
-                return same
             pair = self._pair(key)
-            return None if pair is None else version_converter(*pair, self._rules)
+            if pair is not None:
+                return version_converter(*pair, self._rules)
+            return same if NO_HASH in key[1:3] and self._versions.hashless(key[0]) is None else None
         except MessageTypeError:
             return None
 
@@ -312,7 +312,7 @@ class ReleaseConversions:
 
     def _schema(self, type_name: str, type_hash: str) -> Schema | None:
         if type_hash == NO_HASH:
-            return self._versions.hashless(type_name)
+            return self._versions.hashless(type_name) or self._versions.jazzy(type_name)
         known = self._versions.of(type_name).get(type_hash)
         if known is not None:
             return known[1]
