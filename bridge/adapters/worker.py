@@ -33,7 +33,9 @@ from bridge.routing.diagnostics import Diagnostics
 from bridge.routing.edge import Edge
 from bridge.routing.engine import Engine
 from bridge.routing.hold import Hold, held_topics
+from bridge.routing.relay.relay import HubRelay
 from bridge.routing.route import Route
+from bridge.routing.rules import RuleSet
 from bridge.routing.services.route import ServiceRoute
 from bridge.routing.services.side_to_hub import PLANNERS
 from bridge.sides import all_networks
@@ -182,27 +184,28 @@ class NetworkBridge:
         self._head = StatusHead({"daemon": config.name, "worker": name, "side": edge.side})
         self._stopped = False
         self._never = threading.Event()  # never set; waiting for it pauses the thread
-        self._hub = Hub.open(
-            HubSettings(
-                domain=config.hub.domain,
-                router=config.hub.listen,
-                zenoh=config.hub.zenoh,
-                shared_memory=config.hub.shared_memory,
-                node=f"midspan_{name}",
-                namespace="/",
-                daemon=config.name,
-                worker=name,
-                max_payload=config.limits.message_bytes,
-                lane=lane_folder(config),
-                identity=identity_of(config),
-            )
+        settings = HubSettings(
+            domain=config.hub.domain,
+            router=config.hub.listen,
+            zenoh=config.hub.zenoh,
+            shared_memory=config.hub.shared_memory,
+            node=f"midspan_{name}",
+            namespace="/",
+            daemon=config.name,
+            worker=name,
+            max_payload=config.limits.message_bytes,
+            lane=lane_folder(config),
+            identity=identity_of(config),
         )
+        self._hub = Hub.open(settings)
         self._hub.versions = registry.releases
         edge.clock = RunClock(simulated=config.clock.simulated)
         follow_clock(edge.clock, self._hub)
         self._hold = Hold(self._hub, held_topics(config.navigation, edge.side))
         self._engine = Engine(edge, self._hub, config.rules, config.name, failed, registry, self._hold)
         self._engine.start()
+        self._relay = HubRelay(self._hub, settings, RuleSet(config.rules), self._engine.stall_detector, failed)
+        self._relay.start()
         self._share_parameters(config.routing)
         verbs: dict[str, Handler] = {
             "status": lambda _params: self._status(),
@@ -220,6 +223,7 @@ class NetworkBridge:
         routing = config.rules
         self._hold.topics = held_topics(config.navigation, self._side)
         self._running().reload(routing)
+        self._relay.reload(RuleSet(routing))
         if routing.parameters != self._parameters:
             self._unshare()
             self._share_parameters(routing)
@@ -232,7 +236,7 @@ class NetworkBridge:
     def health(self) -> Health:
         """Return the engine's health; raises `TimeoutError` if the engine hangs."""
         engine = self._running()
-        computes = engine.alive()
+        computes = engine.alive() or self._relay.alive()
         opening.check_pool()
         summary = engine.summary()
         self._diagnostics.publish()
@@ -262,6 +266,7 @@ class NetworkBridge:
         self._unshare()
         self._hold.close()
         self._stopped = True
+        self._relay.stop()
         self._engine.stop()
         self._engine.edge.clock.close()
         self._hub.close()

@@ -21,13 +21,16 @@ from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.control import Control, Handler, WorkerAnswer, ask
 from bridge.hub.daemons import DaemonIdentity
 from bridge.hub.endpoints.calls import Call
+from bridge.hub.endpoints.context import EndpointContext
 from bridge.hub.endpoints.keyspace import KeySpace
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.latched_subscription import LatchedHubSubscription
-from bridge.hub.endpoints.publisher import EndpointContext, HubPublisher, PublisherOptions
+from bridge.hub.endpoints.publisher import HubPublisher
+from bridge.hub.endpoints.relaying import RelayPublisher
 from bridge.hub.endpoints.services import HubClient, HubServer
+from bridge.hub.endpoints.sinks import PublisherOptions
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription, Refused
-from bridge.hub.endpoints.variants import KeyVariants, TypeVersions
+from bridge.hub.endpoints.variants import Convert, KeyVariants, TypeVersions
 from bridge.hub.errors import HubClosedError, HubConfigError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.graph.tokens import (
@@ -361,6 +364,15 @@ class Hub:
             return self._keep(
                 LaneSubscription(self._context, lane, token, key, topic, qos, callback, refused, exact=exact)
             )
+
+    def relay_publisher(
+        self, topic: str, type_name: str, type_hash: str, qos: Qos, convert: Convert | None, *, priority: str
+    ) -> RelayPublisher:
+        """Create a publisher of other sessions' messages, which its owner closes; ``convert``: to this type hash."""
+        with self._lock:
+            self._check_open()
+            key = topic_key(self.domain, topic, type_name, type_hash)
+            return RelayPublisher(self._context, key, qos, PublisherOptions(qos, priority, None), convert)
 
     def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
         """Serve a service; the server exists until it or the node is closed.

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from bridge.client.topics import TopicKey
-from bridge.hub.endpoints.publisher import cache_depth
+from bridge.hub.endpoints.sinks import cache_depth
 from bridge.hub.graph import HubGraph
 from bridge.record.arrivals import RecordedMessage
 

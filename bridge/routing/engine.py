@@ -131,6 +131,11 @@ class Engine:
         self._rate = 0.0
         self._closers: list[Callable[[], None]] = []
 
+    @property
+    def stall_detector(self) -> StallDetector:
+        """Detects that this process was suspended; runs between `start` and `stop`."""
+        return self._context.stall_detector
+
     # -- life ----------------------------------------------------------------------------------------------------------
 
     def start(self) -> None:

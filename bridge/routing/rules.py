@@ -201,6 +201,15 @@ class RuleSet:
         question = (origin, side, topic, type_name, kind, "elsewhere" if elsewhere else "")
         return self._once(question, lambda: self._leave(origin, side, topic, type_name, kind, elsewhere=elsewhere))
 
+    def relay(self, topic: str, type_name: str, kind: Kind = "topic") -> RoutePolicy:
+        """Decide whether a topic, service or action is relayed between the hub's own nodes.
+
+        Rules without ``to`` and with ``to: zenoh`` apply. Names stay, and nothing is private among these nodes.
+        """
+        matches = [m for m in self._matches(ENTRY, topic, type_name, kind) if m.rule.to in (None, ENTRY)]
+        policy = _denial(matches, topic) or _permission(matches, topic) or self._default(topic)
+        return replace(policy, name=topic, stamped=None)
+
     def _leave(self, origin: str, side: str, topic: str, type_name: str, kind: Kind, *, elsewhere: bool) -> RoutePolicy:
         matches = list(self._matches(origin, topic, type_name, kind))
         matches_here = [m for m in matches if m.rule.to == side]

@@ -48,6 +48,27 @@ def test_rules_decide_what_enters_the_hub(
 
 
 @pytest.mark.parametrize(
+    ("entry", "section", "allowed"),
+    [
+        ({"topic": "/other"}, {}, True),
+        ({"topic": "/rosout"}, {"default": "deny"}, True),
+        ({"topic": "/other"}, {"default": "deny"}, False),
+        ({"topic": "/rosout", "deny": True}, {}, False),
+        ({"topic": "/rosout", "deny": True, "from": "zenoh", "to": "zenoh"}, {}, False),
+        ({"topic": "/rosout", "deny": True, "to": "ros2"}, {}, True),
+        ({"topic": "/rosout", "deny": True, "from": "ros2"}, {}, True),
+    ],
+)
+def test_rules_decide_what_is_relayed_on_the_hub(entry: dict, section: dict, allowed: bool) -> None:
+    assert rules(entry, **section).relay("/rosout", STRING).allowed is allowed
+
+
+def test_a_relayed_topic_keeps_its_name() -> None:
+    policy = rules({"topic": "/scan", "rename": "/laser", "rate": 5.0}).relay("/scan", STRING)
+    assert (policy.name, policy.rate) == ("/scan", 5.0)
+
+
+@pytest.mark.parametrize(
     ("entries", "section", "origin", "allowed"),
     [
         ([], {}, "ros1", True),

@@ -11,7 +11,7 @@ from threading import Lock
 
 import zenoh
 
-from bridge.hub.endpoints.publisher import EndpointContext
+from bridge.hub.endpoints.context import EndpointContext
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.zenoh_compat import subscribe, undeclare
 

@@ -15,8 +15,8 @@ from threading import Lock
 import zenoh
 from typing_extensions import override
 
+from bridge.hub.endpoints.context import EndpointContext
 from bridge.hub.endpoints.lane_state import Lanes, LeavingStep, ZenohSubscriber
-from bridge.hub.endpoints.publisher import EndpointContext
 from bridge.hub.endpoints.subscription import (
     HubSample,
     HubSubscription,

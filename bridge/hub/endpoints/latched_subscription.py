@@ -8,8 +8,9 @@ from collections.abc import Callable
 import zenoh
 from typing_extensions import override
 
+from bridge.hub.endpoints.context import EndpointContext
 from bridge.hub.endpoints.latched import HistoryListener, LatchedHistory
-from bridge.hub.endpoints.publisher import EndpointContext, cache_depth
+from bridge.hub.endpoints.sinks import cache_depth
 from bridge.hub.endpoints.subscription import MAX_HELD_BYTES, HubSample, HubSubscription, PublisherState, Refused
 from bridge.hub.endpoints.variants import Convert, ConvertedSample
 from bridge.hub.wire.qos import Qos, Reliability

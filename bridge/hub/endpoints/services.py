@@ -26,7 +26,7 @@ from typing_extensions import override
 
 from bridge.hub.endpoints.call_server import CallServer, PendingRequest
 from bridge.hub.endpoints.calls import PRIORITY, Abandon, Call, CallClient, CallError, Done, UnsentCallError, nothing
-from bridge.hub.endpoints.publisher import EndpointContext
+from bridge.hub.endpoints.context import EndpointContext
 from bridge.hub.endpoints.variants import REQUEST, RESPONSE, Convert, Variants
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph.tokens import gid_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from bridge.hub.endpoints.publisher import EndpointContext
+from bridge.hub.endpoints.context import EndpointContext
 from bridge.hub.endpoints.variants import Convert, Variants
 from bridge.hub.wire.buffers import BUFFER_TYPES, CPU_BACKEND, group_key
 from bridge.hub.wire.keys import NO_HASH, key_type, key_variant

@@ -10,9 +10,10 @@ from threading import Lock
 
 import zenoh
 
-from bridge.hub.endpoints.publisher import NO_LANE, EndpointContext
+from bridge.hub.endpoints.context import EndpointContext
+from bridge.hub.endpoints.publisher import NO_LANE
 from bridge.hub.endpoints.subscribed_keys import SubscribedKeys
-from bridge.hub.endpoints.variants import CONVERTED, Convert, ConvertedSample
+from bridge.hub.endpoints.variants import CONVERTED, RELAYED, Convert, ConvertedSample
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph import HubGraph
 from bridge.hub.wire.keys import ANY_HASH, GID_SIZE, key_type, unpack_attachment
@@ -222,7 +223,8 @@ class SampleReader:
     def read(self, sample: zenoh.Sample | ConvertedSample) -> HubSample | None:
         """Return a sample, whose session is not set yet; None if it must not be delivered."""
         keep_thread_state()
-        if self.closed or (self.originals and sample.encoding == CONVERTED):
+        encoding = sample.encoding
+        if self.closed or encoding == RELAYED or (self.originals and encoding == CONVERTED):
             return None
         payload, attachment = sample.payload, sample.attachment
         size = len(payload)

@@ -34,6 +34,10 @@ Variants = Mapping[str, bool]
 CONVERTED = zenoh.Encoding("application/cdr;converted")
 """Encoding of a sample that a publisher converted from its own version of the type; other samples have none."""
 
+RELAYED = zenoh.Encoding("application/cdr;relayed")
+"""Encoding of a sample that Midspan's relay (`bridge.routing.relay`) published under another hash than its publisher.
+Midspan's subscriptions ignore it, because they receive the original."""
+
 REQUEST, RESPONSE = "Request", "Response"
 
 _log = logging.getLogger(__name__)

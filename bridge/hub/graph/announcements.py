@@ -6,7 +6,15 @@ import logging
 from collections.abc import Callable
 
 from bridge.hub.errors import HubWireError
-from bridge.hub.graph.tokens import MIDSPAN_SPACE, Origin, parse_member, parse_origin, parse_velocity, parse_wire
+from bridge.hub.graph.tokens import (
+    MIDSPAN_SPACE,
+    Origin,
+    parse_member,
+    parse_origin,
+    parse_relay,
+    parse_velocity,
+    parse_wire,
+)
 from bridge.hub.wire.version import refusal
 
 _log = logging.getLogger(__name__)
@@ -23,16 +31,20 @@ class SessionAnnouncements:
         spaces: key expressions of the tokens.
         origins: the origin of each session that announces one, by zid.
         velocities: session (zid), hub topic and type of each velocity topic to which a side's own nodes subscribe.
+        relays: the sessions (zid) that may relay, with the times of their starts (wall clock, ns).
+        sessions: the sessions (zid) of all Midspan programs.
     """
 
     def __init__(self, domain: int, max_tokens: int, settle: Callable[[str], None]) -> None:
         space = f"{MIDSPAN_SPACE}/{domain}"
         self._max_tokens, self._settle_endpoints = max_tokens, settle
         self._member_space, self._velocity_space = f"{space}/member/", f"{space}/velocity/"
-        self._wire_space = f"{space}/wire/"
-        self.spaces = tuple(f"{space}/{kind}/**" for kind in ("wire", "origin", "member", "velocity"))
+        self._wire_space, self._relay_space = f"{space}/wire/", f"{space}/relay/"
+        self.spaces = tuple(f"{space}/{kind}/**" for kind in ("wire", "origin", "member", "velocity", "relay"))
         self.origins: dict[str, Origin] = {}
         self.velocities: set[tuple[str, str, str]] = set()
+        self.relays: dict[str, int] = {}
+        self.sessions: set[str] = set()
         self._tokens: dict[str, dict[str, Origin]] = {}
         self._members: dict[str, dict[str, None]] = {}
         self._strangers: set[str] = set()
@@ -52,6 +64,11 @@ class SessionAnnouncements:
             return True
         if key.startswith(self._wire_space):
             return self._put_wire(*parse_wire(key))
+        if key.startswith(self._relay_space):
+            zid, since = parse_relay(key)
+            self._check_room(len(self.relays), "relays")
+            self.relays[zid] = since
+            return True
         token = parse_origin(key)
         if token.zid not in self._tokens:
             self._check_room(len(self._tokens), "origins")
@@ -73,6 +90,8 @@ class SessionAnnouncements:
             return known
         if key.startswith(self._wire_space):
             return self._delete_wire(parse_wire(key)[0])
+        if key.startswith(self._relay_space):
+            return self.relays.pop(parse_relay(key)[0], None) is not None
         zid = parse_origin(key).zid
         tokens = self._tokens.get(zid, {})
         if tokens.pop(key, None) is None:
@@ -99,17 +118,22 @@ class SessionAnnouncements:
     def _put_wire(self, zid: str, version: str, release: str) -> bool:
         """Handle a session's version: if it is incompatible, the origin of the session's endpoints stays unknown."""
         reason = refusal(version)
+        known = zid in self.sessions
+        if not known:
+            self._check_room(len(self.sessions), "versions")
+            self.sessions.add(zid)
         if not reason or zid in self._strangers:
-            return False
-        self._check_room(len(self._strangers), "versions")
+            return not known
         self._strangers.add(zid)
         _log.warning("Midspan %.40s on the hub is refused, session %s: %s", release, zid, reason)
         self._settle(zid)
         return True
 
     def _delete_wire(self, zid: str) -> bool:
+        known = zid in self.sessions
+        self.sessions.discard(zid)
         if zid not in self._strangers:
-            return False
+            return known
         self._strangers.remove(zid)
         self._settle(zid)
         return True

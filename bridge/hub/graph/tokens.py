@@ -12,8 +12,10 @@ while its session has an origin has the enclave ``/midspan``, so that a particip
 that an origin will follow. An active worker also announces the workers on its network, including itself, with one token
 per worker: ``@midspan/<domain>/member/<zid>/<zid of the worker>``. These tokens show that two hubs share a network. For
 each velocity topic to which its side's own nodes subscribe, it announces
-``@midspan/<domain>/velocity/<zid>/<topic on the hub>/<type>``. Before anything else, each Midspan session announces its
-protocol version: ``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>`` (`bridge.hub.wire.version`).
+``@midspan/<domain>/velocity/<zid>/<topic on the hub>/<type>``. A worker that may relay between nodes of the hub
+announces ``@midspan/<domain>/relay/<zid>/<time of its start>`` (`bridge.routing.relay`). Before anything else, each
+Midspan session announces its protocol version: ``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>``
+(`bridge.hub.wire.version`).
 """
 
 from __future__ import annotations
@@ -212,6 +214,19 @@ def parse_velocity(key: str) -> tuple[str, str, str]:
     topic, type_name = check_topic(_unquote(parts[4])), _unquote(parts[5])
     dds_type_name(type_name)  # raises HubWireError for an invalid name
     return parts[3], topic, type_name
+
+
+def relay_key(domain: int, zid: str, since: int) -> str:
+    """Return the key of the token of a session that may relay; ``since``: time of its start (wall clock, ns)."""
+    return f"{MIDSPAN_SPACE}/{domain}/relay/{zid}/{since}"
+
+
+def parse_relay(key: str) -> tuple[str, int]:
+    """Parse a relay's token: the session, and the time of its start; raises `HubWireError`."""
+    parts = _split(key, MIDSPAN_SPACE)
+    if len(parts) < 5 or parts[2] != "relay" or not (parts[4].isascii() and parts[4].isdigit()):
+        raise HubWireError("not a relay token")
+    return parts[3], int(parts[4][:20])
 
 
 def wire_key(domain: int, zid: str) -> str:

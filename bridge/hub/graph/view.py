@@ -19,6 +19,7 @@ from bridge.hub.graph.tokens import (
     Origin,
     member_key,
     parse_token,
+    relay_key,
     velocity_key,
 )
 from bridge.hub.zenoh_compat import follow_tokens, undeclare
@@ -103,6 +104,20 @@ class HubGraph:
     def announce_velocity(self, topic: str, type_name: str) -> Callable[[], None]:
         """Announce that our side's own nodes subscribe to a velocity topic, until the returned function is called."""
         return self.announce(velocity_key(self._domain, self._zid, topic, type_name))
+
+    def relays(self) -> dict[str, int]:
+        """Return the sessions (zid) that may relay between nodes, with the times of their starts (wall clock, ns)."""
+        with self._lock:
+            return dict(self._announced.relays)
+
+    def announce_relay(self, since: int) -> Callable[[], None]:
+        """Announce that this session may relay, until the returned function is called."""
+        return self.announce(relay_key(self._domain, self._zid, since))
+
+    def midspan(self) -> frozenset[str]:
+        """Return the sessions (zid) of all Midspan programs."""
+        with self._lock:
+            return frozenset(self._announced.sessions)
 
     @property
     def variants_version(self) -> int:

@@ -208,3 +208,27 @@ def test_an_action_of_humble_is_driven_from_a_node_of_the_hub(place: Place, humb
     _goal, result, _reason = until(lambda: ends, "the goal ends")[0]
     assert result["transform"]["child_frame_id"] == "laser"
     assert server.goals[-1]["goal"]["target_frame"] == "map"
+
+
+def test_topics_between_releases_on_the_hub_are_relayed_and_reach_a_dialect_once(
+    place: Place, humble: ReleaseNode
+) -> None:
+    bridge, jazzy = place.ros2dds(), ReleaseNode(place.hubs.endpoint, 0, "jazzy", JAZZY)
+    topic = Topic("/speed", "geometry_msgs/msg/Twist", ROS2.type_id(SPEED), Qos(depth=100))
+    publisher, subscription = ReleasePublisher(humble, topic), ReleaseSubscription(jazzy, topic)
+    received = bridge.subscribe("/speed", SPEED)
+
+    def put() -> bool:
+        publisher.put(ROS2.encode(SPEED, {"angular": {"z": 9.0}}))
+        return bool(subscription.samples) and bool(bridge.wait(received, 1, 0.1))
+
+    until(put, "both receive")
+    for message in TWISTS:
+        publisher.put(ROS2.encode(SPEED, message))
+    expected = [message["linear"]["x"] for message in TWISTS]
+    until(lambda: twists(subscription)[-1] == expected[-1], "Jazzy receives all messages")
+    until(lambda: bridge.wait(received, 1)[-1]["linear"]["x"] == expected[-1], "the dialect receives all messages")
+    assert [x for x in twists(subscription) if x] == [x for x in expected if x]
+    speeds = [m["linear"]["x"] for m in bridge.wait(received, 1) if not m["angular"]["z"]]
+    assert speeds == expected
+    jazzy.close()

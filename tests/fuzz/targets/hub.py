@@ -168,8 +168,8 @@ def _samples() -> Subject:
     import zenoh
 
     from bridge.hub.endpoints import subscription as module
+    from bridge.hub.endpoints.context import EndpointContext
     from bridge.hub.endpoints.latched_subscription import LatchedHubSubscription
-    from bridge.hub.endpoints.publisher import EndpointContext
     from bridge.hub.endpoints.subscription import HubSubscription
     from bridge.hub.wire.keys import NO_HASH, pack_attachment, topic_key
     from bridge.hub.wire.qos import Durability, Qos

@@ -12,7 +12,7 @@ import pytest
 import zenoh
 
 from bridge.hub.endpoints.keyspace import KeyItem
-from bridge.hub.endpoints.publisher import LARGE
+from bridge.hub.endpoints.sinks import LARGE
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos

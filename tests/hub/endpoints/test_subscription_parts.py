@@ -127,7 +127,8 @@ def test_losses_name_the_newest_sources() -> None:
 
 def received(payload: bytes = b"x", attached: bytes | None = b"", kind: object = zenoh.SampleKind.PUT) -> Any:
     attachment = None if attached is None else SimpleNamespace(to_bytes=lambda: attached)
-    return SimpleNamespace(payload=zenoh.ZBytes(payload), attachment=attachment, kind=kind)
+    encoding = zenoh.Encoding.ZENOH_BYTES
+    return SimpleNamespace(payload=zenoh.ZBytes(payload), attachment=attachment, kind=kind, encoding=encoding)
 
 
 VALID = pack_attachment(4, 1000, GID)

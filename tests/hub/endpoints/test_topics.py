@@ -10,7 +10,7 @@ import pytest
 import zenoh
 
 from bridge import resources
-from bridge.hub.endpoints.publisher import LARGE, _Matching
+from bridge.hub.endpoints.sinks import LARGE, Matching
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.errors import HubClosedError, HubError, HubWireError
 from bridge.hub.graph.tokens import BRIDGE_ENCLAVE, EndpointKind, EndpointToken, NodeToken, endpoint_key
@@ -106,7 +106,7 @@ def test_a_listed_subscription_of_another_program_misses_nothing(
 ) -> None:
     """The graph may list a subscription some time after zenoh can reach it, but before zenoh reports the match."""
     if joins == 1:
-        monkeypatch.setattr(_Matching, "_on_changed", lambda *_: None)  # as if zenoh reported the match very late
+        monkeypatch.setattr(Matching, "_on_changed", lambda *_: None)  # as if zenoh reported the match very late
     with Hub.open(network.settings("a")) as a, network.rmw_session() as other:
         publisher, key = advertise(a, "/chatter"), topic_key(network.domain, "/chatter", TYPE, HASH)
         for number in range(joins):
@@ -130,7 +130,7 @@ def test_an_unlisted_subscriber_misses_nothing_after_the_match(
 ) -> None:
     """A plain zenoh program announces no token. Its match is reported, or, if ``late``, found by a query."""
     if late:
-        monkeypatch.setattr(_Matching, "_on_changed", lambda *_: None)
+        monkeypatch.setattr(Matching, "_on_changed", lambda *_: None)
     with Hub.open(network.settings("a")) as a, network.program() as other:
         publisher = advertise(a, "/chatter", STREAM, "unheard", "unheard")
         texts: list[str] = []

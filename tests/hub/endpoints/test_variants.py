@@ -12,8 +12,8 @@ import pytest
 import zenoh
 
 from bridge.concurrency import SerialExecutor
-from bridge.hub.endpoints.publisher import _LatchedSink
 from bridge.hub.endpoints.services import HubClient
+from bridge.hub.endpoints.sinks import LatchedSink
 from bridge.hub.endpoints.variants import KeyVariants, Variants
 from bridge.hub.graph.hashes import KindOfEndpoint
 from bridge.hub.graph.tokens import EndpointKind, EndpointToken, NodeToken, endpoint_key
@@ -110,14 +110,14 @@ def test_endpoint_that_fails_does_not_stop_the_others(
 def test_publishing_does_not_wait_for_the_cached_samples_of_another_key(
     network: HubNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    go_on, restoring, restore = threading.Event(), threading.Event(), _LatchedSink.restore
+    go_on, restoring, restore = threading.Event(), threading.Event(), LatchedSink.restore
 
-    def slow(sink: _LatchedSink, samples: Any) -> None:
+    def slow(sink: LatchedSink, samples: Any) -> None:
         restore(sink, samples)
         restoring.set()
         go_on.wait(20.0)
 
-    monkeypatch.setattr(_LatchedSink, "restore", slow)
+    monkeypatch.setattr(LatchedSink, "restore", slow)
     with Hub.open(network.settings("midspan")) as hub:
         publisher = advertise(hub, "/map", replace(LATCHED, depth=2), "1", "2")
         following = threading.Thread(target=publisher.follow_variants, args=({NO_HASH: True},))
@@ -133,7 +133,7 @@ def test_publishing_does_not_wait_for_the_cached_samples_of_another_key(
             following.join(20.0)
             putting.join(20.0)
         (sink,) = publisher._more.values()
-        assert isinstance(sink, _LatchedSink)
+        assert isinstance(sink, LatchedSink)
         assert [payload.to_bytes() for payload, _ in sink.stored] == [b"2", b"3"]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.endpoints.publisher import _Matching
+from bridge.hub.endpoints.sinks import Matching
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.joining import Joining, send_later
@@ -119,7 +119,7 @@ def test_topic_with_growing_messages_returns_to_zenoh(
     reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The writer's session may see the declaration on zenoh before the match is reported."""
-    monkeypatch.setattr(_Matching, "_on_changed", lambda *_: None)  # as if zenoh reported the match very late
+    monkeypatch.setattr(Matching, "_on_changed", lambda *_: None)  # as if zenoh reported the match very late
     subscriber = Subscriber(reader, "/t")
     ours = advertise(writer, "/t")
     goes_by(subscriber, "lane")

@@ -49,6 +49,19 @@ def test_each_hash_gives_its_release_and_the_hash_of_this_one(registry: Registry
     assert registry.schema(key[0], type_hash).name == key[0]
 
 
+def test_a_version_without_a_hash_that_equals_that_of_jazzy_is_converted_to_later_versions(registry: Registry) -> None:
+    releases = registry.releases
+    jazzy, lyrical = HASHES[FEEDBACK, "jazzy"], HASHES[FEEDBACK, "lyrical"]
+    assert releases.converter(FEEDBACK, NO_HASH, jazzy) is same
+    cdr = MessageWriter(registry.schema(FEEDBACK, jazzy)).message({"feedback": {"distance_remaining": 2.5}})
+    for source, target in ((NO_HASH, lyrical), (lyrical, NO_HASH)):
+        convert = releases.converter(FEEDBACK, source, target)
+        assert convert is not None
+        cdr = convert(cdr)
+    message = MessageReader(registry.schema(FEEDBACK, jazzy), cdr).message()
+    assert message["feedback"]["distance_remaining"] == 2.5
+
+
 @pytest.mark.parametrize("name", dict.fromkeys(TYPES))
 def test_every_version_of_a_type_converts_to_every_other(registry: Registry, name: str) -> None:
     releases, pairs = registry.releases, 0

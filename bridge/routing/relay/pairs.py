@@ -1,0 +1,76 @@
+"""Which of the hub's own nodes need a relay, because the keys of their endpoints have different type hashes."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from bridge.hub.endpoints.variants import TypeVersions
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
+from bridge.hub.wire.keys import NO_HASH
+
+
+class RelayKey(NamedTuple):
+    """Identifies the publishers of a topic and type whose keys have the same hash, which may be `NO_HASH`."""
+
+    topic: str
+    type_name: str
+    type_hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class TopicPair:
+    """The publishers of one key, and the subscriptions that they do not reach.
+
+    Attributes:
+        publishers: the hub's own nodes that publish under the key.
+        subscriptions: subscriptions of the hub's own nodes, by the hash of their key.
+        others: GIDs of all other publishers of the topic.
+    """
+
+    publishers: tuple[HubEndpoint, ...]
+    subscriptions: Mapping[str, tuple[HubEndpoint, ...]]
+    others: frozenset[bytes]
+
+
+def is_native(endpoint: HubEndpoint, midspan: Collection[str]) -> bool:
+    """Return whether an endpoint belongs to a node of the hub that is not Midspan's.
+
+    ``midspan`` contains the sessions (zid) of Midspan programs.
+    """
+    return not (endpoint.own or endpoint.origin or endpoint.pending or endpoint.zid in midspan)
+
+
+def key_hash(endpoint: HubEndpoint) -> str:
+    """Return the hash in an endpoint's key, or `NO_HASH`."""
+    return NO_HASH if endpoint.hashless else endpoint.type_hash
+
+
+def topic_pairs(
+    endpoints: Iterable[HubEndpoint], midspan: Collection[str], versions: TypeVersions
+) -> dict[RelayKey, TopicPair]:
+    """Return the publishers that need a relay to subscriptions with another version that can be converted."""
+    publishers: dict[RelayKey, list[HubEndpoint]] = defaultdict(list)
+    subscriptions: dict[tuple[str, str], dict[str, list[HubEndpoint]]] = defaultdict(lambda: defaultdict(list))
+    gids: dict[str, set[bytes]] = defaultdict(set)
+    for end in endpoints:
+        if end.kind is EndpointKind.PUBLISHER:
+            gids[end.topic].add(end.gid)
+            if is_native(end, midspan):
+                publishers[RelayKey(end.topic, end.type_name, key_hash(end))].append(end)
+        elif end.kind is EndpointKind.SUBSCRIPTION and end.type_hash != UNKNOWN_HASH and is_native(end, midspan):
+            subscriptions[end.topic, end.type_name][key_hash(end)].append(end)
+    pairs: dict[RelayKey, TopicPair] = {}
+    for key, senders in publishers.items():
+        missed = {
+            other: tuple(ends)
+            for other, ends in subscriptions.get((key.topic, key.type_name), {}).items()
+            if other != key.type_hash and versions.converter(key.type_name, key.type_hash, other) is not None
+        }
+        if missed:
+            others = gids[key.topic] - {end.gid for end in senders}
+            pairs[key] = TopicPair(tuple(senders), missed, frozenset(others))
+    return pairs

@@ -1,0 +1,144 @@
+"""Relays messages between the hub's own nodes whose versions of a type differ.
+
+rmw_zenoh's keys contain the type's hash, so that nodes of two releases may share a topic without exchanging messages.
+Of all workers of Midspan on one hub, one relays: the worker that started first (`HubGraph.relays`). It subscribes under
+the publishers' hash, converts, and publishes under the subscriptions' hashes. Only publishers and subscriptions of the
+hub's own nodes are relayed, because Midspan's endpoints already have a key for each version.
+
+The relayed messages cannot loop, and no side receives them in addition to the originals: they have a separate encoding
+(`bridge.hub.endpoints.variants.RELAYED`), and every subscription of Midspan ignores them.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from typing_extensions import override
+
+from bridge.hub.endpoints.variants import Convert, OneVersion
+from bridge.hub.errors import HubError
+from bridge.hub.session import Hub, HubSettings
+from bridge.routing.check_loop import CheckLoop
+from bridge.routing.peer_watch import HubViews
+from bridge.routing.relay.pairs import RelayKey, TopicPair, topic_pairs
+from bridge.routing.relay.topic import RelayContext, RelayedTopic
+from bridge.routing.rules import RuleSet
+from bridge.routing.stall import StallDetector
+
+_log = logging.getLogger(__name__)
+
+NODE = "midspan_relay"
+
+
+class _OwnVersionOnly(OneVersion):
+    """Keeps the relay's subscriptions from having keys with other hashes."""
+
+    @override
+    def converter(self, type_name: str, source: str, target: str, part: str = "") -> Convert | None:
+        return None
+
+
+class HubRelay:
+    """Relays topics while this worker is the hub's relay; its thread follows the graph.
+
+    Its node has a separate session on the hub, which it opens when it first has something to relay.
+
+    Args:
+        hub: the worker's node on the hub.
+        settings: the settings of that node.
+        rules: the rules of the configuration.
+        stall_detector: detects that this process was suspended.
+        failed: called with the reason if the thread fails.
+    """
+
+    def __init__(
+        self, hub: Hub, settings: HubSettings, rules: RuleSet, stall_detector: StallDetector,
+        failed: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        self._hub, self._rules, self._stall_detector = hub, rules, stall_detector
+        self._settings = replace(settings, node=NODE, worker=NODE, lane=None)
+        self._views = HubViews(hub)
+        self._settled = False
+        self._node: Hub | None = None
+        self._topics: dict[RelayKey, RelayedTopic] = {}
+        self._loop = CheckLoop("relay", self._check, self._tick, failed)
+        self._closers: list[Callable[[], None]] = []
+
+    def start(self) -> None:
+        """Join the election, and start following the graph."""
+        graph = self._hub.graph
+        self._closers = [graph.announce_relay(time.time_ns()), graph.watch(self._loop.wake)]
+        self._loop.start()
+
+    def reload(self, rules: RuleSet) -> None:
+        """Apply new rules."""
+        self._rules = rules
+        self._loop.wake()
+
+    def alive(self) -> str:
+        """Return a text if a check takes long, else ""; raises `TimeoutError` if it hangs."""
+        return self._loop.alive()
+
+    def stop(self) -> None:
+        """Stop relaying, and leave the election."""
+        self._loop.stop()
+        for closer in self._closers:
+            closer()
+        self._closers = []
+        self._close_all()
+        if self._node is not None:
+            self._node.close()
+
+    def topics(self) -> dict[RelayKey, RelayedTopic]:
+        """Return the topics that this worker relays now."""
+        return dict(self._topics)
+
+    @property
+    def _elected(self) -> bool:
+        relays = self._hub.graph.relays()
+        first = min(relays, key=lambda zid: (relays[zid], zid), default="")
+        return self._settled and first == self._hub.zid
+
+    def _tick(self) -> None:
+        if not self._settled and self._views.now(time.monotonic()).settled:
+            self._settled = True
+            self._loop.wake()
+        for relayed in tuple(self._topics.values()):
+            relayed.counters.tick()
+
+    def _check(self) -> bool:
+        """Compare the wanted relays with the existing ones; return whether to try again soon."""
+        graph = self._hub.graph
+        pairs: dict[RelayKey, TopicPair] = {}
+        if self._elected:
+            pairs = topic_pairs(graph.endpoints(), graph.midspan(), self._hub.versions)
+        rules = self._rules
+        policies = {key: rules.relay(key.topic, key.type_name) for key in pairs}
+        wanted = {key: policy for key, policy in policies.items() if policy.allowed}
+        for key in [key for key, relayed in self._topics.items() if wanted.get(key) != relayed.policy]:
+            self._topics.pop(key).close()
+        failed = False
+        for key, policy in wanted.items():
+            try:
+                relayed = self._topics.get(key)
+                if relayed is None:
+                    relayed = self._topics[key] = RelayedTopic(key, policy, self._context())
+                    _log.info("relaying %s (%s) between versions of its type", key.topic, key.type_name)
+                relayed.update(pairs[key])
+            except (HubError, OSError) as err:
+                _log.warning("cannot relay %s: %s", key.topic, err)
+                failed = True
+        return failed
+
+    def _context(self) -> RelayContext:
+        if self._node is None:
+            self._node = Hub.open(self._settings)
+            self._node.versions = _OwnVersionOnly()
+        return RelayContext(self._node, self._hub.versions, self._stall_detector, self._loop.wake)
+
+    def _close_all(self) -> None:
+        while self._topics:
+            self._topics.popitem()[1].close()

@@ -1,0 +1,202 @@
+"""A topic that is relayed from the publishers of one type hash to the subscriptions of others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Lock
+from typing import NamedTuple
+
+from bridge.concurrency import BoundedQueue
+from bridge.hub.endpoints.relaying import RelayPublisher
+from bridge.hub.endpoints.subscription import HubSample, HubSubscription
+from bridge.hub.endpoints.variants import TypeVersions
+from bridge.hub.session import Hub
+from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.unchanged import same
+from bridge.routing.backlog import Backlog
+from bridge.routing.counters import Counters
+from bridge.routing.hub_end import HubSource, HubSources, RouteSubscription
+from bridge.routing.limits import (
+    MAX_PENDING,
+    QUEUE_BYTES,
+    QUEUE_DEPTH,
+    Priority,
+    RateLimit,
+    combined_qos,
+    default_priority,
+)
+from bridge.routing.relay.pairs import RelayKey, TopicPair
+from bridge.routing.rules import RoutePolicy
+from bridge.routing.stall import StallDetector
+
+PENDING_SECONDS = 2.0
+"""Seconds for which a message from an unknown publisher is held."""
+
+_SHARED = b""
+
+
+class RelayContext(NamedTuple):
+    """What all relayed topics share.
+
+    Attributes:
+        node: the relay's node on the hub.
+        versions: converts between the versions of types.
+        stall_detector: detects that this process was suspended.
+        wake: schedules a check of the pairs.
+    """
+
+    node: Hub
+    versions: TypeVersions
+    stall_detector: StallDetector
+    wake: Callable[[], None]
+
+
+class RelayedTopic:
+    """Relays a topic's messages, each with its original number, time and GID.
+
+    Each latched publisher has its own publishers here, so that its cached messages disappear when it leaves; all other
+    publishers share one for each hash. A command is never latched or held, and is dropped if it is too old.
+
+    The receiving threads only queue the messages, because sending may wait for a congested link. ``_lock`` keeps the
+    order between held and new messages.
+    """
+
+    def __init__(self, key: RelayKey, policy: RoutePolicy, context: RelayContext) -> None:
+        self.key, self.policy = key, policy
+        self.counters = Counters()
+        self._context = context
+        self._priority = Priority.STREAM
+        self._limit = RateLimit(policy.rate) if policy.rate else None
+        self._sources = HubSources()
+        self._publishers: dict[tuple[str, bytes], RelayPublisher] = {}  # by hash, and by GID if latched
+        self._subscription = RouteSubscription(self._subscribe)
+        self._lock = Lock()
+        self._unknown = Backlog[HubSample](MAX_PENDING, QUEUE_BYTES, self._crowded_out)
+        self._queue: BoundedQueue[tuple[HubSample, HubSource]] | None = None
+
+    # -- the relay's loop ----------------------------------------------------------------------------------------------
+
+    def update(self, pair: TopicPair) -> None:
+        """Follow the publishers and subscriptions."""
+        self._priority = self._priority_of([end.qos for end in pair.publishers])
+        if self._queue is None:
+            depth = self.policy.depth or QUEUE_DEPTH[self._priority]
+            self._queue = BoundedQueue("midspan-relay", depth, QUEUE_BYTES, self._relay, self._crowded_out)
+        sources = self._sources.updated(pair.publishers, (), (), self._latches)
+        refused = HubSources(sources.allowed, pair.others, {}, sources.natives)
+        self._open_publishers(pair, refused)
+        self._sources = refused
+        qos = combined_qos([end.qos for end in pair.publishers])
+        if self._priority is Priority.COMMAND:
+            qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
+        self._subscription.request(qos)
+        self._release()
+
+    def _open_publishers(self, pair: TopicPair, sources: HubSources) -> None:
+        wanted: dict[tuple[str, bytes], Qos] = {}
+        for target in pair.subscriptions:
+            for source in sources.allowed.values():
+                if source.latched:
+                    wanted[target, source.endpoint.gid] = source.endpoint.qos
+                else:
+                    wanted.setdefault((target, _SHARED), self._volatile(source.endpoint.qos))
+        opened = {at: self._publisher(at[0], qos) for at, qos in wanted.items() if at not in self._publishers}
+        ended = [publisher for at, publisher in self._publishers.items() if at not in wanted]
+        kept = {at: publisher for at, publisher in self._publishers.items() if at in wanted}
+        self._publishers = kept | opened
+        for publisher in ended:
+            publisher.close()
+
+    def _volatile(self, qos: Qos) -> Qos:
+        depth = 1 if self._priority is Priority.COMMAND else qos.depth
+        return Qos(qos.reliability, Durability.VOLATILE, qos.history, depth)
+
+    def _publisher(self, target: str, qos: Qos) -> RelayPublisher:
+        topic, type_name, source = self.key
+        convert = self._context.versions.converter(type_name, source, target)
+        if convert is same:
+            convert = None
+        return self._context.node.relay_publisher(topic, type_name, target, qos, convert, priority=self._priority.value)
+
+    def _priority_of(self, qualities: list[Qos]) -> Priority:
+        if self.policy.priority:
+            return Priority(self.policy.priority)
+        latched = any(qos.latched for qos in qualities)
+        return default_priority(self.key.topic, self.key.type_name, latched=latched)
+
+    def _latches(self, qos: Qos) -> bool:
+        return qos.latched and self._priority is not Priority.COMMAND
+
+    def _subscribe(self, qos: Qos) -> HubSubscription:
+        topic, type_name, type_hash = self.key
+        return self._context.node.subscription(topic, type_name, type_hash, qos, self._receive, self._refused)
+
+    def _release(self) -> None:
+        """Relay the held messages of publishers that are known by now, and drop those that are overdue."""
+        before = self._unknown.overdue(PENDING_SECONDS)
+        if not self._unknown:
+            return
+        with self._lock:
+            for waiting in self._unknown.pop_matching(lambda _: True):
+                source = self._sources.of(waiting.message)
+                if source is not None:
+                    self._enqueue(waiting.message, source)
+                elif waiting.message.gid not in self._sources.refused and waiting.since >= before:
+                    self._unknown.put_back(waiting)
+
+    # -- messages ------------------------------------------------------------------------------------------------------
+
+    def _refused(self, reason: str, why: str) -> None:
+        self.counters.dropped(reason)
+        self.counters.failed(why)
+
+    def _crowded_out(self) -> None:
+        self.counters.dropped("queue")
+
+    def _receive(self, sample: HubSample) -> None:
+        """Queue a message of a known publisher; called on the receiving threads."""
+        with self._lock:
+            sources = self._sources
+            source = sources.of(sample)
+            if source is not None and not self._unknown.holds(sample.gid):
+                self._enqueue(sample, source)
+                return
+            if sample.gid in sources.refused or sample.zid in self._context.node.graph.midspan():
+                return
+            if self._priority is Priority.COMMAND:
+                self.counters.dropped("unknown")
+            else:
+                self._unknown.add(sample.gid, sample, len(sample.payload))
+        self._context.wake()
+
+    def _enqueue(self, sample: HubSample, source: HubSource) -> None:
+        if self._limit is not None and not source.latched and not self._limit.passes():
+            self.counters.dropped("rate")
+        elif self._queue is not None:
+            self._queue.put((sample, source), len(sample.payload))
+
+    def _relay(self, message: tuple[HubSample, HubSource]) -> None:
+        """Publish a message; called on the queue's thread."""
+        sample, source = message
+        if self._priority is Priority.COMMAND and self._stale(sample, source):
+            self.counters.dropped("stale")
+            return
+        at = source.endpoint.gid if source.latched else _SHARED
+        payload = sample.data()
+        for (_, gid), publisher in self._publishers.items():
+            if gid == at:
+                publisher.put(sample, payload)
+        self.counters.crossed(len(payload))
+
+    def _stale(self, sample: HubSample, source: HubSource) -> bool:
+        timeout = self.policy.timeout
+        return self._context.stall_detector.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
+
+    def close(self) -> None:
+        """Stop relaying."""
+        self._subscription.close()
+        if self._queue is not None:
+            self._queue.close()
+        publishers, self._publishers = self._publishers, {}
+        for publisher in publishers.values():
+            publisher.close()

@@ -1,0 +1,240 @@
+"""Topics between nodes of several ROS 2 releases on one hub, which Midspan relays."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from bridge.hub.wire.keys import ANY_HASH
+from bridge.hub.wire.qos import LATCHED, Qos
+from tests.peers.zenoh.release_actions import ReleaseTypes, hash_in
+from tests.peers.zenoh.releases import (
+    HUMBLE,
+    JAZZY,
+    KILTED,
+    LYRICAL,
+    Nodes,
+    Release,
+    ReleaseNode,
+    ReleasePublisher,
+    ReleaseSubscription,
+    Topic,
+)
+from tests.routing.relay.conftest import Relay, Relays
+from tests.support.wait import until
+
+STRING, TWIST, RANGE = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "sensor_msgs/msg/Range"
+FEEDBACK = "nav2_msgs/action/NavigateToPose_FeedbackMessage"
+STREAM = Qos(depth=100)
+COUNT = 20
+_PROBE = "probe"
+
+
+class Topics:
+    """One topic of a type, published and received by nodes of several releases."""
+
+    def __init__(self, type_name: str, qos: Qos = STREAM, name: str = "/topic") -> None:
+        self.type_name, self.qos, self.name = type_name, qos, name
+
+    def publisher(self, node: ReleaseNode) -> ReleasePublisher:
+        return ReleasePublisher(node, self._topic(node))
+
+    def subscription(self, node: ReleaseNode) -> ReleaseSubscription:
+        return ReleaseSubscription(node, self._topic(node))
+
+    def _topic(self, node: ReleaseNode) -> Topic:
+        return ReleaseTypes(node).topic(self.name, self.type_name, self.qos)
+
+
+CHATTER = Topics(STRING)
+
+
+def text(value: str) -> bytes:
+    """Return a std_msgs/String, whose version is the same in all releases."""
+    data = value.encode() + b"\0"
+    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
+
+
+def texts(subscription: ReleaseSubscription) -> list[str]:
+    """Return the texts received so far, without those of `connect`."""
+    found = [sample.payload[8:-1].decode() for sample in subscription.samples]
+    return [value for value in found if value != _PROBE]
+
+
+def connect(publisher: ReleasePublisher, *subscriptions: ReleaseSubscription) -> None:
+    """Publish until each subscription receives."""
+
+    def received() -> bool:
+        publisher.put(text(_PROBE))
+        return all(any(sample.gid == publisher.gid for sample in s.samples) for s in subscriptions)
+
+    until(received, "the messages are relayed", every=0.05)
+
+
+def put_texts(publisher: ReleasePublisher, prefix: str = "") -> list[str]:
+    values = [f"{prefix}{number}" for number in range(COUNT)]
+    for value in values:
+        publisher.put(text(value))
+    return values
+
+
+def until_topics(relay: Relay, count: int) -> None:
+    until(lambda: len(relay.relay.topics()) == count, f"{count} keys are relayed")
+
+
+@pytest.mark.parametrize(("sender", "receiver"), [(HUMBLE, JAZZY), (JAZZY, HUMBLE), (LYRICAL, HUMBLE)])
+def test_messages_reach_another_release_once_and_unchanged(
+    relay: Relays, node: Nodes, sender: Release, receiver: Release
+) -> None:
+    relay()
+    publisher, same = CHATTER.publisher(node(sender)), CHATTER.subscription(node(sender))
+    other = CHATTER.subscription(node(receiver))
+    connect(publisher, same, other)
+    values = put_texts(publisher)
+    for subscription in (same, other):
+        until(lambda s=subscription: values[-1] in texts(s), "all messages arrive")
+        assert texts(subscription) == values
+    sent = {(sample.sequence, sample.gid, sample.payload) for sample in same.samples}
+    assert {(sample.sequence, sample.gid, sample.payload) for sample in other.samples} <= sent
+
+
+@pytest.mark.parametrize(("sender", "receiver"), [(JAZZY, LYRICAL), (LYRICAL, JAZZY), (HUMBLE, LYRICAL)])
+def test_messages_are_converted_directly_to_the_other_version(
+    relay: Relays, node: Nodes, sender: Release, receiver: Release
+) -> None:
+    relay()
+    topic, nodes = Topics(FEEDBACK), (node(sender), node(receiver))
+    publisher, received = topic.publisher(nodes[0]), topic.subscription(nodes[1])
+    cdr = ReleaseTypes(nodes[0]).encode(FEEDBACK, {"feedback": {"distance_remaining": 2.5, "number_of_recoveries": 3}})
+
+    def arrived() -> bool:
+        publisher.put(cdr)
+        return bool(received.samples)
+
+    until(arrived, "a message arrives")
+    feedback = ReleaseTypes(nodes[1]).decode(FEEDBACK, received.samples[0].payload)["feedback"]
+    assert (feedback["distance_remaining"], feedback["number_of_recoveries"]) == (2.5, 3)
+
+
+def test_both_directions_of_a_topic_are_relayed_without_a_loop(relay: Relays, node: Nodes) -> None:
+    worker = relay()
+    nodes = node(HUMBLE), node(JAZZY)
+    publishers = [CHATTER.publisher(n) for n in nodes]
+    subscriptions = [CHATTER.subscription(n) for n in nodes]
+    until_topics(worker, 2)
+    for publisher in publishers:
+        connect(publisher, *subscriptions)
+    sent = put_texts(publishers[0], "humble ") + put_texts(publishers[1], "jazzy ")
+    for subscription in subscriptions:
+        until(lambda s=subscription: len(texts(s)) >= len(sent), "all messages arrive")
+    for publisher in publishers:
+        connect(publisher, *subscriptions)
+    for subscription in subscriptions:
+        assert sorted(texts(subscription)) == sorted(sent)
+
+
+def test_midspan_itself_receives_and_publishes_each_message_once(relay: Relays, node: Nodes) -> None:
+    worker, other = relay(), relay()
+    nodes = node(HUMBLE), node(JAZZY)
+    native, received = CHATTER.publisher(nodes[0]), [CHATTER.subscription(n) for n in nodes]
+    type_hash, own, any_hash = hash_in("jazzy", STRING), [], []
+    other.hub.subscription("/topic", STRING, type_hash, STREAM, lambda sample: own.append(sample.data()))
+    other.hub.subscription("/topic", STRING, ANY_HASH, STREAM, lambda sample: any_hash.append(sample.data()))
+    published = worker.hub.publisher("/topic", STRING, type_hash, STREAM)
+    until_topics(worker, 1)
+    connect(native, *received)
+    until(lambda: published.matched() and own and any_hash, "Midspan receives")
+    values = put_texts(native, "native ")
+    for number in range(COUNT):
+        published.put(text(f"midspan {number}"))
+    values += [f"midspan {number}" for number in range(COUNT)]
+    until(lambda: all(len(texts(s)) >= len(values) for s in received), "all messages arrive")
+    connect(native, *received)
+    for subscription in received:
+        assert sorted(texts(subscription)) == sorted(values)
+    for payloads in (own, any_hash):
+        until(lambda p=payloads: len(p) >= 2 * COUNT, "Midspan receives all messages")
+        found = [payload[8:-1].decode() for payload in payloads]
+        assert sorted(value for value in found if value != _PROBE) == sorted(values)
+
+
+def test_one_of_several_workers_relays_and_another_takes_over(relay: Relays, node: Nodes) -> None:
+    first, second = relay(), relay()
+    publisher, received = CHATTER.publisher(node(HUMBLE)), CHATTER.subscription(node(JAZZY))
+    until_topics(first, 1)
+    connect(publisher, received)
+    values = put_texts(publisher)
+    until(lambda: values[-1] in texts(received), "all messages arrive")
+    assert texts(received) == values
+    assert not second.relay.topics()
+    first.close()
+    until_topics(second, 1)
+    received.samples.clear()
+    connect(publisher, received)
+    values = put_texts(publisher, "later ")
+    until(lambda: values[-1] in texts(received), "all messages arrive")
+    assert texts(received) == values
+
+
+def test_latched_messages_reach_late_joiners_until_their_publisher_leaves(relay: Relays, node: Nodes) -> None:
+    worker, topic = relay(), Topics(STRING, LATCHED)
+    publisher = topic.publisher(node(HUMBLE))
+    publisher.put(text("map"))
+    jazzy = node(JAZZY)
+    first = topic.subscription(jazzy)
+    until(lambda: texts(first) == ["map"], "the first subscription gets the message")
+    second = topic.subscription(node(KILTED))
+    until(lambda: texts(second) == ["map"], "a late joiner gets the message")
+    publisher.put(text("map 2"))
+    for subscription in (first, second):
+        until(lambda s=subscription: texts(s) == ["map", "map 2"], "both get the new message")
+    publisher.close()
+    until_topics(worker, 0)
+    other = topic.publisher(node(HUMBLE))
+    third = topic.subscription(jazzy)
+    other.put(text("other"))
+    until(lambda: texts(third), "the other publisher's message arrives")
+    assert texts(third) == ["other"]
+
+
+def test_commands_are_neither_cached_nor_relayed_late(relay: Relays, node: Nodes) -> None:
+    relay()
+    topic = Topics(TWIST, LATCHED, "/cmd_vel")
+    publisher, received = topic.publisher(node(HUMBLE)), topic.subscription(node(JAZZY))
+
+    def put_until_received(subscription: ReleaseSubscription) -> None:
+        before = publisher._sequence
+
+        def arrived() -> bool:
+            put_with_age(publisher, 0.0)
+            return any(sample.sequence > before for sample in subscription.samples)
+
+        until(arrived, "a command arrives", every=0.05)
+
+    put_until_received(received)
+    put_with_age(publisher, 5.0)
+    late = publisher._sequence
+    put_until_received(received)
+    assert late not in [sample.sequence for sample in received.samples]
+    joiner, before = topic.subscription(node(JAZZY)), publisher._sequence
+    put_until_received(joiner)
+    assert min(sample.sequence for sample in joiner.samples) > before
+
+
+def put_with_age(publisher: ReleasePublisher, age: float) -> None:
+    """Publish a velocity whose source timestamp is some seconds old."""
+    publisher._sequence += 1
+    data = publisher._sequence.to_bytes(8, "little") + (time.time_ns() - int(age * 1e9)).to_bytes(8, "little")
+    publisher._declared(publisher.key).put(b"\0\1\0\0" + bytes(48), attachment=data + b"\x10" + publisher.gid)
+
+
+def test_a_rule_turns_the_relay_off(relay: Relays, node: Nodes) -> None:
+    worker = relay({"topic": "/topic", "from": "zenoh", "to": "zenoh", "deny": True})
+    CHATTER.publisher(node(HUMBLE))
+    CHATTER.subscription(jazzy := node(JAZZY))
+    allowed = Topics(STRING, name="/allowed")
+    allowed.publisher(jazzy)
+    allowed.subscription(node(HUMBLE))
+    until_topics(worker, 1)
+    assert [key.topic for key in worker.relay.topics()] == ["/allowed"]
