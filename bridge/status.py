@@ -271,6 +271,43 @@ class StatusDocument(Part):
     ended: Text = ""
     loops: bool = False
 
+    @property
+    def hub_sessions(self) -> frozenset[str]:
+        """The ids of the worker's sessions on the hub."""
+        return frozenset({self.zid} if self.zid else ())
+
+
+class RelayedStatus(Part):
+    """A topic or service that a worker relays between the hub's own nodes (`bridge.routing.relay`).
+
+    Attributes:
+        kind: ``topic`` or ``service``.
+        hash: the hash in the key of the publishers or clients, "" for none (Humble). ``others``: those of the
+            subscriptions, or of the servers.
+        senders: nodes of the publishers or clients. ``receivers``: nodes of the subscriptions or servers.
+        messages: number of relayed messages or calls.
+        losses: which fields are left out or changed.
+    """
+
+    kind: Text = "topic"
+    topic: Text = ""
+    type: Text = ""
+    hash: Text = ""
+    others: list[Text] = []
+    senders: list[Text] = []
+    receivers: list[Text] = []
+    messages: Int = 0
+    drops: dict[Text, Int] = {}
+    error: Text = ""
+    losses: Text = ""
+
+
+class RelayStatus(Part):
+    """What a worker relays between the hub's own nodes; ``zid`` is the session that it uses for that, "" if none."""
+
+    zid: Text = ""
+    names: list[RelayedStatus] = []
+
 
 class WorkerStatus(StatusDocument):
     """The status of a worker; most fields apply only to the workers of sides.
@@ -288,6 +325,12 @@ class WorkerStatus(StatusDocument):
     cyclone: CycloneNodes | None = None
     middlewares: list[Middleware] = []
     lane: LaneStatus = LaneStatus()
+    relay: RelayStatus = RelayStatus()
+
+    @property
+    @override
+    def hub_sessions(self) -> frozenset[str]:
+        return super().hub_sessions | ({self.relay.zid} if self.relay.zid else set())
 
 
 class EndpointStatus(Part):

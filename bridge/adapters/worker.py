@@ -280,6 +280,7 @@ class NetworkBridge:
             **engine.edge.details(),
             zid=self._hub.zid,
             lane=self._hub.lane(),
+            relay=self._relay.status(),
         ).document()
 
     def _running(self) -> Engine:

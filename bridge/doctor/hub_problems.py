@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from bridge.client.graph import owners
 from bridge.config.sections.navigation import OURS, NavigationSection, Planner
+from bridge.doctor.relayed import Relayed, is_relayed, key_hash
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.hub.wire.keys import NO_HASH
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 CURE = "install the same version of the message package on both machines, or name its folder in types.folders"
 
 CURE_SEPARATED = (
-    "use the same release for both, or run one of them on DDS: Midspan converts between the hub and DDS"
-    " (docs/sides/hub.md)"
+    "Midspan relays between versions that it knows while a worker of a side runs and no rule denies it; otherwise use"
+    " the same release for both, or run one of them on DDS (docs/sides/hub.md)"
 )
 _TOPIC_ENDS = (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION)
 
@@ -38,7 +39,10 @@ class Note:
 
 
 def conflicts(
-    endpoints: Iterable[HubEndpoint], workers: Collection[str] = (), versions: Callable[[], TypeVersions] | None = None
+    endpoints: Iterable[HubEndpoint],
+    workers: Collection[str] = (),
+    versions: Callable[[], TypeVersions] | None = None,
+    relayed: Relayed = (),
 ) -> list[Note]:
     """Return topics of the hub with several types, or with several hashes of one type that are not converted.
 
@@ -46,6 +50,7 @@ def conflicts(
         endpoints: of the hub.
         workers: sessions (zid) of Midspan workers, which convert between the known versions of a type.
         versions: returns the known versions; called only if hashes differ. None: no version is converted.
+        relayed: what workers relay.
     """
     topics: dict[str, dict[str, dict[str, list[HubEndpoint]]]] = {}
     ends: dict[str, list[HubEndpoint]] = {}
@@ -61,7 +66,7 @@ def conflicts(
             text = f"{topic} has {len(types)} types on the hub ({', '.join(sorted(types))}) that do not match"
             notes.append(Note(text, "give one of them another name, or rename one with a rule"))
         for type_name, hashes in sorted(types.items()):
-            if len(hashes) > 1 and not _is_converted(type_name, hashes, workers, versions):
+            if len(hashes) > 1 and not _is_converted(type_name, hashes, workers, versions, relayed):
                 holders = "; ".join(f"{owners(e)} {h[:17]}..." for h, e in sorted(hashes.items()))
                 text = f"{topic}: the definitions of {type_name} differ ({holders}); no messages are exchanged"
                 notes.append(Note(text, CURE))
@@ -70,29 +75,31 @@ def conflicts(
 
 def _is_converted(
     type_name: str, hashes: Mapping[str, list[HubEndpoint]], workers: Collection[str],
-    versions: Callable[[], TypeVersions] | None,
+    versions: Callable[[], TypeVersions] | None, relayed: Relayed,
 ) -> bool:  # fmt: skip
-    """Return whether all versions are known, and no native publisher and subscription have different versions."""
-    native = {(e.kind, e.type_hash) for ends in hashes.values() for e in ends if not (e.origin or e.zid in workers)}
-    published, subscribed = (
-        {type_hash for of, type_hash in native if of is kind}
-        for kind in (EndpointKind.PUBLISHER, EndpointKind.SUBSCRIPTION)
-    )
-    if versions is None or any(one != other for one in published for other in subscribed):
+    """Return whether all versions are known, and are relayed between native publishers and subscriptions."""
+    native = [e for ends in hashes.values() for e in ends if not (e.origin or e.zid in workers)]
+    published, subscribed = ([e for e in native if e.kind is kind] for kind in _TOPIC_ENDS)
+    if versions is None or any(
+        one.type_hash != other.type_hash and not is_relayed(one, [other], relayed)
+        for one in published
+        for other in subscribed
+    ):
         return False
     known = versions()
     return len({known.here(type_name, type_hash) for type_hash in hashes}) == 1
 
 
-def separated(endpoints: Iterable[HubEndpoint], workers: Collection[str] = ()) -> list[Note]:
-    """Return which native nodes of different releases on the hub do not reach each other.
+def separated(endpoints: Iterable[HubEndpoint], workers: Collection[str] = (), relayed: Relayed = ()) -> list[Note]:
+    """Return which native nodes of different releases on the hub do not reach each other, and are not relayed.
 
-    rmw_zenoh shows such nodes as connected, since its graph compares only names. Midspan does not forward from the hub
-    to the hub. Topics whose hashes differ are among the `conflicts`.
+    rmw_zenoh shows such nodes as connected, since its graph compares only names. Topics whose hashes differ are among
+    the `conflicts`.
 
     Args:
         endpoints: of the hub.
         workers: sessions (zid) of Midspan workers, whose servers accept all versions.
+        relayed: what workers relay.
     """
     ends: dict[tuple[str, str], dict[EndpointKind, list[HubEndpoint]]] = {}
     for end in endpoints:
@@ -104,13 +111,17 @@ def separated(endpoints: Iterable[HubEndpoint], workers: Collection[str] = ()) -
             for kind, of_kind in kinds.items()
         }
         servers = native.get(EndpointKind.SERVER, [])
-        clients = [e for e in native.get(EndpointKind.CLIENT, ()) if _key(e) not in map(_key, servers)]
+        clients = [
+            e
+            for e in native.get(EndpointKind.CLIENT, ())
+            if key_hash(e) not in map(key_hash, servers) and not is_relayed(e, servers, relayed)
+        ]
         if clients and servers and len(servers) == len(kinds[EndpointKind.SERVER]):
             text = f"{name}: {owners(clients)} never get a reply from {owners(servers)} on the hub"
             notes.append(Note(f"{text}: they have different versions of {type_name}", CURE_SEPARATED))
         publishers, subscriptions = (native.get(kind, []) for kind in _TOPIC_ENDS)
         for sender in publishers:
-            receivers = [e for e in subscriptions if _misses(e, sender)]
+            receivers = [e for e in subscriptions if _misses(e, sender) and not is_relayed(sender, [e], relayed)]
             if receivers:
                 why = (
                     "only nodes of Lyrical receive its buffers" if sender.buffers else "one of them has no type hashes"
@@ -120,11 +131,6 @@ def separated(endpoints: Iterable[HubEndpoint], workers: Collection[str] = ()) -
                 )
                 notes.append(Note(text, CURE_SEPARATED))
     return notes
-
-
-def _key(endpoint: HubEndpoint) -> str:
-    """Return the hash in an endpoint's key, or what the key has instead."""
-    return NO_HASH if endpoint.hashless else endpoint.type_hash
 
 
 def _misses(subscription: HubEndpoint, publisher: HubEndpoint) -> bool:

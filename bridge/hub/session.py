@@ -374,17 +374,18 @@ class Hub:
             key = topic_key(self.domain, topic, type_name, type_hash)
             return RelayPublisher(self._context, key, qos, PublisherOptions(qos, priority, None), convert)
 
-    def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
+    def server(self, name: str, type_name: str, type_hash: str, call: Call, *, hidden: bool = False) -> HubServer:
         """Serve a service; the server exists until it or the node is closed.
 
         ``call`` receives each request's CDR on zenoh's receiving thread, or on the thread of another node of this
         session that calls; it must start the call and return at once. The node's own calls are not delivered. The name
-        of an action's service includes the ``/_action/`` part.
+        of an action's service includes the ``/_action/`` part. A ``hidden`` server has no token, and accepts only calls
+        under its type hash.
         """
         with self._lock:
             token = self._token(EndpointKind.SERVER, name, type_name, type_hash, _SERVICE_QOS)
             key = topic_key(self.domain, name, type_name, type_hash)
-            return self._keep(HubServer(self._context, token, key, name, call))
+            return self._keep(HubServer(self._context, token, key, name, call, hidden=hidden))
 
     def client(self, name: str, type_name: str, type_hash: str, changed: Callable[[], None] | None = None) -> HubClient:
         """Create a client of a service; the client exists until it or the node is closed.

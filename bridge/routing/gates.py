@@ -116,6 +116,20 @@ class ExitGate:
         return _whole(policy, subject)
 
 
+class RelayGate:
+    """The gate between the hub's own nodes, whose messages and calls a worker relays (`bridge.routing.relay`)."""
+
+    def __init__(self, rules: RuleSet, endpoints: Iterable[HubEndpoint]) -> None:
+        self._rules = rules
+        offered = (e for e in endpoints if e.kind in (EndpointKind.PUBLISHER, EndpointKind.SERVER))
+        self._actions = GraphActions((e.topic, e.type_name) for e in offered)
+
+    def decide(self, kind: Crosses, name: str, type_name: str) -> RoutePolicy:
+        """Return the rules' decision; the name does not change."""
+        subject = self._actions.subject(kind, name, type_name)
+        return _whole(self._rules.relay(subject.name, subject.type_name, subject.kind), subject)
+
+
 def _whole(policy: RoutePolicy, subject: Subject) -> RoutePolicy:
     """Return the policy for a topic, service or part of an action; the latter two have no rate, priority or QoS."""
     if subject.kind == "topic":

@@ -241,6 +241,42 @@ def test_native_publishers_and_subscriptions_of_two_releases_are_reported_as_sep
     assert [text.rpartition(": ")[2] for text in texts] == [reason] * bool(reason)
 
 
+def test_what_a_worker_relays_is_no_problem_and_is_named() -> None:
+    registry, name = Registry(), "nav2_msgs/action/NavigateToPose_FeedbackMessage"
+    jazzy, lyrical = registry.releases.hashes(name)
+    ends = [
+        replace(endpoint("nav2", name, "1"), type_hash=lyrical),
+        replace(endpoint("gui", name, "1", EndpointKind.SUBSCRIPTION), type_hash=jazzy),
+        replace(endpoint("talker", "a/msg/A", "1", topic="/chatter"), hashless=True),
+        endpoint("listener", "a/msg/A", "1", EndpointKind.SUBSCRIPTION, topic="/chatter"),
+        endpoint("server", "a/srv/A", "1", EndpointKind.SERVER, topic="/do"),
+        endpoint("client", "a/srv/A", "2", EndpointKind.CLIENT, topic="/do"),
+        replace(endpoint("midspan_relay", name, "1", EndpointKind.SUBSCRIPTION), type_hash=lyrical, zid="f"),
+    ]
+    rows = [
+        {"topic": "/topic", "type": name, "hash": lyrical, "others": [jazzy], "senders": ["/nav2"]},
+        {"topic": "/chatter", "type": "a/msg/A", "hash": "", "others": [ends[3].type_hash], "messages": 7},
+        {
+            "topic": "/do",
+            "type": "a/srv/A",
+            "hash": ends[5].type_hash,
+            "others": [ends[4].type_hash],
+            "kind": "service",
+        },
+    ]
+    document = {"worker": "ros1", "daemon": "robot", "relay": {"zid": "f", "names": rows}}
+    view = replace(hub(document), endpoints=ends)
+    findings = every(types.check_hashes(around(hub=view)))
+    assert [finding.result for finding in findings] == [Result.OK] * 3
+    assert "/topic: ros1 (daemon robot) relays messages from /nav2" in findings[0].seen
+    assert "other versions of a/msg/A; 7 so far" in findings[1].seen
+    for without in (1, 2, 3):
+        some = {**document, "relay": {"zid": "f", "names": rows[: without - 1] + rows[without:]}}
+        findings = every(types.check_hashes(around(hub=replace(hub(some), endpoints=ends))))
+        assert [f.result for f in findings].count(Result.OK) == 2
+        assert len(findings) == 3
+
+
 def test_bridged_endpoints_are_named_by_their_side() -> None:
     bridged = replace(endpoint("midspan_ros2", "a/msg/A", "2"), origin=Origin("ros2", "0" * 24, "robot1"))
     (note,) = conflicts([endpoint("one", "a/msg/A", "1"), bridged])

@@ -30,6 +30,7 @@ from bridge.config.sections.routing import Rule
 from bridge.display.documents import connection_line, drops_text, port_lines, transport_text
 from bridge.doctor import hub_problems
 from bridge.doctor.hub_problems import Note, absence
+from bridge.doctor.relayed import relay_texts, relayed_keys
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.graph import HubEndpoint
 from bridge.messages.actions import split
@@ -182,9 +183,10 @@ def _route(decision: Decision, documents: Sequence[StatusDocument]) -> RouteStat
 def _hub_notes(
     client: Client, topic: str, endpoints: Sequence[HubEndpoint], documents: Sequence[StatusDocument]
 ) -> list[Note]:
-    workers = {document.zid for document in documents}
-    notes = hub_problems.conflicts(endpoints, workers, lambda: client.registry().releases)
-    notes += hub_problems.separated(endpoints, workers)
+    workers, relayed = {zid for document in documents for zid in document.hub_sessions}, relayed_keys(documents)
+    notes = [Note(text) for text in relay_texts(documents, {endpoint.topic for endpoint in endpoints})]
+    notes += hub_problems.conflicts(endpoints, workers, lambda: client.registry().releases, relayed)
+    notes += hub_problems.separated(endpoints, workers, relayed)
     publishers = [e for e in endpoints if e.kind == "publisher"]
     subscriptions = [e for e in endpoints if e.kind == "subscription"]
     if subscriptions and not publishers:

@@ -65,7 +65,7 @@ def run_status(args: argparse.Namespace) -> int:
             documents = _ask_status(client)
             client.settle()
             refused = refusals(client, documents)
-            native = native_nodes(client.endpoints(), {document.zid for document in documents})
+            native = native_nodes(client.endpoints(), {zid for document in documents for zid in document.hub_sessions})
     except ClientError as err:
         if state.life is not Life.RUNNING:
             raise

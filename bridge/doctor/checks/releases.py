@@ -40,7 +40,7 @@ def _of_side(groups: Sequence[Middleware]) -> Iterator[Finding]:
 
 
 def _on_hub(context: CheckContext) -> Iterator[Finding]:
-    midspan = {document.zid for document in context.hub.documents if document.zid}
+    midspan = {zid for document in context.hub.documents for zid in document.hub_sessions}
     for group in native_nodes(context.hub.endpoints, midspan):
         seen = f"on the hub: {group}: {listed(group.nodes)}"
         if group.hashless:

@@ -7,6 +7,7 @@ from bridge.descriptors import all_modules
 from bridge.doctor.check import Finding, Findings, fail, merged, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.doctor.hub_problems import CURE, conflicts, separated
+from bridge.doctor.relayed import relay_texts, relayed_keys
 from bridge.interfaces.compiler import Compiler
 from bridge.interfaces.definition import BuildError
 from bridge.messages.registry import Registry
@@ -30,11 +31,14 @@ def check_hashes(context: CheckContext) -> Findings:
         return skip("the hub does not answer")
     findings = _refusals(context, differing=True)
     findings += merged([warn(text, CURE) for text in _warnings(context) if "md5" in text])[:_SHOWN]
-    workers = {document.zid for document in context.hub.documents}
-    notes = conflicts(context.hub.endpoints, workers, lambda: Registry.of(context.config.types).releases)
+    documents = context.hub.documents
+    workers = {zid for document in documents for zid in document.hub_sessions}
+    relayed = relayed_keys(documents)
+    notes = conflicts(context.hub.endpoints, workers, lambda: Registry.of(context.config.types).releases, relayed)
     findings += merged([fail(note.text, note.cure) for note in notes])[:_SHOWN]
-    separate = separated(context.hub.endpoints, workers)
+    separate = separated(context.hub.endpoints, workers, relayed)
     findings += merged([warn(note.text, note.cure) for note in separate])[:_SHOWN]
+    findings += [ok(text) for text in relay_texts(documents)[:_SHOWN]]
     return findings or ok("no definitions differ")
 
 

@@ -29,6 +29,7 @@ from bridge.hub.endpoints.calls import PRIORITY, Abandon, Call, CallClient, Call
 from bridge.hub.endpoints.context import EndpointContext
 from bridge.hub.endpoints.variants import REQUEST, RESPONSE, Convert, Variants
 from bridge.hub.errors import HubWireError
+from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import gid_of
 from bridge.hub.wire.keys import GID_SIZE, NO_HASH, key_type, key_variant, pack_attachment, unpack_attachment
 from bridge.hub.zenoh_compat import answer, keep_thread_state, subscribe
@@ -47,6 +48,8 @@ class _HubRequest(PendingRequest):
 class HubServer(CallServer):
     """Serves one service on the hub; created by `bridge.hub.session.Hub.server`.
 
+    A ``hidden`` server has no token, and accepts only calls under its own hash.
+
     Attributes:
         gid: the server's 16-byte id.
     """
@@ -58,6 +61,8 @@ class HubServer(CallServer):
         key: str,
         name: str,
         call: Call,
+        *,
+        hidden: bool = False,
     ) -> None:
         self.gid = gid_of(token)
         self._graph, self._own = context.graph, context.own
@@ -65,11 +70,12 @@ class HubServer(CallServer):
         self._unwatch: Callable[[], None] | None = None
         self._type, self._variants = key_type(key), context.variants
         hashes = dict.fromkeys((*context.variants.versions.hashes(self._type[0]), NO_HASH))
-        self._others = {key_variant(key, other): other for other in hashes if other != self._type[1]}
+        others = () if hidden else (other for other in hashes if other != self._type[1])
+        self._others = {key_variant(key, other): other for other in others}
         super().__init__(
             context.session, key, name, context.limit, call, context.closed, complete=True, reach=context.reach
         )
-        self._withdraw = context.graph.announce(token)
+        self._withdraw = nothing if hidden else context.graph.announce(token)
 
     @override
     def _declare_additional(self, session: zenoh.Session, reach: zenoh.Locality) -> list[Any]:
@@ -228,7 +234,7 @@ class HubClient(CallClient):
     """Calls one service on the hub; created by `bridge.hub.session.Hub.client`. Safe to use from any thread.
 
     If several servers reply, the first reply is used. Servers that announce another type hash are called only while
-    no server has the client's hash.
+    no server has the client's hash; they are called directly, and not by a relay (`bridge.routing.relay`).
 
     Attributes:
         gid: the client's 16-byte id in its requests.
@@ -302,8 +308,16 @@ class HubClient(CallClient):
     def _reachable(self) -> bool:
         if not super()._reachable:
             return False
-        servers = [server.gid in self._own for server in self._graph.servers(self.name)]
-        return not servers or not all(servers)
+        servers = self._graph.servers(self.name)
+        return not servers or any(self._answers(server) for server in servers)
+
+    def _answers(self, server: HubEndpoint) -> bool:
+        """Return whether a server answers under the client's hash: Midspan's servers do under every hash."""
+        if server.gid in self._own:
+            return False
+        announced = NO_HASH if server.hashless else server.type_hash
+        midspan = server.origin or server.pending or self._graph.is_midspan(server.zid)
+        return bool(midspan) or announced == key_type(self._key)[1]
 
     @override
     def _attached(self, number: int) -> bytes:

@@ -119,6 +119,10 @@ class HubGraph:
         with self._lock:
             return frozenset(self._announced.sessions)
 
+    def is_midspan(self, zid: str) -> bool:
+        """Return whether a session (zid) belongs to a Midspan program. Fast enough to call for each sample."""
+        return zid in self._announced.sessions
+
     @property
     def variants_version(self) -> int:
         """A number that changes when `other_hashes` changes, or a new publisher with buffers appears."""

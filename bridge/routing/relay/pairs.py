@@ -7,14 +7,14 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from bridge.hub.endpoints.variants import TypeVersions
+from bridge.hub.endpoints.variants import REQUEST, RESPONSE, TypeVersions
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.hub.wire.keys import NO_HASH
 
 
 class RelayKey(NamedTuple):
-    """Identifies the publishers of a topic and type whose keys have the same hash, which may be `NO_HASH`."""
+    """The publishers of a topic, or the clients of a service, whose keys have the same hash, which may be `NO_HASH`."""
 
     topic: str
     type_name: str
@@ -34,6 +34,21 @@ class TopicPair:
     publishers: tuple[HubEndpoint, ...]
     subscriptions: Mapping[str, tuple[HubEndpoint, ...]]
     others: frozenset[bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class ServicePair:
+    """The present clients of one key, and the servers of another key that can answer after a conversion.
+
+    Attributes:
+        clients: clients of the hub's own nodes; there may be none yet.
+        type_hash: the hash of the servers' key.
+        servers: servers of the hub's own nodes.
+    """
+
+    clients: tuple[HubEndpoint, ...]
+    type_hash: str
+    servers: tuple[HubEndpoint, ...]
 
 
 def is_native(endpoint: HubEndpoint, midspan: Collection[str]) -> bool:
@@ -74,3 +89,45 @@ def topic_pairs(
             others = gids[key.topic] - {end.gid for end in senders}
             pairs[key] = TopicPair(tuple(senders), missed, frozenset(others))
     return pairs
+
+
+def service_pairs(
+    endpoints: Iterable[HubEndpoint], midspan: Collection[str], versions: TypeVersions
+) -> dict[RelayKey, ServicePair]:
+    """Return the keys on which no server answers, although a server with another version could, after a conversion.
+
+    They include keys without a client: a client may call as soon as it sees a server's token, and its call is not
+    repeated. A service with a server of Midspan needs no relay, because that server accepts all versions. If the
+    servers have several other versions, those with the smallest hash are called.
+    """
+    clients: dict[tuple[str, str], dict[str, list[HubEndpoint]]] = defaultdict(lambda: defaultdict(list))
+    servers: dict[tuple[str, str], dict[str, list[HubEndpoint]]] = defaultdict(lambda: defaultdict(list))
+    covered: set[tuple[str, str]] = set()
+    hashless = hashed = False
+    for end in endpoints:
+        name = end.topic, end.type_name
+        if not is_native(end, midspan):
+            if end.kind is EndpointKind.SERVER:
+                covered.add(name)
+            continue
+        hashless, hashed = hashless or end.hashless, hashed or not end.hashless
+        if end.kind is EndpointKind.CLIENT:
+            clients[name][key_hash(end)].append(end)
+        elif end.kind is EndpointKind.SERVER:
+            servers[name][key_hash(end)].append(end)
+    pairs: dict[RelayKey, ServicePair] = {}
+    for name, known in servers.items():
+        callers = clients.get(name, {})
+        others = {*callers, *(versions.hashes(name[1]) if hashed else ()), *([NO_HASH] if hashless else [])}
+        for other in others - known.keys() if name not in covered else ():
+            key = RelayKey(*name, other)
+            usable = [server for server in sorted(known) if _converts(versions, key, server)]
+            if usable:
+                pairs[key] = ServicePair(tuple(callers.get(other, ())), usable[0], tuple(known[usable[0]]))
+    return pairs
+
+
+def _converts(versions: TypeVersions, key: RelayKey, other: str) -> bool:
+    name, own = key.type_name, key.type_hash
+    request, response = versions.converter(name, own, other, REQUEST), versions.converter(name, other, own, RESPONSE)
+    return request is not None and response is not None

@@ -1,9 +1,10 @@
-"""Relays messages between the hub's own nodes whose versions of a type differ.
+"""Relays messages and calls between the hub's own nodes whose versions of a type differ.
 
 rmw_zenoh's keys contain the type's hash, so that nodes of two releases may share a topic without exchanging messages.
 Of all workers of Midspan on one hub, one relays: the worker that started first (`HubGraph.relays`). It subscribes under
-the publishers' hash, converts, and publishes under the subscriptions' hashes. Only publishers and subscriptions of the
-hub's own nodes are relayed, because Midspan's endpoints already have a key for each version.
+the publishers' hash, converts, and publishes under the subscriptions' hashes; it answers clients for which only servers
+with other hashes exist. Only endpoints of the hub's own nodes are relayed, because Midspan's endpoints already have a
+key for each version.
 
 The relayed messages cannot loop, and no side receives them in addition to the originals: they have a separate encoding
 (`bridge.hub.endpoints.variants.RELAYED`), and every subscription of Midspan ignores them.
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from typing_extensions import override
@@ -22,11 +23,15 @@ from bridge.hub.endpoints.variants import Convert, OneVersion
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
 from bridge.routing.check_loop import CheckLoop
+from bridge.routing.gates import RelayGate
 from bridge.routing.peer_watch import HubViews
-from bridge.routing.relay.pairs import RelayKey, TopicPair, topic_pairs
+from bridge.routing.relay.pairs import RelayKey, ServicePair, TopicPair, service_pairs, topic_pairs
+from bridge.routing.relay.report import relayed_rows
+from bridge.routing.relay.service import RelayedService
 from bridge.routing.relay.topic import RelayContext, RelayedTopic
 from bridge.routing.rules import RuleSet
 from bridge.routing.stall import StallDetector
+from bridge.status import RelayStatus
 
 _log = logging.getLogger(__name__)
 
@@ -42,7 +47,7 @@ class _OwnVersionOnly(OneVersion):
 
 
 class HubRelay:
-    """Relays topics while this worker is the hub's relay; its thread follows the graph.
+    """Relays topics and services while this worker is the hub's relay; its thread follows the graph.
 
     Its node has a separate session on the hub, which it opens when it first has something to relay.
 
@@ -64,6 +69,7 @@ class HubRelay:
         self._settled = False
         self._node: Hub | None = None
         self._topics: dict[RelayKey, RelayedTopic] = {}
+        self._services: dict[RelayKey, RelayedService] = {}
         self._loop = CheckLoop("relay", self._check, self._tick, failed)
         self._closers: list[Callable[[], None]] = []
 
@@ -96,6 +102,15 @@ class HubRelay:
         """Return the topics that this worker relays now."""
         return dict(self._topics)
 
+    def services(self) -> dict[RelayKey, RelayedService]:
+        """Return the services that this worker relays now."""
+        return {key: relayed for key, relayed in self._services.copy().items() if relayed.served}
+
+    def status(self) -> RelayStatus:
+        """Return what this worker relays, for the status document."""
+        node, rows = self._node, relayed_rows(self.topics().values(), self.services().values(), self._hub.versions)
+        return RelayStatus(zid="" if node is None else node.zid, names=rows)
+
     @property
     def _elected(self) -> bool:
         relays = self._hub.graph.relays()
@@ -106,32 +121,45 @@ class HubRelay:
         if not self._settled and self._views.now(time.monotonic()).settled:
             self._settled = True
             self._loop.wake()
-        for relayed in tuple(self._topics.values()):
-            relayed.counters.tick()
+        for topic in self.topics().values():
+            topic.counters.tick()
 
     def _check(self) -> bool:
         """Compare the wanted relays with the existing ones; return whether to try again soon."""
         graph = self._hub.graph
-        pairs: dict[RelayKey, TopicPair] = {}
-        if self._elected:
-            pairs = topic_pairs(graph.endpoints(), graph.midspan(), self._hub.versions)
-        rules = self._rules
-        policies = {key: rules.relay(key.topic, key.type_name) for key in pairs}
+        endpoints = graph.endpoints() if self._elected else []
+        midspan, versions, gate = graph.midspan(), self._hub.versions, RelayGate(self._rules, endpoints)
+        try:
+            self._follow_topics(topic_pairs(endpoints, midspan, versions), gate)
+            self._follow_services(service_pairs(endpoints, midspan, versions), gate)
+        except (HubError, OSError) as err:
+            _log.warning("cannot relay between versions of a type: %s; trying again", err)
+            return True
+        return False
+
+    def _follow_topics(self, pairs: Mapping[RelayKey, TopicPair], gate: RelayGate) -> None:
+        policies = {key: gate.decide("topic", key.topic, key.type_name) for key in pairs}
         wanted = {key: policy for key, policy in policies.items() if policy.allowed}
         for key in [key for key, relayed in self._topics.items() if wanted.get(key) != relayed.policy]:
             self._topics.pop(key).close()
-        failed = False
         for key, policy in wanted.items():
-            try:
-                relayed = self._topics.get(key)
-                if relayed is None:
-                    relayed = self._topics[key] = RelayedTopic(key, policy, self._context())
-                    _log.info("relaying %s (%s) between versions of its type", key.topic, key.type_name)
-                relayed.update(pairs[key])
-            except (HubError, OSError) as err:
-                _log.warning("cannot relay %s: %s", key.topic, err)
-                failed = True
-        return failed
+            relayed = self._topics.get(key)
+            if relayed is None:
+                relayed = self._topics[key] = RelayedTopic(key, policy, pairs[key], self._context())
+                _log.info("relaying %s between versions of %s", key.topic, key.type_name)
+            relayed.update(pairs[key])
+
+    def _follow_services(self, pairs: Mapping[RelayKey, ServicePair], gate: RelayGate) -> None:
+        wanted = {key: pair for key, pair in pairs.items() if gate.decide("service", key.topic, key.type_name).allowed}
+        for key, before in tuple(self._services.items()):
+            if key not in wanted or wanted[key].type_hash != before.pair.type_hash:
+                self._services.pop(key).close()
+        for key, pair in wanted.items():
+            relayed = self._services.get(key)
+            if relayed is None:
+                relayed = self._services[key] = RelayedService(key, pair, self._context())
+                _log.info("relaying %s between versions of %s", key.topic, key.type_name)
+            relayed.update(pair)
 
     def _context(self) -> RelayContext:
         if self._node is None:
@@ -142,3 +170,5 @@ class HubRelay:
     def _close_all(self) -> None:
         while self._topics:
             self._topics.popitem()[1].close()
+        while self._services:
+            self._services.popitem()[1].close()

@@ -61,8 +61,8 @@ class RelayedTopic:
     order between held and new messages.
     """
 
-    def __init__(self, key: RelayKey, policy: RoutePolicy, context: RelayContext) -> None:
-        self.key, self.policy = key, policy
+    def __init__(self, key: RelayKey, policy: RoutePolicy, pair: TopicPair, context: RelayContext) -> None:
+        self.key, self.policy, self.pair = key, policy, pair
         self.counters = Counters()
         self._context = context
         self._priority = Priority.STREAM
@@ -78,6 +78,7 @@ class RelayedTopic:
 
     def update(self, pair: TopicPair) -> None:
         """Follow the publishers and subscriptions."""
+        self.pair = pair
         self._priority = self._priority_of([end.qos for end in pair.publishers])
         if self._queue is None:
             depth = self.policy.depth or QUEUE_DEPTH[self._priority]
@@ -161,7 +162,7 @@ class RelayedTopic:
             if source is not None and not self._unknown.holds(sample.gid):
                 self._enqueue(sample, source)
                 return
-            if sample.gid in sources.refused or sample.zid in self._context.node.graph.midspan():
+            if sample.gid in sources.refused or self._context.node.graph.is_midspan(sample.zid):
                 return
             if self._priority is Priority.COMMAND:
                 self.counters.dropped("unknown")

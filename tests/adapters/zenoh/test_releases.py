@@ -231,4 +231,7 @@ def test_topics_between_releases_on_the_hub_are_relayed_and_reach_a_dialect_once
     assert [x for x in twists(subscription) if x] == [x for x in expected if x]
     speeds = [m["linear"]["x"] for m in bridge.wait(received, 1) if not m["angular"]["z"]]
     assert speeds == expected
+    rows = [row for name in (SIDE, "zenoh_ros1") for row in place.answer(name).get("relay", {}).get("names", ())]
+    assert [(row["topic"], row["senders"], row["receivers"]) for row in rows] == [("/speed", ["/humble"], ["/jazzy"])]
+    assert rows[0]["messages"] >= len(expected)
     jazzy.close()

@@ -1,0 +1,105 @@
+"""A service that is relayed from the clients of one type hash to servers of another."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from bridge.concurrency import BoundedQueue
+from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError, nothing
+from bridge.hub.endpoints.services import HubServer
+from bridge.hub.endpoints.variants import REQUEST, RESPONSE, Convert
+from bridge.messages.errors import ConversionError
+from bridge.messages.unchanged import same
+from bridge.routing.counters import Counters
+from bridge.routing.limits import QUEUE_BYTES
+from bridge.routing.relay.pairs import RelayKey, ServicePair
+from bridge.routing.relay.topic import RelayContext
+
+_MAX_WAITING = 1000
+_CROWDED = "more than {} calls of {} wait to be relayed; call again later"
+
+
+class _WaitingCall:
+    """A call that waits to be sent, or for its reply."""
+
+    def __init__(self, request: bytes, done: Done) -> None:
+        self.request, self.done = request, done
+        self.left = False
+        self.end: Abandon = nothing
+
+    def abandon(self) -> None:
+        """Abandon the call; safe to call while another thread sends it."""
+        self.left = True
+        self.end()
+
+
+class RelayedService:
+    """Answers the clients of one hash, and forwards their calls to servers of another hash.
+
+    Its server is hidden, because rmw_zenoh's clients already see the other servers, whose hashes they ignore. A call is
+    never repeated. The receiving threads only queue the calls, because sending may wait for a congested link.
+    """
+
+    def __init__(self, key: RelayKey, pair: ServicePair, context: RelayContext) -> None:
+        (name, type_name, own), type_hash = key, pair.type_hash
+        self.key, self.pair = key, pair
+        self.counters = Counters()
+        self._to_server = self._converter(context, type_name, own, type_hash, REQUEST)
+        self._to_client = self._converter(context, type_name, type_hash, own, RESPONSE)
+        self._queue = BoundedQueue[_WaitingCall]("midspan-relay", _MAX_WAITING, QUEUE_BYTES, self._send, nothing)
+        self._client = context.node.client(name, type_name, type_hash, context.wake)
+        self._node = context.node
+        self._server: HubServer | None = None
+
+    @property
+    def served(self) -> bool:
+        """Whether it answers clients."""
+        return self._server is not None
+
+    def update(self, pair: ServicePair) -> None:
+        """Answer clients as soon as a server can be called, because their calls are not repeated."""
+        self.pair = pair
+        if self._server is None and self._client.ready:
+            self._server = self._node.server(*self.key, self._call, hidden=True)
+
+    @staticmethod
+    def _converter(context: RelayContext, type_name: str, source: str, target: str, part: str) -> Convert:
+        return context.versions.converter(type_name, source, target, part) or same
+
+    def _call(self, request: bytes, done: Done) -> Abandon:
+        """Queue a call; called on the receiving threads."""
+        call = _WaitingCall(request, done)
+        if self._queue.offer(call, len(request)):
+            return call.abandon
+        done(UnsentCallError(_CROWDED.format(_MAX_WAITING, self.key.topic)))
+        return nothing
+
+    def _send(self, call: _WaitingCall) -> None:
+        if call.left:
+            return
+        try:
+            request = self._to_server(call.request)
+        except ConversionError as err:
+            call.done(UnsentCallError(str(err)))
+            return
+        self.counters.crossed(len(request))
+        call.end = self._client.call(request, partial(self._reply, call.done))
+        if call.left:
+            call.end()
+
+    def _reply(self, done: Done, result: bytes | CallError) -> None:
+        if isinstance(result, bytes):
+            try:
+                result = self._to_client(result)
+            except ConversionError as err:
+                result = CallError(str(err))
+        if isinstance(result, CallError):
+            self.counters.failed(str(result))
+        done(result)
+
+    def close(self) -> None:
+        """Stop relaying; pending calls fail."""
+        self._client.close()
+        self._queue.close()
+        if self._server is not None:
+            self._server.close()
