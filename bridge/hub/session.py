@@ -303,6 +303,11 @@ class Hub:
         info = self._session.info
         return bool(info.routers_zid() or info.peers_zid())
 
+    def router(self) -> str:
+        """Return the id of the router to which this session is linked, "" if there is none."""
+        self._check_open()
+        return min(map(str, self._session.info.routers_zid()), default="")
+
     def neighbors(self) -> set[str]:
         """Return the sessions with a direct link to this session; they belong to programs on this machine."""
         self._check_open()

@@ -10,6 +10,7 @@ from bridge.hub.graph.tokens import (
     MIDSPAN_SPACE,
     Origin,
     parse_member,
+    parse_near,
     parse_origin,
     parse_relay,
     parse_velocity,
@@ -31,7 +32,8 @@ class SessionAnnouncements:
         spaces: key expressions of the tokens.
         origins: the origin of each session that announces one, by zid.
         velocities: session (zid), hub topic and type of each velocity topic to which a side's own nodes subscribe.
-        relays: the sessions (zid) that may relay, with the times of their starts (wall clock, ns).
+        relays: the sessions (zid) that may relay, with the time of the start (wall clock, ns) and the router of each.
+        near: the direct links that these announce: session, and the other session.
         sessions: the sessions (zid) of all Midspan programs.
     """
 
@@ -39,11 +41,13 @@ class SessionAnnouncements:
         space = f"{MIDSPAN_SPACE}/{domain}"
         self._max_tokens, self._settle_endpoints = max_tokens, settle
         self._member_space, self._velocity_space = f"{space}/member/", f"{space}/velocity/"
-        self._wire_space, self._relay_space = f"{space}/wire/", f"{space}/relay/"
-        self.spaces = tuple(f"{space}/{kind}/**" for kind in ("wire", "origin", "member", "velocity", "relay"))
+        self._wire_space = f"{space}/wire/"
+        self._relay_space, self._near_space = f"{space}/relay/", f"{space}/near/"
+        self.spaces = tuple(f"{space}/{kind}/**" for kind in ("wire", "origin", "member", "velocity", "relay", "near"))
         self.origins: dict[str, Origin] = {}
         self.velocities: set[tuple[str, str, str]] = set()
-        self.relays: dict[str, int] = {}
+        self.relays: dict[str, tuple[int, str]] = {}
+        self.near: set[tuple[str, str]] = set()
         self.sessions: set[str] = set()
         self._tokens: dict[str, dict[str, Origin]] = {}
         self._members: dict[str, dict[str, None]] = {}
@@ -65,9 +69,13 @@ class SessionAnnouncements:
         if key.startswith(self._wire_space):
             return self._put_wire(*parse_wire(key))
         if key.startswith(self._relay_space):
-            zid, since = parse_relay(key)
+            relay, since, router = parse_relay(key)
             self._check_room(len(self.relays), "relays")
-            self.relays[zid] = since
+            self.relays[relay] = since, router
+            return True
+        if key.startswith(self._near_space):
+            self._check_room(len(self.near), "direct links")
+            self.near.add(parse_near(key))
             return True
         token = parse_origin(key)
         if token.zid not in self._tokens:
@@ -91,7 +99,16 @@ class SessionAnnouncements:
         if key.startswith(self._wire_space):
             return self._delete_wire(parse_wire(key)[0])
         if key.startswith(self._relay_space):
-            return self.relays.pop(parse_relay(key)[0], None) is not None
+            relay, since, router = parse_relay(key)
+            if self.relays.get(relay) != (since, router):  # a newer token has replaced it
+                return False
+            del self.relays[relay]
+            return True
+        if key.startswith(self._near_space):
+            link = parse_near(key)
+            known = link in self.near
+            self.near.discard(link)
+            return known
         zid = parse_origin(key).zid
         tokens = self._tokens.get(zid, {})
         if tokens.pop(key, None) is None:

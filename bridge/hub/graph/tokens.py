@@ -13,7 +13,8 @@ that an origin will follow. An active worker also announces the workers on its n
 per worker: ``@midspan/<domain>/member/<zid>/<zid of the worker>``. These tokens show that two hubs share a network. For
 each velocity topic to which its side's own nodes subscribe, it announces
 ``@midspan/<domain>/velocity/<zid>/<topic on the hub>/<type>``. A worker that may relay between nodes of the hub
-announces ``@midspan/<domain>/relay/<zid>/<time of its start>`` (`bridge.routing.relay`). Before anything else, each
+announces ``@midspan/<domain>/relay/<zid>/<time of its start>/<router>``, and a candidate of the election for its direct
+links ``@midspan/<domain>/near/<zid>/<other zid>`` (`bridge.routing.relay.election`). Before anything else, each
 Midspan session announces its protocol version: ``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>``
 (`bridge.hub.wire.version`).
 """
@@ -216,17 +217,30 @@ def parse_velocity(key: str) -> tuple[str, str, str]:
     return parts[3], topic, type_name
 
 
-def relay_key(domain: int, zid: str, since: int) -> str:
-    """Return the key of the token of a session that may relay; ``since``: time of its start (wall clock, ns)."""
-    return f"{MIDSPAN_SPACE}/{domain}/relay/{zid}/{since}"
+def relay_key(domain: int, zid: str, since: int, router: str) -> str:
+    """Return the key of a relay's token: its session, the time of its start (wall clock, ns), and its router."""
+    return f"{MIDSPAN_SPACE}/{domain}/relay/{zid}/{since}/{_quote(router)}"
 
 
-def parse_relay(key: str) -> tuple[str, int]:
-    """Parse a relay's token: the session, and the time of its start; raises `HubWireError`."""
+def parse_relay(key: str) -> tuple[str, int, str]:
+    """Parse a relay's token: the session, the time of its start, and its router; raises `HubWireError`."""
     parts = _split(key, MIDSPAN_SPACE)
-    if len(parts) < 5 or parts[2] != "relay" or not (parts[4].isascii() and parts[4].isdigit()):
+    if len(parts) < 6 or parts[2] != "relay" or not (parts[4].isascii() and parts[4].isdigit()):
         raise HubWireError("not a relay token")
-    return parts[3], int(parts[4][:20])
+    return parts[3], int(parts[4][:20]), _unquote(parts[5])
+
+
+def near_key(domain: int, zid: str, session: str) -> str:
+    """Return the key of the token with which a session announces that it has a direct link to another one."""
+    return f"{MIDSPAN_SPACE}/{domain}/near/{zid}/{_quote(session)}"
+
+
+def parse_near(key: str) -> tuple[str, str]:
+    """Parse the token of a direct link: the announcing session, and the other one; raises `HubWireError`."""
+    parts = _split(key, MIDSPAN_SPACE)
+    if len(parts) != 5 or parts[2] != "near":
+        raise HubWireError("not a token of a direct link")
+    return parts[3], _unquote(parts[4])
 
 
 def wire_key(domain: int, zid: str) -> str:

@@ -18,6 +18,7 @@ from bridge.hub.graph.tokens import (
     EndpointKind,
     Origin,
     member_key,
+    near_key,
     parse_token,
     relay_key,
     velocity_key,
@@ -105,14 +106,23 @@ class HubGraph:
         """Announce that our side's own nodes subscribe to a velocity topic, until the returned function is called."""
         return self.announce(velocity_key(self._domain, self._zid, topic, type_name))
 
-    def relays(self) -> dict[str, int]:
-        """Return the sessions (zid) that may relay between nodes, with the times of their starts (wall clock, ns)."""
+    def relays(self) -> dict[str, tuple[int, str]]:
+        """Return the sessions (zid) that may relay between nodes, each with its start (wall clock, ns) and router."""
         with self._lock:
             return dict(self._announced.relays)
 
-    def announce_relay(self, since: int) -> Callable[[], None]:
+    def near(self) -> frozenset[tuple[str, str]]:
+        """Return the direct links that sessions that may relay announce: session (zid), and the other session."""
+        with self._lock:
+            return frozenset(self._announced.near)
+
+    def announce_relay(self, since: int, router: str) -> Callable[[], None]:
         """Announce that this session may relay, until the returned function is called."""
-        return self.announce(relay_key(self._domain, self._zid, since))
+        return self.announce(relay_key(self._domain, self._zid, since, router))
+
+    def announce_near(self, session: str) -> Callable[[], None]:
+        """Announce a direct link of this session to another one, until the returned function is called."""
+        return self.announce(near_key(self._domain, self._zid, session))
 
     def midspan(self) -> frozenset[str]:
         """Return the sessions (zid) of all Midspan programs."""

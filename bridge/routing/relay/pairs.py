@@ -43,7 +43,7 @@ class ServicePair:
     Attributes:
         clients: clients of the hub's own nodes; there may be none yet.
         type_hash: the hash of the servers' key.
-        servers: servers of the hub's own nodes.
+        servers: servers of the hub's own nodes, sorted by their sessions.
     """
 
     clients: tuple[HubEndpoint, ...]
@@ -91,6 +91,17 @@ def topic_pairs(
     return pairs
 
 
+def topics_of(pairs: Mapping[RelayKey, TopicPair], sessions: Collection[str]) -> dict[RelayKey, TopicPair]:
+    """Return the pairs with publishers of these sessions only."""
+    chosen: dict[RelayKey, TopicPair] = {}
+    for key, pair in pairs.items():
+        publishers = tuple(end for end in pair.publishers if end.zid in sessions)
+        if publishers:
+            others = pair.others | {end.gid for end in pair.publishers if end.zid not in sessions}
+            chosen[key] = TopicPair(publishers, pair.subscriptions, others)
+    return chosen
+
+
 def service_pairs(
     endpoints: Iterable[HubEndpoint], midspan: Collection[str], versions: TypeVersions
 ) -> dict[RelayKey, ServicePair]:
@@ -123,7 +134,8 @@ def service_pairs(
             key = RelayKey(*name, other)
             usable = [server for server in sorted(known) if _converts(versions, key, server)]
             if usable:
-                pairs[key] = ServicePair(tuple(callers.get(other, ())), usable[0], tuple(known[usable[0]]))
+                ends = sorted(known[usable[0]], key=lambda end: end.zid)
+                pairs[key] = ServicePair(tuple(callers.get(other, ())), usable[0], tuple(ends))
     return pairs
 
 

@@ -1,7 +1,7 @@
 """Relays messages and calls between the hub's own nodes whose versions of a type differ.
 
 rmw_zenoh's keys contain the type's hash, so that nodes of two releases may share a topic without exchanging messages.
-Of all workers of Midspan on one hub, one relays: the worker that started first (`HubGraph.relays`). It subscribes under
+For each publisher and server, one worker of Midspan is elected (`bridge.routing.relay.election`). It subscribes under
 the publishers' hash, converts, and publishes under the subscriptions' hashes; it answers clients for which only servers
 with other hashes exist. Only endpoints of the hub's own nodes are relayed, because Midspan's endpoints already have a
 key for each version.
@@ -13,7 +13,6 @@ The relayed messages cannot loop, and no side receives them in addition to the o
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -24,8 +23,8 @@ from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
 from bridge.routing.check_loop import CheckLoop
 from bridge.routing.gates import RelayGate
-from bridge.routing.peer_watch import HubViews
-from bridge.routing.relay.pairs import RelayKey, ServicePair, TopicPair, service_pairs, topic_pairs
+from bridge.routing.relay.election import RelayElection
+from bridge.routing.relay.pairs import RelayKey, ServicePair, TopicPair, service_pairs, topic_pairs, topics_of
 from bridge.routing.relay.report import relayed_rows
 from bridge.routing.relay.service import RelayedService
 from bridge.routing.relay.topic import RelayContext, RelayedTopic
@@ -65,8 +64,7 @@ class HubRelay:
     ) -> None:  # fmt: skip
         self._hub, self._rules, self._stall_detector = hub, rules, stall_detector
         self._settings = replace(settings, node=NODE, worker=NODE, lane=None)
-        self._views = HubViews(hub)
-        self._settled = False
+        self._election = RelayElection(hub)
         self._node: Hub | None = None
         self._topics: dict[RelayKey, RelayedTopic] = {}
         self._services: dict[RelayKey, RelayedService] = {}
@@ -75,8 +73,7 @@ class HubRelay:
 
     def start(self) -> None:
         """Join the election, and start following the graph."""
-        graph = self._hub.graph
-        self._closers = [graph.announce_relay(time.time_ns()), graph.watch(self._loop.wake)]
+        self._closers = [self._hub.graph.watch(self._loop.wake), self._election.stop]
         self._loop.start()
 
     def reload(self, rules: RuleSet) -> None:
@@ -111,15 +108,8 @@ class HubRelay:
         node, rows = self._node, relayed_rows(self.topics().values(), self.services().values(), self._hub.versions)
         return RelayStatus(zid="" if node is None else node.zid, names=rows)
 
-    @property
-    def _elected(self) -> bool:
-        relays = self._hub.graph.relays()
-        first = min(relays, key=lambda zid: (relays[zid], zid), default="")
-        return self._settled and first == self._hub.zid
-
     def _tick(self) -> None:
-        if not self._settled and self._views.now(time.monotonic()).settled:
-            self._settled = True
+        if self._election.poll():
             self._loop.wake()
         for topic in self.topics().values():
             topic.counters.tick()
@@ -127,11 +117,15 @@ class HubRelay:
     def _check(self) -> bool:
         """Compare the wanted relays with the existing ones; return whether to try again soon."""
         graph = self._hub.graph
-        endpoints = graph.endpoints() if self._elected else []
+        endpoints = graph.endpoints() if self._election.is_candidate else []
         midspan, versions, gate = graph.midspan(), self._hub.versions, RelayGate(self._rules, endpoints)
+        topics, services = topic_pairs(endpoints, midspan, versions), service_pairs(endpoints, midspan, versions)
+        sessions = {end.zid for pair in topics.values() for end in pair.publishers}
+        elected = self._election.elect(sessions | {pair.servers[0].zid for pair in services.values()})
         try:
-            self._follow_topics(topic_pairs(endpoints, midspan, versions), gate)
-            self._follow_services(service_pairs(endpoints, midspan, versions), gate)
+            self._follow_topics(topics_of(topics, elected), gate)
+            chosen = {key: pair for key, pair in services.items() if pair.servers[0].zid in elected}
+            self._follow_services(chosen, gate)
         except (HubError, OSError) as err:
             _log.warning("cannot relay between versions of a type: %s; trying again", err)
             return True

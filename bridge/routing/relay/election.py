@@ -1,0 +1,102 @@
+"""Elects which worker relays for which sessions of the hub's own nodes, so that nothing is relayed twice.
+
+Each worker of a side announces the time of its start and the router of its machine. On each machine, the worker that
+started first is the candidate. If there are candidates on several machines, that of a session's own machine relays for
+it: messages between nodes of one machine then stay there, and a machine that another one does not trust cannot relay
+that machine's commands. This candidate has a direct link to the session, and announces that. For sessions without such
+a candidate, such as those of machines without Midspan, the candidate that started first relays, a second later.
+
+A worker joins the election when it is linked to a router, and relays nothing before it knows all sessions on the hub.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+
+from bridge.hub.session import Hub
+from bridge.routing.peer_watch import HubViews
+
+GRACE = 1.0
+"""Seconds for which a candidate on another machine waits for the announcement of one with a direct link."""
+
+
+class RelayElection:
+    """One worker's part in the election. Used by the relay's loop, except that `stop` follows it."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._views = HubViews(hub)
+        self._settled = False
+        self._since = time.time_ns()
+        self._router: str | None = None
+        self._withdraw: Callable[[], None] | None = None
+        self._near: dict[str, Callable[[], None]] = {}
+        self._seen: dict[str, float] = {}
+
+    def stop(self) -> None:
+        """Leave the election."""
+        self._follow_near(())
+        if self._withdraw is not None:
+            self._withdraw()
+
+    def _announce(self, router: str) -> None:
+        before, self._router = self._withdraw, router
+        self._withdraw = self._hub.graph.announce_relay(self._since, router)
+        if before is not None:
+            before()
+
+    def poll(self) -> bool:
+        """Follow changes that the graph does not report; return whether the outcome may have changed."""
+        now, router = time.monotonic(), self._hub.router()
+        if router and router != self._router:
+            self._announce(router)
+        if not self._settled:
+            self._settled = self._views.now(now).settled
+            return self._settled
+        return len(self._candidates()) > 1 and (
+            any(now - seen < 2 * GRACE for seen in self._seen.values())
+            or self._near.keys() != self._hub.neighbors() & self._seen.keys()
+        )
+
+    def _candidates(self) -> set[str]:
+        """Return the session (zid) of each machine's candidate."""
+        first: dict[str, tuple[int, str]] = {}
+        for zid, (since, router) in self._hub.graph.relays().items():
+            first[router] = min(first.get(router, (since, zid)), (since, zid))
+        return {zid for _, zid in first.values()}
+
+    @property
+    def is_candidate(self) -> bool:
+        """Whether this worker may relay for any session."""
+        return self._settled and self._hub.zid in self._candidates()
+
+    def elect(self, sessions: Collection[str]) -> frozenset[str]:
+        """Return for which of these sessions (zid) this worker relays."""
+        now, me, candidates = time.monotonic(), self._hub.zid, self._candidates()
+        if not self._settled or me not in candidates:
+            self._seen = {}
+            self._follow_near(())
+            return frozenset()
+        self._seen = {zid: self._seen.get(zid, now) for zid in sessions}
+        if len(candidates) == 1:
+            self._follow_near(())
+            return frozenset(sessions)
+        self._follow_near(self._hub.neighbors() & set(sessions))
+        relays, near = self._hub.graph.relays(), self._hub.graph.near()
+
+        def first(zids: Collection[str]) -> str:
+            return min(zids, key=lambda zid: (relays[zid][0], zid))
+
+        elected: set[str] = set()
+        for session in sessions:
+            linked = [zid for zid in candidates if (zid, session) in near]
+            if first(linked or candidates) == me and (linked or now - self._seen[session] >= GRACE):
+                elected.add(session)
+        return frozenset(elected)
+
+    def _follow_near(self, sessions: Collection[str]) -> None:
+        for zid in self._near.keys() - set(sessions):
+            self._near.pop(zid)()
+        for zid in set(sessions) - self._near.keys():
+            self._near[zid] = self._hub.graph.announce_near(zid)
