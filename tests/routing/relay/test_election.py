@@ -116,8 +116,8 @@ def test_nodes_of_one_of_two_machines_are_relayed_there() -> None:
         second = stack.enter_context(HubNetwork(7, router_zenoh={"connect": {"endpoints": [first.endpoint]}}))
         workers = [Relay(first, "first", []), Relay(second, "second", [])]
         nodes = [ReleaseNode(second.endpoint, 7, release.name, release) for release in (HUMBLE, JAZZY)]
-        for end in (*workers, *nodes):
-            stack.callback(end.close)
+        for close in (*(worker.close for worker in workers), *(node.close for node in nodes)):
+            stack.callback(close)
         until(lambda: all(len(w.hub.graph.relays()) == 2 for w in workers), "the workers see each other")
         publisher, subscription = CHATTER.publisher(nodes[0]), CHATTER.subscription(nodes[1])
         connect(publisher, subscription)
