@@ -19,7 +19,6 @@ from dataclasses import replace
 from typing_extensions import override
 
 from bridge.hub.endpoints.variants import Convert, OneVersion
-from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
 from bridge.routing.check_loop import CheckLoop
 from bridge.routing.gates import RelayGate
@@ -68,6 +67,7 @@ class HubRelay:
         self._node: Hub | None = None
         self._topics: dict[RelayKey, RelayedTopic] = {}
         self._services: dict[RelayKey, RelayedService] = {}
+        self._failures: dict[RelayKey, str] = {}
         self._loop = CheckLoop("relay", self._check, self._tick, failed)
         self._closers: list[Callable[[], None]] = []
 
@@ -115,45 +115,58 @@ class HubRelay:
             topic.counters.tick()
 
     def _check(self) -> bool:
-        """Compare the wanted relays with the existing ones; return whether to try again soon."""
-        graph = self._hub.graph
+        """Compare the wanted relays with the existing ones; return whether any failed and has to be tried again."""
+        graph, versions = self._hub.graph, self._hub.versions
         endpoints = graph.endpoints() if self._election.is_candidate else []
-        midspan, versions, gate = graph.midspan(), self._hub.versions, RelayGate(self._rules, endpoints)
+        midspan, gate = graph.midspan(), RelayGate(self._rules, endpoints)
         topics, services = topic_pairs(endpoints, midspan, versions), service_pairs(endpoints, midspan, versions)
         sessions = {end.zid for pair in topics.values() for end in pair.publishers}
         elected = self._election.elect(sessions | {pair.servers[0].zid for pair in services.values()})
-        try:
-            self._follow_topics(topics_of(topics, elected), gate)
-            chosen = {key: pair for key, pair in services.items() if pair.servers[0].zid in elected}
-            self._follow_services(chosen, gate)
-        except (HubError, OSError) as err:
-            _log.warning("cannot relay between versions of a type: %s; trying again", err)
-            return True
-        return False
+        failed = self._follow_topics(topics_of(topics, elected), gate)
+        chosen = {key: pair for key, pair in services.items() if pair.servers[0].zid in elected}
+        return self._follow_services(chosen, gate) or failed
 
-    def _follow_topics(self, pairs: Mapping[RelayKey, TopicPair], gate: RelayGate) -> None:
+    def _follow_topics(self, pairs: Mapping[RelayKey, TopicPair], gate: RelayGate) -> bool:
+        """Update the relayed topics; return whether any failed."""
         policies = {key: gate.decide("topic", key.topic, key.type_name) for key in pairs}
         wanted = {key: policy for key, policy in policies.items() if policy.allowed}
         for key in [key for key, relayed in self._topics.items() if wanted.get(key) != relayed.policy]:
             self._topics.pop(key).close()
-        for key, policy in wanted.items():
-            relayed = self._topics.get(key)
-            if relayed is None:
-                relayed = self._topics[key] = RelayedTopic(key, policy, pairs[key], self._context())
-                _log.info("relaying %s between versions of %s", key.topic, key.type_name)
-            relayed.update(pairs[key])
 
-    def _follow_services(self, pairs: Mapping[RelayKey, ServicePair], gate: RelayGate) -> None:
+        def update(key: RelayKey) -> None:
+            if key not in self._topics:
+                self._topics[key] = RelayedTopic(key, wanted[key], pairs[key], self._context())
+            self._topics[key].update(pairs[key])
+
+        succeeded = [self._attempt(key, update) for key in wanted]
+        return not all(succeeded)
+
+    def _follow_services(self, pairs: Mapping[RelayKey, ServicePair], gate: RelayGate) -> bool:
+        """Update the relayed services; return whether any failed."""
         wanted = {key: pair for key, pair in pairs.items() if gate.decide("service", key.topic, key.type_name).allowed}
         for key, before in tuple(self._services.items()):
             if key not in wanted or wanted[key].type_hash != before.pair.type_hash:
                 self._services.pop(key).close()
-        for key, pair in wanted.items():
-            relayed = self._services.get(key)
-            if relayed is None:
-                relayed = self._services[key] = RelayedService(key, pair, self._context())
-                _log.info("relaying %s between versions of %s", key.topic, key.type_name)
-            relayed.update(pair)
+
+        def update(key: RelayKey) -> None:
+            if key not in self._services:
+                self._services[key] = RelayedService(key, wanted[key], self._context())
+            self._services[key].update(wanted[key])
+
+        succeeded = [self._attempt(key, update) for key in wanted]
+        return not all(succeeded)
+
+    def _attempt(self, key: RelayKey, update: Callable[[RelayKey], None]) -> bool:
+        """Update one relay, and return whether that succeeded; a failure affects no other relay, and no route."""
+        try:
+            update(key)
+        except Exception as err:
+            if self._failures.get(key) != str(err):
+                _log.exception("%s is not relayed between versions of %s", key.topic, key.type_name)
+            self._failures[key] = str(err)
+            return False
+        self._failures.pop(key, None)
+        return True
 
     def _context(self) -> RelayContext:
         if self._node is None:
