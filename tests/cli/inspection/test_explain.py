@@ -16,6 +16,14 @@ from bridge.messages.registry import Registry
 from tests.cli.conftest import Midspan
 from tests.peers.daemon.workers import EngineWorker, FakeWorker, config_file, route, status
 from tests.peers.hub.network import HubNetwork
+from tests.peers.zenoh.releases import (
+    HUMBLE,
+    JAZZY,
+    ReleaseNode,
+    ReleasePublisher,
+    ReleaseSubscription,
+    Topic,
+)
 from tests.support.wait import until
 
 STRING = "std_msgs/msg/String"
@@ -219,6 +227,24 @@ def test_a_mismatch_on_the_hub_is_shown(midspan: Midspan, network: HubNetwork, c
     for text in ("1 publisher, 1 subscription", "definitions of nav_msgs/msg/OccupancyGrid differ", "transient local"):
         assert text in done.out
     assert "no worker answers" in done.out
+
+
+def test_nodes_of_two_releases_are_separated_unless_a_worker_relays(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    topic = Topic("/chatter", STRING, registry.releases.here_hash(STRING))
+    nodes = [ReleaseNode(network.endpoint, network.domain, r.name, r) for r in (HUMBLE, JAZZY)]
+    closing += nodes
+    ends = ReleasePublisher(nodes[0], topic), ReleaseSubscription(nodes[1], topic)
+    assert ends
+    separated = "/jazzy do not receive the messages of /humble on the hub"
+    until(lambda: separated in midspan("explain", "/chatter").out, "the nodes are named")
+    row = {"topic": "/chatter", "type": STRING, "others": [topic.type_hash], "senders": ["/humble"], "messages": 3}
+    worker = {"side": "ros2", "relay": {"zid": "f", "names": [{**row, "receivers": ["/jazzy"]}]}}
+    closing.append(FakeWorker(network, "ros2", explain=[], status=worker))
+    until(lambda: separated not in midspan("explain", "/chatter").out, "the relay is taken into account")
+    text = "Note: /chatter: ros2 (daemon robot1) relays messages from /humble to /jazzy, which have other versions of"
+    assert f"{text} {STRING}; 3 so far." in midspan("explain", "/chatter").out
 
 
 def test_all_workers_are_queried_in_parallel(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
