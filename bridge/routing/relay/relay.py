@@ -88,10 +88,10 @@ class HubRelay:
     def stop(self) -> None:
         """Stop relaying, and leave the election."""
         self._loop.stop()
+        self._close_all()  # before another worker is elected
         for closer in self._closers:
             closer()
         self._closers = []
-        self._close_all()
         if self._node is not None:
             self._node.close()
 

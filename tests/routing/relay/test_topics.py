@@ -10,6 +10,7 @@ from bridge.hub.wire.keys import ANY_HASH
 from bridge.hub.wire.qos import LATCHED, Qos
 from tests.peers.zenoh.release_actions import ReleaseTypes, hash_in
 from tests.peers.zenoh.releases import (
+    CPU_GROUP,
     HUMBLE,
     JAZZY,
     KILTED,
@@ -24,7 +25,7 @@ from tests.peers.zenoh.releases import (
 from tests.routing.relay.conftest import Relay, Relays
 from tests.support.wait import until
 
-STRING, TWIST, RANGE = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "sensor_msgs/msg/Range"
+STRING, TWIST, IMAGE = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "sensor_msgs/msg/Image"
 FEEDBACK = "nav2_msgs/action/NavigateToPose_FeedbackMessage"
 STREAM = Qos(depth=100)
 COUNT = 20
@@ -115,6 +116,24 @@ def test_messages_are_converted_directly_to_the_other_version(
     until(arrived, "a message arrives")
     feedback = ReleaseTypes(nodes[1]).decode(FEEDBACK, received.samples[0].payload)["feedback"]
     assert (feedback["distance_remaining"], feedback["number_of_recoveries"]) == (2.5, 3)
+
+
+def test_buffers_of_lyrical_reach_humble(relay: Relays, node: Nodes) -> None:
+    """Lyrical publishes images for the CPU on a key of their own."""
+    worker = relay()
+    topic = Topic("/image", IMAGE, hash_in("lyrical", IMAGE), STREAM, array=True)
+    publisher, received = ReleasePublisher(node(LYRICAL), topic), ReleaseSubscription(node(HUMBLE), topic)
+    until_topics(worker, 1)
+    until(lambda: any(key.endswith(CPU_GROUP) for key in publisher.discovered()), "the relay is discovered")
+
+    def arrived() -> bool:
+        publisher.put(b"\0\1\0\0image")
+        return bool(received.samples)
+
+    until(arrived, "an image arrives")
+    assert received.samples[0].payload == b"\0\1\0\0image"
+    numbers = [sample.sequence for sample in received.samples]
+    assert len(numbers) == len(set(numbers))
 
 
 def test_both_directions_of_a_topic_are_relayed_without_a_loop(relay: Relays, node: Nodes) -> None:
