@@ -56,7 +56,7 @@ class RelayElection:
             return self._settled
         return len(self._candidates()) > 1 and (
             any(now - seen < 2 * GRACE for seen in self._seen.values())
-            or self._near.keys() != self._hub.neighbors() & self._seen.keys()
+            or any(zid not in self._near for zid in self._hub.neighbors() & self._seen.keys())
         )
 
     def _candidates(self) -> set[str]:
@@ -82,7 +82,8 @@ class RelayElection:
         if len(candidates) == 1:
             self._follow_near(())
             return frozenset(sessions)
-        self._follow_near(self._hub.neighbors() & set(sessions))
+        # a link that is lost for a moment must not end a call that waits for its reply
+        self._follow_near((self._hub.neighbors() | self._near.keys()) & set(sessions))
         relays, near = self._hub.graph.relays(), self._hub.graph.near()
 
         def first(zids: Collection[str]) -> str:

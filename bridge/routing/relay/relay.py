@@ -18,6 +18,7 @@ from dataclasses import replace
 
 from typing_extensions import override
 
+from bridge.concurrency import SerialExecutor
 from bridge.hub.endpoints.variants import Convert, OneVersion
 from bridge.hub.session import Hub, HubSettings
 from bridge.routing.check_loop import CheckLoop
@@ -69,6 +70,7 @@ class HubRelay:
         self._services: dict[RelayKey, RelayedService] = {}
         self._failures: dict[RelayKey, str] = {}
         self._loop = CheckLoop("relay", self._check, self._tick, failed)
+        self._closing = SerialExecutor("midspan-relay-closing")
         self._closers: list[Callable[[], None]] = []
 
     def start(self) -> None:
@@ -92,6 +94,7 @@ class HubRelay:
         for closer in self._closers:
             closer()
         self._closers = []
+        self._closing.close()
         if self._node is not None:
             self._node.close()
 
@@ -172,7 +175,7 @@ class HubRelay:
         if self._node is None:
             self._node = Hub.open(self._settings)
             self._node.versions = _OwnVersionOnly()
-        return RelayContext(self._node, self._hub.versions, self._stall_detector, self._loop.wake)
+        return RelayContext(self._node, self._hub.versions, self._stall_detector, self._loop.wake, self._closing)
 
     def _close_all(self) -> None:
         while self._topics:

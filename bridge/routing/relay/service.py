@@ -48,7 +48,7 @@ class RelayedService:
         self._to_client = self._converter(context, type_name, type_hash, own, RESPONSE)
         self._queue = BoundedQueue[_WaitingCall]("midspan-relay", _MAX_WAITING, QUEUE_BYTES, self._send, nothing)
         self._client = context.node.client(name, type_name, type_hash, context.wake)
-        self._node = context.node
+        self._node, self._closing = context.node, context.closing
         self._server: HubServer | None = None
 
     @property
@@ -99,7 +99,7 @@ class RelayedService:
 
     def close(self) -> None:
         """Stop relaying; pending calls fail."""
-        self._client.close()
-        self._queue.close()
         if self._server is not None:
             self._server.close()
+        self._client.close()
+        self._closing.submit(self._queue.close)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
 from threading import Lock
 from typing import NamedTuple
 
-from bridge.concurrency import BoundedQueue
+from bridge.concurrency import BoundedQueue, SerialExecutor
 from bridge.hub.endpoints.relaying import RelayPublisher
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.endpoints.variants import TypeVersions
@@ -43,12 +44,14 @@ class RelayContext(NamedTuple):
         versions: converts between the versions of types.
         stall_detector: detects that this process was suspended.
         wake: schedules a check of the pairs.
+        closing: closes what may wait for a congested link.
     """
 
     node: Hub
     versions: TypeVersions
     stall_detector: StallDetector
     wake: Callable[[], None]
+    closing: SerialExecutor
 
 
 class RelayedTopic:
@@ -105,8 +108,8 @@ class RelayedTopic:
         ended = [publisher for at, publisher in self._publishers.items() if at not in wanted]
         kept = {at: publisher for at, publisher in self._publishers.items() if at in wanted}
         self._publishers = kept | opened
-        for publisher in ended:
-            publisher.close()
+        if ended:
+            self._context.closing.submit(partial(_close, ended))
 
     def _volatile(self, qos: Qos) -> Qos:
         depth = 1 if self._priority is Priority.COMMAND else qos.depth
@@ -196,8 +199,15 @@ class RelayedTopic:
     def close(self) -> None:
         """Stop relaying."""
         self._subscription.close()
+        publishers, self._publishers = self._publishers, {}
+        self._context.closing.submit(partial(self._close_publishers, publishers.values()))
+
+    def _close_publishers(self, publishers: Iterable[RelayPublisher]) -> None:
         if self._queue is not None:
             self._queue.close()
-        publishers, self._publishers = self._publishers, {}
-        for publisher in publishers.values():
-            publisher.close()
+        _close(publishers)
+
+
+def _close(publishers: Iterable[RelayPublisher]) -> None:
+    for publisher in publishers:
+        publisher.close()
