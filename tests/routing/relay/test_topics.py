@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -215,6 +216,20 @@ def test_latched_messages_reach_late_joiners_until_their_publisher_leaves(relay:
     other.put(text("other"))
     until(lambda: texts(third), "the other publisher's message arrives")
     assert texts(third) == ["other"]
+
+
+@pytest.mark.parametrize(("sender", "receiver"), [(HUMBLE, JAZZY), (JAZZY, HUMBLE)])
+def test_a_history_arrives_in_order_before_new_messages(
+    relay: Relays, node: Nodes, sender: Release, receiver: Release
+) -> None:
+    topic = Topics(STRING, replace(LATCHED, depth=10))
+    publisher, received = topic.publisher(node(sender)), topic.subscription(node(receiver))
+    values = put_texts(publisher)
+    relay()
+    until(lambda: len(texts(received)) >= 10, "the history arrives")
+    values += put_texts(publisher, "later ")
+    until(lambda: values[-1] in texts(received), "the new messages arrive")
+    assert texts(received) == values[COUNT - 10 :]
 
 
 def test_commands_are_neither_cached_nor_relayed_late(relay: Relays, node: Nodes) -> None:
