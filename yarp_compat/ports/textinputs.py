@@ -82,16 +82,18 @@ class NameInput(Input):
         else:
             super().start(loop)
 
-    def _serve(self, loop: PortLoop) -> None:
-        """Answer the received lines, then wait for more."""
+    def _serve(self, loop: PortLoop, *, receive: bool = False) -> None:
+        """Answer the received lines, first with the bytes that have just arrived if ``receive``; then wait for more."""
         try:
-            while self._answer_line():
+            connected = not receive or self.stream.receive()
+            while connected and self._answer_line():
                 pass
         except Exception as error:
             self._report(error)
+            connected = False
+        if not connected:
             self._end()
-            return
-        if self._unsent or self._unanswered or self.stream.left():
+        elif self._unsent or self._unanswered or self.stream.left():
             self._begin()
         else:
             self._await(loop)
@@ -124,10 +126,8 @@ class NameInput(Input):
     def _on_bytes(self, loop: PortLoop) -> None:
         if self.port.on_line is None:
             super()._on_bytes(loop)
-        elif self.stream.receive():
-            self._serve(loop)
         else:
-            self._end()
+            self._serve(loop, receive=True)
 
     @override
     def handle_messages(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+import struct
 import threading
 import urllib.request
 from collections.abc import Iterator
@@ -108,6 +109,17 @@ def test_a_client_that_reads_no_answers_delays_nobody(server: NameServer, names:
         while received < lists * size:
             received += len(sock.recv(1 << 20))
         assert names.query("/port7") is not None
+
+
+def test_a_client_that_is_killed_leaves_no_connection(server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
+    """The system resets the connection of a killed client that has not read an answer."""
+    with socket.create_connection(("127.0.0.1", server.address.port), 10.0) as client:
+        client.sendall(b"NAME_SERVER query /port\n")
+        assert client.recv(65536)
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connections = server.port.connections
+    until(lambda: not connections.inputs and not connections.leaving, "the connection has ended")
+    assert not [record for record in caplog.records if record.levelname == "ERROR"]
 
 
 def test_a_line_that_arrives_in_parts_is_answered(server: NameServer) -> None:
