@@ -6,13 +6,14 @@ import difflib
 import importlib.util
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+import stat
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import ConfigError, Document, KeyPath, Place, Problem, key_text, read, text_of
-from bridge.config.sections.section import is_loopback, zenoh_endpoint
+from bridge.config.sections.section import is_loopback, not_one_of, zenoh_endpoint
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
@@ -21,9 +22,10 @@ Tree = dict[str, Any]
 _Flaw = tuple[KeyPath, str]
 """The place of a problem within one zenoh configuration, and its text."""
 
-_SESSIONS: tuple[KeyPath, ...] = (("hub", "zenoh"), ("zenoh", "zenoh"))
-_ROUTERS: tuple[KeyPath, ...] = (("hub", "router_zenoh"), ("hub", "open", "zenoh"))
 _LOCAL: KeyPath = ("hub", "router_zenoh")
+_DIALECTS: KeyPath = ("zenoh", "zenoh")
+_SESSIONS: tuple[KeyPath, ...] = (("hub", "zenoh"), _DIALECTS)
+_ROUTERS: tuple[KeyPath, ...] = (_LOCAL, ("hub", "open", "zenoh"))
 
 _MOST = 20
 """Maximum number of problems that are reported for one zenoh configuration."""
@@ -33,9 +35,6 @@ _DEEPEST = 100
 
 _LEGACY: tuple[KeyPath, ...] = (("routing", "peer"), ("routing", "router", "peers_failover_brokering"))
 """Keys of zenoh before 1.10 that the parser still accepts but ignores; files for rmw_zenoh contain them."""
-
-PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")
-"""The protocols of zenoh's Python package (1.10); zenohd may have more."""
 
 _FILES = re.compile(r"(?:_certificate|_private_key|_file)$")
 _MIGRATING = "see docs/start/migrating.md"
@@ -51,14 +50,14 @@ def zenoh_problems(document: Document, config: Config) -> list[Problem]:
         for part in section:
             settings = getattr(settings, str(part))
         if isinstance(settings, Path):
-            problems += _of_file(settings, section)
+            problems += _of_file(settings, section, config)
         elif settings:
-            flaws = _of_tree(settings, section)
+            flaws = _of_tree(settings, section, config)
             problems += [document.problem((*section, *path), text, at_key=True) for path, text in flaws]
     return problems
 
 
-def _of_file(file: Path, section: KeyPath) -> list[Problem]:
+def _of_file(file: Path, section: KeyPath, config: Config) -> list[Problem]:
     try:
         if file.suffix in (".yaml", ".yml"):
             document = read(file)
@@ -68,7 +67,7 @@ def _of_file(file: Path, section: KeyPath) -> list[Problem]:
             tree, place = _json5(file, text, section), partial(_place_in_text, text)
     except ConfigError as err:
         return list(err.problems)
-    flaws = _of_tree({} if tree is None else tree, section)
+    flaws = _of_tree({} if tree is None else tree, section, config)
     if not flaws:
         reason = _refusal(partial(_zenoh().Config.from_file, str(file)))
         flaws = [((), f"zenoh cannot read the file: {reason}")] if reason else []
@@ -115,7 +114,7 @@ def _place_in_text(text: str, path: KeyPath) -> Place:
     return Place(text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start))
 
 
-def _of_tree(tree: Any, section: KeyPath) -> list[_Flaw]:
+def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[_Flaw]:
     if not isinstance(tree, dict):
         return [((), "must be a map, for example {mode: client}")]
     plugins = tree.get("plugins")
@@ -130,6 +129,8 @@ def _of_tree(tree: Any, section: KeyPath) -> list[_Flaw]:
     flaws += _bad_endpoints(tree, local=section == _LOCAL)
     flaws += _missing_files(tree)
     flaws += [] if flaws else _bad_references(tree)
+    if section == _DIALECTS and config.zenoh.router is None:
+        flaws += [] if flaws else _without_router(tree)
     if section in _ROUTERS and tree.get("mode", "router") != "router":
         flaws.append((("mode",), f"the mode of the daemon's router is 'router', not {tree['mode']!r}; leave it out"))
     if section == ("hub", "zenoh") and tree.get("id"):
@@ -221,13 +222,8 @@ def _explained(value: Any, path: KeyPath, reason: str) -> str:
     if reason.startswith("unknown field ") and path:
         return _unknown(str(path[-1]), known)
     if reason.startswith("unknown variant ") and isinstance(value, str):
-        return _not_one_of(value, known)
+        return not_one_of(value, known)
     return f"zenoh refuses it: {' '.join(reason.split()).rstrip('.')}"
-
-
-def _not_one_of(value: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(value, known, n=1)
-    return f"{value!r} is not one of {', '.join(known)}" + (f"; did you mean {near[0]!r}?" if near else "")
 
 
 def _unknown(name: str, known: list[str]) -> str:
@@ -275,10 +271,7 @@ def _bad_endpoints(tree: Tree, *, local: bool) -> Iterator[_Flaw]:
         for path, text in _texts(section.get("endpoints") if isinstance(section, dict) else None, (part, "endpoints")):
             try:
                 zenoh_endpoint(text)
-                protocol = text.partition("/")[0]
-                if protocol not in PROTOCOLS:
-                    yield path, f"{text}: {_not_one_of(protocol, PROTOCOLS)}"
-                elif local and not is_loopback(text):
+                if local and not is_loopback(text):
                     yield path, f"{text} is open to other machines, which may join only through hub.open"
             except ValueError as err:
                 yield path, str(err)
@@ -293,15 +286,24 @@ def _texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
                 yield from _texts(inner, (*path, part))
 
 
+def _without_router(tree: Tree) -> Iterator[_Flaw]:
+    """Yield a flaw for a client that cannot find a router: it has no endpoint, and Midspan turns scouting off."""
+    connect, multicast = tree.get("connect") or {}, (tree.get("scouting") or {}).get("multicast") or {}
+    endpoints = next(_texts(connect.get("endpoints"), ()), None)
+    if tree.get("mode") == "client" and endpoints is None and not multicast.get("enabled"):
+        yield ("mode",), "a client needs the address of its router: set zenoh.router, or 'connect: {endpoints: [...]}'"
+
+
 def _missing_files(tree: Tree) -> Iterator[_Flaw]:
-    """Yield the absolute paths in ``transport`` that do not exist.
+    """Yield the absolute paths in ``transport`` that do not exist or are folders.
 
     Relative paths are not checked: they depend on the worker's working directory.
     """
     for path, text in _texts(tree.get("transport"), ("transport",)):
         if _FILES.search(str(path[-1])) and Path(text).is_absolute():
             try:
-                Path(text).stat()
+                if stat.S_ISDIR(Path(text).stat().st_mode):
+                    yield path, f"{text} is a folder, not a file"
             except (FileNotFoundError, NotADirectoryError, ValueError):
                 yield path, f"no such file: {text}"
             except OSError:  # the file may exist, but this user may not look into its folder
@@ -318,7 +320,7 @@ _ITEMS: tuple[KeyPath, ...] = (
 
 
 def _bad_references(tree: Tree) -> Iterator[_Flaw]:
-    """Yield the errors that zenoh finds only when it opens a session: in ids, references to ids, and option conflicts.
+    """Yield the errors that zenoh finds only when it opens a session: in ids, references to ids, and options.
 
     ``tree`` is a configuration that the parser accepts.
     """
@@ -342,6 +344,9 @@ def _bad_references(tree: Tree) -> Iterator[_Flaw]:
     unicast = (tree.get("transport") or {}).get("unicast") or {}
     if unicast.get("lowlatency") and (unicast.get("qos") or {}).get("enabled", True):
         yield ("transport", "unicast", "lowlatency"), "zenoh also needs 'qos: {enabled: false}' in this section"
+    multicast = (tree.get("scouting") or {}).get("multicast") or {}
+    if (multicast.get("ttl") or 0) > 255:
+        yield ("scouting", "multicast", "ttl"), f"{multicast['ttl']} is not from 0 to 255"
 
 
 def _list(tree: Tree, path: KeyPath) -> list[dict[str, Any]]:

@@ -136,10 +136,53 @@ def test_mistakes_that_zenohs_parser_refuses_are_located(text: str, lines: list[
             "zenoh: {zenoh: {transport: {link: {tls: {root_ca_certificate: /no/ca.pem}}}}}",
             ["m.yaml:1:42: zenoh.zenoh.transport.link.tls.root_ca_certificate: no such file: /no/ca.pem"],
         ),
+        (
+            "hub: {zenoh: {transport: {auth: {usrpwd: {user: a, password: b, dictionary_file: /etc}}}}}",
+            ["m.yaml:1:65: hub.zenoh.transport.auth.usrpwd.dictionary_file: /etc is a folder, not a file"],
+        ),
+        (
+            "hub: {zenoh: {scouting: {multicast: {enabled: true, ttl: 400}}}}",
+            ["m.yaml:1:53: hub.zenoh.scouting.multicast.ttl: 400 is not from 0 to 255"],
+        ),
+        (
+            "hub: {zenoh: {connect: {endpoints: ['tcp//robot:7447']}}}",
+            ["m.yaml:1:25: hub.zenoh.connect.endpoints[0]: 'tcp//robot:7447' has no valid address; write it like tcp/robot1:7447 or tcp/[::1]:7447"],
+        ),
+        (
+            "zenoh: {zenoh: {mode: client}}",
+            ["m.yaml:1:17: zenoh.zenoh.mode: a client needs the address of its router: set zenoh.router, or 'connect: {endpoints: [...]}'"],
+        ),
     ],
 )  # fmt: skip
 def test_mistakes_that_zenohs_parser_accepts_are_located(text: str, lines: list[str]) -> None:
     assert problems(text) == lines
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("hub: {listen: tpc/127.0.0.1:7447}", "1:15: hub.listen: "),
+        ("hub: {open: {listen: ['tpc/0.0.0.0:7448'], insecure: true}}", "1:23: hub.open.listen[0]: "),
+        ("hub: {open: {connect: 'tpc/robot1:7448', insecure: true}}", "1:23: hub.open.connect: "),
+        ("zenoh: {router: tpc/robot1:7447}", "1:17: zenoh.router: "),
+    ],
+)
+def test_an_unknown_protocol_is_refused_in_every_endpoint(text: str, place: str) -> None:
+    (problem,) = problems(text)
+    assert problem.startswith(f"m.yaml:{place}tpc/")
+    assert problem.endswith(f"'tpc' is not one of {PROTOCOLS}; did you mean 'tcp'?")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "zenoh: {router: tcp/robot:7447, zenoh: {mode: client}}",
+        "zenoh: {zenoh: {mode: client, connect: {endpoints: {client: [tcp/robot:7447]}}}}",
+        "zenoh: {zenoh: {mode: client, scouting: {multicast: {enabled: true}}}}",
+    ],
+)
+def test_a_client_that_can_find_its_router_is_accepted(text: str) -> None:
+    assert loads(text).zenoh.zenoh
 
 
 @pytest.mark.parametrize(

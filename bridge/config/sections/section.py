@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import ipaddress
 import re
 import types
@@ -149,8 +150,18 @@ OptionalPort = Annotated[str, matching(f"(?:{YARP_PORT.pattern})?", _NOT_A_PORT)
 PORT, PORT_OR_NONE = f"^{YARP_PORT.pattern}$", f"^({YARP_PORT.pattern})?$"
 
 
+PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")
+"""The protocols of zenoh's Python package (1.10), through which all sessions connect; zenohd may have more."""
+
+
+def not_one_of(value: str, known: Sequence[str]) -> str:
+    """Return the text of a problem: a value that is not among the known ones."""
+    near = difflib.get_close_matches(value, known, n=1)
+    return f"{value!r} is not one of {', '.join(known)}" + (f"; did you mean {near[0]!r}?" if near else "")
+
+
 def zenoh_endpoint(endpoint: str) -> str:
-    """Return a zenoh endpoint; raises `ValueError` if it lacks a protocol, or, for an IP protocol, a host or a port.
+    """Return a zenoh endpoint; raises `ValueError` if it has no known protocol, or an IP protocol no host or port.
 
     A listener may have port 0, which means any free port.
     """
@@ -158,9 +169,11 @@ def zenoh_endpoint(endpoint: str) -> str:
         mistake = "is not a zenoh endpoint; give protocol and address, for example tcp/127.0.0.1:7447"
         raise ValueError(f"{endpoint!r} {mistake}")
     protocol, _, rest = endpoint.partition("/")
-    if protocol not in {"tcp", "udp", "tls", "quic", "ws"}:
+    if protocol not in PROTOCOLS:
+        raise ValueError(f"{endpoint}: {not_one_of(protocol, PROTOCOLS)}")
+    if protocol == "unixsock-stream":
         return endpoint
-    address = re.fullmatch(r"(\[.+\]|[^:\[\]]*)(?::(\w*))?", re.split(r"[?#]", rest)[0])
+    address = re.fullmatch(r"(\[.+\]|[^/:\[\]]*)(?::(\w*))?", re.split(r"[?#]", rest)[0])
     if address is None:
         raise ValueError(
             f"{endpoint!r} has no valid address; write it like {protocol}/robot1:7447 or {protocol}/[::1]:7447"
