@@ -19,7 +19,7 @@ from bridge.config.model import Config
 from bridge.config.sections.navigation import ACTION
 from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import SideSection
-from bridge.hub import opening, shared_memory
+from bridge.hub import listeners, opening, shared_memory
 from bridge.hub.control import Handler
 from bridge.hub.daemons import identity_of
 from bridge.hub.diagnostics import has_subscribers
@@ -273,9 +273,9 @@ class NetworkBridge:
 
     def _status(self) -> dict[str, Any]:
         engine = self._running()
-        warnings = filter(None, [engine.edge.away, engine.edge.clock.trouble(), opening.trouble()])
+        troubles = engine.edge.away, engine.edge.clock.trouble(), opening.trouble(), listeners.trouble()
         return engine.status(
-            [*warnings, *resources.warnings(state_folder(self._config))],
+            [*filter(None, troubles), *resources.warnings(state_folder(self._config))],
             **self._head.fields(engine.summary().state),
             **engine.edge.details(),
             zid=self._hub.zid,

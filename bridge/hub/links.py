@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from bridge.hub.errors import HubError, zenoh_reason
-from bridge.hub.zenoh_config import LEASE_MS
+from bridge.hub.zenoh_config import LEASE_MS, LISTENERS
 
 if TYPE_CHECKING:
     import psutil
@@ -200,6 +200,7 @@ class Mesh:
         """Open another session, which makes the router announce all peers, until the missing sessions are linked."""
         config = self._config()
         config.insert_json5("id", json.dumps(_MARK + secrets.token_hex(12)))
+        config.insert_json5("listen/endpoints", json.dumps(LISTENERS))  # the user's may have fixed ports, in use here
         session = zenoh.open(config)
         try:
             deadline = time.monotonic() + _INTRODUCTION_SECONDS

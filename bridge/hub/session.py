@@ -48,7 +48,7 @@ from bridge.hub.graph.tokens import (
 from bridge.hub.lane.folder import possible
 from bridge.hub.lane.lane import Lane
 from bridge.hub.links import MEMBERS, Mesh
-from bridge.hub.opening import open_session
+from bridge.hub.listeners import open_hub_session
 from bridge.hub.wire.keys import ANY_HASH, subscription_key, topic_key
 from bridge.hub.wire.qos import Qos, Reliability
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree, without_shared_memory
@@ -167,7 +167,7 @@ class HubSession:
             _log.info("no lane: zenoh's configuration restricts messages")
             settings = replace(settings, lane=None)
         try:
-            session = open_session(config, prepares=True)
+            session = open_hub_session(config)
         except zenoh.ZError as err:
             raise HubError(f"cannot join the hub: {zenoh_reason(err)}") from None
         try:

@@ -19,6 +19,9 @@ MAX_PAYLOAD = 256 << 20
 LEASE_MS = 3000
 """zenoh drops a session that was silent for this time, in which a live session sends four keep-alives."""
 
+LISTENERS = ("tcp/127.0.0.1:0",)
+"""Where a worker's session accepts links from other programs on this machine."""
+
 CLIENT_WAIT_MS = 3000
 """Maximum time for which a session in zenoh's client mode waits for its router when it opens."""
 
@@ -54,7 +57,7 @@ def session_tree(router: str | None, *, shared_memory: bool, max_payload: int) -
     """Return the configuration of a worker's session: a peer that finds others via the router and links directly."""
     tree = _common_tree(max_payload, _NEAR_MS)
     tree["mode"] = "peer"
-    tree["listen"] = {"endpoints": ["tcp/127.0.0.1:0"]}
+    tree["listen"] = {"endpoints": list(LISTENERS)}
     tree["connect"] = {
         "endpoints": [] if router is None else [router],
         # a peer does not wait for its router but retries, also after losing the link; a client cannot open without it

@@ -13,7 +13,7 @@ from typing_extensions import override
 from bridge.concurrency import Backoff
 from bridge.config.model import Config
 from bridge.config.sections.section import Section
-from bridge.hub import opening
+from bridge.hub import listeners, opening
 from bridge.hub.errors import HubError
 from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
@@ -171,7 +171,7 @@ class Running:
             return ModuleStatus(**self._names, state="stopped", routes=[]).document()
         health = self._module_health(module)
         text = "; ".join(filter(None, (self._computes, health.text)))
-        troubles = host.yarp.trouble(), host.clock.trouble(), opening.trouble()
+        troubles = host.yarp.trouble(), host.clock.trouble(), opening.trouble(), listeners.trouble()
         status = ModuleStatus(
             **self._head.fields(health.state, text, refused=[]),
             zid=host.node.hub.zid,

@@ -24,8 +24,8 @@ from bridge.config.sections.zenoh import Dialect
 from bridge.hub.endpoints.calls import nothing
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.graph.tokens import Origin
+from bridge.hub.listeners import listen_endpoints
 from bridge.hub.opening import open_session
-from bridge.hub.panics import watched
 from bridge.hub.security.zenoh_log import captured
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from bridge.messages.registry import Registry
@@ -96,13 +96,19 @@ class KeyEdge(SideEdge):
     def start(self, listener: EdgeListener) -> None:
         """Open the session, which joins the network as soon as it can, including after a disconnection.
 
-        In client mode zenoh opens no session before the router responds, so the edge's thread opens it.
+        zenoh opens no session in client mode before the router responds, and none with a listener that fails, for
+        example at an address that this machine gets later. The edge's thread opens these sessions.
         """
         self._listener, self._settings = listener, _settings(self._config)
         if self._is_client:
             self.away = f"waiting for the zenoh router at {self._router_addresses}"
         else:
-            self._join(_open(self._settings))
+            try:
+                self._join(open_session(self._settings))
+            except zenoh.ZError as err:
+                if not listen_endpoints(self._settings):
+                    raise HubError(f"cannot join the network of the zenoh dialects: {zenoh_reason(err)}") from None
+                self._wait(err)
         self._ticker.start()
 
     @property
@@ -123,15 +129,22 @@ class KeyEdge(SideEdge):
                 return f"{refused.text}; {_CURE}"
         return zenoh_reason(err)
 
-    def _open_client(self) -> bool:
-        """Open the session of a client; return whether its router responded."""
-        try:
-            session = watched(zenoh.open(self._settings))
-        except zenoh.ZError as err:
+    def _wait(self, err: zenoh.ZError) -> None:
+        """Report why the session does not open yet; log a new reason."""
+        if self._is_client:
             away = f"waiting for the zenoh router at {self._router_addresses}: {self._client_trouble(err)}"
-            if away != self.away and not self._stopping.is_set():
-                _log.warning("%s: %s", self.side, away)
-                self.away = away
+        else:
+            away = f"waiting until it can listen: {zenoh_reason(err)}"
+        if away != self.away and not self._stopping.is_set():
+            _log.warning("%s: %s", self.side, away)
+            self.away = away
+
+    def _open_again(self) -> bool:
+        """Try to open the session; return whether that succeeded."""
+        try:
+            session = open_session(self._settings)
+        except zenoh.ZError as err:
+            self._wait(err)
             return False
         if self._stopping.is_set():
             session.close()  # type: ignore[no-untyped-call]
@@ -207,7 +220,7 @@ class KeyEdge(SideEdge):
 
     def _tick_on(self) -> None:
         while self._context is None:
-            if self._stopping.is_set() or (not self._open_client() and self._stopping.wait(RETRY_SECONDS)):
+            if self._stopping.is_set() or (not self._open_again() and self._stopping.wait(RETRY_SECONDS)):
                 return
         while not self._stopping.wait(TICK):
             context, neighbors = self._context, self._presence
@@ -315,10 +328,3 @@ def _settings(config: Config) -> zenoh.Config:
     # more than 0.5 s ahead. Such samples would look like Midspan's own, and be ignored.
     settings.insert_json5("timestamping/enabled", "false")
     return settings
-
-
-def _open(settings: zenoh.Config) -> zenoh.Session:
-    try:
-        return open_session(settings)
-    except zenoh.ZError as err:
-        raise HubError(f"cannot join the network of the zenoh dialects: {zenoh_reason(err)}") from None

@@ -1,7 +1,8 @@
-"""Dialects use zenoh sessions in client mode, which zenoh cannot open without the router."""
+"""Dialects wait until zenoh can open their sessions: in client mode for the router, and for a listener's address."""
 
 from __future__ import annotations
 
+import socket
 import threading
 
 import pytest
@@ -73,3 +74,22 @@ def test_a_client_that_waits_stops_at_once(place: Place) -> None:
         "the dialect's attempt ends",
     )
     assert created.network() is None
+
+
+def test_a_peer_waits_until_it_can_listen(place: Place, caplog: pytest.LogCaptureFixture) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as holder:
+        listener = f"tcp/127.0.0.1:{holder.getsockname()[1]}"
+        peer = {"connect": {"endpoints": [place.router.endpoint]}, "listen": {"endpoints": [listener]}}
+        config = place.config(zenoh={"zenoh": peer, "dialects": [DIALECTS["ros1"]]})
+        registry = Registry()
+        (created,) = make_edges("zenoh", config, registry, place.folder).values()
+        joined = NetworkBridge("zenoh_ros1", created, config, registry, pytest.fail, diagnostics=False)
+        try:
+            health = joined.health()
+            assert (health.state, health.text[:32]) == ("waiting", "waiting until it can listen: Can")
+            assert listener in health.text
+            assert sum(health.text in record.message for record in caplog.records) == 1
+            holder.close()
+            until(lambda: joined.health().state == "running", "the dialect joins")
+        finally:
+            joined.stop()

@@ -1,0 +1,80 @@
+"""Sessions of the hub whose listeners in the user's settings cannot be opened, for example at a missing address.
+
+By default zenoh opens no session if one of its listeners fails. A session of the hub works without, because it connects
+to the router. zenoh could retry listeners in the background, but then a session does not close for 10 s while one of
+them fails (observed with 1.10.2); so the listener stays closed until the worker restarts.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import threading
+
+import psutil
+import zenoh
+
+from bridge.hub.errors import zenoh_reason
+from bridge.hub.opening import open_session
+from bridge.hub.zenoh_config import LISTENERS
+
+_log = logging.getLogger(__name__)
+
+_lock = threading.Lock()
+_closed: dict[str, str] = {}
+"""The reason why a listener is closed, by endpoint."""
+
+
+def open_hub_session(config: zenoh.Config) -> zenoh.Session:
+    """Open a session of the hub, if necessary without the user's listeners; raises `zenoh.ZError`.
+
+    The caller promises to call `bridge.hub.opening.prepare_to_send` before each message that may be large.
+    """
+    try:
+        return open_session(config, prepares=True)
+    except zenoh.ZError as err:
+        endpoints = listen_endpoints(config)
+        if not endpoints:
+            raise
+        reason = zenoh_reason(err)
+    config.insert_json5("listen/exit_on_failure", "false")
+    session = open_session(config, prepares=True)
+    with _lock:
+        _closed.update({endpoint: reason for endpoint in endpoints if not _is_open(endpoint)})
+    if text := trouble():
+        _log.warning("%s", text)
+    return session
+
+
+def listen_endpoints(config: zenoh.Config) -> list[str]:
+    """Return the listeners of a peer that the user's settings name; [] if it has only Midspan's own."""
+    endpoints = json.loads(config.get_json("listen/endpoints"))
+    if isinstance(endpoints, dict):
+        endpoints = endpoints.get("peer")
+    if json.loads(config.get_json("mode")) != "peer":
+        return []
+    return [str(endpoint) for endpoint in endpoints or () if endpoint not in LISTENERS]
+
+
+def trouble() -> str:
+    """Return which listeners of this process are closed, why, and how to fix that; "" if none."""
+    with _lock:
+        if not _closed:
+            return ""
+        reason = next(iter(_closed.values()))
+        return (
+            f"no program can connect at {', '.join(_closed)} (hub.zenoh): {reason}; correct it, or restart this worker"
+        )
+
+
+def _is_open(endpoint: str) -> bool:
+    """Return whether this process uses an endpoint's port; True if that cannot be found out."""
+    port = re.split(r"[?#]", endpoint)[0].rpartition(":")[2]
+    if not port.isdecimal() or port == "0":
+        return True
+    try:
+        connections = psutil.Process().net_connections("inet")
+    except psutil.Error:
+        return True
+    return any(connection.laddr and connection.laddr[1] == int(port) for connection in connections)
