@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ssl
-
 from bridge.doctor.check import Finding, Findings, early_cure, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.hub.errors import HubConfigError
@@ -30,7 +28,7 @@ def check_keys(context: CheckContext) -> Findings:
     findings = [
         *_validity(certificate),
         *_validity(authority),
-        *_key_mismatch(files),
+        *_unusable(files),
         *_key_mode(files),
         *_untrusted(certificate.name, context),
     ]
@@ -70,15 +68,9 @@ def _validity(certificate: Certificate) -> list[Finding]:
     return []
 
 
-def _key_mismatch(files: KeyFiles) -> list[Finding]:
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    try:
-        context.load_cert_chain(files.certificate, files.key, password="")
-    except ssl.SSLError as err:
-        mismatch = err.reason in ("KEY_VALUES_MISMATCH", "KEY_TYPE_MISMATCH")
-        seen = f"is not the key of {files.certificate}" if mismatch else f"cannot be used: {err}"
-        return [fail(f"{files.key} {seen}", "copy both from the same folder of 'midspan keys'")]
-    return []
+def _unusable(files: KeyFiles) -> list[Finding]:
+    trouble = files.trouble()
+    return [fail(trouble, "copy both from the same folder of 'midspan keys'")] if trouble else []
 
 
 def _key_mode(files: KeyFiles) -> list[Finding]:

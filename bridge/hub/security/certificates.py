@@ -203,6 +203,9 @@ def trouble(files: KeyFiles) -> str:
         return (
             f"{files.certificate} expired on {certificate.until:%Y-%m-%d}; renew it: midspan keys make NAME --replace"
         )
+    if certificate.begins_later():
+        since = f"{certificate.since:%Y-%m-%d %H:%M} UTC"
+        return f"{files.certificate} is not valid before {since}; set this machine's clock, or renew the certificate"
     if not signed:
         return f"{files.certificate} was not signed by {files.ca}; copy both from the same folder of 'midspan keys'"
     return ""

@@ -275,12 +275,17 @@ class _Listen(_Endpoint):
         self._active = {text: entry for text, entry in self._active.items() if now < entry.last + REFUSAL_SECONDS}
         due = [entry for entry in self._active.values() if entry.callers or now > entry.first + _ADDRESS_SECONDS]
         for entry in due:
-            self._log_refusals(entry)
+            self._log_refusals(entry, own_trouble)
         self._enter([own_trouble] if own_trouble else [reason for entry in due if (reason := entry.reason())])
 
-    def _log_refusals(self, refusals: _Refusals) -> None:
-        """Log a cause once, and again for each additional machine that is refused for it."""
+    def _log_refusals(self, refusals: _Refusals, own_trouble: Reason | None) -> None:
+        """Log a cause once, and again for each additional machine that is refused for it.
+
+        If this machine's certificate is the known cause, other machines' alerts are less exact than that.
+        """
         key, reason = f"{refusals.error} {sorted(refusals.callers)[1:]}", refusals.reason()
+        if own_trouble is not None:
+            key, reason = own_trouble.text, own_trouble
         if reason is not None and key not in self._logged:
             if len(self._logged) >= _MOST_LOGGED:
                 self._logged.clear()

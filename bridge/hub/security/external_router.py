@@ -66,14 +66,15 @@ class ExternalRouter:
         self._here = connect_endpoint(config.hub.listen)
         zenoh_config = make_config(external_tree(config), self._open.zenoh)
         identity = Identity.of(zenoh_config)
+        files = key_files(config) if has_tls(self._open) else None
         try:
             self._session = open_session(zenoh_config)
         except zenoh.ZError as err:
             places = ", ".join((*self._open.listen, *self._open.connect))
-            raise HubError(f"cannot open {places}: {zenoh_reason(err)}") from None
+            bad_file = files.trouble() if files is not None else ""  # zenoh's reason does not name it
+            raise HubError(f"cannot open {places}: {bad_file or zenoh_reason(err)}") from None
         self._restarts = LinkRestarts(self._session)
         self._limits = LinkLimits(self._restarts.check)
-        files = key_files(config) if has_tls(self._open) else None
         self._endpoints = EndpointMonitor(
             self._session,
             self._open.listen,

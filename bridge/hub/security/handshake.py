@@ -20,6 +20,7 @@ from pathlib import Path
 import zenoh
 from typing_extensions import override
 
+from bridge.hub.security.key_files import tls_trouble
 from bridge.hub.security.reasons import EndpointState, Reason, refused_by_other, refused_certificate, unreachable
 
 _CONNECT_SECONDS = 3.0
@@ -181,7 +182,8 @@ def _handshake(place: HostPort, identity: Identity, name: str) -> tuple[Reason, 
     try:
         context = identity.context()
     except OSError as err:  # this includes ssl.SSLError
-        text = f"this machine's certificate files cannot be used: {err}"
+        files = tls_trouble(identity.ca, identity.certificate, identity.key)
+        text = f"this machine's certificate files cannot be used: {files or err}"
         return Reason(EndpointState.REFUSED, text, "'midspan doctor --only keys' names the file"), ""
     with _connect(place) as plain:
         plain.settimeout(_HANDSHAKE_SECONDS)

@@ -29,18 +29,44 @@ class KeyFiles:
     key: Path
 
     def check(self) -> None:
-        """Raise `HubConfigError` if a file is missing or cannot be read."""
+        """Raise `HubConfigError` if a file is missing, a folder, or cannot be read."""
         for file in (self.ca, self.certificate, self.key):
             if not file.exists():
                 raise HubConfigError(
                     f"there is no {file}; 'midspan keys make' creates it, and prints which files to copy here"
                 )
+            if file.is_dir():
+                raise HubConfigError(f"{file} is a folder, not a file")
             if not os.access(file, os.R_OK):
                 raise HubConfigError(f"{file} cannot be read by this process's user; give it to that user (chown)")
+
+    def trouble(self) -> str:
+        """Return which file TLS cannot use, and why; "" if it can use all."""
+        return tls_trouble(self.ca, self.certificate, self.key)
 
     def others_may_use_key(self) -> bool:
         """Return whether the key's mode gives rights to other users; Windows has access lists instead of modes."""
         return sys.platform != "win32" and bool(self.key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO))
+
+
+def tls_trouble(ca: Path, certificate: Path | None, key: Path | None) -> str:
+    """Return which file TLS cannot use, and why; "" if it can use all."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    for file in filter(None, (ca, certificate)):
+        try:
+            context.load_verify_locations(file)
+        except ssl.SSLError:
+            return f"{file} is not a certificate (PEM)"
+        except OSError as err:
+            return f"{file}: {err.strerror}"
+    if certificate is None:
+        return ""
+    try:
+        context.load_cert_chain(certificate, key, password="")
+    except OSError as err:
+        mismatch = isinstance(err, ssl.SSLError) and err.reason in ("KEY_VALUES_MISMATCH", "KEY_TYPE_MISMATCH")
+        return f"{key} is not the key of {certificate}" if mismatch else f"{key} cannot be used: {err}"
+    return ""
 
 
 class KeyWatch:
@@ -57,7 +83,7 @@ class KeyWatch:
         if stamp == self._used or stamp != before:  # unchanged, or still being copied
             return False
         self._used = stamp
-        trouble = self._trouble()
+        trouble = self._files.trouble()
         if trouble:
             _log.error("hub.open: the new certificates cannot be used, the old ones stay in use: %s", trouble)
         return not trouble
@@ -71,12 +97,3 @@ class KeyWatch:
             except OSError:
                 stamps.append(None)
         return tuple(stamps)
-
-    def _trouble(self) -> str:
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        try:
-            context.load_verify_locations(self._files.ca)
-            context.load_cert_chain(self._files.certificate, self._files.key, password="")
-        except (OSError, ssl.SSLError) as err:  # includes a key that does not match its certificate
-            return f"{self._files.certificate}: {err}"
-        return ""

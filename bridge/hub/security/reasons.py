@@ -43,7 +43,7 @@ _NAMES = "'midspan keys make NAME ADDRESS --replace' with every name and address
 
 _CAUSES: tuple[tuple[tuple[str, ...], str, str], ...] = (
     # BadCertificate and CertificateUnknown do not name the problem; rustls sends the former for a wrong name
-    (("notvalidyet",), "is not valid yet", _CLOCKS),
+    (("notvalidyet", "notyetvalid"), "is not valid yet", _CLOCKS),
     (("expired",), "has expired", _RENEW),
     (
         ("badsignature", "unknownissuer", "unknownca", "decrypterror", "localissuer", "selfsigned", "signaturefailure"),
@@ -58,6 +58,8 @@ _CAUSES: tuple[tuple[tuple[str, ...], str, str], ...] = (
 )
 _MISSING = ("nocertificate", "certificaterequired")
 _ALERT = re.compile(r"alert|error_code|ConnectionClosed", re.IGNORECASE)
+_EARLY_ALERTS = ("expired", "badcertificate")
+"""Alerts for a certificate that is not valid yet, of rustls and of OpenSSL, in addition to their other meanings."""
 
 
 def refused_certificate(error: str, detail: str = "") -> Reason:
@@ -70,7 +72,7 @@ def refused_by_other(error: str) -> Reason:
     """Return why the other machine does not accept this machine's certificate, from the TLS alert that it sends."""
     if _has(error, _MISSING):
         return Reason(EndpointState.REFUSED, "the other machine asks for a certificate, and gets none", _SAME_FOLDER)
-    wrong, cure = _cause(error)
+    wrong, cure = _cause_in_alert(error)
     return Reason(
         EndpointState.REFUSED, f"the other machine does not accept this machine's certificate: it {wrong}", cure
     )
@@ -83,10 +85,11 @@ def refusal_in_log(error: str, caller: str = "") -> Reason | None:
         return Reason(EndpointState.REFUSED, f"{peer} connects without a certificate", _SAME_FOLDER)
     if "certificate" not in error.lower() and not _ALERT.search(error):
         return None
-    wrong, cure = _cause(error)
     if _ALERT.search(error):
+        wrong, cure = _cause_in_alert(error)
         text = f"{peer} does not accept this machine's certificate: it {wrong}"
     else:
+        wrong, cure = _cause(error)
         text = f"{peer} is refused: its certificate {wrong}"
     return Reason(EndpointState.REFUSED, text, cure)
 
@@ -124,6 +127,13 @@ def _cause(error: str) -> tuple[str, str]:
         if _has(error, phrases):
             return wrong, cure
     return f"is not accepted ({error})", "'midspan keys show FILE' prints a certificate"
+
+
+def _cause_in_alert(error: str) -> tuple[str, str]:
+    wrong, cure = _cause(error)
+    if _has(error, _EARLY_ALERTS):
+        return f"{wrong}, or is not valid yet by the other machine's clock", f"{_CLOCKS}; {cure}"
+    return wrong, cure
 
 
 def _has(error: str, words: tuple[str, ...]) -> bool:

@@ -197,6 +197,9 @@ def test_doctor_finds_a_key_that_does_not_fit(folder: Path) -> None:
     (folder / "robot1.key").write_text("rubbish")
     ((result, seen),) = key_findings(folder)
     assert (result, seen.startswith(f"{folder / 'robot1.key'} cannot be used: ")) == (Result.FAIL, True)
+    (folder / "robot1.key").unlink()
+    (folder / "robot1.key").mkdir()
+    assert key_findings(folder) == [(Result.FAIL, f"{folder / 'robot1.key'} is a folder, not a file")]
 
 
 def test_doctor_names_machines_that_refuse_commands(folder: Path) -> None:

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from datetime import timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
@@ -15,7 +16,7 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.hub.router import RouterWorker
-from bridge.hub.security import endpoints
+from bridge.hub.security import certificates, endpoints
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.handshake import Attempt
 from bridge.hub.security.reasons import EndpointState, Reason
@@ -181,6 +182,16 @@ def test_an_expired_own_certificate_is_reported(tmp_path: Path, port: int) -> No
         assert "robot1.pem expired on" in robot.wait(EndpointState.REFUSED).reason
 
 
+def test_an_own_certificate_that_is_not_valid_yet_is_reported(
+    tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Authority(tmp_path).make()
+    monkeypatch.setattr(certificates, "_EARLIER", timedelta(hours=-6))  # made on a machine whose clock was ahead
+    Authority(tmp_path).issue("robot1", ["127.0.0.1"])
+    with Machine("robot1", tmp_path, listen=[f"tls/127.0.0.1:{port}"]) as robot:
+        assert "robot1.pem is not valid before" in robot.wait(EndpointState.REFUSED).reason
+
+
 def test_a_resolver_that_hangs_blocks_nothing(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hangs, entered = threading.Event(), threading.Event()
 
@@ -264,6 +275,22 @@ def test_a_listener_logs_each_cause_once_and_recovers(slow: float, caplog: pytes
     assert [("another authority" in m, "expired" in m, "no longer refused" in m) for m in messages] == [
         (True, False, False), (False, True, False), (False, False, True),
     ], messages  # fmt: skip
+
+
+def test_a_listener_logs_the_problem_of_its_own_certificate_instead_of_alerts(
+    slow: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    log, listener = ZenohLog(), endpoints._Listen("tls/0.0.0.0:1")
+    log.reports_refusals = True
+    for second in range(10):
+        log.feed(REFUSED.format("received fatal alert: BadCertificate"))
+        log.feed(REFUSED.format("received fatal alert: CertificateExpired"))
+        listener.poll(
+            log, Reason(EndpointState.REFUSED, "robot1.pem is not valid before 2030", "set it"), slow + second
+        )
+    assert [record.getMessage() for record in caplog.records] == [
+        "hub.open.listen tls/0.0.0.0:1: robot1.pem is not valid before 2030; set it"
+    ]
 
 
 def test_zenohs_reason_is_reported_if_no_test_is_possible(slow: float, monkeypatch: pytest.MonkeyPatch) -> None:

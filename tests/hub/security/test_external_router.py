@@ -15,6 +15,7 @@ from bridge.config.model import Config
 from bridge.hub.errors import HubError
 from bridge.hub.router import RouterWorker
 from bridge.hub.security.certificates import Authority
+from bridge.hub.security.external_router import ExternalRouter
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from tests.peers.hub.endpoints import HASH, LATCHED, TYPE, Subscriber, advertise, matched, see_each_other
@@ -326,6 +327,33 @@ def test_hub_runs_if_its_external_listener_cannot_open(folder: Path, tmp_path: P
             assert "midspan keys make" in health.text
     finally:
         router.stop()
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "reason"),
+    [
+        ("test.pem", b"", "{file} is not a certificate (PEM)"),
+        ("test.pem", b"rubbish\xff", "{file} is not a certificate (PEM)"),
+        ("ca.pem", b"", "{file} is not a certificate (PEM)"),
+        ("test.key", b"", "{file} cannot be used: "),
+        ("test.key", None, "{file} is not the key of {folder}/test.pem"),
+    ],
+)
+def test_the_file_that_keeps_the_external_listener_closed_is_named(
+    tmp_path: Path, file: str, content: bytes | None, reason: str
+) -> None:
+    authority = Authority(tmp_path)
+    authority.make()
+    for name in ("test", "friend"):
+        authority.issue(name, ["127.0.0.1"])
+    machines = Machines(tmp_path)
+    (tmp_path / file).write_bytes((tmp_path / "friend.key").read_bytes() if content is None else content)
+    hub = machines.network.config(open=machines.network.external)
+    with pytest.raises(HubError) as refused:
+        ExternalRouter(Config.model_validate({"name": "test", "hub": hub}))
+    expected = reason.format(file=tmp_path / file, folder=tmp_path)
+    assert str(refused.value).partition(f"{machines.network.external['listen'][0]}: ")[2].startswith(expected)
+    machines.close()
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ import zenoh
 from bridge.client.errors import UnreachableHubError
 from bridge.client.session import connect
 from bridge.config.model import Config
+from bridge.hub.security import certificates
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.handshake import Attempt, HostPort, Identity, attempt
 from bridge.hub.security.reasons import EndpointState, refusal_in_log, unreachable
@@ -33,6 +35,9 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
         authority.issue("robot1", ["127.0.0.1", "::1"])
         authority.issue("operator1", ["127.0.0.1"])
         authority.issue("expired", ["127.0.0.1"], days=-1)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(certificates, "_EARLIER", timedelta(hours=-6))  # made on a machine whose clock was ahead
+            authority.issue("early", ["127.0.0.1"])
         authority.issue("nowhere")
     return folder
 
@@ -71,6 +76,8 @@ def attempted(endpoint: str, own: Identity | None) -> Attempt:
         ("a/nowhere", "a/operator1", "127.0.0.1", ("is not for the name or address", "nowhere.local")),
         ("a/robot1", "a/operator1", "localhost", ("is not for the name or address", "robot1.local, 127.0.0.1")),
         ("a/robot1", "a/expired", "127.0.0.1", ("does not accept this machine's certificate: it has expired",)),
+        ("a/early", "a/operator1", "127.0.0.1", ("the other machine's certificate is not valid yet, but from ",)),
+        ("a/robot1", "a/early", "127.0.0.1", ("does not accept this machine's certificate: ", "is not valid yet")),
     ],
 )  # fmt: skip
 def test_a_refused_certificate_is_reported_with_its_cure(
