@@ -6,6 +6,7 @@ import logging
 import struct
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 
 _log = logging.getLogger(__name__)
@@ -22,6 +23,9 @@ DONE_TYPE = "std_msgs/msg/Header"
 
 SILENCE_SECONDS = 5.0
 """Seconds without a message on ``/clock`` after which a simulated clock is reported as a problem."""
+
+MOST_BACK, BACK_SECONDS = 5, 5.0
+"""More steps back than this within these seconds mean that several programs publish ``/clock``."""
 
 STEP_NS = 100_000_000
 """A change of the system clock is a jump if it exceeds the possible slewing by more than this, in ns.
@@ -163,6 +167,8 @@ class RunClock:
         self._after: list[Callable[[int], None]] = []
         self._arrived = time.monotonic()
         self._running = False
+        self._backs: deque[float] = deque(maxlen=MOST_BACK)  # the monotonic times of the last steps back
+        self._several_until = 0.0
 
     def now_ns(self) -> int:
         """Return ns since 1970, or the time of the simulation in ns; 0 before the first message."""
@@ -178,8 +184,14 @@ class RunClock:
         return {"sec": seconds, "nanosec": nanoseconds}
 
     def trouble(self) -> str:
-        """Return why simulated time stands still, "" if it runs or the run is not simulated."""
-        if not self.simulated or self.source or time.monotonic() - self._arrived <= SILENCE_SECONDS:
+        """Return why simulated time stands still or is set back all the time; "" if not, or without simulated time."""
+        now = time.monotonic()
+        if now < self._several_until:
+            return (
+                f"{CLOCK_TOPIC} is set back all the time (clock.source: sim): several programs publish it; stop all but"
+                " one"
+            )
+        if not self.simulated or self.source or now - self._arrived <= SILENCE_SECONDS:
             return ""
         if self._running:
             return (
@@ -203,10 +215,23 @@ class RunClock:
             listeners = tuple(self._listeners) if back else ()
             followers = (*self._on_time, *self._after)
         if back:
-            _log.warning("%s was set back to %.3f s", CLOCK_TOPIC, now / _SECOND)
+            self._log_back(now)
         _notify(listeners)
         for follower in followers:
             follower(now)
+
+    def _log_back(self, now: int) -> None:
+        """Log a step back to a simulated time, or only once that there are too many of them."""
+        at = self._arrived
+        several = len(self._backs) == MOST_BACK and at - self._backs[0] < BACK_SECONDS
+        self._backs.append(at)
+        known = at < self._several_until
+        if several:
+            self._several_until = at + BACK_SECONDS
+        if not several:
+            _log.warning("%s was set back to %.3f s", CLOCK_TOPIC, now / _SECOND)
+        elif not known:
+            _log.warning("%s", self.trouble())
 
     def on_jump(self, jumped: Jumped) -> Callable[[], None]:
         """Call ``jumped`` after each jump, until the returned function or `close` is called.

@@ -155,6 +155,31 @@ def test_ages_do_not_depend_on_the_system_clock() -> None:
     assert 0 <= run.elapsed_ns() - began < 60 * S
 
 
+def message(seconds: int) -> bytes:
+    return b"\0\1\0\0" + seconds.to_bytes(4, "little") + bytes(4)
+
+
+def test_two_publishers_of_the_clock_are_reported_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(clocks, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    run = RunClock(simulated=True)
+    for step in range(1000):
+        now[0] += 0.01
+        run.receive(message(7 if step % 2 else 1000 + step))
+    assert "several programs publish it" in run.trouble()
+    assert [("was set back to 7" in m, m == run.trouble()) for m in caplog.messages] == [
+        *[(True, False)] * clocks.MOST_BACK, (False, True),
+    ]  # fmt: skip
+    for _ in range(100):  # one of them has ended
+        now[0] += 0.1
+        run.receive(message(2000))
+    assert run.trouble() == ""
+    run.receive(message(7))
+    assert caplog.messages[-1] == "/clock was set back to 7.000 s"
+
+
 def test_simulated_time_that_stands_still_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(clocks, "time", SimpleNamespace(monotonic=lambda: now[0]))
@@ -163,7 +188,7 @@ def test_simulated_time_that_stands_still_is_reported(monkeypatch: pytest.Monkey
     now[0] += clocks.SILENCE_SECONDS + 0.1
     assert run.trouble().startswith("no message on /clock (clock.source: sim)")
     assert "midspan play --clock" in run.trouble()
-    run.receive(b"\0\1\0\0" + (7).to_bytes(4, "little") + bytes(4))
+    run.receive(message(7))
     assert run.trouble() == ""
     now[0] += clocks.SILENCE_SECONDS + 0.1
     assert "/clock is silent" in run.trouble()
