@@ -18,7 +18,6 @@ import ctypes
 import json
 import logging
 import mmap
-import os
 import re
 import sys
 import threading
@@ -29,7 +28,7 @@ import zenoh
 
 from bridge.hub.errors import zenoh_reason
 from bridge.hub.panics import is_panic, watched
-from bridge.hub.shared_memory import FOLDER
+from bridge.hub.shared_memory import FOLDER, room_trouble
 from bridge.hub.zenoh_config import POOL, without_shared_memory
 
 _log = logging.getLogger(__name__)
@@ -138,22 +137,6 @@ def _note(reason: str, level: int) -> None:
             _trouble = text
     if not known:
         _log.log(level, "%s", text)
-
-
-def room_trouble(size: int, folder: Path = FOLDER) -> str:
-    """Return why ``size`` bytes do not fit into the system's shared memory, and how to fix that, or ""."""
-    if sys.platform != "linux":  # other systems do not expose it as a folder
-        return ""
-    try:
-        room = os.statvfs(folder)
-    except OSError as err:
-        return f"{folder}: {err.strerror}; mount it"
-    if not os.access(folder, os.W_OK | os.X_OK):
-        return f"{folder} is not writable for this user; its mode should be 1777"
-    free = room.f_bavail * room.f_frsize
-    if room.f_blocks and free < size:
-        return f"{folder} has less room than the {size / 1e6:.0f} MB that a session needs; remove files or enlarge it"
-    return ""
 
 
 def lock_trouble(size: int) -> str:

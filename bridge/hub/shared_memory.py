@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import sys
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -31,6 +32,24 @@ class _Inode(NamedTuple):
     major: int
     minor: int
     number: int
+
+
+def room_trouble(size: int, folder: Path = FOLDER) -> str:
+    """Return why ``size`` bytes do not fit into the system's shared memory, and how to fix that, or ""."""
+    if sys.platform != "linux":  # other systems do not expose it as a folder
+        return ""
+    try:
+        room = os.statvfs(folder)
+    except OSError as err:
+        return f"{folder}: {err.strerror}; mount it"
+    if room.f_flag & os.ST_RDONLY:
+        return f"{folder} is mounted read-only; mount it writable"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return f"{folder} is not writable for this user; its mode should be 1777"
+    free = room.f_bavail * room.f_frsize
+    if room.f_blocks and free < size:
+        return f"{folder} has less room than the required {size / 1e6:.0f} MB; remove files or enlarge it"
+    return ""
 
 
 def clean(folder: Path = FOLDER) -> int:

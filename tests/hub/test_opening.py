@@ -8,14 +8,13 @@ import logging
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
 
 from bridge.hub import opening
-from bridge.hub.opening import lock_trouble, open_session, room_trouble
+from bridge.hub.opening import lock_trouble, open_session
 from bridge.hub.zenoh_config import client_session_config, make_config, session_tree
 from tests.peers.hub.network import ROOT
 from tests.support.ports import free_port
@@ -110,13 +109,6 @@ def test_session_without_shared_memory_opens(monkeypatch: pytest.MonkeyPatch) ->
     open_session(config(shared_memory=False))
     assert zenoh_open.switches == [False]
     assert opening.trouble() == ""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="needs a folder of shared memory")
-def test_missing_room_for_shared_memory_is_reported(tmp_path: Path) -> None:
-    assert room_trouble(1 << 10, tmp_path) == ""
-    assert "less room than the 1152921504607 MB" in room_trouble(1 << 60, tmp_path)
-    assert "No such file" in room_trouble(1, tmp_path / "none")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit of Linux")

@@ -31,6 +31,17 @@ def lock(path: Path, pid: int, other_device: int = 0) -> str:
     return f"1: FLOCK  ADVISORY  READ {pid} {os.major(stat.st_dev):02x}:{minor:02x}:{stat.st_ino} 0 EOF\n"
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a folder of shared memory")
+def test_missing_room_for_shared_memory_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert shared_memory.room_trouble(1 << 10, tmp_path) == ""
+    assert "less room than the required 1152921504607 MB" in shared_memory.room_trouble(1 << 60, tmp_path)
+    assert "No such file" in shared_memory.room_trouble(1, tmp_path / "none")
+    values = [*tuple(os.statvfs(tmp_path))[:11]]
+    values[8] |= os.ST_RDONLY
+    monkeypatch.setattr(os, "statvfs", lambda _path: os.statvfs_result(values))
+    assert shared_memory.room_trouble(1, tmp_path) == f"{tmp_path} is mounted read-only; mount it writable"
+
+
 def test_only_files_of_dead_sessions_are_removed(tmp_path: Path) -> None:
     dead, held = pool(tmp_path, "1.zenoh"), pool(tmp_path, "2.zenoh")
     young, other = pool(tmp_path, "3.zenoh", 0), pool(tmp_path, "x.zenoh")

@@ -37,7 +37,7 @@ from bridge.adapters.ros2.graph.origins import new_prefix, participant_number, s
 from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
 from bridge.adapters.ros2.releases import current
 from bridge.config.model import Config
-from bridge.hub.shared_memory import FOLDER
+from bridge.hub.shared_memory import room_trouble
 from bridge.state_file import keep
 
 _log = logging.getLogger(__name__)
@@ -211,10 +211,6 @@ def _segment(config: Config, state: Path) -> int:
         return 0
     size = neighbors.segment_size()
     if not size and config.ros2.profile is None:
-        _log.warning(
-            "Fast DDS uses only UDP: %s has no room for its shared memory (%d MB); make room there, then restart this"
-            " worker",
-            FOLDER,
-            8 * neighbors.SMALLEST_SEGMENT // 1_000_000,
-        )
+        reason = room_trouble(neighbors.NEEDED_ROOM)
+        _log.warning("Fast DDS uses only UDP, not shared memory: %s; then restart this worker", reason)
     return size

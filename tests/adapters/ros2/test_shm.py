@@ -75,6 +75,13 @@ def test_the_segment_is_an_eighth_of_the_free_space(
     assert neighbors.segment_size() == segment_mb << 20
 
 
+def test_a_read_only_folder_has_no_space(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = [*tuple(os.statvfs("/"))[:11]]
+    values[1], values[4], values[8] = 4096, 1 << 20, values[8] | os.ST_RDONLY
+    monkeypatch.setattr(os, "statvfs", lambda _path: os.statvfs_result(values))
+    assert neighbors.segment_size() == 0
+
+
 def test_a_missing_folder_has_no_space(tmp_path: Path) -> None:
     assert neighbors.segment_size(tmp_path / "none") == 0
     assert neighbors.clean(tmp_path / "none") == 0

@@ -28,7 +28,7 @@ from bridge.adapters.ros2.graph.origins import is_marked
 from bridge.adapters.ros2.graph.spdp import discovery_ports
 from bridge.adapters.ros2.releases import SHARED_MEMORY
 from bridge.concurrency import DelayedCalls
-from bridge.hub.shared_memory import FOLDER, YOUNG_SECONDS, is_locked
+from bridge.hub.shared_memory import FOLDER, YOUNG_SECONDS, is_locked, room_trouble
 from bridge.state_file import keep
 
 CONFIRM_SECONDS = 1.0
@@ -257,18 +257,18 @@ LARGEST_SEGMENT = 32 * 1024 * 1024
 """Room for a burst of large messages. Fast DDS writes all of it at creation, so the memory stays allocated."""
 SMALLEST_SEGMENT = 8 * 1024 * 1024
 """Below it shared memory has no benefit: large messages would be fragmented again."""
+NEEDED_ROOM = 8 * SMALLEST_SEGMENT
+"""Minimum free space for using shared memory."""
 
 _LOCK = re.compile(rf"^({'|'.join(SHARED_MEMORY.values())})_(?:[0-9a-f]{{16}}|port\d+)_el$")
 
 
 def segment_size(folder: Path = FOLDER) -> int:
     """Return the bytes for this participant's segment: an eighth of the free space, at most 32 MiB; 0 if too little."""
-    try:
-        stat = os.statvfs(folder)
-    except OSError:
+    if room_trouble(NEEDED_ROOM, folder):
         return 0
-    size = min(LARGEST_SEGMENT, stat.f_bavail * stat.f_frsize // 8)
-    return size if size >= SMALLEST_SEGMENT else 0
+    stat = os.statvfs(folder)
+    return min(LARGEST_SEGMENT, stat.f_bavail * stat.f_frsize // 8)
 
 
 def has_other_users(major: int, folder: Path = FOLDER) -> bool:
