@@ -52,6 +52,11 @@ def test_values_of_the_file_are_used() -> None:
 
 # the text of a configuration, and all lines of the report, without the file's name
 CASES = [
+    ("sim: {start: [1, .nan, 3]}", ["1:18: sim.start[1]: input should be a finite number, not nan"]),
+    (
+        "web: {robots: [{name: a, base_frame: b, radius: .nan}]}",
+        ["1:49: web.robots[0].radius: input should be a finite number, not nan"],
+    ),
     ("hubb: {}", ["1:1: hubb: unknown key 'hubb'; did you mean 'hub'?"]),
     (
         "routing:\n  rules:\n    - tops: /scan",
