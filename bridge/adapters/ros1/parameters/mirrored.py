@@ -9,6 +9,7 @@ from typing import Any
 
 from bridge.adapters.ros1.parameters.store import ParameterContext, codecs
 from bridge.adapters.ros1.parameters.values import (
+    MAX_DEPTH,
     NOT_SET,
     ParameterNames,
     ParameterType,
@@ -183,6 +184,9 @@ class MirroredNode:
                     f"not copied, since {self._names.ros1(above)} has a value and ROS 1 does not allow names below it;"
                     " choose between them with 'names' in routing.parameters"
                 )
+                continue
+            if path.count("/") >= MAX_DEPTH:
+                self._problems[key] = f"not copied, since its name has more than {MAX_DEPTH} parts"
                 continue
             try:
                 to_ros1(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -14,6 +15,7 @@ import pytest
 from bridge.adapters.ros1.parameters.follower import ParameterSharing
 from bridge.adapters.ros1.parameters.store import ParameterServer, copies_parameter
 from bridge.adapters.ros1.parameters.values import (
+    MAX_DEPTH,
     NOT_SET,
     ParameterType,
     ParameterValue,
@@ -273,6 +275,21 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
     until(lambda: master.call("getParam", "/hdr") == {"exposure": {"1": 100, "a": {"b": 5}}}, "the names below appear")
     hdr.values["exposure"] = integer(50)
     until(lambda: master.call("getParam", "/hdr") == {"exposure": 50}, "the parameter is a single value again")
+
+
+@needs_ros1
+def test_a_name_of_too_many_parts_is_not_copied(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    deepest = ".".join(["a"] * MAX_DEPTH)
+    node = ParameterNode(hubs[1], "/deep", nan=double(math.nan))
+    node.values |= {deepest: integer(1), f"{deepest.replace('a', 'b')}.b": integer(2)}
+    store = server(master)
+    parameters = share(rule("ros2", "/deep", "/deep"), store=store)
+    until(lambda: "a" in (master.call("getParam", "/deep") or {}), "the parameters are copied")
+    written, request = store.written, node.asked
+    until(lambda: node.asked > request + 3, "several comparisons are made")
+    assert store.written == written, "nothing is written again"
+    assert "b" not in master.call("getParam", "/deep")
+    assert any(f"not copied, since its name has more than {MAX_DEPTH} parts" in w for w in parameters.warnings())
 
 
 @needs_ros1
