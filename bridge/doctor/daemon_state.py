@@ -278,6 +278,27 @@ def without_node(report: DaemonStatus) -> list[StatusDocument]:
     ]
 
 
+def unanswered(report: DaemonStatus, documents: Iterable[StatusDocument]) -> list[StatusDocument]:
+    """Return the running workers that should be nodes of the hub, but sent none of the documents."""
+    kinds, known = worker_kinds(), list(documents)
+    pids = {document.pid for document in known}
+    names = {document.worker for document in known if document.daemon == report.daemon}
+    missing = [
+        worker
+        for worker in report.workers
+        if worker.phase == Phase.UP.value
+        and not (worker.pid in pids or worker.worker in names)
+        and worker.worker in kinds
+        and kinds[worker.worker].node
+    ]
+    return [
+        _reported(report.daemon, worker).model_copy(
+            update={"error": f"no answer on the hub{f'; {worker.text}' if worker.text else ''}", "text": ""}
+        )
+        for worker in missing
+    ]
+
+
 def _reported(daemon: str, report: WorkerReport) -> StatusDocument:
     document = StatusDocument(
         daemon=daemon,

@@ -13,7 +13,7 @@ from bridge.config.load import find, load
 from bridge.config.model import Config
 from bridge.doctor import context
 from bridge.doctor.context import CheckContext, HubSnapshot
-from bridge.doctor.daemon_state import DaemonState, absent, daemon_state, with_restarts, with_silent
+from bridge.doctor.daemon_state import DaemonState, absent, daemon_state, unanswered, with_restarts, with_silent
 
 _CLOCK_SECONDS = 0.5
 _MAX_CLOCKS = 50
@@ -27,6 +27,8 @@ def context_from(client: Client, file: Path | None) -> CheckContext:
 def make_context(config: Config, hub: HubSnapshot, state: DaemonState, file: Path | None) -> CheckContext:
     """Return what the checks examine, with the workers that only their daemon reports."""
     documents = with_silent(hub.documents, absent(state.document, looping=True))
+    if not hub.error:
+        documents += unanswered(state.document, documents)
     hub = dataclasses.replace(hub, documents=with_restarts(documents, state.document))
     text, good = check_file(file)
     return CheckContext(config, text, config_good=good, environ=dict(os.environ), hub=hub, daemon=state)

@@ -14,6 +14,7 @@ from typing import Any
 
 from bridge.config.model import Config
 from bridge.config.sections.store import StoreSection
+from bridge.hub import listeners, opening
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub
 from bridge.state_file import worker_folder
@@ -191,5 +192,5 @@ class StoreService:
             **head.fields("running", f"{counts or 'empty'}; {shared}", refused=[], store=content),
             zid=hub.zid,
             routes=[],
-            warnings=[],
+            warnings=[text for text in (opening.trouble(), listeners.trouble()) if text],
         ).document()

@@ -29,6 +29,7 @@ from bridge.doctor.daemon_state import (
     absent,
     daemon_state,
     restarted,
+    unanswered,
     with_restarts,
     with_silent,
     without_node,
@@ -74,7 +75,7 @@ def run_status(args: argparse.Namespace) -> int:
     if state.life is Life.UNKNOWN and of_this_machine(args):
         state = daemon_state(client_config(args), documents, config_file(args))
     documents = with_restarts(with_silent(documents, silent), state.document)
-    documents += [*without_node(state.document), *of_daemon(state)]
+    documents += [*unanswered(state.document, documents), *without_node(state.document), *of_daemon(state)]
     documents.sort(key=lambda document: (document.daemon, document.worker != DAEMON))
     if args.json:
         print_json([{**document.document(), **_refused_commands(document, refused)} for document in documents])

@@ -94,6 +94,29 @@ def test_daemon_reports_a_worker_that_does_not_respond(
     assert "midspan run" not in report
 
 
+def test_a_running_worker_that_cannot_join_the_hub_is_shown(
+    tmp_path: Path,
+    network: HubNetwork,
+    closing: list[FakeWorker],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    workers = [
+        {"worker": "router", "phase": "running", "text": "", "pid": 1, "restarts": 0, "since": 3.0},
+        {"worker": "modules", "phase": "running", "text": "waiting: no hub", "pid": 2, "restarts": 0, "since": 4.0},
+    ]
+    daemon_status = read_daemon_status({"daemon": "robot1", "workers": workers})
+    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: daemon_status)
+    closing.append(FakeWorker(network, "router", status=status("router", pid=1)))
+    midspan = Midspan(config_file(tmp_path, network, **NO_ROS), capsys)
+    assert "FAIL  daemon: robot1/modules is running: no answer on the hub; waiting: no hub" in (
+        midspan("doctor", "--only", "daemon").out
+    )
+    shown = midspan("status").out
+    assert shown.count("modules") == 1
+    assert "no answer on the hub; waiting: no hub" in shown
+
+
 def test_a_broken_configuration_is_reported_with_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "midspan.yaml"
     file.write_text(f"hub:\n  listen: tcp/127.0.0.1:{free_port()}\n  domian: 3\n")
