@@ -19,7 +19,7 @@ def check_certificate(context: CheckContext) -> Findings:
     if not (web.enabled and web.guarded) and not (metrics.enabled and metrics.reached):
         return skip("no certificate is needed, because console and metrics are off, or listen only on loopback")
     files = key_files(context.config)
-    reason = trouble(files)
+    reason = trouble(files) or files.trouble()
     if reason:
         return fail(f"{'the console' if web.enabled else 'the worker metrics'} cannot start: {reason}", _MAKE)
     certificate = read_certificate(files.certificate)

@@ -55,6 +55,17 @@ def test_certificate_and_key_are_examined(tmp_path: Path, days: int, mode: int, 
     assert seen in only(check_certificate(place(tmp_path, names=names))).seen
 
 
+def test_the_key_of_another_certificate_is_reported(tmp_path: Path) -> None:
+    authority = Authority(tmp_path)
+    authority.make()
+    for name in ("robot1", "robot2"):
+        authority.issue(name)
+    (tmp_path / "robot1.key").write_bytes((tmp_path / "robot2.key").read_bytes())
+    finding = only(check_certificate(place(tmp_path)))
+    assert finding.result is Result.FAIL
+    assert f"cannot start: {tmp_path / 'robot1.key'} is not the key of {tmp_path / 'robot1.pem'}" in finding.seen
+
+
 def test_the_mode_of_a_key_is_ignored_on_windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Authority(tmp_path).make()
     Authority(tmp_path).issue("robot1")

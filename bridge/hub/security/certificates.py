@@ -203,12 +203,24 @@ def trouble(files: KeyFiles) -> str:
         return (
             f"{files.certificate} expired on {certificate.until:%Y-%m-%d}; renew it: midspan keys make NAME --replace"
         )
-    if certificate.begins_later():
-        since = f"{certificate.since:%Y-%m-%d %H:%M} UTC"
-        return f"{files.certificate} is not valid before {since}; set this machine's clock, or renew the certificate"
     if not signed:
         return f"{files.certificate} was not signed by {files.ca}; copy both from the same folder of 'midspan keys'"
     return ""
+
+
+def early(files: KeyFiles) -> str:
+    """Return why no machine accepts this certificate yet, "" if it has begun or cannot be read.
+
+    This is no reason to stay closed: the clock of a machine that has just started may be wrong.
+    """
+    try:
+        certificate = read_certificate(files.certificate)
+    except CertificateError:
+        return ""
+    if not certificate.begins_later():
+        return ""
+    since = f"{certificate.since:%Y-%m-%d %H:%M} UTC"
+    return f"{files.certificate} is not valid before {since}; set this machine's clock, or renew the certificate"
 
 
 def _load(file: Path) -> x509.Certificate:

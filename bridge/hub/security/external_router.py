@@ -126,9 +126,9 @@ def key_files(config: Config) -> KeyFiles:
 
 
 def _trouble(files: KeyFiles) -> str:
-    from bridge.hub.security.certificates import trouble  # imports a library that only TLS needs
+    from bridge.hub.security.certificates import early, trouble  # imports a library that only TLS needs
 
-    return trouble(files)
+    return trouble(files) or early(files)
 
 
 def has_tls(section: OpenSection) -> bool:

@@ -50,4 +50,4 @@ class ServerTls:
             self.context.load_verify_locations(self._files.ca)
             self.context.load_cert_chain(self._files.certificate, self._files.key, password="")
         except (OSError, ssl.SSLError) as err:
-            raise RuntimeError(f"{self._what} cannot use TLS: {self._files.certificate}: {err}") from None
+            raise RuntimeError(f"{self._what} cannot use TLS: {self._files.trouble() or err}") from None
