@@ -51,6 +51,7 @@ class MirroredNode:
         self._busy = False
         self._ask_types = False
         self._declared: frozenset[str] = frozenset()
+        self._unshared: frozenset[str] = frozenset()  # names on the node that ROS 1 does not allow or the rule excludes
         self._agreed: _Values = {}  # the values that both sides had at the last comparison
         self._unknown: frozenset[str] = frozenset()
         self._problems: dict[str, str] = {}  # problems of the last comparison, by the name in ROS 1
@@ -131,6 +132,7 @@ class MirroredNode:
 
     def _on_names(self, response: Mapping[str, Any]) -> bool:
         names = [name for name in response["result"]["names"] if self._names.rest(name) is not None]
+        self._unshared = frozenset(response["result"]["names"]) - set(names)
         self._declared = frozenset(self._names.rest(name) or "" for name in names)
         if self._ask_types:
             self._call("get_parameter_types", {"names": names}, lambda types: self._ask_values(names, types["types"]))
@@ -239,6 +241,12 @@ class MirroredNode:
         } - {path for path in ros1 if self._names.ros1(path) in self._store.copies}
         for path in unknown:
             name = self._names.ros2(path)
+            if name in self._unshared:
+                self._problems[self._names.ros1(path)] = (
+                    f"set in ROS 1, but not on {self.rule.node}: only names of letters, digits and underscores are"
+                    " shared"
+                )
+                continue
             similar = get_close_matches(name, known, n=1)
             hint = f" (similar: {similar[0]})" if similar else ""
             self._problems[self._names.ros1(path)] = (
@@ -249,7 +257,7 @@ class MirroredNode:
         if new:
             more = f" and {len(new) - _LOGGED} more" if len(new) > _LOGGED else ""
             names = ", ".join(new[:_LOGGED])
-            _log.warning("set in ROS 1, but not parameters of %s: %s%s", self.rule.node, names, more)
+            _log.warning("set in ROS 1, but not shared parameters of %s: %s%s", self.rule.node, names, more)
         self._unknown = frozenset(unknown)
 
     def _on_types(

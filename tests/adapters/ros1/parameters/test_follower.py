@@ -367,6 +367,21 @@ def test_unknown_names_are_reported(master: RosMaster, hubs: tuple[Hub, Hub], sh
 
 
 @needs_ros1
+def test_a_name_that_is_not_shared_is_not_reported_as_missing(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    node = ParameterNode(hubs[1], "/dashed_node", gain=double(1.0))
+    node.values["a-b"] = integer(3)
+    parameters = share(rule("ros2", "/dashed", "/dashed_node"))
+    until(lambda: master.call("getParam", "/dashed") == {"gain": 1.0}, "the other parameter is in ROS 1")
+    assert parameters.warnings() == []
+    master.call("setParam", "/dashed/a-b", 2)
+    want = (
+        "parameter /dashed/a-b: set in ROS 1, but not on /dashed_node: only names of letters, digits and underscores"
+        " are shared"
+    )
+    until(lambda: parameters.warnings() == [want], "the parameter is reported")
+
+
+@needs_ros1
 def test_a_declared_parameter_without_a_value_is_set_from_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = ParameterNode(hubs[1], "/late_node", lost=NOT_SET, mode=NOT_SET, count=NOT_SET, gain=double(1.0))
     node.types = {"mode": ParameterType.STRING, "count": ParameterType.INTEGER}
