@@ -92,7 +92,7 @@ def test_every_configuration_in_the_documents_is_valid(page: str, code: str, tmp
     empty.touch()
     text = re.sub(
         r"(?<=[\[\s])/(?:home|etc|opt)/[\w./-]+",
-        lambda path: str(empty if path[0].endswith(".yaml") else tmp_path),
+        lambda path: str(empty if Path(path[0]).suffix else tmp_path),
         code,
     )
     assert isinstance(loads(text, tmp_path / "page.md"), Config)
