@@ -9,7 +9,6 @@ back, even if its program has not read it yet.
 from __future__ import annotations
 
 import socket
-import struct
 import sys
 import time
 from collections import deque
@@ -26,8 +25,7 @@ if sys.platform == "linux":
 
     def unacknowledged(sock: socket.socket) -> int:
         """Return the number of sent bytes that the peer's system has not acknowledged; raises `OSError` (tcp(7))."""
-        (count,) = struct.unpack("i", fcntl.ioctl(sock, termios.TIOCOUTQ, bytes(4)))
-        return int(count)
+        return int.from_bytes(fcntl.ioctl(sock, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
 else:
 
