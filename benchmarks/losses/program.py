@@ -165,7 +165,7 @@ class Program(ABC):
 
     def _report_received(self, since: float) -> None:
         sounds: dict[str, Any] = {
-            t: [s for s in list(received) if s[0] >= since] for t, received in self._sounds.items()
+            t: [s for s in list(received) if s[0] >= since] for t, received in self._sounds.copy().items()
         }
         reply("sounds", sounds=sounds)
 
