@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from bridge.client.graph import owners
 from bridge.config.sections.navigation import OURS, NavigationSection, Planner
-from bridge.doctor.relayed import Relayed, is_relayed, key_hash
+from bridge.doctor.relayed import Relayed, is_relayed
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
 from bridge.hub.wire.keys import NO_HASH
@@ -114,7 +114,7 @@ def separated(endpoints: Iterable[HubEndpoint], workers: Collection[str] = (), r
         clients = [
             e
             for e in native.get(EndpointKind.CLIENT, ())
-            if key_hash(e) not in map(key_hash, servers) and not is_relayed(e, servers, relayed)
+            if e.key_hash not in {server.key_hash for server in servers} and not is_relayed(e, servers, relayed)
         ]
         if clients and servers and len(servers) == len(kinds[EndpointKind.SERVER]):
             text = f"{name}: {owners(clients)} never get a reply from {owners(servers)} on the hub"

@@ -18,13 +18,8 @@ def relayed_keys(documents: Iterable[StatusDocument]) -> Relayed:
 
 def is_relayed(sender: HubEndpoint, receivers: Iterable[HubEndpoint], relayed: Relayed) -> bool:
     """Return whether messages or calls of an endpoint reach any of the receivers through a relay."""
-    key = sender.topic, sender.type_name, key_hash(sender)
-    return any((*key, key_hash(receiver)) in relayed for receiver in receivers)
-
-
-def key_hash(endpoint: HubEndpoint) -> str:
-    """Return the hash in an endpoint's key, "" if the key has none (Humble)."""
-    return "" if endpoint.hashless else endpoint.type_hash
+    key = sender.topic, sender.type_name, sender.key_hash
+    return any((*key, receiver.key_hash) in relayed for receiver in receivers)
 
 
 def relay_texts(documents: Iterable[StatusDocument], names: Collection[str] | None = None) -> list[str]:

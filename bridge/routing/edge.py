@@ -227,7 +227,10 @@ class Edge(ABC):
 
     @abstractmethod
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
-        """Advertise on the side; raises `bridge.messages.errors.MessageTypeError` if the type cannot be used."""
+        """Advertise on the side; raises `bridge.messages.errors.MessageTypeError` if the type cannot be used.
+
+        A command's QoS has a lifespan: the side must not deliver it later, for example after its network was down.
+        """
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """Return the conversion of a server's type; raises `bridge.messages.errors.MessageTypeError`."""

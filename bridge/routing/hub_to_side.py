@@ -54,7 +54,7 @@ class SidePublishers:
             self.latched = self._open(Durability.TRANSIENT_LOCAL, 1 if self.static else depth)
 
     def open_volatile(self, depth: int, lifespan_ns: int | None = None) -> None:
-        """Open the publisher for the other sources, if it is not open; older messages than the lifespan are useless."""
+        """Open the publisher for the other sources, if it is not open; the lifespan is that of a command."""
         if self.volatile is None:
             self.volatile = self._open(Durability.VOLATILE, depth, lifespan_ns)
 

@@ -17,7 +17,7 @@ import pytest
 import yaml
 
 from tests.peers.daemon.midspan import MIDSPAN
-from tests.peers.peer import Peer
+from tests.peers.peer import Peer, on_machine
 from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.missing import ROS1, ROS2, needs
@@ -77,7 +77,7 @@ class Robot:
         return {**ros1_environment(self.master), "ROS_IP": address, **home}
 
     def program(self, machine: Machine, python: Path, program: Path, env: dict[str, str], name: str) -> Peer:
-        peer = Peer(Path("netns"), Path("ip"), env, "exec", machine.namespace, str(python), str(program), name)
+        peer = on_machine(machine, env, python, program, name)
         self.processes.append(peer)
         return peer
 

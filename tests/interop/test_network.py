@@ -20,7 +20,7 @@ import pytest
 import yaml
 
 from tests.peers.daemon.midspan import MIDSPAN
-from tests.peers.peer import Peer
+from tests.peers.peer import Peer, on_machine
 from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.missing import ROS1, ROS2, needs
@@ -99,7 +99,7 @@ class Pair:
         return sorted(machines)
 
     def peer(self, machine: Machine, python: Path, program: Path, env: dict[str, str], name: str) -> Peer:
-        program_peer = Peer(Path("netns"), Path("ip"), env, "exec", machine.namespace, str(python), str(program), name)
+        program_peer = on_machine(machine, env, python, program, name)
         self.processes.append(program_peer)
         return program_peer
 

@@ -39,9 +39,12 @@ import json
 import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tests.support.process import Process
+
+if TYPE_CHECKING:
+    from tests.support.netns import Machine
 
 
 class Peer(Process):
@@ -101,6 +104,12 @@ class Peer(Process):
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.popen.wait(seconds / 2)
         return super().stop(seconds)
+
+
+def on_machine(machine: Machine, env: Mapping[str, str], python: Path | str, *words: Path | str) -> Peer:
+    """Start a peer program on a simulated machine."""
+    ip, netns, *command = machine.command(python, *words)
+    return Peer(Path(netns), Path(ip), env, *command)
 
 
 def stop_all(things: Sequence[Any]) -> None:

@@ -315,9 +315,8 @@ class HubClient(CallClient):
         """Return whether a server answers under the client's hash: Midspan's servers do under every hash."""
         if server.gid in self._own:
             return False
-        announced = NO_HASH if server.hashless else server.type_hash
         midspan = server.origin or server.pending or self._graph.is_midspan(server.zid)
-        return bool(midspan) or announced == key_type(self._key)[1]
+        return bool(midspan) or server.key_hash == key_type(self._key)[1]
 
     @override
     def _attached(self, number: int) -> bytes:

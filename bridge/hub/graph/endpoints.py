@@ -70,6 +70,11 @@ class HubEndpoint:
     buffers: bool = False
     hashless: bool = False
 
+    @property
+    def key_hash(self) -> str:
+        """The hash in the endpoint's key, or `NO_HASH`."""
+        return NO_HASH if self.hashless else self.type_hash
+
 
 def origin_side(endpoint: HubEndpoint) -> str:
     """Return the side from which a hub publisher's messages come, ``zenoh`` for a native participant on the hub."""

@@ -59,11 +59,6 @@ def is_native(endpoint: HubEndpoint, midspan: Collection[str]) -> bool:
     return not (endpoint.own or endpoint.origin or endpoint.pending or endpoint.zid in midspan)
 
 
-def key_hash(endpoint: HubEndpoint) -> str:
-    """Return the hash in an endpoint's key, or `NO_HASH`."""
-    return NO_HASH if endpoint.hashless else endpoint.type_hash
-
-
 def topic_pairs(
     endpoints: Iterable[HubEndpoint], midspan: Collection[str], versions: TypeVersions
 ) -> dict[RelayKey, TopicPair]:
@@ -75,9 +70,9 @@ def topic_pairs(
         if end.kind is EndpointKind.PUBLISHER:
             gids[end.topic].add(end.gid)
             if is_native(end, midspan):
-                publishers[RelayKey(end.topic, end.type_name, key_hash(end))].append(end)
+                publishers[RelayKey(end.topic, end.type_name, end.key_hash)].append(end)
         elif end.kind is EndpointKind.SUBSCRIPTION and end.type_hash != UNKNOWN_HASH and is_native(end, midspan):
-            subscriptions[end.topic, end.type_name][key_hash(end)].append(end)
+            subscriptions[end.topic, end.type_name][end.key_hash].append(end)
     pairs: dict[RelayKey, TopicPair] = {}
     for key, senders in publishers.items():
         missed = {
@@ -123,9 +118,9 @@ def service_pairs(
             continue
         hashless, hashed = hashless or end.hashless, hashed or not end.hashless
         if end.kind is EndpointKind.CLIENT:
-            clients[name][key_hash(end)].append(end)
+            clients[name][end.key_hash].append(end)
         elif end.kind is EndpointKind.SERVER:
-            servers[name][key_hash(end)].append(end)
+            servers[name][end.key_hash].append(end)
     pairs: dict[RelayKey, ServicePair] = {}
     for name, known in servers.items():
         callers = clients.get(name, {})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import pytest
 from bridge.adapters.ros2 import discovery
 from bridge.adapters.ros2.discovery import Server, ServerWatch
 from bridge.concurrency import DelayedCalls
-from tests.adapters.ros2.test_new_interface import STRING, edge, machines, program
+from tests.adapters.ros2.test_new_interface import STRING, edge, machines
+from tests.peers.peer import on_machine
 from tests.peers.ros2.network import ROS2_PEER, SERVER, ros2_environment, ros2_python
 from tests.support.netns import Cable, Machine
 from tests.support.ports import free_port
@@ -113,6 +115,6 @@ def test_a_server_on_another_machine_is_reached_if_not_localhost_only(
         with other.start(SERVER, "-i", "0", "-l", address, "-p", str(port), env=ros2_environment()):
             until(lambda: not ros2.ask("status")["warnings"], "the server runs", 30)
             env = ros2_environment(FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
-            with program(other, env, str(ROS2_PEER), "remote") as remote:
+            with on_machine(other, env, sys.executable, ROS2_PEER, "remote") as remote:
                 remote.advertise("/remote", STRING)
                 until(lambda: "publisher /remote native" in ros2.ask("status")["endpoints"], "the node is found", 40)

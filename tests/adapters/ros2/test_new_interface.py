@@ -14,7 +14,7 @@ from bridge.adapters.ros2.edge import Ros2Edge
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
-from tests.peers.peer import Peer
+from tests.peers.peer import Peer, on_machine
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.netns import Cable, Machine, need_namespaces
 from tests.support.wait import until
@@ -33,17 +33,13 @@ def machines() -> Iterator[tuple[Machine, Machine]]:
         machine.close()
 
 
-def program(machine: Machine, env: dict[str, str], *words: str) -> Peer:
-    command = machine.command(sys.executable, *words)
-    return Peer(Path(command[1]), Path(command[0]), env, *command[2:])
-
-
 def edge(machine: Machine, state: Path) -> Peer:
     # the two share one /dev/shm, through which they would discover each other without a network
     section = {"domain": ros2_domain(), "localhost_only": False, "transport": "udp"}
     config = Config.model_validate({"ros2": section})
     env = {**worker_environment(config, os.environ), "PYTHONPATH": str(ROOT), "HOME": str(state)}
-    return program(machine, env, "-m", "tests.peers.ros2.adapter_program", json.dumps({"ros2": section}), str(state))
+    words = "-m", "tests.peers.ros2.adapter_program", json.dumps({"ros2": section}), str(state)
+    return on_machine(machine, env, sys.executable, *words)
 
 
 def test_an_edge_ends_when_a_network_appears_and_its_successor_uses_it(
@@ -60,7 +56,7 @@ def test_an_edge_ends_when_a_network_appears_and_its_successor_uses_it(
         assert reason.removesuffix(": restarting") in first.ask("status")["warnings"], "status and doctor report it"
     until(lambda: "state UP" in other.run("ip", "link", "show", "eth77"), "the link is up on the other machine, too")
     env = ros2_environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
-    with program(other, env, str(ROS2_PEER), "remote") as remote, edge(robot, tmp_path) as second:
+    with on_machine(other, env, sys.executable, ROS2_PEER, "remote") as remote, edge(robot, tmp_path) as second:
         remote.advertise("/remote", STRING)
         until(lambda: "publisher /remote native" in second.ask("status")["endpoints"], "it discovers the node", 20)
         status = second.ask("status")

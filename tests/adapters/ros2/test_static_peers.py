@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
 from bridge.adapters.ros2.profile import static_peers
-from tests.adapters.ros2.test_new_interface import STRING, edge, machines, program
+from tests.adapters.ros2.test_new_interface import STRING, edge, machines
+from tests.peers.peer import on_machine
 from tests.peers.ros2.network import ROS2_PEER, ros2_environment, ros2_python
 from tests.support.netns import Cable, Machine
 from tests.support.wait import until
@@ -27,7 +29,7 @@ def test_a_node_without_multicast_is_discovered(
         ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_STATIC_PEERS=cable.addresses[0],
         FASTDDS_BUILTIN_TRANSPORTS="UDPv4",
     )  # fmt: skip
-    with program(other, env, str(ROS2_PEER), "remote") as remote:
+    with on_machine(other, env, sys.executable, ROS2_PEER, "remote") as remote:
         remote.advertise("/remote", STRING)
         monkeypatch.setenv("ROS_STATIC_PEERS", f"no-such-machine.invalid; {cable.addresses[1]}")
         with edge(robot, tmp_path) as ros2:

@@ -67,6 +67,16 @@ def test_with_a_daemon_clock_and_refused_types_are_checked(
     assert "router-port" not in output
 
 
+def daemon_reports(monkeypatch: pytest.MonkeyPatch, **workers: tuple[str, str]) -> None:
+    """Stand in for the daemon ``robot1``, which reports phase and text of each worker, with the PIDs 1, 2 and so on."""
+    reports = [
+        {"worker": name, "phase": phase, "text": text, "pid": pid, "restarts": 0, "since": 4.0}
+        for pid, (name, (phase, text)) in enumerate(workers.items(), 1)
+    ]
+    document = read_daemon_status({"daemon": "robot1", "workers": reports})
+    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: document)
+
+
 def test_daemon_reports_a_worker_that_does_not_respond(
     tmp_path: Path,
     network: HubNetwork,
@@ -74,12 +84,7 @@ def test_daemon_reports_a_worker_that_does_not_respond(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    workers = [
-        {"worker": "ros1", "phase": "running", "text": "", "pid": 1, "restarts": 0, "since": 3.0},
-        {"worker": "modules", "phase": "starting", "text": "importing numpy", "pid": 2, "restarts": 0, "since": 4.0},
-    ]
-    daemon_status = read_daemon_status({"daemon": "robot1", "workers": workers})
-    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: daemon_status)
+    daemon_reports(monkeypatch, ros1=("running", ""), modules=("starting", "importing numpy"))
     closing.append(FakeWorker(network, "ros1", status=status("ros1", pid=0)))
     midspan = Midspan(config_file(tmp_path, network, **NO_ROS), capsys)
     assert midspan("doctor", "--only", "daemon").out.splitlines()[:3] == [
@@ -101,12 +106,7 @@ def test_a_running_worker_that_cannot_join_the_hub_is_shown(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    workers = [
-        {"worker": "router", "phase": "running", "text": "", "pid": 1, "restarts": 0, "since": 3.0},
-        {"worker": "modules", "phase": "running", "text": "waiting: no hub", "pid": 2, "restarts": 0, "since": 4.0},
-    ]
-    daemon_status = read_daemon_status({"daemon": "robot1", "workers": workers})
-    monkeypatch.setattr("bridge.doctor.daemon_state.ask_daemon", lambda _config: daemon_status)
+    daemon_reports(monkeypatch, router=("running", ""), modules=("running", "waiting: no hub"))
     closing.append(FakeWorker(network, "router", status=status("router", pid=1)))
     midspan = Midspan(config_file(tmp_path, network, **NO_ROS), capsys)
     assert "FAIL  daemon: robot1/modules is running: no answer on the hub; waiting: no hub" in (

@@ -61,8 +61,8 @@ class CommandConnection(SubscriberConnection):
 
     @override
     def send(self, payload: bytes, source: str, depth: int) -> bool:
-        """Send a command, or drop it while an earlier one is late; return False if the connection is broken."""
-        if self._is_late() or self.waiting:
+        """Send a command, or drop it while an earlier one is late or waits; return False if disconnected."""
+        if self._is_late() or self.busy:
             self.dropped += 1
             self._stop(source)
             return not self.done

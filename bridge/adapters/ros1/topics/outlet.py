@@ -61,12 +61,17 @@ class SubscriberConnection(TopicConnection):
         """Number of queued messages."""
         return len(self._queue)
 
+    @property
+    def busy(self) -> bool:
+        """Whether a message waits, or has been sent in part."""
+        return bool(self._writing or self._rest or self._queue)
+
     def send(self, payload: bytes, source: str, depth: int) -> bool:
         """Send or queue one message; return False if the connection is broken."""
         with self._lock:
             if self.done:
                 return False
-            if self._writing or self._rest or self._queue:
+            if self.busy:
                 self._enqueue(payload, source, depth)
                 return True
             header = _LENGTH.pack(len(payload))

@@ -149,7 +149,7 @@ class Publication:
             broken = [c for c in self._connections if not c.send(payload, source, depth)]
         for connection in broken:
             self.remove(connection)
-        if self.lifespan is not None:
+        if self.lifespan is not None and self._connections:
             self._later.after(self.lifespan, self._check_commands, once=True)
 
     def _check_commands(self) -> None:
