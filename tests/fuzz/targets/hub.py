@@ -183,7 +183,7 @@ def _samples() -> Subject:
         def __str__(self) -> str:
             return "0"
 
-    put = zenoh.SampleKind.PUT
+    put, plain = zenoh.SampleKind.PUT, zenoh.Encoding.ZENOH_BYTES
     module.MAX_HELD_BYTES = 1000  # room for three samples
 
     def parse(data: bytes) -> None:
@@ -205,7 +205,8 @@ def _samples() -> Subject:
         for at in range(1, min(len(data), 1000), 34):
             attached, how = data[at : at + 33], data[at + 33 : at + 34]
             sample = SimpleNamespace(
-                kind=put, payload=b"x", source_info=None, attachment=SimpleNamespace(to_bytes=lambda a=attached: a),
+                kind=put, payload=b"x", source_info=None, encoding=plain,
+                attachment=SimpleNamespace(to_bytes=lambda a=attached: a),
             )  # fmt: skip
             count += 1
             actions.get(how, subscription._on_sample)(sample)

@@ -19,24 +19,22 @@ from typing_extensions import override
 from bridge.adapters.ros1.topics.outlet import SubscriberConnection
 from bridge.messages.velocities import VELOCITIES
 
-if sys.platform == "linux":
-    import fcntl
-    import termios
-
-    def unacknowledged(sock: socket.socket) -> int:
-        """Return the number of sent bytes that the peer's system has not acknowledged; raises `OSError` (tcp(7))."""
-        return int.from_bytes(fcntl.ioctl(sock, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
-
-else:
-
-    def unacknowledged(_sock: socket.socket) -> int:
-        """Return 0, as if the peer had acknowledged everything: other systems do not show it in this way."""
-        return 0
-
-
 _VELOCITIES = frozenset(name.replace("/msg/", "/") for name in VELOCITIES)
 _VELOCITY = 48
 """Size in bytes of the six float64 at the end of these messages."""
+
+
+def unacknowledged(sock: socket.socket) -> int:
+    """Return the number of sent bytes that the peer's system has not acknowledged; raises `OSError` (tcp(7)).
+
+    Only Linux shows it in this way: on other systems it is 0, as if the peer had acknowledged everything.
+    """
+    if sys.platform != "linux":
+        return 0
+    import fcntl
+    import termios
+
+    return int.from_bytes(fcntl.ioctl(sock, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
 
 def stop_after(type_name: str, payload: bytes) -> bytes:
