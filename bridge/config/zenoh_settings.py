@@ -7,13 +7,14 @@ import importlib.util
 import json
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import ConfigError, Document, KeyPath, Place, Problem, key_text, read, text_of
 from bridge.config.sections.section import is_loopback, not_one_of, zenoh_endpoint
+from bridge.config.zenoh_plugins import replacement
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
@@ -37,7 +38,6 @@ _LEGACY: tuple[KeyPath, ...] = (("routing", "peer"), ("routing", "router", "peer
 """Keys of zenoh before 1.10 that the parser still accepts but ignores; files for rmw_zenoh contain them."""
 
 _FILES = re.compile(r"(?:_certificate|_private_key|_file)$")
-_MIGRATING = "see docs/start/migrating.md"
 
 
 def zenoh_problems(document: Document, config: Config) -> list[Problem]:
@@ -119,7 +119,7 @@ def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[_Flaw]:
         return [((), "must be a map, for example {mode: client}")]
     plugins = tree.get("plugins")
     flaws: list[_Flaw] = [
-        (("plugins", name), _plugin(name, settings if isinstance(settings, dict) else {}))
+        (("plugins", name), replacement(name, settings if isinstance(settings, dict) else {}))
         for name, settings in (plugins.items() if isinstance(plugins, dict) else ())
     ]
     tree = {key: value for key, value in tree.items() if not (key == "plugins" and flaws)}
@@ -128,9 +128,11 @@ def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[_Flaw]:
     flaws += [flaw for flaw in _ignored(tree) if not any(path[: len(flaw[0])] == flaw[0] for path, _ in refused)]
     flaws += _bad_endpoints(tree, local=section == _LOCAL)
     flaws += _missing_files(tree)
+    flaws += [] if flaws else _bad_dictionary(tree)
     flaws += [] if flaws else _bad_references(tree)
-    if section == _DIALECTS and config.zenoh.router is None:
-        flaws += [] if flaws else _without_router(tree)
+    if section == _DIALECTS and not flaws:
+        flaws += _shared_listeners(tree, len(config.zenoh.dialects))
+        flaws += _without_router(tree) if config.zenoh.router is None else ()
     if section in _ROUTERS and tree.get("mode", "router") != "router":
         flaws.append((("mode",), f"the mode of the daemon's router is 'router', not {tree['mode']!r}; leave it out"))
     if section == ("hub", "zenoh") and tree.get("id"):
@@ -286,6 +288,16 @@ def _texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
                 yield from _texts(inner, (*path, part))
 
 
+def _shared_listeners(tree: Tree, sessions: int) -> Iterator[_Flaw]:
+    """Yield the listeners with a fixed port, which only the session of one dialect can open."""
+    for path, text in _texts((tree.get("listen") or {}).get("endpoints"), ("listen", "endpoints")):
+        if sessions > 1 and not re.search(r":0(?:[?#]|$)", text):
+            yield (
+                path,
+                f"only one of the {sessions} dialects could listen at {text}; use port 0, or connect to a router",
+            )
+
+
 def _without_router(tree: Tree) -> Iterator[_Flaw]:
     """Yield a flaw for a client that cannot find a router: it has no endpoint, and Midspan turns scouting off."""
     connect, multicast = tree.get("connect") or {}, (tree.get("scouting") or {}).get("multicast") or {}
@@ -308,6 +320,26 @@ def _missing_files(tree: Tree) -> Iterator[_Flaw]:
                 yield path, f"no such file: {text}"
             except OSError:  # the file may exist, but this user may not look into its folder
                 continue
+
+
+def _bad_dictionary(tree: Tree) -> Iterator[_Flaw]:
+    """Yield the first line of the dictionary of users that is not ``user:password``; it is not shown, it is secret."""
+    path = ("transport", "auth", "usrpwd", "dictionary_file")
+    file: Any = tree
+    for part in path:
+        file = (file or {}).get(part)
+    try:
+        lines = Path(file).read_text(encoding="utf-8").splitlines() if file and Path(file).is_absolute() else []
+    except UnicodeDecodeError:
+        yield path, f"{file} is not a text in UTF-8"
+        return
+    except OSError:  # the worker's user may be able to read it
+        return
+    for number, line in enumerate(lines, 1):
+        user, _, password = line.partition(":")
+        if line.strip() and not (user.strip() and password.strip()):
+            yield path, f"{file}: line {number} is not 'user:password'"
+            return
 
 
 _ITEMS: tuple[KeyPath, ...] = (
@@ -354,39 +386,3 @@ def _list(tree: Tree, path: KeyPath) -> list[dict[str, Any]]:
     for part in path:
         node = node.get(part) if isinstance(node, dict) else None
     return [item for item in node if isinstance(item, dict)] if isinstance(node, list) else []
-
-
-# -- files of other bridges --------------------------------------------------------------------------------------------
-
-
-def _plugin(name: str, settings: Mapping[str, Any]) -> str:
-    if name == "ros2dds":
-        return _bridge("zenoh-bridge-ros2dds", name, settings, "namespace")
-    if name == "ros1":
-        return _bridge("zenoh-bridge-ros1", name, settings, "bridge_namespace")
-    if name == "dds":
-        return (
-            "is for zenoh-bridge-dds, whose keys Midspan does not use; run zenoh-bridge-ros2dds on the robot, and write"
-            f" 'zenoh: {{dialects: [{{dialect: ros2dds}}]}}' in Midspan's file instead of 'plugins'; {_MIGRATING}"
-        )
-    return (
-        f"Midspan's sessions load no plugins; run zenohd with {name!r}, connect it to hub.listen, and leave it out here"
-    )
-
-
-def _bridge(program: str, dialect: str, settings: Mapping[str, Any], namespace: str) -> str:
-    """Return the problem's text: what to write in Midspan's file instead of the settings of a bridge's plugin."""
-    given = settings.get(namespace)
-    space = f", namespace: {given}" if isinstance(given, str) and re.fullmatch(r"/?[\w./-]+", given) else ""
-    write = [f"'zenoh: {{dialects: [{{dialect: {dialect}{space}}}]}}'"]
-    if isinstance(domain := settings.get("domain"), int):
-        write.append(f"'ros2: {{domain: {domain}}}'")
-    if isinstance(master := settings.get("ros_master_uri"), str):
-        write.append(f"'ros1: {{master: {json.dumps(master)}}}'")
-    side = f"zenoh_{dialect}"
-    lists = [key for key in ("allow", "deny", "pub_max_frequencies", "pub_priorities") if settings.get(key)]
-    rules = f", and replace its {', '.join(lists)} by rules with 'from: {side}' or 'to: {side}'" if lists else ""
-    return (
-        f"is for {program}, whose keys Midspan itself uses; instead of 'plugins' write {' and '.join(write)} in"
-        f" Midspan's file{rules}; {_MIGRATING}"
-    )

@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+import json
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from bridge.cli.main import main
 from bridge.config.document import ConfigError
@@ -149,6 +152,10 @@ def test_mistakes_that_zenohs_parser_refuses_are_located(text: str, lines: list[
             ["m.yaml:1:25: hub.zenoh.connect.endpoints[0]: 'tcp//robot:7447' has no valid address; write it like tcp/robot1:7447 or tcp/[::1]:7447"],
         ),
         (
+            "zenoh: {dialects: [{dialect: ros1}, {dialect: ros2dds}], zenoh: {listen: {endpoints: ['tcp/127.0.0.1:7450', 'tcp/[::1]:0']}}}",
+            ["m.yaml:1:75: zenoh.zenoh.listen.endpoints[0]: only one of the 2 dialects could listen at tcp/127.0.0.1:7450; use port 0, or connect to a router"],
+        ),
+        (
             "zenoh: {zenoh: {mode: client}}",
             ["m.yaml:1:17: zenoh.zenoh.mode: a client needs the address of its router: set zenoh.router, or 'connect: {endpoints: [...]}'"],
         ),
@@ -156,6 +163,30 @@ def test_mistakes_that_zenohs_parser_refuses_are_located(text: str, lines: list[
 )  # fmt: skip
 def test_mistakes_that_zenohs_parser_accepts_are_located(text: str, lines: list[str]) -> None:
     assert problems(text) == lines
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"a:b\n\n  c : d \n", ""),
+        (b"a:b:c\n", ""),
+        (b"a:b\nsecret\n", "line 2 is not 'user:password'"),
+        (b"a:\n", "line 1 is not 'user:password'"),
+        (b"a:b\n:b\n", "line 2 is not 'user:password'"),
+        (b"# users\n", "line 1 is not 'user:password'"),
+        (b"\xff:b\n", "is not a text in UTF-8"),
+    ],
+)
+def test_a_dictionary_of_users_is_refused_if_zenoh_refuses_it(tmp_path: Path, content: bytes, problem: str) -> None:
+    file = tmp_path / "users.txt"
+    file.write_bytes(content)
+    users = {"user": "a", "password": "b", "dictionary_file": str(file)}
+    settings = {"scouting": {"multicast": {"enabled": False}}, "transport": {"auth": {"usrpwd": users}}}
+    text, config = json.dumps({"hub": {"zenoh": settings}}), zenoh.Config.from_json5(json.dumps(settings))
+    with pytest.raises(zenoh.ZError) if problem else nullcontext():
+        zenoh.open(config).close()
+    with pytest.raises(ConfigError, match=f"{file}.*{problem}") if problem else nullcontext():
+        loads(text, tmp_path / "m.yaml")
 
 
 @pytest.mark.parametrize(
