@@ -20,6 +20,7 @@ from yarp_compat.naming import config as conf
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.ports.client_process import inspect_client
+from yarp_compat.ports.commands import CommandWriter
 from yarp_compat.ports.connections import AnyOutput, ConnectionEvent
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import NamingConfigError, NoNameServerError
@@ -34,6 +35,8 @@ from yarp_compat.wire.values import begun_by_vocab
 _log = logging.getLogger(__name__)
 
 _ASK_SECONDS = 2.0
+_COMMAND_SECONDS = 0.5
+"""Time for which a reader may leave a velocity command unacknowledged, like the default ``timeout`` of a rule."""
 
 Respond = Callable[[list[Any]], Content]
 OnMessage = Callable[[Received], None]
@@ -48,6 +51,7 @@ class HostedPort:
         self.answers = answers
         self.counters = Counters()
         self.trouble = "not opened yet"  # why the port is not open, "" if it is
+        self._commands = CommandWriter(core, _COMMAND_SECONDS)
 
     @property
     def has_readers(self) -> bool:
@@ -57,6 +61,17 @@ class HostedPort:
     def write(self, content: Content, envelope: str = "") -> int:
         """Send a message to all connected ports without waiting; return how many accepted it."""
         accepted: int = self.core.write(payload_of(content), envelope, strict=False)
+        if accepted:
+            self.counters.crossed(0)
+        return accepted
+
+    def write_command(self, content: Content, stop: Content, envelope: str = "") -> int:
+        """Send a velocity command to the readers that can receive it now; return how many accepted it.
+
+        ``stop``: the command that stops the robot, which follows commands that arrive late; see `CommandWriter`.
+        """
+        payload = payload_of(content)
+        accepted = self._commands.write(payload, payload if content == stop else payload_of(stop), envelope)
         if accepted:
             self.counters.crossed(0)
         return accepted

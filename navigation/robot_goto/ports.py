@@ -55,7 +55,8 @@ class GotoTopics(PlannerTopics):
         self._silent = silent
         self._velocity.publish(command.vx, command.vy, command.omega)
         if self._ports:
-            self._write("control:o", [_POLAR, *command.polar, _FULL_GAIN])
+            control, stop = ([_POLAR, *polar, _FULL_GAIN] for polar in (command.polar, STILL.polar))
+            self._ports["control:o"].write_command(control, stop, self._envelope())
 
     def stop_base(self) -> None:
         """Command the base to stop, and publish no further commands."""
@@ -89,9 +90,12 @@ class GotoTopics(PlannerTopics):
             self._publish_path([pose, *(fixed @ Pose(x, y, 0.0) for x, y in driver.detour), driver.target.pose])
 
     def _write(self, name: str, values: list[Any]) -> None:
-        """Write with a time stamp, as YARP's robotGoto does on these ports."""
+        self._ports[name].write(values, self._envelope())
+
+    def _envelope(self) -> str:
+        """Return a time stamp, as YARP's robotGoto writes it on these ports."""
         self._stamp.update(self._host.clock.now_ns() / 1e9)
-        self._ports[name].write(values, self._stamp.to_text())
+        return self._stamp.to_text()
 
 
 def local_map(driver: Driver, pose: Pose, moved: Pose, header: Message, now: float) -> Message:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ import pytest
 import yaml
 
 from tests.peers.daemon.midspan import MIDSPAN
+from tests.peers.hub.network import ROOT
 from tests.peers.peer import Peer, on_machine
 from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
@@ -27,6 +29,7 @@ from tests.support.wait import until
 
 pytestmark = [needs(ROS1), needs(ROS2), pytest.mark.thorough]
 
+YARP_PEER = ROOT / "tests" / "peers" / "yarp" / "peer.py"
 STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
 CUT = 4.0
 """Seconds without the network: shorter than the 20 s after which DDS forgets a participant."""
@@ -34,12 +37,15 @@ CUT = 4.0
 COMMANDED = 2.0
 """Seconds of this time during which the commander sends."""
 
+FAST_TOPIC, FAST_PORT = "/cmd_vel_yarpfast_tcp", "/driver/commands:i"
+"""A topic that Midspan writes to a YARP port over fast_tcp, the carrier without acknowledgments."""
+
 HEARTBEAT = 3.0
 """Seconds between the times at which Fast DDS offers a reader what it has missed."""
 
 
 class Robot:
-    """A daemon, roscore and commanders on one computer, and the drivers of a ROS 1 and a ROS 2 base on another."""
+    """A daemon, roscore and commanders on one computer, and the drivers of a base of each side on another."""
 
     def __init__(self, folder: Path) -> None:
         self.bridge, self.base = Machine("hopbridge"), Machine("hopbase")
@@ -54,7 +60,12 @@ class Robot:
             "hub": {"listen": "tcp/127.0.0.1:7447"},
             "ros1": {"master": self.master, "ip": near, "poll": 0.1},
             "ros2": {"domain": ros2_domain(), "localhost_only": False, "transport": "udp"},
-            "yarp": {"enabled": False},
+            "yarp": {
+                "nameserver": "embedded",
+                "address": f"{near}:10000",
+                "ip": near,
+                "topics": [{"topic": FAST_TOPIC, "port": FAST_PORT, "direction": "out", "carrier": "fast_tcp"}],
+            },
         }
         (folder / "midspan.yaml").write_text(yaml.safe_dump(config))
         ros2 = ros2_environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
@@ -63,21 +74,30 @@ class Robot:
         self.processes.append(self.bridge.start(ROS1_PYTHON, "/usr/bin/roscore", env=self.ros1(near)))
         daemon = self.bridge.start(*MIDSPAN, "run", "--config", folder / "midspan.yaml", env=dict(os.environ))
         self.processes.append(daemon)
+        ros1_commander = self.program(self.bridge, ROS1_PYTHON, ROS1_PEER, self.ros1(near), "commander")
+        ros2_commander = self.program(self.bridge, python2, ROS2_PEER, ros2, "commander")
+        until(lambda: "yarp: running" in daemon.output(), "the daemon's name server runs")
+        yarp = {"PYTHONPATH": str(ROOT)}
+        yarp_driver = self.program(self.base, sys.executable, YARP_PEER, yarp, near, "10000", "/driver")
         self.commanders = {
-            "ROS 2": self.program(self.bridge, ROS1_PYTHON, ROS1_PEER, self.ros1(near), "commander"),
-            "ROS 1": self.program(self.bridge, python2, ROS2_PEER, ros2, "commander"),
+            "ROS 1": ros2_commander,
+            "ROS 2": ros1_commander,
+            "YARP tcp": ros1_commander,
+            "YARP fast_tcp": ros2_commander,
         }
         self.drivers = {
             "ROS 1": self.program(self.base, ROS1_PYTHON, ROS1_PEER, self.ros1(far), "driver"),
             "ROS 2": self.program(self.base, python2, ROS2_PEER, ros2, "driver"),
+            "YARP tcp": yarp_driver,
+            "YARP fast_tcp": yarp_driver,
         }
 
     def ros1(self, address: str) -> dict[str, str]:
         home = {"ROS_HOME": str(self.folder / "ros"), "ROS_LOG_DIR": str(self.folder / "ros" / "log")}
         return {**ros1_environment(self.master), "ROS_IP": address, **home}
 
-    def program(self, machine: Machine, python: Path, program: Path, env: dict[str, str], name: str) -> Peer:
-        peer = on_machine(machine, env, python, program, name)
+    def program(self, machine: Machine, python: Path | str, program: Path, env: dict[str, str], *words: str) -> Peer:
+        peer = on_machine(machine, env, python, program, *words)
         self.processes.append(peer)
         return peer
 
@@ -101,7 +121,8 @@ class Drive:
     def __init__(self, robot: Robot, side: str) -> None:
         self._commander, self._driver = robot.commanders[side], robot.drivers[side]
         topic = f"/cmd_vel_{side.replace(' ', '').lower()}"
-        self._subscriber = self._driver.subscribe(topic, TWIST, depth=1000)
+        port = {"port": FAST_PORT} if topic == FAST_TOPIC else {}
+        self._subscriber = self._driver.subscribe(topic, TWIST, depth=1000, **port)
         self._publisher = self._commander.advertise(topic, TWIST)
         self._texts = self._driver.subscribe(f"{topic}/text", STRING)
         self._text = self._commander.advertise(f"{topic}/text", STRING)
@@ -140,7 +161,7 @@ class Drive:
         until(once, "commands reach the driver", seconds)
 
 
-@pytest.mark.parametrize("side", ["ROS 1", "ROS 2"])
+@pytest.mark.parametrize("side", ["ROS 1", "ROS 2", "YARP tcp", "YARP fast_tcp"])
 def test_commands_of_a_silent_commander_do_not_move_the_robot_after_a_cut(robot: Robot, side: str) -> None:
     drive = Drive(robot, side)
     drive.until_crosses(60)

@@ -42,8 +42,9 @@ class MessageCounters:
 
     The reasons: ``replaced`` (by a newer message), ``full`` (the oldest in a full strict queue), ``lost`` (the
     connection ended first), ``interrupted`` (the port was interrupted), ``malformed``, ``large`` (above the limit),
-    ``no reader``, ``failed`` (the port's owner raised an error), ``no text`` (not a Bottle, for a text carrier), and
-    for datagrams ``checksum`` and ``incomplete``.
+    ``no reader``, ``failed`` (the port's owner raised an error), ``no text`` (not a Bottle, for a text carrier),
+    ``late`` (a command, while the reader has not acknowledged an earlier one), and for datagrams ``checksum`` and
+    ``incomplete``.
     """
 
     received: int = 0

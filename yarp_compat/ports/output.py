@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
+from yarp_compat.in_flight import unacknowledged
 from yarp_compat.ports.base import MessageCounters
 from yarp_compat.ports.loop import PortLoop
 from yarp_compat.ports.outgoing import Item, SendQueue
@@ -71,6 +72,19 @@ class Output:
     def sock(self) -> socket.socket:
         """The socket, only for its options."""
         return self.socket_side.sock
+
+    @property
+    def sent_bytes(self) -> int:
+        """The number of bytes of messages that the system has accepted."""
+        return self.socket_side.sent_bytes
+
+    @property
+    def acknowledged(self) -> int:
+        """The number of these bytes that the peer's system has acknowledged; all of them, if the socket is closed."""
+        try:
+            return self.sent_bytes - unacknowledged(self.sock)
+        except (OSError, ValueError):
+            return self.sent_bytes
 
     def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
         """Send as much of a message as the socket accepts, the rest later; None if the connection is closed or lost.

@@ -25,7 +25,10 @@ _FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTT
 
 
 class OutputSocket:
-    """An output's socket, for its driver. ``patient`` calls block up to one step; ``due``: an ack is outstanding."""
+    """An output's socket, for its driver. ``patient`` calls block up to one step; ``due``: an ack is outstanding.
+
+    ``sent_bytes``: the number of bytes of messages that the system has accepted.
+    """
 
     def __init__(self, sock: socket.socket, route: ConnectionRoute, carrier: Carrier, limit: int) -> None:
         sock.setblocking(False)
@@ -35,6 +38,7 @@ class OutputSocket:
         self._patient.settimeout(_STEP)
         self._route, self._carrier, self._limit = route, carrier, limit
         self.due = False
+        self.sent_bytes = 0
         self._received = b""
 
     def send(self, item: Item, *, patient: bool = False) -> bool:
@@ -45,10 +49,12 @@ class OutputSocket:
             while buffers:
                 if len(buffers) == 1:
                     count = sock.send(buffers[0])
+                    self.sent_bytes += count
                     if count == len(buffers[0]):
                         break
                 else:
                     count = send_some(sock, buffers)
+                    self.sent_bytes += count
                 buffers = item.buffers = sent(buffers, count)
         except (BlockingIOError, TimeoutError):
             return False

@@ -231,6 +231,12 @@ class PortCore(ConnectingPort):
         reply = output.request(buffers, parse, deadline)
         return from_line(reply.strip(), profile) if output.carrier.text else reply
 
+    def call_later(self, seconds: float, callback: Callable[[], object]) -> None:
+        """Call back once after a delay, on the thread that all ports share, if the port is open now."""
+        shared = self._loop
+        if shared is not None:
+            shared.call_soon(lambda: shared.call_later(seconds, callback))
+
     @property
     def answers_in(self) -> Profile | None:
         """The dialect of the port that answers requests; None if it is unknown or not connected."""

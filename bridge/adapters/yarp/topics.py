@@ -15,10 +15,12 @@ from bridge.adapters.yarp.contents import Contents
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import SideType
+from bridge.messages.velocities import stop_after
 from bridge.messages.yarp.codec import Codec, stamp_of
 from bridge.messages.yarp.contents import Content
 from bridge.resources import LARGE_MESSAGES
 from bridge.routing.edge import Deliver, MadeBy
+from yarp_compat.ports.commands import CommandWriter
 from yarp_compat.ports.connections import AnyOutput
 from yarp_compat.ports.message import Payload, PortMessage
 from yarp_compat.ports.port import PortCore
@@ -180,6 +182,7 @@ class TopicOutput:
         self.topic, self.side_type = topic, side_type
         self._stamped, self._contents = stamped, contents
         self._ports: tuple[OutputPort, ...] = ()
+        self._commands: dict[PortCore, CommandWriter] = {}
         self._publishers: list[YarpPublisher] = []
         self._numbers = itertools.count()
         self._lock = threading.RLock()
@@ -207,6 +210,7 @@ class TopicOutput:
         """Remove a closed port."""
         with self._lock:
             self._ports = tuple(port for port in self._ports if port.core is not core)
+            self._commands.pop(core, None)
 
     @property
     def has_readers(self) -> bool:
@@ -218,21 +222,23 @@ class TopicOutput:
         """The number of messages dropped for slow readers, or unsent when one disconnected."""
         return sum(port.core.lost.total() for port in self._ports)
 
-    def write(self, cdr: bytes, *, command: bool = False, strict: bool = True) -> None:
+    def write(self, cdr: bytes, *, lifespan: float | None = None, strict: bool = True) -> None:
         """Publish on all ports; raises the last `ConversionError` if a content cannot express the message.
 
         Args:
             cdr: the message.
-            command: skip busy readers, so that commands are never queued.
+            lifespan: for commands: the time in seconds for which a reader may leave one unacknowledged.
             strict: queue the message for busy readers; otherwise they get only the newest message.
         """
         LARGE_MESSAGES.passed(len(cdr))
         failure: MessageError | None = None
         number = next(self._numbers)
-        chosen: Callable[[AnyOutput], bool] | None = (lambda output: not output.busy) if command else None
         for port in self._ports:
             try:
-                self._write(port, cdr, number, chosen, strict=strict and not command)
+                if lifespan is None:
+                    self._write(port, cdr, number, None, strict=strict)
+                else:
+                    self._command(port, cdr, number, lifespan)
             except MessageError as err:
                 failure = err
         if failure is not None:
@@ -251,13 +257,23 @@ class TopicOutput:
         self, port: OutputPort, cdr: bytes, number: int, chosen: Callable[[AnyOutput], bool] | None, *,
         strict: bool = True,
     ) -> None:  # fmt: skip
+        port.core.write(self._payload(port, cdr), self._envelope(cdr, number), strict=strict, chosen=chosen)
+
+    def _command(self, port: OutputPort, cdr: bytes, number: int, lifespan: float) -> None:
+        writer = self._commands.get(port.core)
+        if writer is None:
+            writer = self._commands.setdefault(port.core, CommandWriter(port.core, lifespan))
+        stopped = stop_after(self.side_type.name, cdr)
+        command = self._payload(port, cdr)
+        stop = command if stopped == cdr else self._payload(port, stopped) if stopped else None
+        writer.write(command, stop, self._envelope(cdr, number))
+
+    def _payload(self, port: OutputPort, cdr: bytes) -> Callable[[Profile], Payload]:
         side, contents = self.side_type, self._contents
+        return lambda profile: contents.codec(port.content, side.name, side.type_id, profile).to_yarp(cdr).payload
 
-        def payload(profile: Profile) -> Payload:
-            return contents.codec(port.content, side.name, side.type_id, profile).to_yarp(cdr).payload
-
-        stamp = envelope(number, stamp_of(cdr)) if self._stamped else ""
-        port.core.write(payload, stamp, strict=strict, chosen=chosen)
+    def _envelope(self, cdr: bytes, number: int) -> str:
+        return envelope(number, stamp_of(cdr)) if self._stamped else ""
 
     @property
     def lock(self) -> threading.RLock:
@@ -270,7 +286,8 @@ class YarpPublisher:
 
     def __init__(self, output: TopicOutput, qos: Qos, closed: Callable[[YarpPublisher], None]) -> None:
         self.output = output
-        self._latched, self._command = qos.latched, not qos.latched and qos.depth == 1
+        self._latched = qos.latched
+        self._lifespan = None if qos.lifespan_ns is None else qos.lifespan_ns / 1e9
         self._strict = qos.depth >= _QUEUE
         self._cache = LatchedCache(qos.depth)
         self._closed: Callable[[YarpPublisher], None] | None = closed
@@ -292,7 +309,7 @@ class YarpPublisher:
     def send(self, payload: bytes, source: str) -> None:
         """Publish a message, and cache it if the publisher is latched."""
         if not self._latched:
-            self.output.write(payload, command=self._command, strict=self._strict)
+            self.output.write(payload, lifespan=self._lifespan, strict=self._strict)
             return
         with self.output.lock:
             self._cache.add(payload, source)

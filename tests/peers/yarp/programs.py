@@ -78,16 +78,17 @@ class YarpProgram:
             self._naming.set_property(core.name, LATCHED, "true")
         return number
 
-    def subscribe(self, topic: str, type_: str, **_: Any) -> int:
+    def subscribe(self, topic: str, type_: str, *, port: str = "", **_: Any) -> int:
+        """Receive a topic; ``port``: a name that does not tell the topic."""
         number = next(self._ids)
         self._received[number] = Record()
-        self._open(number, topic, SUBSCRIBER, type_)
+        self._open(number, topic, SUBSCRIBER, type_, port)
         return number
 
-    def _open(self, number: int, topic: str, role: str, type_: str) -> PortCore:
+    def _open(self, number: int, topic: str, role: str, type_: str, port: str = "") -> PortCore:
         self._types[number] = self._definitions.get(type_)
         core = self._ports[number] = PortCore(
-            NestedName(topic, f"{self._node}_{number}", role).port,
+            port or NestedName(topic, f"{self._node}_{number}", role).port,
             naming=self._naming,
             on_message=lambda message: self._on_message(number, message),
             on_event=lambda event: self._on_connection(number, event),

@@ -9,37 +9,13 @@ back, even if its program has not read it yet.
 from __future__ import annotations
 
 import socket
-import sys
-import time
-from collections import deque
 from collections.abc import Callable
 
 from typing_extensions import override
 
 from bridge.adapters.ros1.topics.outlet import SubscriberConnection
-from bridge.messages.velocities import VELOCITIES
-
-_VELOCITIES = frozenset(name.replace("/msg/", "/") for name in VELOCITIES)
-_VELOCITY = 48
-"""Size in bytes of the six float64 at the end of these messages."""
-
-
-def unacknowledged(sock: socket.socket) -> int:
-    """Return the number of sent bytes that the peer's system has not acknowledged; raises `OSError` (tcp(7)).
-
-    Only Linux shows it in this way: on other systems it is 0, as if the peer had acknowledged everything.
-    """
-    if sys.platform != "linux":
-        return 0
-    import fcntl
-    import termios
-
-    return int.from_bytes(fcntl.ioctl(sock, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
-
-
-def stop_after(type_name: str, payload: bytes) -> bytes:
-    """Return a command (ROS 1 bytes) with its velocity set to zero; "" if the type is not a velocity."""
-    return payload[:-_VELOCITY] + bytes(_VELOCITY) if type_name in _VELOCITIES else b""
+from bridge.messages.velocities import stop_after
+from yarp_compat.in_flight import InFlight, unacknowledged
 
 
 class CommandConnection(SubscriberConnection):
@@ -54,7 +30,7 @@ class CommandConnection(SubscriberConnection):
     ) -> None:  # fmt: skip
         super().__init__(sock, name, node, ended)
         self._type_name, self._lifespan = type_name, lifespan
-        self._sent: deque[tuple[int, float]] = deque()
+        self._in_flight = InFlight()
         self._last, self._stopped = b"", False
 
     @override
@@ -66,7 +42,7 @@ class CommandConnection(SubscriberConnection):
             return not self.done
         self._last, self._stopped = payload, False
         sent = super().send(payload, source, 1)
-        self._sent.append((self.bytes, time.monotonic()))
+        self._in_flight.sent(self.bytes)
         return sent
 
     def check(self) -> bool:
@@ -74,19 +50,17 @@ class CommandConnection(SubscriberConnection):
         if self._is_late():
             self._stop("")
             return False
-        return bool(self._sent)
+        return bool(self._in_flight)
 
     def _is_late(self) -> bool:
-        if not self._sent:
+        if not self._in_flight:
             return False
         try:
             acknowledged = self.bytes - unacknowledged(self._sock)
-        except (OSError, ValueError):  # closed
-            self._sent.clear()
+        except (OSError, ValueError):
+            self._in_flight.clear()
             return False
-        while self._sent and self._sent[0][0] <= acknowledged:
-            self._sent.popleft()
-        return bool(self._sent) and time.monotonic() - self._sent[0][1] > self._lifespan
+        return self._in_flight.is_late(acknowledged, self._lifespan)
 
     def _stop(self, source: str) -> None:
         stop = stop_after(self._type_name, self._last)

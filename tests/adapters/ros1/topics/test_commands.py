@@ -9,8 +9,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from bridge.adapters.ros1.topics.commands import CommandConnection, stop_after, unacknowledged
+from bridge.adapters.ros1.topics.commands import CommandConnection
+from bridge.messages.velocities import stop_after
 from tests.support.wait import until
+from yarp_compat.in_flight import unacknowledged
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux shows what is unacknowledged")
 
@@ -48,7 +50,7 @@ class Driver:
         assert self.outlet.dropped == 0
 
     def until_late(self) -> None:
-        until(lambda: not self.outlet.check() and self.outlet._sent, "a command is late")
+        until(lambda: not self.outlet.check() and self.outlet._in_flight, "a command is late")
 
     def until_acknowledged(self) -> None:
         until(lambda: unacknowledged(self.outlet._sock) == 0, "all is acknowledged")
