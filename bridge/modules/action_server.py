@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -10,11 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from bridge.hub.endpoints.calls import CallError
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages import actions
 from bridge.messages.actions import CANCEL, STATUSES, CancelCode, GoalState
 from bridge.modules.endpoints import Endpoints
 from bridge.modules.services import Answer
+
+_log = logging.getLogger(__name__)
 
 RESULT_SECONDS = 3600.0
 """Seconds for which a result is stored for clients that request it."""
@@ -93,7 +98,7 @@ class Goal:
     def _end(self, status: GoalState, result: Mapping[str, Any] | None) -> None:
         if not self.active:
             return
-        self._result = result or {}
+        self._result = self._server.checked(result or {})
         self.ended_at = time.monotonic()
         self._server.on_end(self)
         self._change(status)
@@ -108,7 +113,11 @@ class Goal:
 
 
 AcceptGoal = Callable[[Goal], bool]
-"""``accept(goal)`` returns whether the goal is accepted; the goal may start or end immediately or later."""
+"""``accept(goal)`` returns whether the goal is accepted; the goal may start or end immediately or later.
+
+A goal that it has started or ended is accepted, whatever it returns. If it raises an exception, the goal is canceled
+and aborted, with the exception as ``error_msg`` of the result if the type has this field.
+"""
 
 Cancel = Callable[[Goal], bool]
 """``cancel(goal)`` returns whether cancellation starts; the goal must then end, normally by `Goal.canceled`."""
@@ -142,10 +151,8 @@ class ActionServer:
         self._status = node.publisher(names.status, STATUSES, LATCHED, priority="state")
         self._feedback = node.publisher(names.feedback, types.feedback, Qos(depth=100))
         at_once = None if brake is None else lambda request: _brake(brake, request["goal_info"])
-        self._others = (
-            node.server(names.get_result, types.get_result, self._on_result_request),
-            node.server(names.cancel_goal, CANCEL, self._on_cancel, at_once),
-        )
+        self._results = node.server(names.get_result, types.get_result, self._on_result_request)
+        self._others = self._results, node.server(names.cancel_goal, CANCEL, self._on_cancel, at_once)
         self._sending = node.server(names.send_goal, types.send_goal, self._on_goal)
         self.accepting = True  # whether new goals are accepted
         self._clients_of = names.send_goal
@@ -198,10 +205,10 @@ class ActionServer:
         self._starting = True
         self.met(goal)
         try:
-            accepted = self._accept(goal)
-        except BaseException:
-            self._drop(goal)
-            raise
+            accepted = bool(self._accept(goal)) or goal.status is not GoalState.ACCEPTED
+        except Exception as err:
+            self._fail(goal, err)
+            accepted = True
         finally:
             self._starting = False
         if not accepted:
@@ -209,6 +216,33 @@ class ActionServer:
         answer({"accepted": accepted, "stamp": stamp})
         if accepted:
             self.publish_status()
+
+    def _fail(self, goal: Goal, err: Exception) -> None:
+        """Abort a goal whose start has failed, and stop what it may have started.
+
+        If the result has no field for the reason, the client gets the exception as the error of its request.
+        """
+        if self._cancel is not None:
+            with contextlib.suppress(Exception):
+                self._cancel(goal)
+        reason = {"error_msg": f"{self.name} failed: {type(err).__name__}: {err}"}
+        if not self._fits(reason):
+            self._drop(goal)
+            raise err
+        _log.error("%s failed", self.name, exc_info=err)
+        goal.abort(reason)
+
+    def _fits(self, result: Mapping[str, Any]) -> bool:
+        return self._results.fits({"status": 0, "result": result})
+
+    def checked(self, result: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return a goal's result, or the reason why it cannot be sent to clients."""
+        reply = self._results.encode({"status": 0, "result": result})
+        if not isinstance(reply, CallError):
+            return result
+        _log.error("%s", reply)
+        reason = {"error_msg": str(reply)}
+        return reason if self._fits(reason) else {}
 
     def _on_result_request(self, request: dict[str, Any], answer: Answer) -> None:
         goal = self._goals.get(bytes(request["goal_id"]["uuid"]))

@@ -95,6 +95,14 @@ class ModuleServer:
             self.counters.failed(str(err))
             return CallError(f"{self.topic} sent a malformed reply: {err}")
 
+    def fits(self, reply: Mapping[str, Any]) -> bool:
+        """Return whether a reply fits the type."""
+        try:
+            MessageWriter(self._response).message(reply)
+        except ConversionError:
+            return False
+        return True
+
     def count(self, step: int) -> None:
         """Add ``step`` to the number of pending requests."""
         with self._lock:

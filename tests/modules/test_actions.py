@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -158,6 +159,61 @@ def test_goals_end_as_their_server_decides(pair: NodePair) -> None:
     until(lambda: get_result.ready, "the get_result service is available")
     get_result.call({"goal_id": {"uuid": list(goal.id)}}, results.append)
     assert until(lambda: results, "the cached result arrives")[0]["status"] == GoalState.ABORTED
+
+
+NAVIGATE = "nav2_msgs/action/NavigateToPose"
+
+
+class Faulty:
+    """A planner with an error, which the goal's ``behavior_tree`` names."""
+
+    def __init__(self, pair: NodePair) -> None:
+        self.canceled: list[Goal] = []
+        pair.server.action_server("/drive", NAVIGATE, self.accept, lambda goal: not self.canceled.append(goal))
+
+    def accept(self, goal: Goal) -> Any:
+        goal.execute()
+        match goal.goal["behavior_tree"]:
+            case "raises":
+                raise ZeroDivisionError("no cells")
+            case "bad feedback":
+                goal.feedback({"distance": 1.0})
+            case "bad result":
+                goal.abort({"reason": "no path"})
+            case "bad value":
+                goal.abort({"error_msg": 7})
+
+
+@pytest.mark.parametrize(
+    ("error", "reason", "canceled"),
+    [
+        ("raises", "/drive failed: ZeroDivisionError: no cells", 1),
+        ("bad feedback", "/drive failed: ConversionError: .*has no field", 1),
+        ("bad result", "malformed reply: .*has no field .*reason", 0),
+        ("bad value", "malformed reply: .*error_msg", 0),
+    ],
+)
+def test_a_goal_whose_server_has_an_error_is_aborted_with_the_reason(
+    pair: NodePair, error: str, reason: str, canceled: int
+) -> None:
+    faulty, ends = Faulty(pair), list[Any]()
+    client = pair.client.action_client("/drive", NAVIGATE)
+    until(lambda: client.ready, "the action is available")
+    goal = pair.on(pair.client, lambda: client.send({"behavior_tree": error}, lambda *end: ends.append(end)))
+    result = until(lambda: ends, "the goal ends")[0][1]
+    assert goal.status is GoalState.ABORTED
+    assert re.search(reason, result["error_msg"])
+    assert len(faulty.canceled) == canceled, "what the server may have started is stopped"
+
+
+def test_a_started_goal_is_accepted_even_if_the_server_does_not_return_true(pair: NodePair) -> None:
+    faulty = Faulty(pair)
+    client = pair.client.action_client("/drive", NAVIGATE)
+    until(lambda: client.ready, "the action is available")
+    goal = pair.on(pair.client, lambda: client.send({}, lambda *_end: None))
+    until(lambda: goal.accepted, "the goal is accepted")
+    pair.on(pair.client, goal.cancel)
+    until(lambda: faulty.canceled, "the goal can be canceled")
 
 
 def test_a_cancel_request_applies_to_one_goal_or_to_all(pair: NodePair) -> None:
