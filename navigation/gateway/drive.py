@@ -36,6 +36,7 @@ class ClientDrive:
     several: bool = False  #: whether the planner's goal contains all remaining targets
     machine: Machine[DriveState, DriveEvent] = field(default_factory=_machine)
     sent: SentGoal | None = None  #: the planner's current or last goal
+    replaced: list[SentGoal] = field(default_factory=list)  #: the planner's goals of earlier drives, until they end
     followed: SentGoal | None = None  #: the goal whose result was requested again after a loss of contact
     sent_at: float = 0.0  #: when the goal was last sent (monotonic)
     released: bool = True  #: whether the planner is known to have none of the drive's goals
@@ -76,6 +77,12 @@ class ClientDrive:
     def forgotten(self) -> bool:
         """Whether the planner no longer has the drive's goal, even if an earlier list shows the goal."""
         return self.sent is not None and self.sent is self.followed and self.sent.status is GoalState.UNKNOWN
+
+    def replace(self, before: ClientDrive) -> None:
+        """Follow another drive, to whose goals the planner may still drive."""
+        self.released = before.released
+        goals = (*before.replaced, before.sent)
+        self.replaced = [sent for sent in goals if sent is not None and sent.active]
 
     def begin_stop(self, event: DriveEvent) -> bool:
         """Handle a client's request to pause or stop; return whether it changes the state.

@@ -100,7 +100,7 @@ class Execution:
         before, self.drive = self.drive, ClientDrive([self._on_map(target) for target in targets], client, goal, name)
         self._unpause()
         if before is not None:
-            self.drive.released = before.released  # the planner may still drive to an earlier goal
+            self.drive.replace(before)
             self.ended["replaced"] += 1
             before.end(GoalState.CANCELED, Fault.OTHER, f"{client} gave another goal, which replaced it")
         if goal is not None:
@@ -193,6 +193,8 @@ class Execution:
 
     def cancel(self, drive: ClientDrive) -> None:
         """Cancel a drive's unreleased goal and, without foreign goals, the other actions that move the base."""
+        for replaced in drive.replaced:
+            self._link.end(replaced)
         if drive.released:
             return
         if drive.sent is not None:
@@ -243,7 +245,7 @@ class Execution:
         """Update the stop or pause, and end a stopped drive once its stop is confirmed or takes too long."""
         drive, order, link = self.drive, self._order, self._link
         if drive is not None and not drive.released and drive.state in _STOPPING:
-            drive.released = link.state.reported and not link.left and not _still_listed(link, drive.sent)
+            drive.released = link.state.reported and not link.left and not link.may_execute(drive.sent)
         released = link.released and (drive is None or drive.released)
         order.update(released=released, seen_at=link.presence.seen_at)
         if not order.state.open:
@@ -330,6 +332,8 @@ class Execution:
         """Handle the end of the planner's goal, or the loss of contact with the planner."""
         if self.drive is not drive or drive.sent is not sent:
             return  # replaced by another goal
+        for replaced in drive.replaced:
+            self._link.end(replaced)  # a planner that does not execute the new goal may still execute them
         if result is None and sent.accepted is not False:
             self._link.lose_contact()
             drive.machine.on(DriveEvent.CONTACT_LOST)
@@ -448,7 +452,7 @@ class Execution:
             self.cancel(drive)
         settles = status is not GoalState.SUCCEEDED and not self._link.foreign
         moves = settles and self._motion.base() is Base.MOVING
-        if (moves or not drive.released) and not self._order.state.open:
+        if (moves or not drive.released or self._link.left) and not self._order.state.open:
             self._order.ask(reason)
         self.last = {
             GoalState.SUCCEEDED: PlannerStatus(State.REACHED),
@@ -484,12 +488,6 @@ class Execution:
             return Target(self._frames.on_map(target.frame) @ target.pose, frame, target.tree)
         except FramesError:
             return target
-
-
-def _still_listed(link: PlannerLink, sent: SentGoal | None) -> bool:
-    """Whether a goal may still be executing according to the planner's list, or its end has not arrived yet."""
-    status = None if sent is None else link.lists(sent)
-    return (status is not None and not status.ended) or (sent is not None and sent.active)
 
 
 def robot_pose(frames: RobotFrames) -> Pose | None:

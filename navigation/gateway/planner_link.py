@@ -107,6 +107,11 @@ class PlannerLink:
         valid = self.state.reported if goals is self._goals else self.reachable and goals.list.known
         return goals.list.status(sent.id) if valid else None
 
+    def may_execute(self, sent: SentGoal | None) -> bool:
+        """Whether a goal may still be executing according to its list, or its end has not arrived yet."""
+        status = None if sent is None else self.lists(sent)
+        return (status is not None and not status.ended) or (sent is not None and sent.active)
+
     def _goals_of(self, sent: SentGoal) -> ActionGoals:
         through = self._through_goals
         return through if through is not None and sent.id in self._through_ids else self._goals

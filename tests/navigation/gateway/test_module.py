@@ -107,6 +107,27 @@ def test_another_clients_goal_replaces_the_first_and_the_first_client_is_informe
     assert second.end() == ("SUCCEEDED", "")
 
 
+@pytest.mark.parametrize("rejects", [True, False], ids=["rejected", "aborted"])
+def test_the_replaced_goal_is_canceled_if_the_planner_does_not_execute_the_new_one(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, *, rejects: bool
+) -> None:
+    monkeypatch.setattr(execution, "REPLACED_SECONDS", 1000.0)
+    rig.gateway.link.presence.unreachable_at = 0.0
+    ClientGoal(rig.client, pose(3.0))
+    first = rig.planner.until(1)
+    rig.state(State.MOVING)
+
+    def refuse(goal: Any) -> bool:
+        if not rejects:
+            goal.abort({"error_code": 20004, "error_msg": "a wall"})
+        return not rejects
+
+    monkeypatch.setattr(rig.planner, "accepts", refuse)
+    assert ClientGoal(rig.client, pose(500.0)).end()[0] == "ABORTED"
+    until(lambda: not first.active, "the planner no longer drives to the first goal", 20)
+    rig.state(State.ABORTED)
+
+
 def test_a_paused_goal_stays_active_and_continues_with_a_new_id(rig: Rig) -> None:
     client_goal = ClientGoal(rig.client, {**pose(4.0), "header": {"frame_id": "map", "stamp": {"sec": 77}}})
     first = rig.planner.until(1)

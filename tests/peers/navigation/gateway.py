@@ -32,6 +32,7 @@ class Planner(HubNode):
     """A planner that executes one goal at a time; the test ends each goal.
 
     Attributes:
+        accepts: handles a new goal, and returns whether the planner accepts it; the usual planner at first.
         cancels: handles a cancel request, and returns whether the planner accepts it; `cancel` at first.
     """
 
@@ -39,10 +40,14 @@ class Planner(HubNode):
         super().__init__(settings)
         self.goals: list[Goal] = []
         self.rejects = 0
+        self.accepts: Callable[[Goal], bool] = self._accept
         self.cancels: Callable[[Goal], bool] = self.cancel
         self.server = self.on(
             lambda: self.node.action_server(
-                f"/planner/{name}/navigate_to_pose", NAVIGATE, self._accept, lambda goal: self.cancels(goal)
+                f"/planner/{name}/navigate_to_pose",
+                NAVIGATE,
+                lambda goal: self.accepts(goal),
+                lambda goal: self.cancels(goal),
             )
         )
         self._status = self.node.publisher(f"/planner/{name}/status", STATUS, LATCHED)
