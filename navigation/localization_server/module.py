@@ -23,6 +23,7 @@ from bridge.stores.entry import StoreError
 from bridge.worker import Health
 from navigation.frames import FramesError, RobotFrames
 from navigation.localization_server import estimate as estimates
+from navigation.localization_server.checked import CheckedSource
 from navigation.localization_server.estimate import (
     Floats,
     LocalizationStatus,
@@ -73,6 +74,7 @@ class LocalizationServer(Module):
         self._paused = False
         self._motion = OdometryEstimator()
         self.source = self._make_source()  # Midspan's own localizer, or the one that the section names
+        self._checked = CheckedSource(self.source, section.source or "own", host.log)
         self._publisher = PosePublisher(
             host,
             self._frames,
@@ -135,18 +137,18 @@ class LocalizationServer(Module):
 
     def estimate(self) -> PoseEstimate:
         """Return the estimate of the robot's pose."""
-        estimate = self.source.estimate()
+        estimate = self._checked.estimate()
         if self._paused:
             return replace(estimate, status=LocalizationStatus.NOT_YET, reason=_PAUSED)
         return estimate
 
     def cloud(self) -> Floats:
         """Return the particles, (n, 3) in meters and radians."""
-        return self.source.cloud()
+        return self._checked.cloud()
 
     def odometry(self) -> OdometryData | None:
         """Return the robot's pose on the map and its velocity, if known."""
-        pose = self.source.estimate().pose
+        pose = self._checked.estimate().pose
         return None if pose is None else self._motion.data(pose)
 
     def begin(self, pose: Pose, covariance: Floats | None, map_name: str) -> None:
@@ -202,7 +204,7 @@ class LocalizationServer(Module):
         except FramesError:
             self._motion.clear()
         estimate = self._update_estimate()
-        correction = None if self._paused else self.source.correction()
+        correction = None if self._paused else self._checked.correction()
         odometry = None if estimate.pose is None else self._motion.data(estimate.pose)
         self._publisher.publish(estimate, correction, odometry, self.map_name)
 

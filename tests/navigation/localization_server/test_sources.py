@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from bridge.config.model import Config
 from bridge.hub.wire.qos import Qos
 from bridge.modules.worker import Running
 from bridge.stores.kinds import MAP
-from navigation.localization_server.estimate import POSE_COVARIANCE, spatial
+from navigation.localization_server.estimate import POSE_COVARIANCE, LocalizationStatus, PoseEstimate, spatial
 from navigation.localization_server.module import LocalizationServer
+from navigation.localization_server.sources import PoseSource
 from navigation.maps.grid import from_grid, to_grid, yaw_of
 from navigation.messages import pose_message
 from navigation.pose import Pose
@@ -41,6 +43,60 @@ from yarp_compat.sig.matrix import Matrix
 def test_an_invalid_class_as_source_is_reported(place: Place, source: str, reason: str) -> None:
     place.worker.start(place.config(modules={"localization_server": {"enabled": True, "source": source}}, store={}))
     assert f"the source of poses: {source} {reason}" in place.worker.running("localization_server").health().text
+
+
+class FaultySource(PoseSource):
+    """A localizer of one's own with errors; ``answer`` is what it returns or raises."""
+
+    accepts_starts = corrects = True
+    answer: Any = None
+
+    def __init__(self, *_arguments: Any) -> None: ...
+
+    def initial(self, pose: Pose, covariance: Any) -> None: ...
+
+    def estimate(self) -> Any:
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    def correction(self) -> Any:
+        return self.estimate().pose
+
+
+GOOD = PoseEstimate(Pose(1.0, 2.0, 0.5), np.zeros((3, 3)), 1.0, LocalizationStatus.OK, "")
+NAN = replace(GOOD, pose=Pose(math.nan, 2.0, 0.5))
+
+
+def test_errors_of_a_class_as_source_make_the_pose_unknown(
+    place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FaultySource, "answer", GOOD)
+    source = f"{__name__}:FaultySource"
+    place.worker.start(place.config(modules={"localization_server": {"enabled": True, "source": source}}, store={}))
+    module = place.worker.running("localization_server").module
+    received: list[Any] = []
+    robot.node.subscription("/tf", "tf2_msgs/msg/TFMessage", received.append, Qos(depth=100))
+    corrections = lambda: {  # noqa: E731
+        frame["transform"]["translation"]["x"]
+        for message in received
+        for frame in message["transforms"]
+        if frame["header"]["frame_id"] == "map"
+    }
+    until(corrections, "the correction arrives")
+    for answer, reason in (
+        (NAN, "not finite"),
+        (None, "returned NoneType instead of a PoseEstimate"),
+        (replace(GOOD, covariance=np.zeros(3)), "covariance"),
+        (replace(GOOD, pose=None), "the pose is None"),
+        (ValueError("a bug"), "ValueError: a bug"),
+    ):
+        monkeypatch.setattr(FaultySource, "answer", answer)
+        until(lambda reason=reason: reason in module.status().document()["reason"], reason)
+        assert module.status().document()["localization"] == "error"
+    monkeypatch.setattr(FaultySource, "answer", GOOD)
+    until(lambda: module.status().document()["localization"] == OK, "the pose is known again")
+    assert corrections() == {1.0}
 
 
 def test_the_pose_of_amcl_is_served(place: Place, robot: Robot) -> None:

@@ -1,0 +1,83 @@
+"""Checks what a source of poses returns: an error in a class of one's own must not leave an old pose in use."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate, unknown
+from navigation.localization_server.sources import PoseSource
+from navigation.pose import Pose
+
+_NOWHERE = np.empty((0, 3))
+
+
+class CheckedSource:
+    """Queries a source of poses; if it raises an exception or returns invalid values, the pose is unknown.
+
+    Used on the module's thread. Each different error is logged once.
+    """
+
+    def __init__(self, source: PoseSource, name: str, log: logging.LoggerAdapter[Any] | logging.Logger) -> None:
+        self._source, self._name, self._log = source, name, log
+        self._logged = ""
+
+    def estimate(self) -> PoseEstimate:
+        """Return the source's estimate, or why it cannot be used."""
+        estimate, error = self._ask("estimate", self._source.estimate, _estimate_problem)
+        return unknown(error, LocalizationStatus.ERROR) if estimate is None else estimate
+
+    def correction(self) -> Pose | None:
+        """Return the pose of the odometry frame on the map; None if it is unknown or invalid."""
+        return self._ask("correction", self._source.correction, _pose_problem)[0]
+
+    def cloud(self) -> Floats:
+        """Return the possible poses; none if they are invalid."""
+        cloud = self._ask("cloud", self._source.cloud, _cloud_problem)[0]
+        return _NOWHERE if cloud is None else cloud
+
+    def _ask(self, what: str, call: Callable[[], Any], problem: Callable[[Any], str]) -> tuple[Any, str]:
+        """Return the answer, or None and the error."""
+        error: Exception | None = None
+        try:
+            value = call()
+            text = problem(value)
+        except Exception as err:
+            value, text, error = None, f"{type(err).__name__}: {err}", err
+        if not text:
+            return value, ""
+        text = f"{what}() of {self._name}: {text}"
+        if text != self._logged:
+            self._logged = text
+            self._log.error("%s", text, exc_info=error)
+        return None, text
+
+
+def _estimate_problem(estimate: Any) -> str:
+    if not isinstance(estimate, PoseEstimate):
+        return f"returned {type(estimate).__name__} instead of a PoseEstimate"
+    if estimate.pose is None:
+        if estimate.status is LocalizationStatus.OK:
+            return "the pose is None, but the status is 'localized_ok'"
+        return ""
+    if np.shape(estimate.covariance) != (3, 3) or not np.isfinite(estimate.covariance).all():
+        return f"the covariance must have 3 x 3 finite numbers, not {estimate.covariance!r}"
+    return _pose_problem(estimate.pose)
+
+
+def _pose_problem(pose: Any) -> str:
+    if pose is None:
+        return ""
+    if not isinstance(pose, Pose):
+        return f"returned {type(pose).__name__} instead of a Pose"
+    return "" if np.isfinite(pose[:3]).all() else f"the pose is not finite: {pose.x:g}, {pose.y:g}, {pose.theta:g}"
+
+
+def _cloud_problem(cloud: Any) -> str:
+    shape = np.shape(cloud)
+    if len(shape) != 2 or shape[1] != 3:
+        return f"possible poses must have the shape (n, 3), not {shape}"
+    return "" if np.isfinite(cloud).all() else "possible poses are not finite"
