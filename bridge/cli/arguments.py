@@ -220,11 +220,19 @@ def span(text: str) -> float:
 
 def number_in(least: float, most: float) -> Callable[[str], float]:
     """Return the type of an argument that accepts a number above 0 and within these limits."""
+    limits = f"between {least:g} and {most:g}" if least > 0 else f"above 0 and at most {most:g}"
 
     def read(text: str) -> float:
-        value = float(text)
+        try:
+            value = float(text)
+        except ValueError:
+            value = 0.0
         if not (value > 0 and least <= value <= most):
-            raise argparse.ArgumentTypeError(f"{text} is not between {least:g} and {most:g}")
+            raise argparse.ArgumentTypeError(f"{text} is not {limits}")
         return value
 
     return read
+
+
+seconds = number_in(0, _LONGEST)
+"""Parse a time above 0, in seconds; the type of an argument."""

@@ -168,3 +168,29 @@ def test_the_verb_itself_is_the_first_proposal(word: str, first: str) -> None:
 )
 def test_invalid_hub_options_are_reported(words: list[str], problem: str) -> None:
     assert problem in error_of("status", *words)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["goto", "kitchen", "--timeout"],
+        ["dock", "--timeout"],
+        ["waypoints", "kitchen", "--timeout"],
+        ["map", "explore", "--seconds"],
+        ["nav", "startup", "--timeout"],
+        ["action", "send", "/a", "--timeout"],
+        ["service", "call", "/a", "--timeout"],
+        ["topic", "hz", "/a", "--duration"],
+        ["tf", "monitor", "--interval"],
+    ],
+    ids=" ".join,
+)
+@pytest.mark.parametrize("time", ["nan", "-3", "0", "inf", "soon"])
+def test_invalid_times_are_refused_before_anything_is_sent(words: list[str], time: str) -> None:
+    assert f"{words[-1]}: {time} is not above 0 and at most 9e+09" in error_of(*words, time)
+
+
+@pytest.mark.parametrize("time", ["nan", "-1"])
+def test_halt_refuses_invalid_times(time: str) -> None:
+    assert "is not a time" in error_of("halt", "--seconds", time)
+    assert values("halt", "--seconds", "0").seconds == 0.0

@@ -14,7 +14,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from bridge.cli.arguments import add_verb, add_verbs, number_in
+from bridge.cli.arguments import add_verb, add_verbs, number_in, seconds
 from bridge.cli.frames.listener import add_tf_arguments, open_listener
 from bridge.cli.output import CliError, print_json
 from bridge.client.transforms import MOST, QUIET, FrameMeter, TransformListener
@@ -43,7 +43,7 @@ def _register_list_and_tree(verbs: Any) -> None:
     drawing.add_argument("--dot", action="store_true", help="print the tree in Graphviz's format")
     for parser in (listing, drawing):
         parser.add_argument(
-            "--duration", type=float, metavar="SECONDS",
+            "--duration", type=seconds, metavar="SECONDS",
             help="how long to listen after the first transform; slow frames need longer (default: until every node of"
             f" the hub has published and {QUIET:g} s passed without a new frame; {MOST:g} s if other publishers exist)",
         )  # fmt: skip
@@ -136,7 +136,7 @@ def _register_echo(verbs: Any) -> None:
     )
     parser.add_argument("--count", type=int, metavar="N", help="exit after N poses")
     parser.add_argument(
-        "--timeout", type=float, metavar="SECONDS", help="exit with code 1 after this time without a pose"
+        "--timeout", type=seconds, metavar="SECONDS", help="exit with code 1 after this time without a pose"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object per line")
     add_tf_arguments(parser)
@@ -208,9 +208,9 @@ def _register_monitor(verbs: Any) -> None:
     )  # fmt: skip
     parser.add_argument("frames", nargs="*", metavar="FRAME", help="two frames")
     parser.add_argument(
-        "--interval", type=float, default=_INTERVAL, metavar="SECONDS", help=f"between tables, default {_INTERVAL:g}"
+        "--interval", type=seconds, default=_INTERVAL, metavar="SECONDS", help=f"between tables, default {_INTERVAL:g}"
     )
-    parser.add_argument("--duration", type=float, metavar="SECONDS", help="exit after this time")
+    parser.add_argument("--duration", type=seconds, metavar="SECONDS", help="exit after this time")
     parser.add_argument("--json", action="store_true", help="one JSON list per line")
     add_tf_arguments(parser)
 

@@ -7,7 +7,7 @@ import re
 import shlex
 from typing import Any
 
-from bridge.cli.arguments import add_verb, add_verbs
+from bridge.cli.arguments import add_verb, add_verbs, seconds
 from bridge.cli.client import open_client
 from bridge.cli.graph import listing
 from bridge.cli.graph.goal import FollowedGoal, Interrupt
@@ -45,7 +45,7 @@ def register_service(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     call.add_argument("name", help="the service's name")
     call.add_argument("request", nargs="*", metavar="[TYPE] REQUEST", help="the fields as YAML or JSON: '{data: true}'")
-    call.add_argument("--timeout", type=float, metavar="SECONDS", help="time limit of the call (default: none)")
+    call.add_argument("--timeout", type=seconds, metavar="SECONDS", help="time limit of the call (default: none)")
     call.add_argument("--full", action="store_true", help="print long arrays and texts in full")
     call.add_argument("--json", action="store_true", help="print the reply as JSON")
 
@@ -77,7 +77,7 @@ def register_action(parser: argparse.ArgumentParser) -> None:
     goal.add_argument("name", help="the action's name")
     goal.add_argument("goal", nargs="*", metavar="[TYPE] GOAL", help="the fields as YAML or JSON: '{order: 5}'")
     goal.add_argument(
-        "--timeout", type=float, metavar="SECONDS", help="cancel the goal after this time (default: never)"
+        "--timeout", type=seconds, metavar="SECONDS", help="cancel the goal after this time (default: never)"
     )
     goal.add_argument("--no-feedback", action="store_true", help="show only the result")
     goal.add_argument("--full", action="store_true", help="print long arrays and texts in full")

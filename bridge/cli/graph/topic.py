@@ -15,7 +15,7 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.cli.arguments import add_verb, add_verbs, number_in
+from bridge.cli.arguments import add_verb, add_verbs, number_in, seconds
 from bridge.cli.client import open_client, warn_of_refusals
 from bridge.cli.graph import listing
 from bridge.cli.messages import message_text, yaml_fields
@@ -61,7 +61,7 @@ def _register_echo(verbs: Any) -> None:
     add_feed_arguments(parser)
     parser.add_argument("--count", type=int, metavar="N", help="exit after this number of messages")
     parser.add_argument(
-        "--timeout", type=float, metavar="SECONDS",
+        "--timeout", type=seconds, metavar="SECONDS",
         help="exit with code 1 after this time without a message; also limits the wait for the topic",
     )  # fmt: skip
     parser.add_argument("--full", action="store_true", help="print arrays and texts in full")
@@ -245,7 +245,7 @@ def _register_hz(subparsers: Any) -> None:
     parser.add_argument("--window", type=int, default=1000, metavar="N", help="use the last N messages (default 1000)")
     parser.add_argument("--count", type=int, metavar="N", help="exit after this number of messages")
     parser.add_argument(
-        "--duration", type=float, metavar="SECONDS", help="exit after this time; exit code 1 without a message"
+        "--duration", type=seconds, metavar="SECONDS", help="exit after this time; exit code 1 without a message"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object per line")
 

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
-from bridge.cli.arguments import add_verb
+from bridge.cli.arguments import add_verb, seconds
 from bridge.cli.client import CliClient, open_client
 from bridge.cli.graph.goal import FollowedGoal, Interrupt, Interrupted
 from bridge.cli.navigation.gateway import check_daemon, no_answer
@@ -63,14 +63,14 @@ def register(verbs: Any) -> None:
         metavar="METERS",
         help="distance of paths from walls (default: that of robot_path_planner)",
     )
-    parser.add_argument("--seconds", type=float, default=3600.0, help="end after this time (default 3600)")
+    parser.add_argument("--seconds", type=seconds, default=3600.0, help="end after this time (default 3600)")
     parser.add_argument("--goals", type=int, default=200, help="end after this number of goals (default 200)")
     parser.add_argument("--json", action="store_true", help="print each goal, and the end, as one line of JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    if not (args.seconds > 0.0 and args.goals > 0):
-        raise CliError(f"--seconds and --goals must be above 0, not {args.seconds:g} and {args.goals}")
+    if args.goals < 1:
+        raise CliError(f"--goals must be above 0, not {args.goals}")
     with open_client(args) as client, Interrupt() as interrupt:
         check_daemon(client)
         section = client.config.section(RobotPathPlannerSection)

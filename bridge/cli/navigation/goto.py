@@ -11,7 +11,7 @@ import time
 from collections import deque
 from typing import Any
 
-from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.arguments import add_hub_arguments, seconds
 from bridge.cli.client import open_client
 from bridge.cli.graph.goal import FollowedGoal, Interrupt
 from bridge.cli.navigation.gateway import check_daemon, gateway_caller, no_answer
@@ -47,7 +47,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         help="names, or meters and degrees; without DEGREES: any heading",
     )
     parser.add_argument("--frame", default="", help="frame of the pose (default: the maps' frame)")
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="cancel the goal if it takes longer")
+    parser.add_argument("--timeout", type=seconds, metavar="SECONDS", help="cancel the goal if it takes longer")
     parser.add_argument("--json", action="store_true", help="print each change, and the end, as one line of JSON")
     add_hub_arguments(parser)
     parser.set_defaults(run=run)

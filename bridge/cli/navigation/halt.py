@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.arguments import add_hub_arguments, span
 from bridge.cli.client import open_client, warn_of_daemon, warn_of_refusals
 from bridge.cli.output import CliError, print_json
 from bridge.client.halt import DEFAULT_SECONDS, GoalCancellation, halt
@@ -22,7 +22,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "Example: midspan halt"
     parser.add_argument(
         "--seconds",
-        type=float,
+        type=span,
         default=DEFAULT_SECONDS,
         help=f"repeat zero for this long (default {DEFAULT_SECONDS:g})",
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from bridge.cli.arguments import add_verb
+from bridge.cli.arguments import add_verb, seconds
 from bridge.cli.client import CliClient, open_client
 from bridge.cli.navigation.gateway import no_answer
 from bridge.cli.output import CliError
@@ -46,7 +46,7 @@ def add_lifecycle_verbs(verbs: Any) -> None:
         added = add_verb(verbs, verb, run, text, example=f"midspan nav {verb}")
         added.add_argument(
             "--timeout",
-            type=float,
+            type=seconds,
             default=_ANSWER_SECONDS,
             metavar="SECONDS",
             help=f"wait for each lifecycle manager this long (default {_ANSWER_SECONDS:g})",

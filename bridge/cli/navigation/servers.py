@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from bridge.cli.arguments import add_hub_arguments
+from bridge.cli.arguments import add_hub_arguments, seconds
 from bridge.cli.client import CliClient, open_client
 from bridge.cli.graph.goal import FollowedGoal, Interrupt
 from bridge.cli.maps.store import store_of
@@ -84,7 +84,7 @@ def register_waypoints(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--timeout", type=float, metavar="SECONDS", help="cancel the goal if it takes longer")
+    parser.add_argument("--timeout", type=seconds, metavar="SECONDS", help="cancel the goal if it takes longer")
     parser.add_argument("--json", action="store_true", help="print each change, and the end, as one line of JSON")
     add_hub_arguments(parser)
 
