@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navigation.algorithms.occupancy import LEAST, MOST, OccupancyMap
-from navigation.mapper2d.section import Mapper2DSection
+from navigation.mapper2d.section import MOST_CELLS, Mapper2DSection
 from navigation.maps.grid import turned
 from navigation.pose import Pose
-from yarp_compat.dev.mapflag import UNKNOWN, MapFlag
+from yarp_compat.dev.mapflag import UNKNOWN, MapFlag, too_large
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 PAINTS = {"wall": MapFlag.WALL, "free": MapFlag.FREE, "unknown": MapFlag.UNKNOWN, "keepout": MapFlag.KEEP_OUT}
@@ -73,7 +73,10 @@ class Mapper:
             raise ValueError(f"a map can be enlarged by meters above 0, not by {meters:g}")
         cells = math.ceil(min(meters, 1e6) / self.settings.resolution)
         if not self._grow(cells, cells, cells, cells):
-            raise ValueError(f"the map would have a side of more than {self._largest:g} m (modules.mapper2d)")
+            raise ValueError(
+                f"the map would have a side of more than {self._largest:g} m, or more than {MOST_CELLS} cells"
+                " (modules.mapper2d)"
+            )
 
     def paint(self, at: tuple[float, float], flag: MapFlag, brush: int, to: tuple[float, float] | None = None) -> int:
         """Paint a square ``brush`` cells wide, or a line of such squares; return the number of painted cells.
@@ -185,6 +188,8 @@ class Mapper:
         """Start an empty map around a point, with corners at whole cells so that maps of one robot can be overlaid."""
         cell = self.settings.resolution
         columns, rows = (max(1, round(size / cell)) for size in (self.settings.width, self.settings.height))
+        if columns * rows > MOST_CELLS:
+            raise ValueError(too_large(columns, rows))  # sizes of an ini file, which the section cannot check
         origin = tuple(
             round(center / cell - cells / 2) * cell for center, cells in zip(middle, (columns, rows), strict=True)
         )
@@ -218,7 +223,8 @@ class Mapper:
         """Add cells at the sides; return False, without a change, if the map would be too large."""
         rows, columns = self._map.odds.shape
         most = self._largest / self.settings.resolution + _TOLERANCE
-        if max(rows + below + above, columns + left + right) > most:
+        rows, columns = rows + below + above, columns + left + right
+        if max(rows, columns) > most or rows * columns > MOST_CELLS:
             return False
         self._map.grow(below, above, left, right)
         self._paint = np.pad(self._paint, ((below, above), (left, right)), constant_values=_BARE)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
+from pydantic import model_validator
+
 from bridge.config.sections.section import (
     PORT_OR_NONE,
     FrameName,
@@ -13,6 +15,9 @@ from bridge.config.sections.section import (
     matching,
     setting,
 )
+
+MOST_CELLS = 1 << 26
+"""Maps with more cells can be neither published nor stored (`yarp_compat.dev.mapflag.MAX_CELLS`)."""
 
 _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_.-]+)+", "is not a prefix of port names: write it as /mapper2D")]
 
@@ -74,6 +79,16 @@ class Mapper2DSection(ModuleSection):
         None, "The only folder in which clients may save and load; default `maps` in the module's state folder."
     )
     prefix: _Prefix = setting("/mapper2D", "Prefix of the module's YARP ports.")
+
+    @model_validator(mode="after")
+    def _fits_a_map(self) -> Mapper2DSection:
+        cells = self.width / self.resolution * self.height / self.resolution
+        if cells > MOST_CELLS:
+            raise ValueError(
+                f"a map of {self.width:g} by {self.height:g} m with a resolution of {self.resolution:g} m has"
+                f" {cells:.0f} cells, more than {MOST_CELLS}: reduce its initial size, or use larger cells"
+            )
+        return self
 
     @property
     def slam(self) -> bool:

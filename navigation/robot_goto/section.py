@@ -12,7 +12,9 @@ from bridge.config.sections.section import (
     FrameName,
     MapSource,
     ModuleSection,
+    OptionalTopic,
     Section,
+    TopicName,
     setting,
     subsection,
 )
@@ -42,7 +44,7 @@ class RobotGotoSection(ModuleSection):
         "The map whose keep-out cells and areas the robot does not enter: `store` (its current map), or a topic"
         " (`nav_msgs/msg/OccupancyGrid`); empty: none, and the robot waits for obstacles beside keep-out cells.",
     )
-    scan: str = setting("/scan", 'The laser (`sensor_msgs/msg/LaserScan`); "": none.')
+    scan: OptionalTopic = setting("/scan", 'The laser (`sensor_msgs/msg/LaserScan`); "": none.')
     laser_port: str = setting("", "A laser on YARP (`/cer/laser:o`) for `laser:i`; empty: none.", pattern=PORT_OR_NONE)
     laser_pose: LaserPose = subsection(LaserPose, "Pose of the YARP laser.")
     obstacles: tuple[ObstacleSection, ...] = setting(
@@ -61,9 +63,7 @@ class RobotGotoSection(ModuleSection):
         ge=0.0,
         le=1.0,
     )
-    cmd_vel: str = setting(
-        "/cmd_vel", "Topic of the velocity commands, in the form of `navigation.stamped`.", min_length=1
-    )
+    cmd_vel: TopicName = setting("/cmd_vel", "Topic of the velocity commands, in the form of `navigation.stamped`.")
     prefix: str = setting("/robotGoto", "Prefix of the YARP ports; empty: none.", pattern=PORT_OR_NONE)
     period: float = setting(0.05, "Seconds between two commands.", ge=0.01, le=0.2)
     robot_is_holonomic: bool = setting(False, "Whether the robot can drive sideways.")

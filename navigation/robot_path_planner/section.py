@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
+from bridge.config.sections.navigation import ACTION, OURS, planner_action
 from bridge.config.sections.obstacles import ObstacleSection
 from bridge.config.sections.section import (
     ROS2_NAME,
@@ -114,6 +115,16 @@ class RobotPathPlannerSection(ModuleSection):
     period: float = setting(0.05, "Seconds between two steps of the planner.", ge=0.01, le=1.0)
     image_hz: float = setting(2.0, "Pictures per second on `map:o` while it is connected; 0: none.", ge=0.0, le=30.0)
     prefix: OptionalPort = setting("/robotPathPlanner", 'Prefix of the YARP ports; "": none.')
+
+    @model_validator(mode="after")
+    def _drives_with_another(self) -> RobotPathPlannerSection:
+        own = {ACTION, planner_action(OURS[0]), f"{YARP}{self.prefix}"}
+        if self.navigator in own:
+            raise ValueError(
+                f"the local navigator {self.navigator} leads back to RobotPathPlanner itself: name the program that"
+                f" drives the robot, such as {planner_action(OURS[1])}"
+            )
+        return self
 
     @field_validator("obstacles")
     @classmethod

@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from navigation.ini import laid_under
-from navigation.mapper2d.section import Mapper2DSection
+from navigation.mapper2d.mapper import Mapper
+from navigation.mapper2d.section import MOST_CELLS, Mapper2DSection
 from navigation.mapper2d.settings import read_file
+from yarp_compat.dev.mapflag import MAX_CELLS
 
 FILE = """\
 [GENERAL]
@@ -84,3 +87,18 @@ def test_invalid_files_are_rejected(tmp_path: Path) -> None:
         laid_under(Mapper2DSection(), tmp_path / "none.ini", read_file)
     with pytest.raises(RuntimeError, match=r"mapper2D.ini:2: 'map_width' must be a number"):
         read(tmp_path, "[MAP]\nmap_width wide\n")
+
+
+def test_a_map_with_too_many_cells_is_rejected(tmp_path: Path) -> None:
+    assert MOST_CELLS == MAX_CELLS
+    with pytest.raises(ValidationError, match=r"400 by 400 m .* 6400000000 cells"):
+        Mapper2DSection(width=400.0, height=400.0, resolution=0.005)
+    section, _ = read(tmp_path, "[MAP]\nmap_width 400\nmap_height 400\nmap_resolution 0.005\n")
+    with pytest.raises(ValueError, match="80000 x 80000 cells is too large"):
+        Mapper(section)
+
+
+def test_a_map_does_not_grow_beyond_the_cells_of_a_map() -> None:
+    mapper = Mapper(Mapper2DSection(width=1.0, height=1.0, resolution=0.005, largest=400.0))
+    with pytest.raises(ValueError, match="or more than 67108864 cells"):
+        mapper.enlarge(100.0)

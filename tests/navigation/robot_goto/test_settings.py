@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from navigation.ini import laid_under
 from navigation.robot_goto.driver import Driver
@@ -140,3 +141,9 @@ def test_invalid_files_are_rejected_with_the_reason(tmp_path, before, after, rea
 def test_a_missing_file_is_rejected(tmp_path):
     with pytest.raises(RuntimeError, match="no such file"):
         read(RobotGotoSection(ini=tmp_path / "none.ini"))
+
+
+@pytest.mark.parametrize("wrong", [{"scan": "my scan"}, {"cmd_vel": "fast!"}, {"cmd_vel": ""}])
+def test_invalid_topics_are_rejected(wrong):
+    with pytest.raises(ValidationError, match="topic name"):
+        RobotGotoSection.model_validate(wrong)

@@ -130,6 +130,15 @@ def test_invalid_files_are_rejected_with_place_and_reason(tmp_path: Path) -> Non
         laid_under(RobotPathPlannerSection(), tmp_path / "none.ini", read_file, merged=MERGED)
 
 
+@pytest.mark.parametrize(
+    "navigator",
+    ["/planner/robot_path_planner/navigate_to_pose", "/navigate_to_pose", "yarp:/robotPathPlanner"],
+)
+def test_the_planner_is_not_its_own_local_navigator(navigator: str) -> None:
+    with pytest.raises(ValidationError, match="leads back to RobotPathPlanner itself"):
+        RobotPathPlannerSection(navigator=navigator)
+
+
 @pytest.mark.parametrize("wrong", [{"map": "map"}, {"navigator": "robot_goto"}, {"navigator": "yarp:x"}, {"scan": "s"}])
 def test_invalid_names_are_rejected(wrong: dict[str, str]) -> None:
     with pytest.raises(ValidationError):
