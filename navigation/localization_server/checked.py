@@ -32,7 +32,8 @@ class CheckedSource:
 
     def correction(self) -> Pose | None:
         """Return the pose of the odometry frame on the map; None if it is unknown or invalid."""
-        return self._ask("correction", self._source.correction, _pose_problem)[0]
+        pose: Pose | None = self._ask("correction", self._source.correction, _pose_problem)[0]
+        return pose
 
     def cloud(self) -> Floats:
         """Return the possible poses; none if they are invalid."""
