@@ -35,7 +35,7 @@ from bridge.routing.engine import Engine
 from bridge.routing.hold import Hold, held_topics
 from bridge.routing.relay.relay import HubRelay
 from bridge.routing.route import Route
-from bridge.routing.rules import RuleSet
+from bridge.routing.rules import ENTRY, RuleSet
 from bridge.routing.services.route import ServiceRoute
 from bridge.routing.services.side_to_hub import PLANNERS
 from bridge.sides import all_networks
@@ -201,10 +201,12 @@ class NetworkBridge:
         self._hub.versions = registry.releases
         edge.clock = RunClock(simulated=config.clock.simulated)
         follow_clock(edge.clock, self._hub)
-        self._hold = Hold(self._hub, held_topics(config.navigation, edge.side))
+        held, native = held_topics(config.navigation, edge.side), held_topics(config.navigation, ENTRY)
+        self._hold = Hold(self._hub, held, native)
         self._engine = Engine(edge, self._hub, config.rules, config.name, failed, registry, self._hold)
         self._engine.start()
-        self._relay = HubRelay(self._hub, settings, RuleSet(config.rules), self._engine.stall_detector, failed)
+        rules, detector = RuleSet(config.rules), self._engine.stall_detector
+        self._relay = HubRelay(self._hub, settings, rules, detector, self._hold, failed)
         self._relay.start()
         self._share_parameters(config.routing)
         verbs: dict[str, Handler] = {
@@ -222,6 +224,7 @@ class NetworkBridge:
         """Apply new rules."""
         routing = config.rules
         self._hold.topics = held_topics(config.navigation, self._side)
+        self._hold.native = held_topics(config.navigation, ENTRY)
         self._running().reload(routing)
         self._relay.reload(RuleSet(routing))
         if routing.parameters != self._parameters:

@@ -2,7 +2,9 @@
 
 The gateway publishes true on ``/navigation/hold`` (``std_msgs/Bool``, latched) for a stop or pause that the planner has
 not confirmed. The worker of the planner's side then blocks the velocities at their entry into the hub, so that they
-reach no other side and no module. A worker that starts while a gateway runs blocks them until it receives this topic.
+reach no other side and no module. Velocities of a planner that is a node of the hub have no entry: each worker blocks
+them at its exit from the hub and in its relay (`bridge.routing.relay`). A worker that starts while a gateway runs
+blocks them until it receives this topic.
 """
 
 from __future__ import annotations
@@ -27,13 +29,16 @@ def held_topics(section: NavigationSection, side: str) -> frozenset[str]:
 
 
 class Hold:
-    """Follows the requests of gateways to hold the messages of the hub's ``topics``, a set that may change.
+    """Follows the requests of gateways to hold velocities.
 
-    ``held``: messages on those topics may not enter the hub now. It may be read for each message.
+    Attributes:
+        topics: the hub's topics whose messages from the side may be held; the set may change.
+        native: the same for messages from the hub's own nodes.
+        held: whether a gateway holds them now.
     """
 
-    def __init__(self, hub: Hub, topics: Collection[str]) -> None:
-        self.topics = topics
+    def __init__(self, hub: Hub, topics: Collection[str], native: Collection[str] = ()) -> None:
+        self.topics, self.native = topics, native
         self.held = False
         self._graph = hub.graph
         self._requests: dict[bytes, bool] = {}
@@ -42,6 +47,14 @@ class Hold:
         self._unwatch = hub.graph.watch(self._refresh)
         self._subscription = hub.subscription(HOLD, HOLD_TYPE, "*", LATCHED, self._received)
         self._refresh()
+
+    def blocks(self, topic: str) -> bool:
+        """Return whether messages of the side may not enter the hub on a topic now. Fast enough for each message."""
+        return self.held and topic in self.topics
+
+    def blocks_native(self, topic: str) -> bool:
+        """Return whether messages of the hub's own nodes on a topic may not pass now. Fast enough for each message."""
+        return self.held and topic in self.native
 
     def _received(self, sample: HubSample) -> None:
         data = sample.data()

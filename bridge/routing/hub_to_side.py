@@ -267,6 +267,16 @@ class HubToSideRoute(TopicRoute):
                 self.held.add_unknown(sample)
             self._context.wake()
 
+    def _is_blocked(self, source: HubSource) -> bool:
+        """Return whether a message of a planner on the hub may not pass now; Midspan's own zeros may."""
+        hold, endpoint = self._context.hold, source.endpoint
+        return (
+            hold is not None
+            and hold.blocks_native(self.hub_topic)
+            and endpoint.origin is None
+            and not self._context.hub.graph.is_midspan(endpoint.zid)
+        )
+
     def _publish(self, sample: HubSample, source: HubSource) -> None:
         if self._lease.over:
             if source.latched:
@@ -274,7 +284,10 @@ class HubToSideRoute(TopicRoute):
             else:
                 self.counters.dropped("standby")
             return
-        if self._priority is Priority.COMMAND and self._stale(sample, source):
+        if self._is_blocked(source):
+            self.counters.dropped("held")
+            return
+        if self._priority is Priority.COMMAND and self.is_stale(source.age, sample.source_time_ns):
             self.counters.dropped("stale")
             return
         publishers = self._publishers
@@ -299,10 +312,6 @@ class HubToSideRoute(TopicRoute):
         latency = time.time_ns() - sample.source_time_ns
         if time.monotonic() - latency / 1e9 >= self._subscription.since:
             self.counters.add_latency(latency)
-
-    def _stale(self, sample: HubSample, source: HubSource) -> bool:
-        timeout = self.policy.timeout
-        return self._context.stall_detector.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
 
     @property
     @override

@@ -14,12 +14,13 @@ from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion
 from bridge.resources import OUT, RAISE
+from bridge.routing.admission import TopicAdmission
 from bridge.routing.counters import Counters
 from bridge.routing.decision import RouteDecision, RouteKey
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import Edge, Endpoint
 from bridge.routing.hold import Hold
-from bridge.routing.limits import Priority, RateLimit, default_priority, qos_text
+from bridge.routing.limits import Priority, qos_text
 from bridge.routing.peer_watch import Lease
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.services.held import HeldCalls
@@ -138,7 +139,7 @@ class Route:
         }
 
 
-class TopicRoute(Route):
+class TopicRoute(Route, TopicAdmission):
     """A topic that is bridged in one direction."""
 
     def __init__(
@@ -147,33 +148,11 @@ class TopicRoute(Route):
         to_hub = self.direction == "in"
         hub, side = (conversion.target, conversion.source) if to_hub else (conversion.source, conversion.target)
         super().__init__(key, names, (hub.name, side.name), policy, context)
+        TopicAdmission.__init__(self, (names[0], hub.name), policy, self.counters, context.stall_detector)
         self.conversion = conversion
-        self._limit = RateLimit(policy.rate) if policy.rate and policy.priority != Priority.STATE.value else None
         self._priority = Priority.STREAM
         self._qos = Qos()
         self._lease = context.lease
-
-    def priority_of(self, *, latched: bool) -> Priority:
-        """Return the priority class that the rule sets, or else the default for the type and latching."""
-        if self.policy.priority:
-            return Priority(self.policy.priority)
-        return default_priority(self.hub_topic, self.hub_type, latched=latched)
-
-    def latches(self, qos: Qos) -> bool:
-        """Return whether the messages of a publisher with this QoS are latched; commands never are."""
-        latched = self.policy.override(qos).latched
-        return latched and self.priority_of(latched=latched) is not Priority.COMMAND
-
-    def over_rate(self, *, latched: bool) -> bool:
-        """Return whether the rule's ``rate`` drops a message that arrives now; latched ones always pass."""
-        if self._limit is None or latched or self._limit.passes():
-            return False
-        self.counters.dropped("rate")
-        return True
-
-    def crowded_out(self) -> None:
-        """Count a message that a newer message displaced from a queue."""
-        self.counters.dropped("queue")
 
     @property
     def static(self) -> bool:

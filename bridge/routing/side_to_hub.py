@@ -245,14 +245,14 @@ class SideToHubRoute(TopicRoute):
             self._pass(publisher, source, payload, time_ns, time.monotonic())
 
     def _is_blocked(self) -> bool:
-        return self._hold is not None and self._hold.held and self.hub_topic in self._hold.topics
+        return self._hold is not None and self._hold.blocks(self.hub_topic)
 
     def _pass(self, publisher: _SidePublisher, source: str, payload: bytes, time_ns: int | None, since: float) -> None:
         """Publish a known publisher's message, which arrived at ``since`` (monotonic), unless it has to be dropped."""
         size = len(payload)
         if self._hold is not None and self._is_blocked():
             self.counters.dropped("held")
-        elif self._priority is Priority.COMMAND and self._stale(publisher, time_ns):
+        elif self._priority is Priority.COMMAND and self.is_stale(publisher.age, time_ns):
             self.counters.dropped("stale")
         elif (self._limit is not None and self.over_rate(latched=publisher.latched)) or self.too_large(size):
             return
@@ -283,12 +283,6 @@ class SideToHubRoute(TopicRoute):
         self.counters.carried(size, since)
         if self._tells_time:
             self._context.edge.clock.receive(data)
-
-    def _stale(self, publisher: _SidePublisher, time_ns: int | None) -> bool:
-        timeout = self.policy.timeout
-        return self._context.stall_detector.stood_still(timeout) or (
-            time_ns is not None and publisher.age.age(time_ns) > timeout
-        )
 
     @property
     @override

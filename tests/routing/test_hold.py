@@ -19,6 +19,7 @@ from bridge.routing.engine import Engine
 from bridge.routing.hold import Hold, held_topics
 from tests.peers.fake import FakeEdge, FakeNetwork
 from tests.peers.hub.quick import QuickHub
+from tests.peers.zenoh.releases import JAZZY, ReleaseNode, ReleasePublisher, Topic
 from tests.support.wait import until
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -111,4 +112,47 @@ def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHu
         engine.stop()
         hold.close()
         for session in (far, hub):
+            session.close()
+
+
+def test_velocities_of_a_planner_on_the_hub_leave_it_only_while_no_gateway_holds_them(hubs: QuickHub) -> None:
+    network, gateway = FakeNetwork(), Gateway(hubs)
+    hub, midspan = Hub.open(hubs.settings("midspan_fake")), Hub.open(hubs.settings("midspan_modules"))
+    node = ReleaseNode(hubs.endpoint, hubs.domain, "planner", JAZZY)
+    type_hash = REGISTRY.ros2(TWIST).type_id
+    native = ReleasePublisher(node, Topic("/cmd_vel", TWIST, type_hash, Qos(depth=1)))
+    zeros = midspan.publisher("/cmd_vel", TWIST, type_hash, Qos(depth=1), priority="command")
+    received: list[bytes] = []
+    network.read_from(
+        "/cmd_vel", TWIST, Qos(depth=1), MadeBy.NATIVE, "/base", lambda data, _source, _time: received.append(data)
+    )
+    hold = Hold(hub, (), {"/cmd_vel"})
+    engine = Engine(FakeEdge(network, REGISTRY), hub, RoutingSection(), "test", pytest.fail, REGISTRY, hold)
+    engine.start()
+    velocity, zero = (from_json(REGISTRY, TWIST, {"linear": {"x": x}}) for x in (0.4, 0.0))
+
+    def arrives(payload: bytes, put: Callable[[bytes], Any]) -> None:
+        received.clear()
+        until(lambda: (put(payload), payload in received)[1], "it is bridged", every=0.05)
+
+    def held() -> int:
+        native.put(velocity)
+        return {route.topic: route for route in engine.status().routes}["/cmd_vel"].drops.get("held", 0)
+
+    try:
+        gateway.publish(held=False)
+        until(lambda: hub.graph.publishers(HOLD) and not hold.held, "the gateway is discovered")
+        arrives(velocity, native.put)
+        gateway.publish(held=True)
+        until(lambda: hold.held, "velocities are held")
+        until(held, "a velocity is dropped", every=0.05)
+        arrives(zero, zeros.put)
+        assert velocity not in received
+        gateway.publish(held=False)
+        until(lambda: not hold.held, "velocities are no longer held")
+        arrives(velocity, native.put)
+    finally:
+        engine.stop()
+        hold.close()
+        for session in (hub, midspan, gateway.hub, node):
             session.close()

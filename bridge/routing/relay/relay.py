@@ -23,6 +23,7 @@ from bridge.hub.endpoints.variants import Convert, OneVersion
 from bridge.hub.session import Hub, HubSettings
 from bridge.routing.check_loop import CheckLoop
 from bridge.routing.gates import RelayGate
+from bridge.routing.hold import Hold
 from bridge.routing.relay.election import RelayElection
 from bridge.routing.relay.pairs import RelayKey, ServicePair, TopicPair, service_pairs, topic_pairs, topics_of
 from bridge.routing.relay.report import relayed_rows
@@ -55,14 +56,15 @@ class HubRelay:
         settings: the settings of that node.
         rules: the rules of the configuration.
         stall_detector: detects that this process was suspended.
+        hold: the velocities that may not pass now.
         failed: called with the reason if the thread fails.
     """
 
     def __init__(
-        self, hub: Hub, settings: HubSettings, rules: RuleSet, stall_detector: StallDetector,
+        self, hub: Hub, settings: HubSettings, rules: RuleSet, stall_detector: StallDetector, hold: Hold,
         failed: Callable[[str], None],
     ) -> None:  # fmt: skip
-        self._hub, self._rules, self._stall_detector = hub, rules, stall_detector
+        self._hub, self._rules, self._stall_detector, self._hold = hub, rules, stall_detector, hold
         self._settings = replace(settings, node=NODE, worker=NODE, lane=None)
         self._election = RelayElection(hub)
         self._node: Hub | None = None
@@ -175,7 +177,8 @@ class HubRelay:
         if self._node is None:
             self._node = Hub.open(self._settings)
             self._node.versions = _OwnVersionOnly()
-        return RelayContext(self._node, self._hub.versions, self._stall_detector, self._loop.wake, self._closing)
+        detector, wake, closing = self._stall_detector, self._loop.wake, self._closing
+        return RelayContext(self._node, self._hub.versions, detector, self._hold, wake, closing)
 
     def _close_all(self) -> None:
         while self._topics:

@@ -14,18 +14,12 @@ from bridge.hub.endpoints.variants import TypeVersions
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.unchanged import same
+from bridge.routing.admission import TopicAdmission
 from bridge.routing.backlog import Backlog
 from bridge.routing.counters import Counters
+from bridge.routing.hold import Hold
 from bridge.routing.hub_end import HubSource, HubSources, RouteSubscription
-from bridge.routing.limits import (
-    MAX_PENDING,
-    QUEUE_BYTES,
-    QUEUE_DEPTH,
-    Priority,
-    RateLimit,
-    combined_qos,
-    default_priority,
-)
+from bridge.routing.limits import MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priority, combined_qos
 from bridge.routing.relay.pairs import RelayKey, TopicPair
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import StallDetector
@@ -43,6 +37,7 @@ class RelayContext(NamedTuple):
         node: the relay's node on the hub.
         versions: converts between the versions of types.
         stall_detector: detects that this process was suspended.
+        hold: the velocities that may not pass now.
         wake: schedules a check of the pairs.
         closing: closes what may wait for a congested link.
     """
@@ -50,11 +45,12 @@ class RelayContext(NamedTuple):
     node: Hub
     versions: TypeVersions
     stall_detector: StallDetector
+    hold: Hold
     wake: Callable[[], None]
     closing: SerialExecutor
 
 
-class RelayedTopic:
+class RelayedTopic(TopicAdmission):
     """Relays a topic's messages, each with its original number, time and GID.
 
     Each latched publisher has its own publishers here, so that its cached messages disappear when it leaves; all other
@@ -65,16 +61,15 @@ class RelayedTopic:
     """
 
     def __init__(self, key: RelayKey, policy: RoutePolicy, pair: TopicPair, context: RelayContext) -> None:
-        self.key, self.policy, self.pair = key, policy, pair
-        self.counters = Counters()
+        super().__init__((key.topic, key.type_name), policy, Counters(), context.stall_detector)
+        self.key, self.pair = key, pair
         self._context = context
         self._priority = Priority.STREAM
-        self._limit = RateLimit(policy.rate) if policy.rate else None
         self._sources = HubSources()
         self._publishers: dict[tuple[str, bytes], RelayPublisher] = {}  # by hash, and by GID if latched
         self._subscription = RouteSubscription(self._subscribe)
         self._lock = Lock()
-        self._unknown = Backlog[HubSample](MAX_PENDING, QUEUE_BYTES, self._crowded_out)
+        self._unknown = Backlog[HubSample](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
         self._queue: BoundedQueue[tuple[HubSample, HubSource]] | None = None
 
     # -- the relay's loop ----------------------------------------------------------------------------------------------
@@ -82,11 +77,11 @@ class RelayedTopic:
     def update(self, pair: TopicPair) -> None:
         """Follow the publishers and subscriptions."""
         self.pair = pair
-        self._priority = self._priority_of([end.qos for end in pair.publishers])
+        self._priority = self.priority_of(latched=any(self.policy.override(end.qos).latched for end in pair.publishers))
         if self._queue is None:
             depth = self.policy.depth or QUEUE_DEPTH[self._priority]
-            self._queue = BoundedQueue("midspan-relay", depth, QUEUE_BYTES, self._relay, self._crowded_out)
-        sources = self._sources.updated(pair.publishers, (), (), self._latches)
+            self._queue = BoundedQueue("midspan-relay", depth, QUEUE_BYTES, self._relay, self.crowded_out)
+        sources = self._sources.updated(pair.publishers, (), (), self.latches)
         refused = HubSources(sources.allowed, pair.others, {}, sources.natives)
         self._open_publishers(pair, refused)
         self._sources = refused
@@ -100,10 +95,11 @@ class RelayedTopic:
         wanted: dict[tuple[str, bytes], Qos] = {}
         for target in pair.subscriptions:
             for source in sources.allowed.values():
+                qos = self.policy.override(source.endpoint.qos)
                 if source.latched:
-                    wanted[target, source.endpoint.gid] = source.endpoint.qos
+                    wanted[target, source.endpoint.gid] = qos
                 else:
-                    wanted.setdefault((target, _SHARED), self._volatile(source.endpoint.qos))
+                    wanted.setdefault((target, _SHARED), self._volatile(qos))
         opened = {at: self._publisher(at[0], qos) for at, qos in wanted.items() if at not in self._publishers}
         ended = [publisher for at, publisher in self._publishers.items() if at not in wanted]
         kept = {at: publisher for at, publisher in self._publishers.items() if at in wanted}
@@ -112,8 +108,9 @@ class RelayedTopic:
             self._context.closing.submit(partial(_close, ended))
 
     def _volatile(self, qos: Qos) -> Qos:
-        depth = 1 if self._priority is Priority.COMMAND else qos.depth
-        return Qos(qos.reliability, Durability.VOLATILE, qos.history, depth)
+        if self._priority is Priority.COMMAND:  # a history of all would wait for a congested link
+            return Qos(qos.reliability, Durability.VOLATILE, depth=1)
+        return Qos(qos.reliability, Durability.VOLATILE, qos.history, qos.depth)
 
     def _publisher(self, target: str, qos: Qos) -> RelayPublisher:
         topic, type_name, source = self.key
@@ -121,15 +118,6 @@ class RelayedTopic:
         if convert is same:
             convert = None
         return self._context.node.relay_publisher(topic, type_name, target, qos, convert, priority=self._priority.value)
-
-    def _priority_of(self, qualities: list[Qos]) -> Priority:
-        if self.policy.priority:
-            return Priority(self.policy.priority)
-        latched = any(qos.latched for qos in qualities)
-        return default_priority(self.key.topic, self.key.type_name, latched=latched)
-
-    def _latches(self, qos: Qos) -> bool:
-        return qos.latched and self._priority is not Priority.COMMAND
 
     def _subscribe(self, qos: Qos) -> HubSubscription:
         topic, type_name, type_hash = self.key
@@ -145,17 +133,17 @@ class RelayedTopic:
                 source = self._sources.of(waiting.message)
                 if source is not None:
                     self._enqueue(waiting.message, source)
-                elif waiting.message.gid not in self._sources.refused and waiting.since >= before:
-                    self._unknown.put_back(waiting)
+                elif waiting.message.gid not in self._sources.refused:
+                    if waiting.since >= before:
+                        self._unknown.put_back(waiting)
+                    else:
+                        self.counters.dropped("unknown")
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
     def _refused(self, reason: str, why: str) -> None:
         self.counters.dropped(reason)
         self.counters.failed(why)
-
-    def _crowded_out(self) -> None:
-        self.counters.dropped("queue")
 
     def _receive(self, sample: HubSample) -> None:
         """Queue a message of a known publisher; called on the receiving threads."""
@@ -174,15 +162,16 @@ class RelayedTopic:
         self._context.wake()
 
     def _enqueue(self, sample: HubSample, source: HubSource) -> None:
-        if self._limit is not None and not source.latched and not self._limit.passes():
-            self.counters.dropped("rate")
-        elif self._queue is not None:
+        if self._queue is not None and not self.over_rate(latched=source.latched):
             self._queue.put((sample, source), len(sample.payload))
 
     def _relay(self, message: tuple[HubSample, HubSource]) -> None:
         """Publish a message; called on the queue's thread."""
         sample, source = message
-        if self._priority is Priority.COMMAND and self._stale(sample, source):
+        if self._context.hold.blocks_native(self.key.topic):
+            self.counters.dropped("held")
+            return
+        if self._priority is Priority.COMMAND and self.is_stale(source.age, sample.source_time_ns):
             self.counters.dropped("stale")
             return
         at = source.endpoint.gid if source.latched else _SHARED
@@ -191,10 +180,6 @@ class RelayedTopic:
             if gid == at:
                 publisher.put(sample, payload)
         self.counters.crossed(len(payload))
-
-    def _stale(self, sample: HubSample, source: HubSource) -> bool:
-        timeout = self.policy.timeout
-        return self._context.stall_detector.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
 
     def close(self) -> None:
         """Stop relaying."""

@@ -10,6 +10,7 @@ import pytest
 
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.session import Hub
+from bridge.routing.hold import Hold
 from bridge.routing.relay.relay import HubRelay
 from bridge.routing.rules import RuleSet
 from bridge.routing.stall import StallDetector
@@ -19,7 +20,7 @@ from tests.peers.zenoh.releases import Nodes, Release, ReleaseNode
 
 
 class Relay:
-    """A worker's hub node with its relay."""
+    """A worker's hub node with its relay, which holds ``/cmd_vel`` back if a gateway requests it."""
 
     def __init__(self, network: HubNetwork, name: str, rules: list[dict[str, Any]]) -> None:
         settings = network.settings(name)
@@ -28,13 +29,15 @@ class Relay:
         self._stall = StallDetector()
         self.failures: list[str] = []
         section = RoutingSection.model_validate({"rules": rules})
-        self.relay = HubRelay(self.hub, settings, RuleSet(section), self._stall, self.failures.append)
+        self.hold = Hold(self.hub, (), {"/cmd_vel"})
+        self.relay = HubRelay(self.hub, settings, RuleSet(section), self._stall, self.hold, self.failures.append)
         self._stall.start()
         self.relay.start()
 
     def close(self) -> None:
         """Stop the relay, and leave the hub."""
         self.relay.stop()
+        self.hold.close()
         self._stall.stop()
         self.hub.close()
         assert not self.failures

@@ -26,7 +26,7 @@ from tests.peers.zenoh.releases import (
 from tests.routing.relay.conftest import Relay, Relays
 from tests.support.wait import until
 
-STRING, TWIST, IMAGE = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "sensor_msgs/msg/Image"
+STRING, IMAGE = "std_msgs/msg/String", "sensor_msgs/msg/Image"
 FEEDBACK = "nav2_msgs/action/NavigateToPose_FeedbackMessage"
 STREAM = Qos(depth=100)
 COUNT = 20
@@ -230,37 +230,6 @@ def test_a_history_arrives_in_order_before_new_messages(
     values += put_texts(publisher, "later ")
     until(lambda: values[-1] in texts(received), "the new messages arrive")
     assert texts(received) == values[COUNT - 10 :]
-
-
-def test_commands_are_neither_cached_nor_relayed_late(relay: Relays, node: Nodes) -> None:
-    relay()
-    topic = Topics(TWIST, LATCHED, "/cmd_vel")
-    publisher, received = topic.publisher(node(HUMBLE)), topic.subscription(node(JAZZY))
-
-    def put_until_received(subscription: ReleaseSubscription) -> None:
-        before = publisher._sequence
-
-        def arrived() -> bool:
-            put_with_age(publisher, 0.0)
-            return any(sample.sequence > before for sample in subscription.samples)
-
-        until(arrived, "a command arrives", every=0.05)
-
-    put_until_received(received)
-    put_with_age(publisher, 5.0)
-    late = publisher._sequence
-    put_until_received(received)
-    assert late not in [sample.sequence for sample in received.samples]
-    joiner, before = topic.subscription(node(JAZZY)), publisher._sequence
-    put_until_received(joiner)
-    assert min(sample.sequence for sample in joiner.samples) > before
-
-
-def put_with_age(publisher: ReleasePublisher, age: float) -> None:
-    """Publish a velocity whose source timestamp is some seconds old."""
-    publisher._sequence += 1
-    data = publisher._sequence.to_bytes(8, "little") + (time.time_ns() - int(age * 1e9)).to_bytes(8, "little")
-    publisher._declared(publisher.key).put(b"\0\1\0\0" + bytes(48), attachment=data + b"\x10" + publisher.gid)
 
 
 def test_a_rule_turns_the_relay_off(relay: Relays, node: Nodes) -> None:

@@ -1,0 +1,55 @@
+"""How a topic's rule and priority class decide on its messages: class, latching, rate, and the age of commands."""
+
+from __future__ import annotations
+
+from bridge.hub.wire.qos import Qos
+from bridge.routing.counters import Counters
+from bridge.routing.limits import Priority, RateLimit, default_priority
+from bridge.routing.rules import RoutePolicy
+from bridge.routing.stall import AgeGate, StallDetector
+
+
+class TopicAdmission:
+    """The base of topics that are bridged (`bridge.routing.route`) or relayed (`bridge.routing.relay`).
+
+    Args:
+        names: the topic on the hub, and its ROS 2 type.
+        counters: counts what is dropped.
+    """
+
+    def __init__(
+        self, names: tuple[str, str], policy: RoutePolicy, counters: Counters, stall_detector: StallDetector
+    ) -> None:
+        self.policy, self.counters = policy, counters
+        self._names, self._stall_detector = names, stall_detector
+        self._limit = RateLimit(policy.rate) if policy.rate and policy.priority != Priority.STATE.value else None
+
+    def priority_of(self, *, latched: bool) -> Priority:
+        """Return the priority class that the rule sets, or else the default for the type and latching."""
+        if self.policy.priority:
+            return Priority(self.policy.priority)
+        return default_priority(*self._names, latched=latched)
+
+    def latches(self, qos: Qos) -> bool:
+        """Return whether the messages of a publisher with this QoS are latched; commands never are."""
+        latched = self.policy.override(qos).latched
+        return latched and self.priority_of(latched=latched) is not Priority.COMMAND
+
+    def over_rate(self, *, latched: bool) -> bool:
+        """Return whether the rule's ``rate`` drops a message that arrives now; latched ones always pass."""
+        if self._limit is None or latched or self._limit.passes():
+            return False
+        self.counters.dropped("rate")
+        return True
+
+    def is_stale(self, age: AgeGate, time_ns: int | None) -> bool:
+        """Return whether a command is too old, or may have waited while this process hung.
+
+        ``age`` is that of its publisher, ``time_ns`` its source timestamp if it has one.
+        """
+        timeout = self.policy.timeout
+        return self._stall_detector.stood_still(timeout) or (time_ns is not None and age.age(time_ns) > timeout)
+
+    def crowded_out(self) -> None:
+        """Count a message that a newer message displaced from a queue."""
+        self.counters.dropped("queue")
