@@ -6,6 +6,7 @@ default value; a removed field is left out. Two versions convert even if they ha
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from threading import RLock
@@ -24,6 +25,8 @@ from bridge.messages.unchanged import same
 
 NO_HASH = ""
 """Stands for the Humble version, because Humble's endpoints announce no hash."""
+
+_log = logging.getLogger(__name__)
 
 Losses = tuple[tuple[str, ...], tuple[str, ...]]
 """The fields that a conversion between two versions leaves out, and those whose values may be rounded or refused."""
@@ -269,7 +272,7 @@ class ReleaseConversions:
         key = type_name, source, target, part
         with self._lock:
             if key not in self._losses:
-                pair = self._pair(key)
+                pair = self._pair(key) if self.converter(*key) is not None else None
                 match = None if pair is None else match_versions(*pair, self._rules)
                 _store(self._losses, key, ((), ()) if match is None else (match.lost, match.changed))
             return self._losses[key]
@@ -299,6 +302,9 @@ class ReleaseConversions:
                 return version_converter(*pair, self._rules)
             return same if NO_HASH in key[1:3] and self._versions.hashless(key[0]) is None else None
         except MessageTypeError:
+            return None
+        except Exception:  # one type must not end a worker; the result is cached, so this is logged once
+            _log.exception("%s: its versions %s and %s cannot be compared", key[0], key[1], key[2])
             return None
 
     def _pair(self, key: _Key) -> tuple[Schema, Schema] | None:

@@ -71,6 +71,7 @@ class HubRelay:
         self._topics: dict[RelayKey, RelayedTopic] = {}
         self._services: dict[RelayKey, RelayedService] = {}
         self._failures: dict[RelayKey, str] = {}
+        self._trouble = ""
         self._loop = CheckLoop("relay", self._check, self._tick, failed)
         self._closing = SerialExecutor("midspan-relay-closing")
         self._closers: list[Callable[[], None]] = []
@@ -106,7 +107,7 @@ class HubRelay:
 
     def services(self) -> dict[RelayKey, RelayedService]:
         """Return the services that this worker relays now."""
-        return {key: relayed for key, relayed in self._services.copy().items() if relayed.served}
+        return dict(self._services)
 
     def status(self) -> RelayStatus:
         """Return what this worker relays, for the status document."""
@@ -120,6 +121,18 @@ class HubRelay:
             topic.counters.tick()
 
     def _check(self) -> bool:
+        """Follow the graph; return whether that failed and has to be tried again. A failure must not end the side."""
+        try:
+            failed = self._follow()
+        except Exception as err:
+            if self._trouble != str(err):
+                _log.exception("the relay cannot follow the hub's graph")
+            self._trouble = str(err)
+            return True
+        self._trouble = ""
+        return failed
+
+    def _follow(self) -> bool:
         """Compare the wanted relays with the existing ones; return whether any failed and has to be tried again."""
         graph, versions = self._hub.graph, self._hub.versions
         endpoints = graph.endpoints() if self._election.is_candidate else []
@@ -127,9 +140,10 @@ class HubRelay:
         topics, services = topic_pairs(endpoints, midspan, versions), service_pairs(endpoints, midspan, versions)
         sessions = {end.zid for pair in topics.values() for end in pair.publishers}
         elected = self._election.elect(sessions | {pair.servers[0].zid for pair in services.values()})
-        failed = self._follow_topics(topics_of(topics, elected), gate)
+        # services first, because clients do not repeat their calls
         chosen = {key: pair for key, pair in services.items() if pair.servers[0].zid in elected}
-        return self._follow_services(chosen, gate) or failed
+        failed = self._follow_services(chosen, gate)
+        return self._follow_topics(topics_of(topics, elected), gate) or failed
 
     def _follow_topics(self, pairs: Mapping[RelayKey, TopicPair], gate: RelayGate) -> bool:
         """Update the relayed topics; return whether any failed."""
@@ -156,7 +170,7 @@ class HubRelay:
         def update(key: RelayKey) -> None:
             if key not in self._services:
                 self._services[key] = RelayedService(key, wanted[key], self._context())
-            self._services[key].update(wanted[key])
+            self._services[key].pair = wanted[key]
 
         succeeded = [self._attempt(key, update) for key in wanted]
         return not all(succeeded)

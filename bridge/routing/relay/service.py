@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
+from threading import Event
 
 from bridge.concurrency import BoundedQueue
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError, nothing
-from bridge.hub.endpoints.services import HubServer
 from bridge.hub.endpoints.variants import REQUEST, RESPONSE, Convert
 from bridge.messages.errors import ConversionError
 from bridge.messages.unchanged import same
@@ -17,6 +18,13 @@ from bridge.routing.relay.topic import RelayContext
 
 _MAX_WAITING = 1000
 _CROWDED = "more than {} calls of {} wait to be relayed; call again later"
+_UNREACHED = "no server of {} could be reached within {:g} s"
+
+_PATIENCE = 1.0
+"""Seconds for which a call waits until its server, whose token has arrived, can be called."""
+
+_RECHECK = 0.05
+"""Seconds after which a waiting call looks again, because the client does not report every change."""
 
 
 class _WaitingCall:
@@ -24,6 +32,7 @@ class _WaitingCall:
 
     def __init__(self, request: bytes, done: Done) -> None:
         self.request, self.done = request, done
+        self.since = time.monotonic()
         self.left = False
         self.end: Abandon = nothing
 
@@ -36,8 +45,10 @@ class _WaitingCall:
 class RelayedService:
     """Answers the clients of one hash, and forwards their calls to servers of another hash.
 
-    Its server is hidden, because rmw_zenoh's clients already see the other servers, whose hashes they ignore. A call is
-    never repeated. The receiving threads only queue the calls, because sending may wait for a congested link.
+    Its server is hidden, because rmw_zenoh's clients already see the other servers, whose hashes they ignore. Such a
+    client may call as soon as it sees a server, and never repeats a call. So the hidden server is declared first, and
+    calls wait for a moment until the server can be called. The receiving threads only queue the calls, because sending
+    may wait for a congested link.
     """
 
     def __init__(self, key: RelayKey, pair: ServicePair, context: RelayContext) -> None:
@@ -47,20 +58,10 @@ class RelayedService:
         self._to_server = self._converter(context, type_name, own, type_hash, REQUEST)
         self._to_client = self._converter(context, type_name, type_hash, own, RESPONSE)
         self._queue = BoundedQueue[_WaitingCall]("midspan-relay", _MAX_WAITING, QUEUE_BYTES, self._send, nothing)
-        self._client = context.node.client(name, type_name, type_hash, context.wake)
-        self._node, self._closing = context.node, context.closing
-        self._server: HubServer | None = None
-
-    @property
-    def served(self) -> bool:
-        """Whether it answers clients."""
-        return self._server is not None
-
-    def update(self, pair: ServicePair) -> None:
-        """Answer clients as soon as a server can be called, because their calls are not repeated."""
-        self.pair = pair
-        if self._server is None and self._client.ready:
-            self._server = self._node.server(*self.key, self._call, hidden=True)
+        self._changed = Event()
+        self._closing = context.closing
+        self._server = context.node.server(*key, self._call, hidden=True)
+        self._client = context.node.client(name, type_name, type_hash, self._changed.set)
 
     @staticmethod
     def _converter(context: RelayContext, type_name: str, source: str, target: str, part: str) -> Convert:
@@ -74,8 +75,19 @@ class RelayedService:
         done(UnsentCallError(_CROWDED.format(_MAX_WAITING, self.key.topic)))
         return nothing
 
+    def _reaches(self, call: _WaitingCall) -> bool:
+        """Wait until the server can be called; return False if a call has waited too long, or was abandoned."""
+        while not call.left:
+            self._changed.clear()
+            left = call.since + _PATIENCE - time.monotonic()
+            if self._client.ready or left <= 0:
+                return self._client.ready
+            self._changed.wait(min(left, _RECHECK))
+        return False
+
     def _send(self, call: _WaitingCall) -> None:
-        if call.left:
+        if not self._reaches(call):
+            call.done(UnsentCallError(_UNREACHED.format(self.key.topic, _PATIENCE)))
             return
         try:
             request = self._to_server(call.request)
@@ -99,7 +111,7 @@ class RelayedService:
 
     def close(self) -> None:
         """Stop relaying; pending calls fail."""
-        if self._server is not None:
-            self._server.close()
+        self._server.close()
+        self._changed.set()
         self._client.close()
         self._closing.submit(self._queue.close)
