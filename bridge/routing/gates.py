@@ -121,7 +121,8 @@ class RelayGate:
 
     def __init__(self, rules: RuleSet, endpoints: Iterable[HubEndpoint]) -> None:
         self._rules = rules
-        offered = (e for e in endpoints if e.kind in (EndpointKind.PUBLISHER, EndpointKind.SERVER))
+        # clients too, which may wait for the action; servers last, because their types count
+        offered = sorted(endpoints, key=lambda e: e.kind in (EndpointKind.PUBLISHER, EndpointKind.SERVER))
         self._actions = GraphActions((e.topic, e.type_name) for e in offered)
 
     def decide(self, kind: Crosses, name: str, type_name: str) -> RoutePolicy:

@@ -63,10 +63,10 @@ _PAUSE = 0.02
 _HUB_LINKED = 1.0
 """Seconds from the first link on the hub until all sessions on the hub are known."""
 
-_HUB_AGAIN = 2.5
+HUB_AGAIN = 2.5
 """Like `_HUB_LINKED`, after a hang in which links were lost, which are restored one by one (`bridge.hub.links`)."""
 
-_LINKS_LAST = 0.75 * LEASE_MS / 1000
+LINKS_LAST = 0.75 * LEASE_MS / 1000
 """Seconds of a hang after which other sessions on the hub drop their links to this session. This is less than zenoh's
 lease, because the last keep-alive was sent before the hang."""
 
@@ -179,8 +179,8 @@ class PeerWatch:
             self._outcome_before_hang = self._outcome if alone else None
             self._election.lapse(now, same_term=alone)
             self._since = now
-            if hang > _LINKS_LAST:
-                self._views.restart(now, _HUB_AGAIN)
+            if hang > LINKS_LAST:
+                self._views.restart(now, HUB_AGAIN)
         self._last_round = now
         record, urgent = self._election.run_round(
             now, time.time_ns(), self._edge.sightings(), self._views.now(now), settled=self._edge.settled(self._since)

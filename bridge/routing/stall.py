@@ -38,6 +38,10 @@ class StallDetector:
         self._resumed = resumed
         self._last = _now()
         self._until = 0.0
+        self.last_stall = 0.0
+        """Duration in seconds of the last stall of more than half a second."""
+        self.stalls = 0
+        """Number of such stalls."""
         self._asked = self._last
         self.pause = _BEAT
         self._stopping = False
@@ -70,6 +74,7 @@ class StallDetector:
         if since > _LATE:
             # Messages that accumulated during the stall are still being read from sockets.
             self._until = now + _LATE
+            self.last_stall, self.stalls = since, self.stalls + 1
         self._last = now  # last, so that no concurrent reader misses the stall
         if since > _STOOD_STILL:
             self._resumed(since)
@@ -81,6 +86,11 @@ class StallDetector:
             self.pause = _BEAT
             self._wake.set()
         return now < self._until or now - self._last > max(timeout, 0.3)
+
+    def hung(self, seconds: float) -> bool:
+        """Return whether a message that arrives now may have waited while this process hung for longer than that."""
+        now = _now()
+        return now - self._last > seconds or (now < self._until and self.last_stall > seconds)
 
 
 STEP_NS = 100_000_000

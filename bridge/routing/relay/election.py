@@ -7,18 +7,23 @@ that machine's commands. This candidate has a direct link to the session, and an
 a candidate, such as those of machines without Midspan, the candidate that started first relays, a second later.
 
 A worker joins the election when it is linked to a router, and relays nothing before it knows all sessions on the hub.
+A candidate that takes a session over from one that is still on the hub starts a second later, so that the other one has
+seen that and has stopped: no message is relayed twice. A worker that hung for so long that others may have taken over
+joins again, as the last one.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection
 
 from bridge.hub.session import Hub
-from bridge.routing.peer_watch import HubViews
+from bridge.routing.peer_watch import HUB_AGAIN, HubViews
 
 GRACE = 1.0
-"""Seconds for which a candidate on another machine waits for the announcement of one with a direct link."""
+"""Seconds for which a candidate on another machine waits for the announcement of one with a direct link, and for which
+a candidate waits until another one has stopped."""
 
 
 class RelayElection:
@@ -33,6 +38,16 @@ class RelayElection:
         self._withdraw: Callable[[], None] | None = None
         self._near: dict[str, Callable[[], None]] = {}
         self._seen: dict[str, float] = {}
+        self._winners: dict[str, str] | None = None  # the candidate of each session; None while this is no candidate
+        self._won: dict[str, float] = {}  # when it won each session from another candidate; -inf if there was none
+
+    def rejoin(self) -> None:
+        """Join again after a hang, as the last one, unless this is the only worker that may relay."""
+        if self._router is None or self._hub.graph.relays().keys() <= {self._hub.zid}:
+            return
+        self._views.restart(time.monotonic(), HUB_AGAIN)
+        self._settled, self._since = False, time.time_ns()
+        self._announce(self._router)
 
     def stop(self) -> None:
         """Leave the election."""
@@ -55,7 +70,7 @@ class RelayElection:
             self._settled = self._views.now(now).settled
             return self._settled
         return len(self._candidates()) > 1 and (
-            any(now - seen < 2 * GRACE for seen in self._seen.values())
+            any(now - seen < 2 * GRACE for seen in (*self._seen.values(), *self._won.values()))
             or any(zid not in self._near for zid in self._hub.neighbors() & self._seen.keys())
         )
 
@@ -75,26 +90,39 @@ class RelayElection:
         """Return for which of these sessions (zid) this worker relays."""
         now, me, candidates = time.monotonic(), self._hub.zid, self._candidates()
         if not self._settled or me not in candidates:
-            self._seen = {}
+            self._seen, self._winners, self._won = {}, None, {}
             self._follow_near(())
             return frozenset()
         self._seen = {zid: self._seen.get(zid, now) for zid in sessions}
         if len(candidates) == 1:
             self._follow_near(())
+            self._winners, self._won = dict.fromkeys(sessions, me), dict.fromkeys(sessions, -math.inf)
             return frozenset(sessions)
         # a link that is lost for a moment must not end a call that waits for its reply
         self._follow_near((self._hub.neighbors() | self._near.keys()) & set(sessions))
         relays, near = self._hub.graph.relays(), self._hub.graph.near()
 
-        def first(zids: Collection[str]) -> str:
-            return min(zids, key=lambda zid: (relays[zid][0], zid))
-
-        elected: set[str] = set()
-        for session in sessions:
+        def winner(session: str) -> str:
             linked = [zid for zid in candidates if (zid, session) in near]
-            if first(linked or candidates) == me and (linked or now - self._seen[session] >= GRACE):
-                elected.add(session)
-        return frozenset(elected)
+            return min(linked or candidates, key=lambda zid: (relays[zid][0], zid))
+
+        self._follow_winners({session: winner(session) for session in sessions}, candidates, now)
+        linked = {session for zid, session in near if zid in candidates}
+        return frozenset(
+            session
+            for session, won in self._won.items()
+            if now - won >= GRACE and (session in linked or now - self._seen[session] >= GRACE)
+        )
+
+    def _follow_winners(self, winners: dict[str, str], candidates: Collection[str], now: float) -> None:
+        """Note which sessions this worker wins, and whether another candidate may still relay for them."""
+        before, self._winners = self._winners, winners
+        won: dict[str, float] = {}
+        for session in (session for session, winner in winners.items() if winner == self._hub.zid):
+            seen = self._seen[session]
+            relayed = before is None or (before.get(session) in candidates and now - seen >= GRACE)
+            won[session] = self._won.get(session, now if relayed else -math.inf)
+        self._won = won
 
     def _follow_near(self, sessions: Collection[str]) -> None:
         for zid in self._near.keys() - set(sessions):

@@ -42,8 +42,8 @@ class ServicePair:
 
     Attributes:
         clients: clients of the hub's own nodes; there may be none yet.
-        type_hash: the hash of the servers' key.
-        servers: servers of the hub's own nodes, sorted by their sessions.
+        type_hash: the hash of the servers' key, `NO_HASH` if there are no servers yet.
+        servers: servers of the hub's own nodes, sorted by their sessions; there may be none yet.
     """
 
     clients: tuple[HubEndpoint, ...]
@@ -102,19 +102,24 @@ def service_pairs(
 ) -> dict[RelayKey, ServicePair]:
     """Return the keys on which no server answers, although a server with another version could, after a conversion.
 
-    They include keys without a client: a client may call as soon as it sees a server's token, and its call is not
-    repeated. A service with a server of Midspan needs no relay, because that server accepts all versions. If the
-    servers have several other versions, those with the smallest hash are called.
+    They include keys without a client, and keys of clients that wait for a server: a client may call as soon as it sees
+    a server's token, and its call is not repeated. A service with a server of Midspan needs no relay, because that
+    server accepts all versions. One with a client of Midspan is relayed only if it has a server, because that client
+    regards any queryable as a server while there are no tokens of servers. If the servers have several other versions,
+    those with the smallest hash are called.
     """
     clients: dict[tuple[str, str], dict[str, list[HubEndpoint]]] = defaultdict(lambda: defaultdict(list))
     servers: dict[tuple[str, str], dict[str, list[HubEndpoint]]] = defaultdict(lambda: defaultdict(list))
     covered: set[tuple[str, str]] = set()
+    expected: set[tuple[str, str]] = set()
     hashless = hashed = False
     for end in endpoints:
         name = end.topic, end.type_name
         if not is_native(end, midspan):
             if end.kind is EndpointKind.SERVER:
                 covered.add(name)
+            elif end.kind is EndpointKind.CLIENT:
+                expected.add(name)
             continue
         hashless, hashed = hashless or end.hashless, hashed or not end.hashless
         if end.kind is EndpointKind.CLIENT:
@@ -131,6 +136,12 @@ def service_pairs(
             if usable:
                 ends = sorted(known[usable[0]], key=lambda end: end.zid)
                 pairs[key] = ServicePair(tuple(callers.get(other, ())), usable[0], tuple(ends))
+    for name in clients.keys() - servers.keys() - covered - expected:
+        possible = {*(versions.hashes(name[1]) if hashed else ()), *([NO_HASH] if hashless else [])}
+        for own, waiting in clients[name].items():
+            key = RelayKey(*name, own)
+            if any(_converts(versions, key, other) for other in possible - {own}):
+                pairs[key] = ServicePair(tuple(waiting), NO_HASH, ())
     return pairs
 
 

@@ -24,6 +24,7 @@ from bridge.hub.session import Hub, HubSettings
 from bridge.routing.check_loop import CheckLoop
 from bridge.routing.gates import RelayGate
 from bridge.routing.hold import Hold
+from bridge.routing.peer_watch import LINKS_LAST
 from bridge.routing.relay.election import RelayElection
 from bridge.routing.relay.pairs import RelayKey, ServicePair, TopicPair, service_pairs, topic_pairs, topics_of
 from bridge.routing.relay.report import relayed_rows
@@ -72,6 +73,7 @@ class HubRelay:
         self._services: dict[RelayKey, RelayedService] = {}
         self._failures: dict[RelayKey, str] = {}
         self._trouble = ""
+        self._stalls = 0
         self._loop = CheckLoop("relay", self._check, self._tick, failed)
         self._closing = SerialExecutor("midspan-relay-closing")
         self._closers: list[Callable[[], None]] = []
@@ -106,8 +108,8 @@ class HubRelay:
         return dict(self._topics)
 
     def services(self) -> dict[RelayKey, RelayedService]:
-        """Return the services that this worker relays now."""
-        return dict(self._services)
+        """Return the services that this worker relays now, without those that wait for a server."""
+        return {key: relayed for key, relayed in self._services.copy().items() if relayed.pair.servers}
 
     def status(self) -> RelayStatus:
         """Return what this worker relays, for the status document."""
@@ -115,6 +117,11 @@ class HubRelay:
         return RelayStatus(zid="" if node is None else node.zid, names=rows)
 
     def _tick(self) -> None:
+        if self._stalls != self._stall_detector.stalls:
+            self._stalls = self._stall_detector.stalls
+            if self._stall_detector.last_stall > LINKS_LAST:
+                self._election.rejoin()
+                self._loop.wake()
         if self._election.poll():
             self._loop.wake()
         for topic in self.topics().values():
@@ -139,9 +146,9 @@ class HubRelay:
         midspan, gate = graph.midspan(), RelayGate(self._rules, endpoints)
         topics, services = topic_pairs(endpoints, midspan, versions), service_pairs(endpoints, midspan, versions)
         sessions = {end.zid for pair in topics.values() for end in pair.publishers}
-        elected = self._election.elect(sessions | {pair.servers[0].zid for pair in services.values()})
+        elected = self._election.elect(sessions | {pair.servers[0].zid for pair in services.values() if pair.servers})
         # services first, because clients do not repeat their calls
-        chosen = {key: pair for key, pair in services.items() if pair.servers[0].zid in elected}
+        chosen = {key: pair for key, pair in services.items() if not pair.servers or pair.servers[0].zid in elected}
         failed = self._follow_services(chosen, gate)
         return self._follow_topics(topics_of(topics, elected), gate) or failed
 
@@ -164,13 +171,13 @@ class HubRelay:
         """Update the relayed services; return whether any failed."""
         wanted = {key: pair for key, pair in pairs.items() if gate.decide("service", key.topic, key.type_name).allowed}
         for key, before in tuple(self._services.items()):
-            if key not in wanted or wanted[key].type_hash != before.pair.type_hash:
+            if key not in wanted or not before.fits(wanted[key]):
                 self._services.pop(key).close()
 
         def update(key: RelayKey) -> None:
             if key not in self._services:
                 self._services[key] = RelayedService(key, wanted[key], self._context())
-            self._services[key].pair = wanted[key]
+            self._services[key].update(wanted[key])
 
         succeeded = [self._attempt(key, update) for key in wanted]
         return not all(succeeded)

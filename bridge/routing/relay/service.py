@@ -8,6 +8,7 @@ from threading import Event
 
 from bridge.concurrency import BoundedQueue
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError, nothing
+from bridge.hub.endpoints.services import HubClient
 from bridge.hub.endpoints.variants import REQUEST, RESPONSE, Convert
 from bridge.messages.errors import ConversionError
 from bridge.messages.unchanged import same
@@ -46,26 +47,38 @@ class RelayedService:
     """Answers the clients of one hash, and forwards their calls to servers of another hash.
 
     Its server is hidden, because rmw_zenoh's clients already see the other servers, whose hashes they ignore. Such a
-    client may call as soon as it sees a server, and never repeats a call. So the hidden server is declared first, and
-    calls wait for a moment until the server can be called. The receiving threads only queue the calls, because sending
-    may wait for a congested link.
+    client may call as soon as it sees a server, and never repeats a call. So the hidden server exists as soon as a
+    client waits for the service, and calls wait for a moment until the other server is known and can be called. The
+    receiving threads only queue the calls, because sending may wait for a congested link.
     """
 
     def __init__(self, key: RelayKey, pair: ServicePair, context: RelayContext) -> None:
-        (name, type_name, own), type_hash = key, pair.type_hash
         self.key, self.pair = key, pair
         self.counters = Counters()
-        self._to_server = self._converter(context, type_name, own, type_hash, REQUEST)
-        self._to_client = self._converter(context, type_name, type_hash, own, RESPONSE)
+        self._to_server: Convert = same
+        self._to_client: Convert = same
         self._queue = BoundedQueue[_WaitingCall]("midspan-relay", _MAX_WAITING, QUEUE_BYTES, self._send, nothing)
         self._changed = Event()
-        self._closing = context.closing
+        self._context = context
         self._server = context.node.server(*key, self._call, hidden=True)
-        self._client = context.node.client(name, type_name, type_hash, self._changed.set)
+        self._client: HubClient | None = None
 
-    @staticmethod
-    def _converter(context: RelayContext, type_name: str, source: str, target: str, part: str) -> Convert:
-        return context.versions.converter(type_name, source, target, part) or same
+    def fits(self, pair: ServicePair) -> bool:
+        """Return whether `update` can follow a pair: its servers have the same hash as before, if there were any."""
+        return self._client is None or bool(pair.servers and pair.type_hash == self.pair.type_hash)
+
+    def update(self, pair: ServicePair) -> None:
+        """Follow clients and servers; the first servers get the waiting calls."""
+        self.pair = pair
+        if self._client is None and pair.servers:
+            (name, type_name, own), other = self.key, pair.type_hash
+            self._to_server = self._converter(type_name, own, other, REQUEST)
+            self._to_client = self._converter(type_name, other, own, RESPONSE)
+            self._client = self._context.node.client(name, type_name, other, self._changed.set)
+            self._changed.set()
+
+    def _converter(self, type_name: str, source: str, target: str, part: str) -> Convert:
+        return self._context.versions.converter(type_name, source, target, part) or same
 
     def _call(self, request: bytes, done: Done) -> Abandon:
         """Queue a call; called on the receiving threads."""
@@ -75,18 +88,21 @@ class RelayedService:
         done(UnsentCallError(_CROWDED.format(_MAX_WAITING, self.key.topic)))
         return nothing
 
-    def _reaches(self, call: _WaitingCall) -> bool:
-        """Wait until the server can be called; return False if a call has waited too long, or was abandoned."""
+    def _reachable(self, call: _WaitingCall) -> HubClient | None:
+        """Wait until the server can be called; return None if a call has waited too long, or was abandoned."""
         while not call.left:
             self._changed.clear()
-            left = call.since + _PATIENCE - time.monotonic()
-            if self._client.ready or left <= 0:
-                return self._client.ready
+            client, left = self._client, call.since + _PATIENCE - time.monotonic()
+            if client is not None and client.ready:
+                return client
+            if left <= 0:
+                return None
             self._changed.wait(min(left, _RECHECK))
-        return False
+        return None
 
     def _send(self, call: _WaitingCall) -> None:
-        if not self._reaches(call):
+        client = self._reachable(call)
+        if client is None:
             call.done(UnsentCallError(_UNREACHED.format(self.key.topic, _PATIENCE)))
             return
         try:
@@ -95,7 +111,7 @@ class RelayedService:
             call.done(UnsentCallError(str(err)))
             return
         self.counters.crossed(len(request))
-        call.end = self._client.call(request, partial(self._reply, call.done))
+        call.end = client.call(request, partial(self._reply, call.done))
         if call.left:
             call.end()
 
@@ -113,5 +129,6 @@ class RelayedService:
         """Stop relaying; pending calls fail."""
         self._server.close()
         self._changed.set()
-        self._client.close()
-        self._closing.submit(self._queue.close)
+        if self._client is not None:
+            self._client.close()
+        self._context.closing.submit(self._queue.close)

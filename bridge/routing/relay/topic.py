@@ -20,6 +20,7 @@ from bridge.routing.counters import Counters
 from bridge.routing.hold import Hold
 from bridge.routing.hub_end import HubSource, HubSources, RouteSubscription
 from bridge.routing.limits import MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priority, combined_qos
+from bridge.routing.peer_watch import ALONE
 from bridge.routing.relay.pairs import RelayKey, TopicPair
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import StallDetector
@@ -168,6 +169,9 @@ class RelayedTopic(TopicAdmission):
     def _relay(self, message: tuple[HubSample, HubSource]) -> None:
         """Publish a message; called on the queue's thread."""
         sample, source = message
+        if not source.latched and self._stall_detector.hung(ALONE):
+            self.counters.dropped("standby")
+            return
         if self._context.hold.blocks_native(self.key.topic):
             self.counters.dropped("held")
             return

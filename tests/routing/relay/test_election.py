@@ -83,7 +83,8 @@ def test_the_first_worker_of_one_machine_relays_at_once() -> None:
     assert elected(workers) == ["a"]
 
 
-def test_the_machine_of_a_session_relays_for_it() -> None:
+def test_the_machine_of_a_session_relays_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(election, "GRACE", 0.0)
     graph = Graph()
     workers = [Worker(graph, *names) for names in (("a", "one"), ("b", "two"), ("c", "two"))]
     for worker in workers[1:]:
@@ -125,3 +126,47 @@ def test_nodes_of_one_of_two_machines_are_relayed_there() -> None:
         until(lambda: values[-1] in texts(subscription), "all messages arrive")
         assert texts(subscription) == values
         assert [len(worker.relay.topics()) for worker in workers] == [0, 1]
+
+
+def test_a_candidate_takes_a_session_over_only_after_the_other_one_has_stopped() -> None:
+    """The first worker relays for a session of another machine, until that machine gets a worker."""
+    graph = Graph()
+    far = Worker(graph, "a", "one")
+    assert elected([far]) == ["a"]
+    near = Worker(graph, "b", "two")
+    near.linked_to = {SESSION}
+    assert not near.election.elect([SESSION])
+    assert graph.links == {("b", SESSION)}
+    assert not far.election.elect([SESSION]), "it has seen the link"
+    assert near.election.poll()
+    near.election._won[SESSION] -= election.GRACE
+    assert near.election.elect([SESSION])
+    new = "a new session"
+    near.linked_to = {SESSION, new}
+    assert new in near.election.elect([SESSION, new]), "nobody can relay for it yet"
+
+
+def test_a_session_whose_relay_left_is_taken_over_at_once() -> None:
+    graph = Graph()
+    far, near = Worker(graph, "a", "one"), Worker(graph, "b", "two")
+    near.linked_to = {SESSION}
+    near.election.elect([SESSION])
+    near.election._won[SESSION] -= election.GRACE
+    for worker in (far, near):
+        worker.election._seen[SESSION] = -election.GRACE
+    assert elected([far, near]) == ["b"]
+    graph.starts["c"] = 5, "three"  # a third machine
+    near.election.stop()
+    assert far.election.elect([SESSION])
+
+
+def test_a_worker_that_hung_joins_again_as_the_last_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = Graph()
+    first = Worker(graph, "a", "router")
+    first.election.rejoin()
+    assert elected([first]) == ["a"], "no other worker can have taken over"
+    second = Worker(graph, "b", "router")
+    monkeypatch.setattr(election.time, "time_ns", lambda: 7)
+    first.election.rejoin()
+    assert elected([first]) == []
+    assert elected([second]) == ["b"]

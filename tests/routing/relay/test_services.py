@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Event
 from typing import Any
 
 import pytest
@@ -70,6 +71,71 @@ def test_a_server_of_another_release_gets_each_call_once(
         (reply,) = calls.call(ReleaseTypes(nodes[0]).encode(SET_BOOL, {"data": True}, "Request"))
         assert ReleaseTypes(nodes[0]).decode(SET_BOOL, reply, "Response") == {"success": True, "message": "yes"}
     assert len(end.requests) == 3
+
+
+def both_releases(node: Nodes) -> tuple[ReleaseNode, ReleaseNode]:
+    """Return nodes of Humble and Jazzy, each with an endpoint."""
+    nodes = node(HUMBLE), node(JAZZY)
+    for each in nodes:
+        ReleaseSubscription(each, ReleaseTypes(each).topic(f"/of_{each.release.name}", "std_msgs/msg/String"))
+    return nodes
+
+
+def until_waiting(relay: Relay, node: ReleaseNode) -> None:
+    """Wait until the relay waits for a server for a node's client."""
+    until(lambda: any(not waiting.pair.servers for waiting in tuple(relay.relay._services.values())), "it waits")
+    until_answered(node, SET_BOOL)
+
+
+def test_a_call_that_follows_the_token_of_a_server_at_once_is_answered(relay: Relays, node: Nodes) -> None:
+    worker, (humble, jazzy) = relay(), both_releases(node)
+    calls, seen = client(humble, SET_BOOL), Event()
+    until_waiting(worker, humble)
+
+    def on_token(sample: zenoh.Sample) -> None:
+        if "/SS/" in str(sample.key_expr):
+            seen.set()
+
+    handler = zenoh.handlers.Callback(on_token, indirect=False)
+    humble.session.liveliness().declare_subscriber("@ros2_lv/**", handler)
+    end = server(jazzy, SET_BOOL, {"success": True})
+    assert seen.wait(10)
+    assert len(calls.call(ReleaseTypes(humble).encode(SET_BOOL, {"data": True}, "Request"))) == 1
+    assert len(end.requests) == 1
+
+
+def test_a_call_without_a_server_ends_and_is_not_made_later(relay: Relays, node: Nodes) -> None:
+    worker, (humble, jazzy) = relay(), both_releases(node)
+    calls = client(humble, SET_BOOL)
+    until_waiting(worker, humble)
+    request = ReleaseTypes(humble).encode(SET_BOOL, {"data": True}, "Request")
+    assert calls.call(request) == []
+    end = server(jazzy, SET_BOOL, {"success": True})
+    until_services(worker, 1)
+    until(lambda: len(calls.call(request)) == 1, "the server answers")
+    assert len(end.requests) == 1
+
+
+def test_a_waiting_client_is_answered_once_by_a_server_of_its_own_release(relay: Relays, node: Nodes) -> None:
+    worker, (humble, _) = relay(), both_releases(node)
+    calls = client(humble, SET_BOOL)
+    until_waiting(worker, humble)
+    end = server(humble, SET_BOOL, {"success": True})
+    request = ReleaseTypes(humble).encode(SET_BOOL, {"data": True}, "Request")
+    assert len(calls.call(request)) == 1
+    until(lambda: all(key.type_hash for key in tuple(worker.relay._services)), "Humble's calls are no longer relayed")
+    assert len(calls.call(request)) == 1
+    assert len(end.requests) == 2
+
+
+def test_a_waiting_client_does_not_look_like_a_server(relay: Relays, node: Nodes) -> None:
+    worker, other, (_, jazzy) = relay(), relay(), both_releases(node)
+    client(jazzy, SET_BOOL)
+    until_waiting(worker, jazzy)
+    own = other.hub.client("/do", SET_BOOL, hash_in("jazzy", SET_BOOL))
+    until(lambda: not worker.relay._services and not own.ready, "no server is ready")
+    own.close()
+    until_waiting(worker, jazzy)
 
 
 def test_requests_and_replies_are_converted(relay: Relays, node: Nodes) -> None:
