@@ -33,8 +33,11 @@ def _rows(documents: Iterable[StatusDocument]) -> list[tuple[WorkerStatus, Relay
 
 def _text(document: WorkerStatus, row: RelayedStatus) -> str:
     what = "calls" if row.kind == "service" else "messages"
+    why = f"have other versions of {row.type}"
+    if row.hash in row.others:
+        why = f"do not receive the buffers of {row.type}"
     text = (
         f"{row.topic}: {document.worker} (daemon {document.daemon}) relays {what} from {', '.join(row.senders)} to"
-        f" {', '.join(row.receivers)}, which have other versions of {row.type}; {row.messages} so far"
+        f" {', '.join(row.receivers)}, which {why}; {row.messages} so far"
     )
     return "; ".join(filter(None, (text, row.losses, row.error and f"last error: {row.error}")))

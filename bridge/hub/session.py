@@ -347,10 +347,12 @@ class Hub:
         refused: Refused | None = None,
         *,
         exact: bool = False,
+        grouped: bool = False,
     ) -> HubSubscription:
         """Create a subscription, which exists until it or the node is closed; the type hash ``*`` stands for any hash.
 
-        Unless it is ``exact``, it also receives the messages of other known versions of the type, converted. A latched
+        Unless it is ``exact``, it also receives the messages of other known versions of the type, converted. If it is
+        ``grouped``, it receives only the messages of the CPU group (`bridge.hub.wire.buffers`). A latched
         subscription receives the cached samples of each latched publisher, existing or later. The node's own samples
         are not delivered. ``refused`` is called for each sample that is malformed, too large or cannot be converted.
         Both callbacks run on threads of zenoh, the lane or Midspan's executors, or on the publishing thread of another
@@ -364,8 +366,10 @@ class Hub:
                     LatchedHubSubscription(self._context, token, key, topic, qos, callback, refused, exact=exact)
                 )
             lane = self._joined.lane
-            if lane is None:
-                return self._keep(HubSubscription(self._context, token, key, topic, callback, refused, exact=exact))
+            if lane is None or grouped:
+                return self._keep(
+                    HubSubscription(self._context, token, key, topic, callback, refused, exact=exact, grouped=grouped)
+                )
             return self._keep(
                 LaneSubscription(self._context, lane, token, key, topic, qos, callback, refused, exact=exact)
             )

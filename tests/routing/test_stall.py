@@ -120,6 +120,19 @@ def test_a_suspension_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not stall_detector.stood_still(0.5)
 
 
+def test_only_a_long_suspension_counts_as_a_hang(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = ProcessClock(monkeypatch)
+    stall_detector = stall.StallDetector()
+    for pause, hung in ((1.0, False), (2.0, True)):
+        clock.now += pause
+        assert stall_detector.hung(1.5) is hung
+        stall_detector.beat()
+        assert stall_detector.hung(1.5) is hung, "the backlog is still being read"
+        clock.now += 0.6
+        assert not stall_detector.hung(1.5)
+        stall_detector.beat()
+
+
 def test_pulse_reports_a_suspension_once_the_process_continues(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, reported = ProcessClock(monkeypatch), queue.SimpleQueue[float]()
     stall_detector = stall.StallDetector(reported.put)

@@ -282,6 +282,7 @@ class HubSubscription:
         on_refused: Refused | None = None,
         *,
         exact: bool = False,
+        grouped: bool = False,
     ) -> None:
         self.topic = topic
         self._graph, self._on_close = context.graph, context.closed
@@ -291,7 +292,7 @@ class HubSubscription:
         self._lock = Lock()
         self.sources = PublisherStates(context.graph)
         self._losses = Losses()
-        self._undeclare = self._declare(context, key)
+        self._undeclare: Callable[[], None] = (lambda: None) if grouped else self._declare(context, key)
         self._keys = SubscribedKeys(
             context, token, key, topic, partial(self._declare_more, context), partial(self._declare_group, context)
         )

@@ -14,11 +14,15 @@ from bridge.hub.wire.keys import NO_HASH
 
 
 class RelayKey(NamedTuple):
-    """The publishers of a topic, or the clients of a service, whose keys have the same hash, which may be `NO_HASH`."""
+    """The publishers of a topic, or the clients of a service, whose keys have the same hash, which may be `NO_HASH`.
+
+    ``grouped``: only what publishers with buffers send to the CPU group of their hash (`bridge.hub.wire.buffers`).
+    """
 
     topic: str
     type_name: str
     type_hash: str
+    grouped: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +66,11 @@ def is_native(endpoint: HubEndpoint, midspan: Collection[str]) -> bool:
 def topic_pairs(
     endpoints: Iterable[HubEndpoint], midspan: Collection[str], versions: TypeVersions
 ) -> dict[RelayKey, TopicPair]:
-    """Return the publishers that need a relay to subscriptions with another version that can be converted."""
+    """Return the publishers that need a relay to subscriptions with another version that can be converted.
+
+    Publishers with buffers also need one to subscriptions with the same hash that are not in the CPU group. These are
+    served only if all subscriptions with this hash are such, because the others would receive each message twice.
+    """
     publishers: dict[RelayKey, list[HubEndpoint]] = defaultdict(list)
     subscriptions: dict[tuple[str, str], dict[str, list[HubEndpoint]]] = defaultdict(lambda: defaultdict(list))
     gids: dict[str, set[bytes]] = defaultdict(set)
@@ -83,6 +91,11 @@ def topic_pairs(
         if missed:
             others = gids[key.topic] - {end.gid for end in senders}
             pairs[key] = TopicPair(tuple(senders), missed, frozenset(others))
+        same = subscriptions.get((key.topic, key.type_name), {}).get(key.type_hash, [])
+        buffered = tuple(end for end in senders if end.buffers)
+        if buffered and same and not any(end.buffers for end in same):
+            others = gids[key.topic] - {end.gid for end in buffered}
+            pairs[key._replace(grouped=True)] = TopicPair(buffered, {key.type_hash: tuple(same)}, frozenset(others))
     return pairs
 
 

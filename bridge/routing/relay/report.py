@@ -27,7 +27,7 @@ def relayed_rows(
 
 
 def _topic_row(relayed: RelayedTopic, versions: TypeVersions) -> RelayedStatus:
-    (topic, type_name, source), pair, counters = relayed.key, relayed.pair, relayed.counters
+    (topic, type_name, source, _), pair, counters = relayed.key, relayed.pair, relayed.counters
     drops = {reason: count for reason, count in counters.drops.items() if count}
     return RelayedStatus(
         kind="topic", topic=topic, type=type_name, hash=source, others=sorted(pair.subscriptions),
@@ -38,7 +38,7 @@ def _topic_row(relayed: RelayedTopic, versions: TypeVersions) -> RelayedStatus:
 
 
 def _service_row(relayed: RelayedService, versions: TypeVersions) -> RelayedStatus:
-    (name, type_name, own), pair, other = relayed.key, relayed.pair, relayed.pair.type_hash
+    (name, type_name, own, _), pair, other = relayed.key, relayed.pair, relayed.pair.type_hash
     return RelayedStatus(
         kind="service", topic=name, type=type_name, hash=own, others=[other],
         senders=_names(pair.clients), receivers=_names(pair.servers),

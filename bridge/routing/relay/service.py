@@ -60,7 +60,7 @@ class RelayedService:
         self._queue = BoundedQueue[_WaitingCall]("midspan-relay", _MAX_WAITING, QUEUE_BYTES, self._send, nothing)
         self._changed = Event()
         self._context = context
-        self._server = context.node.server(*key, self._call, hidden=True)
+        self._server = context.node.server(*key[:3], self._call, hidden=True)
         self._client: HubClient | None = None
 
     def fits(self, pair: ServicePair) -> bool:
@@ -71,7 +71,7 @@ class RelayedService:
         """Follow clients and servers; the first servers get the waiting calls."""
         self.pair = pair
         if self._client is None and pair.servers:
-            (name, type_name, own), other = self.key, pair.type_hash
+            (name, type_name, own, _), other = self.key, pair.type_hash
             self._to_server = self._converter(type_name, own, other, REQUEST)
             self._to_client = self._converter(type_name, other, own, RESPONSE)
             self._client = self._context.node.client(name, type_name, other, self._changed.set)

@@ -114,15 +114,16 @@ class RelayedTopic(TopicAdmission):
         return Qos(qos.reliability, Durability.VOLATILE, qos.history, qos.depth)
 
     def _publisher(self, target: str, qos: Qos) -> RelayPublisher:
-        topic, type_name, source = self.key
-        convert = self._context.versions.converter(type_name, source, target)
+        topic, type_name, source, grouped = self.key
+        convert = None if grouped else self._context.versions.converter(type_name, source, target)
         if convert is same:
             convert = None
         return self._context.node.relay_publisher(topic, type_name, target, qos, convert, priority=self._priority.value)
 
     def _subscribe(self, qos: Qos) -> HubSubscription:
-        topic, type_name, type_hash = self.key
-        return self._context.node.subscription(topic, type_name, type_hash, qos, self._receive, self._refused)
+        topic, type_name, type_hash, grouped = self.key
+        subscribe = self._context.node.subscription
+        return subscribe(topic, type_name, type_hash, qos, self._receive, self._refused, grouped=grouped)
 
     def _release(self) -> None:
         """Relay the held messages of publishers that are known by now, and drop those that are overdue."""

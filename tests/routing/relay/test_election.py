@@ -166,7 +166,7 @@ def test_a_worker_that_hung_joins_again_as_the_last_one(monkeypatch: pytest.Monk
     first.election.rejoin()
     assert elected([first]) == ["a"], "no other worker can have taken over"
     second = Worker(graph, "b", "router")
-    monkeypatch.setattr(election.time, "time_ns", lambda: 7)
+    monkeypatch.setattr("bridge.routing.relay.election.time.time_ns", lambda: 7)
     first.election.rejoin()
     assert elected([first]) == []
     assert elected([second]) == ["b"]

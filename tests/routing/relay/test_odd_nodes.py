@@ -104,7 +104,9 @@ def test_a_node_returns_with_another_version(relay: Relays, node: Nodes) -> None
 def test_unusual_names_are_relayed(relay: Relays, node: Nodes, name: str) -> None:
     relay()
     topic = Topics(STRING, name=name)
-    connect(topic.publisher(node(HUMBLE)), topic.subscription(node(JAZZY)))
+    publisher, received = topic.publisher(node(HUMBLE)), topic.subscription(node(JAZZY))
+    connect(publisher, received)
+    assert {sample.gid for sample in received.samples} == {publisher.gid}
 
 
 def test_a_burst_of_large_messages_arrives_in_order(relay: Relays, node: Nodes) -> None:

@@ -136,6 +136,30 @@ def test_buffers_of_lyrical_reach_humble(relay: Relays, node: Nodes) -> None:
     assert len(numbers) == len(set(numbers))
 
 
+def test_buffers_of_lyrical_reach_jazzy_unless_they_would_reach_lyrical_twice(relay: Relays, node: Nodes) -> None:
+    worker, lyrical = relay(), node(LYRICAL)
+    topic = Topic("/image", IMAGE, hash_in("lyrical", IMAGE), STREAM, array=True)
+    publisher, received = ReleasePublisher(lyrical, topic), ReleaseSubscription(node(JAZZY), topic)
+    ReleasePublisher(node(JAZZY), topic)
+    until_topics(worker, 1)
+
+    def put(end: ReleaseSubscription, payload: bytes) -> None:
+        until(lambda: (publisher.put(payload), end.samples)[1], "an image arrives", every=0.05)
+
+    put(received, b"\0\1\0\0image")
+    for number in range(COUNT):
+        publisher.put_serialized(b"\0\1\0\0serialized") if number % 2 else publisher.put(b"\0\1\0\0buffer")
+    publisher.put(b"\0\1\0\0last")
+    until(lambda: received.samples[-1].payload.endswith(b"last"), "all images arrive")
+    payloads = [sample.payload[4:] for sample in received.samples]
+    assert [payloads.count(kind) for kind in (b"serialized", b"buffer", b"last")] == [COUNT // 2, COUNT // 2, 1]
+    same = ReleaseSubscription(node(LYRICAL), topic)
+    until_topics(worker, 0)
+    put(same, b"\0\1\0\0same")
+    numbers = [sample.sequence for sample in same.samples]
+    assert len(numbers) == len(set(numbers))
+
+
 def test_both_directions_of_a_topic_are_relayed_without_a_loop(relay: Relays, node: Nodes) -> None:
     worker = relay()
     nodes = node(HUMBLE), node(JAZZY)
