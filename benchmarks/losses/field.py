@@ -7,14 +7,17 @@ import os
 import signal
 import time
 import xmlrpc.client
+from pathlib import Path
 from typing import Any
 
 import psutil
 from typing_extensions import override
 
 from benchmarks.processes import Processes
+from bridge.adapters.ros2.graph.ports import lost_ports
 from bridge.concurrency import GOOD_LIFE
 from bridge.daemon.query import ask_daemon
+from bridge.demo.leftovers import marked
 from bridge.status import DaemonStatus
 
 WORKERS = ("router", "ros1", "ros2")
@@ -141,6 +144,13 @@ class Field(Processes):
     def _joined(self) -> bool:
         running = {w.worker for w in self.document().workers if w.phase == "running"}
         return running >= set(WORKERS)
+
+    @override
+    def words(self) -> str:
+        """Return the end of the daemon's log, and the processes that receive nothing over Fast DDS's shared memory."""
+        lost = {pid: lost_ports(Path(f"/proc/{pid}")) for pid in marked(self.place.folder)}
+        lines = [f"process {pid} has lost {', '.join(sorted(ports))}" for pid, ports in lost.items() if ports]
+        return "\n".join([super().words(), *lines])
 
     # -- killing -------------------------------------------------------------------------------------------------------
 

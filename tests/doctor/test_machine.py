@@ -22,6 +22,7 @@ from bridge.doctor.checks import machine, sharedmemory
 from bridge.doctor.checks.sharedmemory import shared_files
 from bridge.doctor.context import Offset
 from bridge.hub.graph.tokens import EndpointKind
+from tests.adapters.ros2.graph.test_ports import opened
 from tests.doctor.parts import around, hub, only, results
 from tests.support.process import Process
 from tests.support.wait import until
@@ -162,6 +163,17 @@ def test_files_of_dead_processes_in_shared_memory_are_reported(tmp_path: Path) -
     assert "2 files" in finding.seen
     assert "fastdds shm clean" in finding.cure
     assert f"rm {tmp_path}/12345.zenoh" in finding.cure
+
+
+def test_programs_whose_shared_memory_port_was_removed_are_reported(tmp_path: Path) -> None:
+    place = around(shm=tmp_path, proc=PROC)
+    with opened(tmp_path / "fastrtps_port7411"):
+        assert only(sharedmemory.check_ports(place)).result is Result.OK
+        (tmp_path / "fastrtps_port7411").unlink()
+        finding = only(sharedmemory.check_ports(place))
+    assert finding.result is Result.WARN
+    assert f"(process {os.getpid()})" in finding.seen
+    assert only(sharedmemory.check_ports(around(shm=tmp_path / "none", proc=PROC))).result is Result.SKIP
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to another user")

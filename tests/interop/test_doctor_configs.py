@@ -41,7 +41,9 @@ pytestmark = [needs_ros1, pytest.mark.long]
 ROOT = Path(__file__).parents[2]
 CONFIGS, PEERS = ROOT / "configs", ROOT / "tests" / "peers"
 APARTMENT = str(CONFIGS / "apartment" / "apartment.yaml")
-MACHINE_CHECKS = {"kernels", "wheels", "compiler", "clock", "shm-users", "shm-size", "shm-litter", "descriptors"}
+MACHINE_CHECKS = {
+    "kernels", "wheels", "compiler", "clock", "shm-users", "shm-size", "shm-litter", "shm-ports", "descriptors",
+}  # fmt: skip
 VOLATILE = ("daemon", "types", "type-hash", "keys")
 """Checks whose result changes while a deployment starts."""
 

@@ -26,6 +26,7 @@ from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
 from bridge.adapters.ros2.graph.neighbors import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins
+from bridge.adapters.ros2.graph.ports import PortWatch
 from bridge.adapters.ros2.graph.presence import TYPE, PresenceTopic
 from bridge.adapters.ros2.loop import QueueReadLoop, WaitSetReadLoop
 from bridge.adapters.ros2.participant import mismatch
@@ -89,6 +90,7 @@ class Ros2Edge(SideEdge):
         self._prefix = b""
         self._neighbors: neighbors.MemoryNeighbors | None = None
         self._interfaces: InterfaceWatch | None = None
+        self._ports: PortWatch | None = None
         self._servers: ServerWatch | None = None
         self._context: Ros2Context | None = None
         self._origins: Origins | None = None
@@ -110,6 +112,7 @@ class Ros2Edge(SideEdge):
         if not self._localhost_only:
             self._interfaces = InterfaceWatch(self._use_new_addresses, later)
         if self._config.ros2.rmw != CYCLONE:
+            self._ports = PortWatch(self._replace_lost_port, later)
             self._servers = ServerWatch(servers(os.environ), later, localhost_only=self._localhost_only)
         try:
             self._types.prepare_services()
@@ -194,6 +197,12 @@ class Ros2Edge(SideEdge):
         if self._listener is not None:
             self._listener.edge_failed(
                 "shared memory cannot reach ROS 2 nodes of another user or container: restarting with UDP only"
+            )
+
+    def _replace_lost_port(self) -> None:
+        if self._listener is not None:
+            self._listener.edge_failed(
+                "ROS 2 nodes on this machine removed this participant's shared memory while it did not run: restarting"
             )
 
     @override
@@ -394,6 +403,8 @@ class Ros2Edge(SideEdge):
     @override
     def resumed(self, seconds: float) -> None:
         """Restart after a long suspension: others that dropped this participant never rediscover it."""
+        if self._ports is not None:
+            self._ports.check()
         reason = f"suspended for {seconds:.0f} s, ROS 2 nodes may have dropped this participant: restarting"
         if seconds > _FORGOTTEN_SECONDS and self._listener is not None:
             self._listener.edge_failed(reason)

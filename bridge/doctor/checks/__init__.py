@@ -33,6 +33,7 @@ CHECKS: tuple[Check, ...] = (
     Check("shm-users", "users that share Fast DDS's shared memory", sharedmemory.check_users),
     Check("shm-size", "room in shared memory", sharedmemory.check_size),
     Check("shm-litter", "what dead processes left in shared memory", sharedmemory.check_litter),
+    Check("shm-ports", "ROS 2 programs that receive nothing over shared memory", sharedmemory.check_ports),
     Check("descriptors", "the limit of open files", machine.check_descriptors),
     Check("state-folder", "the state folder", machine.check_state),
 )

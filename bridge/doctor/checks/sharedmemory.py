@@ -1,4 +1,4 @@
-"""Shared memory: other users' Fast DDS, too little space, leftovers of dead processes.
+"""Shared memory: other users' Fast DDS, too little space, leftovers of dead processes, lost ports.
 
 Fast DDS 2 creates segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>``, Fast DDS 3 ``fastdds_...``; neither
 uses files of the other. Their users hold a lock (flock) on the file ``<name>_el``. zenoh 1.10 creates
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.adapters.ros2 import own_profile
+from bridge.adapters.ros2.graph.ports import lost_ports
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.hub.shared_memory import NAME, is_locked
@@ -28,6 +29,7 @@ Fast DDS needs half a megabyte for a default participant; Midspan uses an eighth
 FULL_BYTES = 8 * 1024 * 1024
 LITTER_BYTES = 16 * 1024 * 1024
 LITTER_FILES = 20
+_LONGEST_NAME = 80
 
 _CURE_SIZE = "give it more: docker run --shm-size=1g, or mount -o remount,size=1g /dev/shm"
 
@@ -95,6 +97,27 @@ def check_litter(context: CheckContext) -> Findings:
         cures.append(f"rm {' '.join(str(f.path) for f in zenoh[:3])}{' ...' if len(zenoh) > 3 else ''}")
     seen = f"{len(left)} files ({size / 1e6:.0f} MB) in {context.shm} belong to processes that were killed"
     return warn(seen, "; ".join(cures))
+
+
+def check_ports(context: CheckContext) -> Findings:
+    """Check for ROS 2 programs whose port was removed: they receive nothing over shared memory."""
+    if not context.shm.is_dir():
+        return skip(f"no {context.shm} here")
+    mute = [_program(process) for process in sorted(context.proc.glob("[0-9]*")) if lost_ports(process, context.shm)]
+    if not mute:
+        return ok("all ROS 2 programs listen at their ports")
+    seen = (
+        "the shared memory of a ROS 2 program that did not run for a moment was removed by others, so that it receives"
+    )
+    return warn(f"{seen} nothing over it: {', '.join(mute)}", "restart it; or, if it is suspended, continue it")
+
+
+def _program(process: Path) -> str:
+    """Return the command line and the id of a process in the process table."""
+    words = list[str]()
+    with contextlib.suppress(OSError):
+        words = (process / "cmdline").read_text(encoding="utf-8", errors="replace").split("\0")
+    return f"{' '.join(words).strip()[:_LONGEST_NAME] or 'a program'} (process {process.name})"
 
 
 def _daemons_user(context: CheckContext) -> int:

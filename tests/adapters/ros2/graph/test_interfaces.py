@@ -26,7 +26,8 @@ class Calls(DelayedCalls):
         self.waiting.append(call)
 
     def pass_period(self) -> None:
-        for call in [self.waiting.pop() for _ in self.waiting]:
+        calls, self.waiting = self.waiting, []
+        for call in calls:
             call()  # type: ignore[operator]
 
 
