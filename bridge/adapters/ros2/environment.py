@@ -58,7 +58,7 @@ def available(config: Config) -> str:
         return _without_cyclone(prefix, release)
     if not (_site(prefix) / FAST_DDS).is_dir() and not _sourced(os.environ):
         return f"rclpy is installed without Fast DDS ({FAST_DDS}); {_CURE}"
-    return security.trouble(os.environ, wheels=uses_wheels(os.environ))
+    return security.trouble(os.environ, domain(config, os.environ), wheels=uses_wheels(os.environ))
 
 
 def _without_cyclone(prefix: Path, release: Release) -> str:

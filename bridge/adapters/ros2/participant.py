@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile
 
 from bridge.adapters.ros2 import security
 from bridge.adapters.ros2.environment import FAST_DDS, RMW
-from bridge.adapters.ros2.graph.marks import ENCLAVE, Marks, NodeMarks
+from bridge.adapters.ros2.graph.marks import ENCLAVE, PRESENCE, Marks, NodeMarks, PresenceMarks
 from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.rmw import RmwSubscription
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
@@ -40,7 +40,7 @@ def _explaining_errors(topic: str, message_class: Any) -> Iterator[None]:
     except (_rclpy.RCLError, ValueError) as err:
         raise MessageTypeError(
             f"ROS 2 does not accept {topic} as {message_class.type_name}: {err}",
-            "rename it by a rule, unless it recovers by itself within seconds",
+            security.refusal(os.environ) or "rename it by a rule, unless it recovers by itself within seconds",
         ) from err
 
 
@@ -66,7 +66,8 @@ class Participant:
         self._context.init(args=arguments, initialize_logging=False, domain_id=domain)
         self._check_rmw()
         self._node = _rclpy.Node(name, "", self._context.handle, [], False, False, *current().node_arguments)
-        self.marks = NodeMarks(self._enclaves)
+        secured = security.is_enabled(os.environ)
+        self.marks = PresenceMarks(self._announced) if secured else NodeMarks(self._enclaves)
 
     def _check_rmw(self) -> None:
         used = _rclpy.rclpy_get_rmw_implementation_identifier()
@@ -79,6 +80,10 @@ class Participant:
         for name, namespace, enclave in self._node.get_node_names_and_namespaces_with_enclaves():
             enclaves.setdefault(f"{namespace.rstrip('/')}/{name}", set()).add(enclave)
         return enclaves
+
+    def _announced(self) -> list[bytes]:
+        """Return the GUIDs of all writers of the presence topic."""
+        return [bytes(info["endpoint_gid"]) for info in self.writers(PRESENCE)]
 
     @property
     def pointer(self) -> int:

@@ -10,19 +10,25 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.adapters.ros2 import filters, own_profile, rcl
+from bridge.adapters.ros2 import filters, own_profile, rcl, rmw, security
 from bridge.adapters.ros2.context import Dds, Joined, Replied, Ros2Context
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import neighbors, spdp, vendors
 from bridge.adapters.ros2.graph.heartbeats import Heartbeats
-from bridge.adapters.ros2.graph.origins import new_prefix, participant_number
+from bridge.adapters.ros2.graph.marks import PRESENCE
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked, new_prefix, participant_number, remember
 from bridge.adapters.ros2.participant import Participant
 from bridge.adapters.ros2.profile import use_profile
 from bridge.adapters.ros2.services.fast import FastClient, FastServer
 from bridge.adapters.ros2.services.port import ClientPort, ServerPort
 from bridge.adapters.ros2.types import TypeSupports
 from bridge.config.model import Config
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.routing.edge import Endpoint, Obstacle
+
+_STRING = ("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")
+"""The type of the presence topic, and its hash."""
+_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
 _log = logging.getLogger(__name__)
 
@@ -35,6 +41,7 @@ class FastDds(Dds):
         self._localhost_only = config.ros2.localhost_only and config.ros2.profile is None
         self.types = TypeSupports()
         self._trouble = ""
+        self._number = 0
 
     @override
     def join(self, state: Path, node: str) -> Joined:
@@ -43,7 +50,19 @@ class FastDds(Dds):
         self._trouble = "" if custom is None else own_profile.trouble(custom)
         if self._trouble:
             _log.warning("%s", self._trouble)
-        return Joined(Participant(node, self._domain), profile.prefix, profile.segment)
+        self._number = participant_number(profile.prefix)
+        participant = Participant(node, self._domain)
+        if not security.is_enabled(os.environ):
+            return Joined(participant, profile.prefix, profile.segment)
+        remember(profile.prefix, state / "ros2")  # the prefix in use does not contain the number
+        return Joined(participant, self._prefix_in_use(participant), profile.segment)
+
+    def _prefix_in_use(self, participant: Participant) -> bytes:
+        """Return the participant's GUID prefix as DDS reports it, by means of a writer of the presence topic."""
+        writer = participant.make_writer(self.types.message_class(*_STRING), PRESENCE, _LATCHED)
+        gid = rmw.publisher_gid(int(writer.pointer))
+        participant.destroy(writer)
+        return gid[:PREFIX_BYTES]
 
     @override
     def separates_versions(self) -> bool:
@@ -70,13 +89,13 @@ class FastDds(Dds):
     @override
     def refresh(self, prefix: bytes, dead: Sequence[bytes], also: int) -> None:
         pseudo = new_prefix(rcl.host_prefix())
-        prompt = [spdp.announcement(pseudo, self._domain, participant_number(prefix), also), spdp.disposal(pseudo)]
+        prompt = [spdp.announcement(pseudo, self._domain, self._number, also), spdp.disposal(pseudo)]
         spdp.send_all([*map(spdp.disposal, dead), *prompt], self._domain, localhost_only=self._localhost_only)
 
     @override
     def clean(self, prefix: bytes, past: Iterable[bytes]) -> None:
         """Remove the shared-memory ports of dead participants, except those with this participant's number."""
-        numbers = set(map(participant_number, past)) - {participant_number(prefix)}
+        numbers = {participant_number(dead) for dead in past if is_marked(dead)} - {self._number}
         neighbors.clean_ports(port for number in numbers for port in spdp.unicast_ports(self._domain, number))
 
     @override

@@ -15,7 +15,7 @@ from typing import Any
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph import vendors
-from bridge.adapters.ros2.graph.marks import Marks
+from bridge.adapters.ros2.graph.marks import PRESENCE, Marks
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.participant import Participant, from_rclpy, reply_topic, request_topic, service_type
 from bridge.adapters.ros2.versions import EndpointVersions
@@ -24,9 +24,6 @@ from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 _UNKNOWN_NODES = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
 """rmw's names for the node of an endpoint whose participant has not announced its nodes, or is not a ROS program."""
-
-PRESENCE = "/_midspan/presence"
-"""The topic of `bridge.adapters.ros2.graph.presence`."""
 
 _SETTLE = 0.02
 _POLL, _LONGEST_POLL = 5.0, 60.0
@@ -107,6 +104,7 @@ class Ros2Graph:
         """Read the whole graph."""
         endpoints: list[Endpoint] = []
         publishers: dict[str, dict[bytes, Endpoint]] = {}
+        self._participant.marks.refresh()
         self._endpoints_of(PRESENCE, Kind.PUBLISHER)  # so that `marks` learns which on Cyclone DDS are Midspan's
         for topic in self._participant.topics():
             if is_hidden(topic):

@@ -1,4 +1,4 @@
-"""Decides whether Midspan created an endpoint, by its participant's GUID prefix or enclave.
+"""Decides whether Midspan created an endpoint, by its participant's GUID prefix, enclave or presence topic.
 
 Midspan's participant on Fast DDS has a marked GUID prefix (`bridge.adapters.ros2.graph.origins`). Cyclone DDS chooses
 GUIDs itself, so Midspan's participant on Cyclone DDS has only a marked enclave, which rmw announces with each
@@ -6,6 +6,9 @@ participant. Cyclone DDS reports the enclave before any endpoint of the particip
 only, so on Fast DDS the origin of an endpoint on Cyclone DDS is unknown until its participant has announced its nodes.
 Midspan's participants on Fast DDS have the enclave, too, so that they may have nodes with the same names as Midspan's
 participants on Cyclone DDS.
+
+A secured domain has neither mark: DDS Security derives the whole prefix from the certificate and a hash, and the
+enclave is one of the keystore. There a participant is Midspan's if it has a writer of the presence topic.
 """
 
 from __future__ import annotations
@@ -23,6 +26,9 @@ from bridge.routing.edge import MadeBy
 ENCLAVE = "/_midspan/origin"
 """The marked enclave. Every Midspan daemon takes a node with it for Midspan's, so no other program may use it."""
 
+PRESENCE = "/_midspan/presence"
+"""The topic of `bridge.adapters.ros2.graph.presence`."""
+
 _MAX_KNOWN = 2000
 
 
@@ -32,6 +38,9 @@ class Marks(ABC):
     @abstractmethod
     def made_by(self, gid: bytes) -> MadeBy:
         """Return who created an endpoint or a participant, by its GUID or GUID prefix."""
+
+    def refresh(self) -> None:  # noqa: B027 - marks that never change need none
+        """Read again what may have changed; called before each read of the graph."""
 
     @abstractmethod
     def of_endpoint(self, gid: bytes, node: str, *, has_hash: bool) -> MadeBy:
@@ -91,3 +100,42 @@ class EnclaveMarks(Marks):
     @override
     def of_endpoint(self, gid: bytes, node: str, *, has_hash: bool) -> MadeBy:
         return self.made_by(gid)
+
+
+class PresenceMarks(Marks):
+    """The marks in a secured domain. ``announced`` returns the GUIDs of all discovered writers of the presence topic.
+
+    This writer is a participant's first, and a participant announces its writers in their order, so it is discovered
+    before any bridged endpoint.
+    """
+
+    def __init__(self, announced: Callable[[], Collection[bytes]]) -> None:
+        self._announced = announced
+        self._lock = threading.Lock()
+        self._known: dict[bytes, MadeBy] = {}
+
+    @override
+    def made_by(self, gid: bytes) -> MadeBy:
+        prefix = gid[:PREFIX_BYTES]
+        known = self._known.get(prefix)
+        if known is None:
+            midspans = self._midspans()
+            known = MadeBy.MIDSPAN if prefix in midspans else MadeBy.NATIVE
+            with self._lock:
+                while len(self._known) >= _MAX_KNOWN:
+                    del self._known[next(iter(self._known))]
+                self._known[prefix] = known
+        return known
+
+    @override
+    def refresh(self) -> None:
+        midspans = dict.fromkeys(self._midspans(), MadeBy.MIDSPAN)
+        with self._lock:
+            self._known.update(midspans)
+
+    @override
+    def of_endpoint(self, gid: bytes, node: str, *, has_hash: bool) -> MadeBy:
+        return self.made_by(gid)
+
+    def _midspans(self) -> set[bytes]:
+        return {gid[:PREFIX_BYTES] for gid in self._announced()}

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from typing_extensions import override
 
-from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
+from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_secured
 from bridge.messages import releases
 from bridge.messages.releases import Release, Releases
 from bridge.routing.edge import Endpoint, MadeBy
@@ -35,6 +35,8 @@ _UNNAMED = "a node with an unknown name"
 
 def dds_name(prefix: bytes, version: str | None) -> str:
     """Return the DDS of a participant; ``version`` is "" if it announces none, None if it is not known."""
+    if is_secured(prefix):
+        return "DDS in a secured domain"
     vendor = prefix[:2]
     name = _VENDORS.get(vendor, f"an unknown DDS (vendor {vendor.hex(' ')})")
     if version is None:

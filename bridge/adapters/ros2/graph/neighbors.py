@@ -24,7 +24,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 
-from bridge.adapters.ros2.graph.origins import is_marked
+from bridge.adapters.ros2.graph.origins import is_marked, is_secured
 from bridge.adapters.ros2.graph.spdp import discovery_ports
 from bridge.adapters.ros2.releases import SHARED_MEMORY
 from bridge.concurrency import DelayedCalls
@@ -98,7 +98,7 @@ class MemoryNeighbors:
     def _suspects(self) -> list[bytes]:
         suspects = []
         for prefix in self._present - self._reachable - self._other_majors:
-            if prefix[_HOST] != self._own[_HOST] or is_marked(prefix):
+            if prefix[_HOST] != self._own[_HOST] or is_marked(prefix) or is_secured(prefix):
                 self._reachable.add(prefix)
                 continue
             processes = candidate_processes(self._proc, int.from_bytes(prefix[_PID], "little"))
@@ -232,7 +232,7 @@ class ProcessWatch:
         return bool(known) and all(_start_time(process) != start for process, start in known.items())
 
     def _find(self, prefix: bytes) -> dict[Path, str]:
-        if prefix[_HOST] != self._own[_HOST] or is_marked(prefix):
+        if prefix[_HOST] != self._own[_HOST] or is_marked(prefix) or is_secured(prefix):
             return {}
         candidates = candidate_processes(self._proc, int.from_bytes(prefix[_PID], "little"))
         starts = {process: _start_time(process) for process in candidates if loaded_majors(process)}

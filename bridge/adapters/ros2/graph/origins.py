@@ -42,7 +42,7 @@ class Origins:
         later: DelayedCalls,
     ) -> None:  # fmt: skip
         self._participants, self._settled, self._later = participants, settled, later
-        kept = _remember(own, folder)
+        kept = remember(own, folder)
         self.past = frozenset(kept)
         self.predecessors = kept[:-1][-_PREDECESSORS:]
         self._lock = threading.Lock()
@@ -80,7 +80,7 @@ def stored_prefixes(folder: Path) -> list[bytes]:
     return [prefix for prefix in prefixes if len(prefix) == PREFIX_BYTES]
 
 
-def _remember(own: bytes, folder: Path) -> list[bytes]:
+def remember(own: bytes, folder: Path) -> list[bytes]:
     """Store this participant's prefix, and return all stored ones, the new one last."""
     prefixes = [*(p for p in stored_prefixes(folder) if p != own), own][-_MAX_STORED:]
     text = "".join(f"{prefix.hex()}\n" for prefix in prefixes)
@@ -91,7 +91,9 @@ def _remember(own: bytes, folder: Path) -> list[bytes]:
 # -- the mark ----------------------------------------------------------------------------------------------------------
 # A GUID prefix has 12 bytes (DDSI-RTPS 2.5, 9.3.1.5). Fast DDS derives bytes 0 to 3 from vendor and host; Midspan keeps
 # them, so that participants still recognize neighbors. Bytes 4 to 7 are random, 8 to 11 are the mark. Each message and
-# each endpoint carries its GUID, so its creator is known at once, independently of node names.
+# each endpoint carries its GUID, so its creator is known at once, independently of node names. In a secured domain DDS
+# replaces the prefix: its first bit is 1, 47 bits are a hash of the subject of the participant's certificate, and 48 a
+# hash of the GUID that the participant asked for (DDS-Security 1.1, 9.3.3; Fast DDS 2.14.5, ``PKIDH.cpp``).
 
 PREFIX_BYTES = 12
 _MARK = b"MSPN"
@@ -110,7 +112,7 @@ def new_prefix(host: bytes, past: Sequence[bytes] = ()) -> bytes:
     into the predecessor's shared memory, and their first messages would be lost until their heartbeats, up to 3 s
     later. So the numbers of the newest ``past`` participants are excluded.
     """
-    taken = {participant_number(prefix) for prefix in past[-_RECENT:]}
+    taken = {participant_number(prefix) for prefix in [*filter(is_marked, past)][-_RECENT:]}
     while participant_number(prefix := host + os.urandom(4) + _MARK) in taken:
         pass
     return prefix
@@ -119,6 +121,11 @@ def new_prefix(host: bytes, past: Sequence[bytes] = ()) -> bytes:
 def participant_number(prefix: bytes) -> int:
     """Return the participant's number on its host for a marked prefix."""
     return _FIRST_NUMBER + prefix[4] % _NUMBERS
+
+
+def is_secured(gid: bytes) -> bool:
+    """Return whether a GUID, or its prefix, is of a participant in a secured domain, without its vendor and host."""
+    return gid[:1] >= b"\x80"
 
 
 def is_marked(gid: bytes) -> bool:

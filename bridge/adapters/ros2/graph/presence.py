@@ -2,8 +2,8 @@
 
 The topic is hidden by ROS 2's rule (``/_midspan/presence``) and carries JSON in a ``std_msgs/msg/String``. It is
 latched, so that a new participant receives the records of all others at once; each record replaces the last.
-Participants are known before their first record, by the mark in the GUID prefix. A crashed participant stays listed,
-without new records, until its successor disposes it or its lease expires (20 s).
+Participants are known before their first record, by their marks (`bridge.adapters.ros2.graph.marks`). A crashed
+participant stays listed, without new records, until its successor disposes it or its lease expires (20 s).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
-from bridge.adapters.ros2.graph.graph import PRESENCE as TOPIC
+from bridge.adapters.ros2.graph.marks import PRESENCE as TOPIC
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES
 from bridge.adapters.ros2.loop import EndpointReader, ReadLoop
 from bridge.adapters.ros2.participant import Participant
