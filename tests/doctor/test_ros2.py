@@ -141,6 +141,21 @@ def test_a_shell_with_other_peers_or_security_than_the_daemons_is_reported() -> 
     assert "ROS_SECURITY_ENABLE is true for this shell, not for the daemon" in findings[1].seen
 
 
+def test_a_shell_with_another_keystore_than_the_daemons_is_reported() -> None:
+    secured = {"ROS_DOMAIN_ID": "0", "ROS_SECURITY_ENABLE": "true"}
+    env = {**os.environ, **secured, "ROS_SECURITY_KEYSTORE": "/robot"}
+    with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
+        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "the worker runs")
+        view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
+
+        def seen(keystore: str) -> str:
+            mine = secured | {"ROS_SECURITY_KEYSTORE": keystore}
+            return only(ros2.check_environment(around({}, mine, hub=view))).seen
+
+        assert seen("/robot") == "domain 0"
+        assert "ROS_SECURITY_KEYSTORE is /operator in this shell, /robot for the daemon" in seen("/operator")
+
+
 @pytest.mark.parametrize(
     ("rmw", "result"),
     [

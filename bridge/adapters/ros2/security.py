@@ -18,13 +18,18 @@ KEYSTORE, OVERRIDE = "ROS_SECURITY_KEYSTORE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
 _ENCLAVE = "/midspan"
 
 _CERTIFICATES = ("identity_ca.cert", "cert", "permissions_ca.cert")
+_AUTHORITIES = ("identity_ca.cert.pem", "permissions_ca.cert.pem")
 _GOVERNANCE, _PERMISSIONS = "governance.p7s", "permissions.p7s"
 _LARGEST = 1 << 20
 _XML = re.compile(rb"<dds\b.*?</dds>", re.DOTALL)
 
 
 class _FileError(Exception):
-    """A file of the enclave cannot be used; the text is the reason."""
+    """A file of the enclave cannot be used; the text is the reason. ``file`` must be made again."""
+
+    def __init__(self, text: str, file: Path) -> None:
+        super().__init__(text)
+        self.file = file
 
 
 def enclave(environ: Mapping[str, str]) -> dict[str, str]:
@@ -62,16 +67,32 @@ def trouble(environ: Mapping[str, str], domain: int, *, wheels: bool) -> str:
     if not name.startswith("/"):
         return f"{OVERRIDE} is {name}, but the name of an enclave begins with a slash; set it to /{name}"
     folder = Path(keystore) / "enclaves" / name.strip("/")
-    create = f"'ROS_DOMAIN_ID={domain} ros2 security create_enclave {keystore} {name}'"
+    create = f"'{_tool(domain)} create_enclave {keystore} {name}'"
     try:
         if not folder.is_dir():
             return f"the keystore {keystore} has no enclave {name}; {create}"
         _check_files(folder, domain)
+    except FileNotFoundError as err:
+        return f"{err.filename} is missing; {create}"
     except OSError as err:
         reason = f"cannot read {err.filename or folder}: {err.strerror}"
         return f"{reason}; the user of Midspan's daemon needs read access to the enclave's files"
     except _FileError as err:
-        return f"{err}; correct it, or remove it and create it again: {create}"
+        return f"{err}; {_replacement(err.file, Path(keystore), domain) or f'remove it, then {create}'}"
+    return ""
+
+
+def _tool(domain: int) -> str:
+    return f"ROS_DOMAIN_ID={domain} ros2 security"
+
+
+def _replacement(file: Path, keystore: Path, domain: int) -> str:
+    """Return how to replace a file of the whole keystore; "" for a file of one enclave."""
+    if file.name == _GOVERNANCE:
+        documents = f"governance.xml and {_GOVERNANCE} in {keystore / 'enclaves'}"
+        return f"remove {documents}, then '{_tool(domain)} create_keystore {keystore}'"
+    if file.name in _AUTHORITIES:
+        return f"create a new keystore with new enclaves: '{_tool(domain)} create_keystore FOLDER'"
     return ""
 
 
@@ -82,9 +103,9 @@ def _check_files(folder: Path, domain: int) -> None:
             content = _read(folder / f"{name}.pem")
             if name in _CERTIFICATES:
                 _check_certificate(folder / f"{name}.pem", content)
-    now = datetime.now(UTC)
-    _check_domain(folder / _GOVERNANCE, _document(folder / _GOVERNANCE).findall(".//domain_rule"), domain)
-    grants = _document(folder / _PERMISSIONS).findall(".//grant")
+    governance, permissions = folder / _GOVERNANCE, folder / _PERMISSIONS
+    _check_domain(governance, _document(governance).findall(".//domain_rule"), domain)
+    grants, now = _document(permissions).findall(".//grant"), datetime.now(UTC)
     for grant in grants:
         until = grant.findtext("validity/not_after", "")
         try:
@@ -92,8 +113,8 @@ def _check_files(folder: Path, domain: int) -> None:
         except ValueError:
             continue
         if (end if end.tzinfo else end.replace(tzinfo=UTC)) < now:
-            raise _FileError(f"the permissions {folder / _PERMISSIONS} have expired on {end:%Y-%m-%d}")
-    _check_domain(folder / _PERMISSIONS, [rule for grant in grants for rule in grant.findall("allow_rule")], domain)
+            raise _FileError(f"the permissions {permissions} have expired on {end:%Y-%m-%d}", permissions)
+    _check_domain(permissions, [rule for grant in grants for rule in grant.findall("allow_rule")], domain)
 
 
 def _read(file: Path) -> bytes:
@@ -107,13 +128,13 @@ def _check_certificate(file: Path, content: bytes) -> None:
     try:
         certificate = x509.load_pem_x509_certificate(content)
     except ValueError:
-        raise _FileError(f"{file} is not a certificate in PEM format") from None
+        raise _FileError(f"{file} is not a certificate in PEM format", file) from None
     now = datetime.now(UTC)
     if certificate.not_valid_after_utc < now:
-        raise _FileError(f"the certificate {file} has expired on {certificate.not_valid_after_utc:%Y-%m-%d}")
+        raise _FileError(f"the certificate {file} has expired on {certificate.not_valid_after_utc:%Y-%m-%d}", file)
     if certificate.not_valid_before_utc > now:
         since = f"{certificate.not_valid_before_utc:%Y-%m-%d}"
-        raise _FileError(f"the certificate {file} is valid only from {since}: is this machine's clock right")
+        raise _FileError(f"the certificate {file} is valid only from {since}: is this machine's clock right", file)
 
 
 def _document(file: Path) -> ET.Element:
@@ -122,7 +143,7 @@ def _document(file: Path) -> ET.Element:
     try:
         return ET.fromstring(text[0] if text else b"")  # noqa: S314 - a file of the keystore, of limited size
     except ET.ParseError as err:
-        raise _FileError(f"{file} is not a signed document of DDS Security: {err}") from None
+        raise _FileError(f"{file} is not a signed document of DDS Security: {err}", file) from None
 
 
 def _check_domain(file: Path, rules: list[ET.Element], domain: int) -> None:
@@ -140,4 +161,4 @@ def _check_domain(file: Path, rules: list[ET.Element], domain: int) -> None:
         ranges += [*zip(least, most, strict=True)]
     if ranges and not any(first <= domain <= last for first, last in ranges):
         allowed = ", ".join(f"{first}" if first == last else f"{first} to {last}" for first, last in ranges)
-        raise _FileError(f"{file} is for domain {allowed}, but Midspan's is {domain}")
+        raise _FileError(f"{file} is for domain {allowed}, but Midspan's is {domain}", file)

@@ -10,7 +10,7 @@ import psutil
 
 from bridge.adapters.ros2 import discovery
 from bridge.adapters.ros2.environment import CYCLONE, STATIC_PEERS, available, domain
-from bridge.adapters.ros2.security import ENABLE, is_enabled
+from bridge.adapters.ros2.security import ENABLE, KEYSTORE, is_enabled
 from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, skip, warn
 from bridge.doctor.checks import cyclone, releases
 from bridge.doctor.context import CheckContext, environment_of
@@ -181,7 +181,12 @@ def _security(context: CheckContext) -> list[Finding]:
     """Check that this shell and the daemon are both in a secured domain, or neither is."""
     theirs = _worker_environment(context)
     if is_enabled(context.environ) == is_enabled(theirs):
-        return []
+        mine, other = context.environ.get(KEYSTORE, ""), theirs.get(KEYSTORE, "")
+        if not is_enabled(theirs) or mine == other:
+            return []
+        seen = f"{KEYSTORE} is {mine or 'not set'} in this shell, {other or 'not set'} for the daemon"
+        cure = "nothing to do if both are copies of one keystore; else set the same"
+        return [warn(f"{seen}: programs with certificates of two authorities do not discover each other", cure)]
     inside, outside = ("this shell", "the daemon") if is_enabled(context.environ) else ("the daemon", "this shell")
     seen = f"{ENABLE} is true for {inside}, not for {outside}: their ROS 2 programs do not discover each other"
     return [fail(seen, "set ROS 2's security variables to the same values in both, and restart the daemon")]

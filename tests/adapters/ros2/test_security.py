@@ -139,13 +139,16 @@ def test_a_complete_enclave_has_no_trouble(keystore: Keystore) -> None:
 )
 def test_a_missing_file_is_named(keystore: Keystore, name: str) -> None:
     (keystore.enclave / name).unlink()
-    assert keystore.trouble().startswith(f"cannot read {keystore.enclave / name}: No such file")
+    assert keystore.trouble().startswith(f"{keystore.enclave / name} is missing; 'ROS_DOMAIN_ID=0 ros2 security create")
 
 
 def test_an_expired_certificate_is_reported(keystore: Keystore) -> None:
     keystore.certificate("cert", days=-3)
     assert f"the certificate {keystore.enclave / 'cert.pem'} has expired on 20" in keystore.trouble()
-    assert "create it again: 'ROS_DOMAIN_ID=0 ros2 security create_enclave" in keystore.trouble()
+    assert "; remove it, then 'ROS_DOMAIN_ID=0 ros2 security create_enclave" in keystore.trouble()
+    keystore.certificate("cert", days=3)
+    keystore.certificate("identity_ca.cert", days=-3)
+    assert "; create a new keystore with new enclaves" in keystore.trouble()
 
 
 def test_expired_permissions_are_reported(keystore: Keystore) -> None:
@@ -158,6 +161,15 @@ def test_an_enclave_for_another_domain_is_reported(keystore: Keystore, file: str
     """'ros2 security' makes the files for the domain in ROS_DOMAIN_ID, which is 0 if the variable is not set."""
     keystore.rules(**({"governance": "<id>7</id>", "permissions": "<id>7</id>"} | {file: "<id>0</id>"}))
     assert f"{file}.p7s is for domain 0, but Midspan's is 7" in keystore.trouble(7)
+    again = {"governance": "create_keystore", "permissions": "create_enclave"}[file]
+    assert f"'ROS_DOMAIN_ID=7 ros2 security {again} {keystore.folder}" in keystore.trouble(7)
+
+
+def test_an_invalid_document_is_reported(keystore: Keystore) -> None:
+    (keystore.enclave / "permissions.p7s").write_text("MIME-Version: 1.0")
+    assert "permissions.p7s is not a signed document of DDS Security" in keystore.trouble()
+    (keystore.enclave / "cert.pem").write_text("no certificate")
+    assert "cert.pem is not a certificate in PEM format" in keystore.trouble()
 
 
 def test_a_refused_endpoint_names_the_permissions() -> None:
