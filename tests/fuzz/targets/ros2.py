@@ -7,14 +7,14 @@ from tests.fuzz.target import Subject, Target, scratch, texts
 
 def _prefixes() -> Subject:
     """The file with past participants in the state folder."""
-    from bridge.adapters.ros2.graph.origins import _remember
+    from bridge.adapters.ros2.graph.origins import remember
 
     file = scratch() / "prefixes"
     own_prefix = bytes(range(12))
 
     def parse(data: bytes) -> None:
         file.write_bytes(data)
-        past = _remember(own_prefix, file)
+        past = remember(own_prefix, file)
         assert own_prefix in past
         assert len(past) <= 64
         assert len(file.read_bytes()) < 64 * 8192 + 100

@@ -122,7 +122,7 @@ def test_the_replaced_goal_is_canceled_if_the_planner_does_not_execute_the_new_o
             goal.abort({"error_code": 20004, "error_msg": "a wall"})
         return not rejects
 
-    monkeypatch.setattr(rig.planner, "accepts", refuse)
+    monkeypatch.setattr(rig.planner, "admits", refuse)
     assert ClientGoal(rig.client, pose(500.0)).end()[0] == "ABORTED"
     until(lambda: not first.active, "the planner no longer drives to the first goal", 20)
     rig.state(State.ABORTED)

@@ -32,7 +32,7 @@ class Planner(HubNode):
     """A planner that executes one goal at a time; the test ends each goal.
 
     Attributes:
-        accepts: handles a new goal, and returns whether the planner accepts it; the usual planner at first.
+        admits: handles a new goal, and returns whether the planner accepts it; the usual planner at first.
         cancels: handles a cancel request, and returns whether the planner accepts it; `cancel` at first.
     """
 
@@ -40,13 +40,13 @@ class Planner(HubNode):
         super().__init__(settings)
         self.goals: list[Goal] = []
         self.rejects = 0
-        self.accepts: Callable[[Goal], bool] = self._accept
+        self.admits: Callable[[Goal], bool] = self._accept
         self.cancels: Callable[[Goal], bool] = self.cancel
         self.server = self.on(
             lambda: self.node.action_server(
                 f"/planner/{name}/navigate_to_pose",
                 NAVIGATE,
-                lambda goal: self.accepts(goal),
+                lambda goal: self.admits(goal),
                 lambda goal: self.cancels(goal),
             )
         )
