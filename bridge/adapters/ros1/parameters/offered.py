@@ -96,7 +96,10 @@ class OfferedNode:
                         self.troubles[names.ros1(path)] = str(err)
 
     def _read(self) -> dict[str, ParameterValue]:
-        return dict(self._parameters(self._store.watch([rule.ros1 for rule in self.rules])))
+        return dict(self._parameters(self._trees()))
+
+    def _trees(self) -> dict[str, Any]:
+        return self._store.watch([rule.ros1 for rule in self.rules])
 
     def _publish_event(self, before: Mapping[str, ParameterValue], now: Mapping[str, ParameterValue]) -> None:
         message = {
@@ -166,7 +169,10 @@ class OfferedNode:
 
     def _set(self, parameters: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Set all parameters or none."""
-        known = self._read()
+        trees = self._trees()
+        taken = {
+            names.ros1(path) for names in self._names for path, _ in flatten(trees[names.rule.ros1])
+        }  # also those that ROS 2 cannot represent
         wanted: dict[str, Any] = {}
         for parameter in parameters:
             name, value = parameter["name"], ParameterValue.read(parameter["value"])
@@ -176,10 +182,15 @@ class OfferedNode:
             names, path = found
             if not names.rule.write:
                 return _error(f"{name} is read-only (write: false in routing.parameters)")
-            if any(other.startswith(f"{name}.") for other in known):
-                return _error(f"{names.ros1(path)} is a namespace in ROS 1")
+            key = names.ros1(path)
+            if any(other.startswith(f"{key}/") for other in taken):
+                return _error(f"{key} is a namespace in ROS 1")
+            above = next((other for other in taken if key.startswith(f"{other}/")), None)
+            if above is not None:
+                return _error(f"{above} has a value, and ROS 1 does not allow names below it")
+            taken.add(key)
             try:
-                wanted[names.ros1(path)] = None if value.kind is ParameterType.NOT_SET else to_ros1(value)
+                wanted[key] = None if value.kind is ParameterType.NOT_SET else to_ros1(value)
             except UnrepresentableError as err:
                 return _error(f"{name}: {err}")
         refused = self._store.write(wanted)

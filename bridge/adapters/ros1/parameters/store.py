@@ -7,7 +7,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.adapters.ros1_peers import Call, Ros1Error, XmlRpcClient
+from bridge.adapters.ros1.parameters.values import Unreadable
+from bridge.adapters.ros1_peers import Call, RefusedError, Ros1Error, Ros1ProtocolError, XmlRpcClient
 from bridge.hub.endpoints.calls import Done
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
@@ -36,6 +37,26 @@ def _names(listed: object) -> frozenset[str]:
     return frozenset(name for name in listed if isinstance(name, str)) if isinstance(listed, list) else frozenset()
 
 
+_UNREADABLE = (RefusedError, Ros1ProtocolError)
+"""Errors of a call whose response the master cannot encode, or whose response is invalid."""
+
+
+def _unreadable(reason: str) -> Unreadable:
+    return Unreadable(f"its value cannot be read from the master: {reason}")
+
+
+def _tree(key: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the namespace ``key`` with these values, given by their full names."""
+    root: dict[str, Any] = {}
+    for name, value in values.items():
+        *above, last = name.removeprefix(f"{key}/").split("/")
+        level = root
+        for part in above:
+            level = level.setdefault(part, {})
+        level[last] = value
+    return root
+
+
 class ParameterServer:
     """A master's parameter server; not thread-safe. Methods raise `Ros1Error`.
 
@@ -54,14 +75,42 @@ class ParameterServer:
     def watch(self, keys: Sequence[str]) -> dict[str, Any]:
         """Read parameters or namespaces ({} if not set), and subscribe to changes of them and of the keys below them.
 
-        A restarted master has no subscriptions, so each call subscribes again.
+        A restarted master has no subscriptions, so each call subscribes again. A value that the master cannot send, or
+        that is nested too deeply, becomes `Unreadable`.
         """
         self._watched |= set(keys)
         me = self._caller()
         calls: list[Call] = [("subscribeParam", (me, self._slave, key)) for key in keys]
-        *values, listed = self._client.calls([*calls, ("getParam", (me, copies_parameter(self._owner)))])
+        listed_call: Call = ("getParam", (me, copies_parameter(self._owner)))
+        try:
+            *values, listed = self._client.calls([*calls, listed_call])
+        except _UNREADABLE:  # one such value makes the whole response invalid
+            (listed,) = self._client.calls([listed_call])
+            values = [self._read_one(call) for call in calls]
         self.copies = _names(listed)
         return dict(zip(keys, values, strict=True))
+
+    def _read_one(self, call: Call) -> Any:
+        """Make one call; if a value below its key is unreadable, read the others without it."""
+        method, params = call
+        try:
+            return self._client.call(method, *params)
+        except _UNREADABLE as err:
+            key, reason = params[-1], str(err)
+        names = [name for name in self._client.call("getParamNames", self._caller()) if name.startswith(f"{key}/")]
+        return _tree(key, self._read_apart(names)) if names else _unreadable(reason)
+
+    def _read_apart(self, names: Sequence[str]) -> dict[str, Any]:
+        """Read parameters, and divide them until only the unreadable ones are missing."""
+        me = self._caller()
+        try:
+            values = self._client.calls([("getParam", (me, name)) for name in names])
+        except _UNREADABLE as err:
+            if len(names) == 1:
+                return {names[0]: _unreadable(str(err))}
+            half = len(names) // 2
+            return self._read_apart(names[:half]) | self._read_apart(names[half:])
+        return {name: value for name, value in zip(names, values, strict=True) if value is not None}
 
     def write(self, values: Mapping[str, Any]) -> list[str]:
         """Set parameters, or delete them if their value is None; return the names that the master did not set."""

@@ -48,6 +48,13 @@ class UnrepresentableError(Exception):
     """A value that the other network's parameters cannot represent; the text has the reason."""
 
 
+@dataclass(frozen=True, slots=True)
+class Unreadable:
+    """Stands for a value on ROS 1's parameter server that cannot be read."""
+
+    reason: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterValue:
     """A value in ROS 2's types. Values of one kind with the same text are equal, including NaN.
@@ -137,6 +144,8 @@ def _scalar(value: Any) -> ParameterValue:
             return ParameterValue(ParameterType.DOUBLE, value)
         case str():
             return ParameterValue(ParameterType.STRING, value)
+        case Unreadable():
+            raise UnrepresentableError(value.reason)
     raise UnrepresentableError(f"ROS 2 has no parameters like {type(value).__name__} {str(value)[:60]}")
 
 
@@ -157,7 +166,9 @@ def flatten(tree: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
     """Yield the parameters in a tree of the parameter server by their paths, ``a/b``; "" for the root."""
     if not isinstance(tree, dict):
         yield "", tree
-    elif depth < MAX_DEPTH:
+    elif depth == MAX_DEPTH:
+        yield "", Unreadable(f"the parameters below have names of more than {MAX_DEPTH} parts")
+    else:
         for name, below in tree.items():
             for path, value in flatten(below, depth + 1):
                 yield f"{name}/{path}" if path else str(name), value

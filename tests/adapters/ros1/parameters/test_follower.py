@@ -6,6 +6,8 @@ import json
 import math
 import threading
 import time
+import urllib.request
+import xmlrpc.client
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -165,6 +167,62 @@ def test_a_ros2_node_sets_ros1_parameters(master: RosMaster, hubs: tuple[Hub, Hu
     assert master.call("getParam", "/set/speed") == 2.5
     assert client.set("set_parameters_atomically", new=NOT_SET)["result"]["successful"]
     assert master.call("getParam", "/set/new") is None
+
+
+@needs_ros1
+def test_a_ros2_node_does_not_overwrite_values_that_are_above_or_below_a_name(
+    master: RosMaster, hubs: tuple[Hub, Hub], share: Share
+):
+    before = {"speed": 1.5, "tree": {"odd": [[1]]}}
+    master.call("setParam", "/kept", before)
+    share(rule("ros1", "/kept", "/kept_node"))
+    one = ParameterValue(ParameterType.INTEGER, 1)
+    client = ParameterClient(hubs[1], "/kept_node")
+    results = client.set(speed__max=one, tree=one)["results"]
+    assert [item["reason"] for item in results] == [
+        "/kept/speed has a value, and ROS 1 does not allow names below it",
+        "/kept/tree is a namespace in ROS 1",
+    ]
+    assert not client.set("set_parameters_atomically", new=one, new__below=one)["result"]["successful"]
+    assert master.call("getParam", "/kept") == before
+
+
+@needs_ros1
+@pytest.mark.parametrize(
+    "odd", [[json.loads("[" * 70 + "]" * 70)], [None], [2**40]], ids=["deep", "none", "large integer"]
+)
+def test_a_value_that_the_master_cannot_send_is_reported_alone(
+    master: RosMaster, hubs: tuple[Hub, Hub], share: Share, odd: Any
+):
+    set_odd(master, "/odd/below/value", odd)
+    try:
+        set_odd(master, "/odd/speed", 1.5)
+        parameters = share(rule("ros1", "/odd", "/odd_node"), rule("ros1", "/even", "/even_node"))
+        master.call("setParam", "/even/speed", 2.5)
+        client = ParameterClient(hubs[1], "/odd_node")
+        assert client.get("speed", "below.value") == [1.5, None]
+        assert ParameterClient(hubs[1], "/even_node").get("speed") == [2.5]
+        warning = "parameter /odd/below/value: its value cannot be read from the master"
+        until(lambda: [w.startswith(warning) for w in parameters.warnings()] == [True], "only the value is reported")
+        assert client.set(below__value=ParameterValue(ParameterType.INTEGER, 3))["results"][0]["successful"]
+        until(lambda: not parameters.warnings(), "the report ends")
+        assert client.get("speed", "below.value") == [1.5, 3]
+    finally:
+        master.call("deleteParam", "/odd")
+
+
+def set_odd(master: RosMaster, name: str, value: Any) -> None:
+    """Set a parameter to any value; XML-RPC's Python client itself refuses large integers."""
+    marshaller = xmlrpc.client.Marshaller(allow_none=True)
+    marshaller.dispatch = {
+        **marshaller.dispatch,
+        int: lambda _, number, write: write(f"<value><i8>{number}</i8></value>"),
+    }
+    params = marshaller.dumps(("/test", name, value))
+    body = f"<?xml version='1.0'?><methodCall><methodName>setParam</methodName>{params}</methodCall>"
+    request = urllib.request.Request(master.uri, body.encode(), {"Content-Type": "text/xml"})
+    with urllib.request.urlopen(request, timeout=10.0) as answer:
+        assert b"<fault>" not in answer.read()
 
 
 def events(hub: Hub) -> list[dict[str, Any]]:
