@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import sys
 from collections.abc import Mapping, Sequence
 
@@ -32,26 +33,40 @@ def check_descriptors(context: CheckContext) -> Findings:
     _soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     findings: list[Finding] = []
     if hard != resource.RLIM_INFINITY and hard < WANTED:
-        findings.append(warn(f"at most {hard} files can be open at once; 1,000 topics need {WANTED}", RAISE))
+        findings.append(_low(f"at most {hard} files can be open at once"))
     workers = [
         StatusDocument(daemon=context.daemon.name, worker=worker.worker, pid=worker.pid)
         for worker in context.daemon.document.workers
     ]
+    lowest: dict[str, float] = {}  # by daemon, whose workers inherit its limit
     for document in context.hub.documents or workers:  # without descriptors the router lets no program join
         process = context.process(document)
         if process is not None:
-            findings += _worker(f"{document.daemon}/{document.worker}", process)
+            used, limit = _open_files(process)
+            if used > FULL * limit:
+                findings.append(
+                    fail(f"{document.daemon}/{document.worker} has {used} files open of {limit} allowed", RAISE)
+                )
+            lowest[document.daemon] = min(limit, lowest.get(document.daemon, limit))
+    findings += [
+        _low(f"each process of {daemon} can open at most {limit} files")
+        for daemon, limit in lowest.items()
+        if limit < WANTED
+    ]
     return findings or ok(f"{'no limit' if hard == resource.RLIM_INFINITY else hard}")
 
 
-def _worker(name: str, process: psutil.Process) -> list[Finding]:
+def _low(limit: str) -> Finding:
+    return warn(f"{limit}; 1,000 topics need {WANTED}", RAISE)
+
+
+def _open_files(process: psutil.Process) -> tuple[int, float]:
+    """Return how many files a process has open, and its limit; (0, infinity) if unknown."""
     try:
         used, (soft, _hard) = process.num_fds(), process.rlimit(psutil.RLIMIT_NOFILE)
     except (psutil.Error, AttributeError):  # another user's process, or not Linux
-        return []
-    if soft > 0 and used > FULL * soft:
-        return [fail(f"{name} has {used} files open of {soft} allowed", RAISE)]
-    return []
+        return 0, math.inf
+    return used, soft if soft > 0 else math.inf
 
 
 def check_state(context: CheckContext) -> Findings:
