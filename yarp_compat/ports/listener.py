@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
+import math
 import socket
+import time
 from collections.abc import Callable
 
 from yarp_compat.ports.loop import PortLoop
@@ -21,6 +23,7 @@ MOST_SILENT = 200
 """Maximum connections of one port that have not introduced themselves; a further one closes the oldest."""
 _PER_TURN = 32  # maximum connections to accept at a time
 _PAUSE = 0.2  # seconds without accepting connections after the system has run out of resources
+_WARNING_PERIOD = 60.0  # least seconds between two warnings of one port
 _TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 Opened = Callable[[socket.socket, Opening, bytes, tuple[str, int]], None]
@@ -41,6 +44,7 @@ class Listener:
         self.refused = refused
         self.silent: dict[socket.socket, _Introduction] = {}
         self._closed = False
+        self._warned_at = -math.inf
         sock.setblocking(False)
 
     def start(self) -> None:
@@ -84,17 +88,22 @@ class Listener:
             try:
                 self.silent[sock] = _Introduction(self, sock, address[:2])
             except OSError as error:  # the system cannot watch more sockets
-                _log.warning("cannot accept a connection: %s", error)
+                self._warn(error)
                 sock.close()
 
     def _make_room(self, error: OSError) -> None:
         """Free a socket: close the connection that was silent longest, or pause accepting."""
-        _log.warning("cannot accept a connection: %s", error)
+        self._warn(error)
         if self.silent:
             next(iter(self.silent.values())).drop()
             return
         self.loop.unwatch(self._sock)
         self.loop.call_later(_PAUSE, self._resume)
+
+    def _warn(self, error: OSError) -> None:
+        if time.monotonic() - self._warned_at >= _WARNING_PERIOD:  # the peers of an open port try again and again
+            self._warned_at = time.monotonic()
+            _log.warning("cannot accept a connection: %s", error)
 
     def _resume(self) -> None:
         try:

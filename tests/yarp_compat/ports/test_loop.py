@@ -127,6 +127,7 @@ def test_port_accepts_connections_again_once_select_has_room(
     monkeypatch.setattr(listener, "_resume", lambda: (resume(), resumed.set()))
     loop.run(lambda: listener._make_room(OSError(errno.EMFILE, "too many files")))
     assert resumed.wait(10.0)
+    assert caplog.text.count("cannot accept a connection") == 1  # peers try again and again
     monkeypatch.setattr(threaded_loop, "_SELECT_LIMIT", room)
     writer.add_output("/in")
     assert "failed" not in caplog.text
