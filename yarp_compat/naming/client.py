@@ -241,9 +241,10 @@ class NameClient:
             peer.open()
             peer.send(data)
         except OSError as err:
+            unreachable = self._unreachable(err)
             self._last_address = None  # yarp.conf may have changed
             peer.close()
-            raise self._unreachable(err) from None
+            raise unreachable from None
         peer.on_error(self._unreachable)
         return peer
 

@@ -164,8 +164,9 @@ def test_the_address_is_read_from_yarp_conf(monkeypatch: pytest.MonkeyPatch, tmp
     names = NameClient()
     with pytest.raises(NoNameServerError, match=str(tmp_path / "yarp.conf")):
         names.query("/p")
-    (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {free_port()} yarp\n")
-    with pytest.raises(NoNameServerError, match="does not answer"):
+    closed = free_port()
+    (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {closed} yarp\n")
+    with pytest.raises(NoNameServerError, match=f"does not answer at 127.0.0.1 port {closed}"):
         names.query("/p")
     with Scripted([(1, b"*** end of message\r\n")]) as server:
         (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {server.port} yarp\n")
