@@ -15,9 +15,11 @@ def unacknowledged(sock: socket.socket) -> int:
     """
     if sys.platform != "linux":
         return 0
-    import fcntl
-    import termios
-
+    try:
+        import fcntl
+        import termios
+    except ImportError:  # hidden in tests, as on Windows
+        return 0
     return int.from_bytes(fcntl.ioctl(sock, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
 
