@@ -39,7 +39,8 @@ with Shared(Path(folder), name, router, domain=int(domain)) as shared:
             shared.store.put(LOCATION, words[0], Map2DLocation(map_id="m", x=words[1], y=0.0, theta=0.0))
         elif verb == "delete":
             shared.store.delete(LOCATION, words[0])
-        found = {each: shared.store.get(LOCATION, each).x for each in shared.store.names(LOCATION)}
+        locations = {each: shared.store.get(LOCATION, each) for each in shared.store.names(LOCATION)}
+        found = {each: at.x for each, at in locations.items() if at is not None}  # the other store may delete meanwhile
         print(json.dumps([found, shared.others(), shared.replica.conflict_count]), flush=True)
 """
 
