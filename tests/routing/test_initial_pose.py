@@ -32,6 +32,7 @@ JOINT = cast(
         bulk=None,
         hold=None,
         lease=None,
+        stall_detector=None,
         hub=SimpleNamespace(max_payload=1000),
         edge=SimpleNamespace(clock=SimpleNamespace(simulated=False)),
     ),
