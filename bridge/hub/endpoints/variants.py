@@ -22,7 +22,7 @@ from bridge.concurrency import SerialExecutor
 from bridge.hub.graph import HubGraph
 from bridge.hub.graph.hashes import KindOfEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, EndpointToken, parse_token
-from bridge.hub.wire.keys import NO_HASH
+from bridge.hub.wire.keys import NO_HASH, has_key
 from bridge.messages.unchanged import same
 
 Convert = Callable[[bytes], bytes]
@@ -181,6 +181,7 @@ class KeyVariants:
                 other: latched
                 for other, latched in hashes.items()
                 if other != own
+                and has_key(other)
                 and (other == NO_HASH or not followed.exact)
                 and self.versions.converter(type_name, own, other, self._part(counterpart)) is not None
             })  # fmt: skip

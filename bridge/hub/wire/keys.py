@@ -63,6 +63,11 @@ def check_hash(type_hash: str) -> str:
     return type_hash
 
 
+def has_key(type_hash: str) -> bool:
+    """Return whether endpoints with this hash, or `NO_HASH`, have a key; tokens may contain any text."""
+    return type_hash == NO_HASH or _HASH.fullmatch(type_hash) is not None
+
+
 def hash_chunk(type_hash: str) -> str:
     """Return a type hash, or `NO_HASH`, as a chunk of a key; raises `HubWireError`."""
     return _NO_HASH_CHUNK if type_hash == NO_HASH else check_hash(type_hash)

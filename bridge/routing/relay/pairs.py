@@ -10,7 +10,7 @@ from typing import NamedTuple
 from bridge.hub.endpoints.variants import REQUEST, RESPONSE, TypeVersions
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind
-from bridge.hub.wire.keys import NO_HASH
+from bridge.hub.wire.keys import NO_HASH, has_key
 
 
 class RelayKey(NamedTuple):
@@ -63,6 +63,10 @@ def is_native(endpoint: HubEndpoint, midspan: Collection[str]) -> bool:
     return not (endpoint.own or endpoint.origin or endpoint.pending or endpoint.zid in midspan)
 
 
+def _is_relayable(endpoint: HubEndpoint, midspan: Collection[str]) -> bool:
+    return is_native(endpoint, midspan) and has_key(endpoint.key_hash)
+
+
 def topic_pairs(
     endpoints: Iterable[HubEndpoint], midspan: Collection[str], versions: TypeVersions
 ) -> dict[RelayKey, TopicPair]:
@@ -77,9 +81,9 @@ def topic_pairs(
     for end in endpoints:
         if end.kind is EndpointKind.PUBLISHER:
             gids[end.topic].add(end.gid)
-            if is_native(end, midspan):
+            if _is_relayable(end, midspan):
                 publishers[RelayKey(end.topic, end.type_name, end.key_hash)].append(end)
-        elif end.kind is EndpointKind.SUBSCRIPTION and end.type_hash != UNKNOWN_HASH and is_native(end, midspan):
+        elif end.kind is EndpointKind.SUBSCRIPTION and end.type_hash != UNKNOWN_HASH and _is_relayable(end, midspan):
             subscriptions[end.topic, end.type_name][end.key_hash].append(end)
     pairs: dict[RelayKey, TopicPair] = {}
     for key, senders in publishers.items():
@@ -133,6 +137,8 @@ def service_pairs(
                 covered.add(name)
             elif end.kind is EndpointKind.CLIENT:
                 expected.add(name)
+            continue
+        if not has_key(end.key_hash):
             continue
         hashless, hashed = hashless or end.hashless, hashed or not end.hashless
         if end.kind is EndpointKind.CLIENT:
