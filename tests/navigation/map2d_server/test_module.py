@@ -268,7 +268,7 @@ def test_masks_keep_robots_out_of_what_cannot_be_read(served: Served) -> None:
     until(lambda: mask() and sum(value == 100 for value in mask()["data"]) == 9, "robots keep out of the area", 20)
     assert warned("keep out of the area 'slow'")
     served.store.replica.write({(AREA.name, "lab"): (b'{"map": "hall", "points": 3}', AREA.encoding)})
-    until(lambda: set(mask()["data"]) == set(binary()["data"]) == {100}, "robots keep out of the map", 20)
+    until(lambda: binary() and set(mask()["data"]) == set(binary()["data"]) == {100}, "robots keep out of the map", 20)
     assert warned("keep out of the map 'hall'")
     assert any(marker["ns"] == "area slow" for marker in shown()["markers"])
     served.store.delete(AREA, "lab")
