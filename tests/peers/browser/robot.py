@@ -76,12 +76,11 @@ class WebRobot(MidspanDaemon):
         names = NameClient(Address("127.0.0.1", self.names), namespace="/root")
         return Map2DClient(naming=names, timeout=30)
 
-    def kill_daemon_and_start_again(self) -> None:
-        """Kill the daemon and every worker, and restart it."""
+    def kill_daemon(self) -> None:
+        """Kill the daemon and every worker; `run` starts it again."""
         assert self.daemon is not None
         self.daemon.signal(9)
         self.daemon.stop()
-        self.run()
 
     def close(self) -> None:
         self.stop_daemon()

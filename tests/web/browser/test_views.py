@@ -265,8 +265,9 @@ def test_forms_publish_a_message_and_call_a_service(operator: Operator, watch: T
 
 @pytest.mark.thorough
 def test_the_page_reconnects_after_a_restart_of_the_daemon(operator: Operator, robot: WebRobot) -> None:
-    robot.kill_daemon_and_start_again()
+    robot.kill_daemon()
     until(lambda: operator.line() != "Connected", "the page shows the lost connection")
+    robot.run()
     until(lambda: operator.line() == "Connected", "the page reconnects automatically", 60)
     robot.ready()
     assert robot.command("web").stdout.strip() == robot.address
