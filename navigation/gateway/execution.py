@@ -111,7 +111,7 @@ class Execution:
     def pause(self, seconds: float = float("inf")) -> None:
         """Pause for some seconds after the robot has stopped; the client's goal remains active.
 
-        Raises `RequestError` if there is no goal.
+        Raises `RequestError` without a goal.
         """
         drive = self.drive
         if drive is None:
@@ -168,7 +168,7 @@ class Execution:
         drive.machine.on(DriveEvent.SEND)
         drive.released, drive.path_canceled, drive.sent_at, drive.reason = False, False, now, ""
         drive.sent, drive.several, robot = None, several, robot_pose(self._frames)
-        self._changed()  # no status that says that the robot stands may be in use when the planner receives the goal
+        self._changed()  # the planner must not receive the goal while a status reports that the robot stands
         drive.sent = self._link.send(
             goal_through(drive.left, self._planner, robot) if several else drive.target.goal(self._planner, robot),
             lambda sent, result, reason: self._on_end(drive, sent, result, reason),

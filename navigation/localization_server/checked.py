@@ -1,4 +1,4 @@
-"""Checks what a source of poses returns: an error in a class of one's own must not leave an old pose in use."""
+"""Checks what a source of poses returns: an error in a user's class must not leave an old pose in use."""
 
 from __future__ import annotations
 

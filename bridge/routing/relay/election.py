@@ -8,8 +8,8 @@ a candidate, such as those of machines without Midspan, the candidate that start
 
 A worker joins the election when it is linked to a router, and relays nothing before it knows all sessions on the hub.
 A candidate that takes a session over from one that is still on the hub starts a second later, so that the other one has
-seen that and has stopped: no message is relayed twice. A worker that hung for so long that others may have taken over
-joins again, as the last one.
+seen that and has stopped: no message is relayed twice. A worker that hung so that others may have taken over joins
+again, as the last one.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class RelayElection:
         self._withdraw: Callable[[], None] | None = None
         self._near: dict[str, Callable[[], None]] = {}
         self._seen: dict[str, float] = {}
-        self._winners: dict[str, str] | None = None  # the candidate of each session; None while this is no candidate
+        self._winners: dict[str, str] | None = None  # the candidate of each session; None unless this is a candidate
         self._won: dict[str, float] = {}  # when it won each session from another candidate; -inf if there was none
 
     def rejoin(self) -> None:

@@ -46,7 +46,7 @@ class ServicePair:
 
     Attributes:
         clients: clients of the hub's own nodes; there may be none yet.
-        type_hash: the hash of the servers' key, `NO_HASH` if there are no servers yet.
+        type_hash: the hash of the servers' key, `NO_HASH` before the first server appears.
         servers: servers of the hub's own nodes, sorted by their sessions; there may be none yet.
     """
 
@@ -122,7 +122,7 @@ def service_pairs(
     They include keys without a client, and keys of clients that wait for a server: a client may call as soon as it sees
     a server's token, and its call is not repeated. A service with a server of Midspan needs no relay, because that
     server accepts all versions. One with a client of Midspan is relayed only if it has a server, because that client
-    regards any queryable as a server while there are no tokens of servers. If the servers have several other versions,
+    regards any queryable as a server until a server announces a token. If the servers have several other versions,
     those with the smallest hash are called.
     """
     clients: dict[tuple[str, str], dict[str, list[HubEndpoint]]] = defaultdict(lambda: defaultdict(list))

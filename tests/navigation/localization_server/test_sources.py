@@ -46,7 +46,7 @@ def test_an_invalid_class_as_source_is_reported(place: Place, source: str, reaso
 
 
 class FaultySource(PoseSource):
-    """A localizer of one's own with errors; ``answer`` is what it returns or raises."""
+    """A user's localizer with errors; ``answer`` is what it returns or raises."""
 
     accepts_starts = corrects = True
     answer: Any = None
