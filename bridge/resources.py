@@ -83,6 +83,9 @@ WANTED_FILES = 1 << 16
 """Enough for all connections, each of which needs a descriptor. The limit is not raised to an infinite hard limit,
 because some programs loop over all possible descriptors."""
 
+_MACOS_FILES = 10240
+"""`OPEN_MAX` of macOS, which may refuse a higher limit even if the hard limit is infinite (setrlimit(2) of macOS)."""
+
 
 def raise_open_files() -> int:
     """Raise the soft limit of open files to the hard limit, at most `WANTED_FILES`; return the limit, 0 if unknown."""
@@ -94,12 +97,17 @@ def raise_open_files() -> int:
     wanted = WANTED_FILES if hard == resource.RLIM_INFINITY else min(hard, WANTED_FILES)
     if soft == resource.RLIM_INFINITY or soft >= wanted:
         return soft
-    try:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-    except (OSError, ValueError) as err:
-        logger.warning("the limit of open files remains at %d: %s", soft, err)
-        return soft
-    return wanted
+    reason: Exception | None = None
+    for limit in (wanted, min(wanted, _MACOS_FILES)):
+        if limit > soft:
+            try:
+                resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+            except (OSError, ValueError) as err:
+                reason = reason or err
+            else:
+                return limit
+    logger.warning("the limit of open files remains at %d: %s", soft, reason)
+    return soft
 
 
 LARGE = 4 * 1024 * 1024
