@@ -157,11 +157,13 @@ class MirroredNode:
         ros1 = dict(flatten(self._store.watch([self.rule.ros1])[self.rule.ros1]))
         self._problems = {}
         shown = self._representable(node)
-        copies = {self._names.ros1(path) for path in shown}
         foreign = frozenset(key for key in self._store.copies if not self.covers(key))
         leaves = {self._names.ros1(path) for path in ros1}
         # Deletions come first: a name without a value may become the namespace of others.
-        writes: dict[str, Any] = dict.fromkeys((self._store.copies - foreign - copies) & leaves)
+        old = (self._store.copies - foreign - {self._names.ros1(path) for path in shown}) & leaves
+        writes: dict[str, Any] = dict.fromkeys(old)
+        shown = self._unobstructed(shown, leaves, old)
+        copies = {self._names.ros1(path) for path in shown}
         self._agreed = {path: value for path, value in self._agreed.items() if path in shown}
         self._rejected = {key: reason for key, reason in self._rejected.items() if self._is_declared(key)}
         changes = self._compare(shown, ros1, writes)
@@ -197,6 +199,20 @@ class MirroredNode:
             else:
                 shown[path] = value
         return shown
+
+    def _unobstructed(self, shown: _Values, leaves: Collection[str], old: Collection[str]) -> _Values:
+        """Return the values that overwrite no other names in ROS 1, except those that replaced a copy.
+
+        The names ``old`` are about to be deleted.
+        """
+        existing = {*leaves, *self._store.copies}
+        new = {path: key for path in shown if (key := self._names.ros1(path)) not in existing}
+        if not new:
+            return shown
+        taken = self._store.taken(old)
+        obstacles = {path: reason for path, key in new.items() if (reason := taken.obstacle(key))}
+        self._problems |= {new[path]: f"not copied, since {reason}" for path, reason in obstacles.items()}
+        return {path: value for path, value in shown.items() if path not in obstacles}
 
     def _compare(self, shown: _Values, ros1: Mapping[str, Any], writes: dict[str, Any]) -> _Values:
         """Add the node's values that ROS 1 lacks to ``writes``; return ROS 1's changes, which the node should get."""

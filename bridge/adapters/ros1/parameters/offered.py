@@ -96,10 +96,7 @@ class OfferedNode:
                         self.troubles[names.ros1(path)] = str(err)
 
     def _read(self) -> dict[str, ParameterValue]:
-        return dict(self._parameters(self._trees()))
-
-    def _trees(self) -> dict[str, Any]:
-        return self._store.watch([rule.ros1 for rule in self.rules])
+        return dict(self._parameters(self._store.watch([rule.ros1 for rule in self.rules])))
 
     def _publish_event(self, before: Mapping[str, ParameterValue], now: Mapping[str, ParameterValue]) -> None:
         message = {
@@ -169,10 +166,7 @@ class OfferedNode:
 
     def _set(self, parameters: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Set all parameters or none."""
-        trees = self._trees()
-        taken = {
-            names.ros1(path) for names in self._names for path, _ in flatten(trees[names.rule.ros1])
-        }  # also those that ROS 2 cannot represent
+        taken = self._store.taken()
         wanted: dict[str, Any] = {}
         for parameter in parameters:
             name, value = parameter["name"], ParameterValue.read(parameter["value"])
@@ -183,11 +177,8 @@ class OfferedNode:
             if not names.rule.write:
                 return _error(f"{name} is read-only (write: false in routing.parameters)")
             key = names.ros1(path)
-            if any(other.startswith(f"{key}/") for other in taken):
-                return _error(f"{key} is a namespace in ROS 1")
-            above = next((other for other in taken if key.startswith(f"{other}/")), None)
-            if above is not None:
-                return _error(f"{above} has a value, and ROS 1 does not allow names below it")
+            if obstacle := taken.obstacle(key):
+                return _error(obstacle)
             taken.add(key)
             try:
                 wanted[key] = None if value.kind is ParameterType.NOT_SET else to_ros1(value)

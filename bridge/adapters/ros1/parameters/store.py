@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,6 +55,33 @@ def _tree(key: str, values: Mapping[str, Any]) -> dict[str, Any]:
             level = level.setdefault(part, {})
         level[last] = value
     return root
+
+
+class TakenNames:
+    """Names on the parameter server that have values, and the namespaces that contain them."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._names: set[str] = set()
+        self._namespaces: set[str] = set()
+        for name in names:
+            self.add(name)
+
+    def add(self, name: str) -> None:
+        """Add a name that gets a value."""
+        self._names.add(name)
+        self._namespaces.update(_above(name))
+
+    def obstacle(self, name: str) -> str:
+        """Return why setting a name would overwrite other names' values; "" if it would not."""
+        if name in self._namespaces:
+            return f"{name} is a namespace in ROS 1"
+        above = next((outer for outer in _above(name) if outer in self._names), None)
+        return f"{above} has a value, and ROS 1 does not allow names below it" if above else ""
+
+
+def _above(name: str) -> list[str]:
+    """Return the names above a name: ``/a`` and ``/a/b`` for ``/a/b/c``."""
+    return [name[:at] for at in range(1, len(name)) if name[at] == "/"]
 
 
 class ParameterServer:
@@ -111,6 +138,11 @@ class ParameterServer:
             half = len(names) // 2
             return self._read_apart(names[:half]) | self._read_apart(names[half:])
         return {name: value for name, value in zip(names, values, strict=True) if value is not None}
+
+    def taken(self, without: Collection[str] = ()) -> TakenNames:
+        """Return the names that have values, except the names ``without``."""
+        names = self._client.call("getParamNames", self._caller())
+        return TakenNames(name for name in names if name not in without)
 
     def write(self, values: Mapping[str, Any]) -> list[str]:
         """Set parameters, or delete them if their value is None; return the names that the master did not set."""

@@ -188,6 +188,47 @@ def test_a_ros2_node_does_not_overwrite_values_that_are_above_or_below_a_name(
 
 
 @needs_ros1
+def test_a_ros2_node_does_not_overwrite_a_value_above_the_rule(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    master.call("setParam", "/over", 3)
+    share(rule("ros1", "/over/below", "/over_node"))
+    reasons = [item["reason"] for item in ParameterClient(hubs[1], "/over_node").set(speed=double(1.5))["results"]]
+    assert reasons == ["/over has a value, and ROS 1 does not allow names below it"]
+    assert master.call("getParam", "/over") == 3
+
+
+@needs_ros1
+def test_a_copy_does_not_overwrite_values_above_or_below_its_name(
+    master: RosMaster, hubs: tuple[Hub, Hub], share: Share
+):
+    master.call("setParam", "/top", 3)
+    before = {"speed": 1.5, "mode": {"a": 1}}
+    master.call("setParam", "/robots/base", before)
+    nodes = {
+        "/top_node": ParameterNode(hubs[1], "/top_node", speed=double(0.5)),
+        "/base_node": ParameterNode(hubs[1], "/base_node", mode=integer(1), speed__max=double(0.5), turn=double(2.5)),
+    }
+    parameters = share(
+        rule("ros2", "/top/below", "/top_node"), rule("ros2", "/robots/base", "/base_node"), store=server(master)
+    )
+    until(lambda: master.call("getParam", "/robots/base/turn") == 2.5, "the other parameter is copied")
+    asked = {name: node.asked for name, node in nodes.items()}
+    until(lambda: all(node.asked > asked[name] + 2 for name, node in nodes.items()), "several comparisons are made")
+    assert master.call("getParam", "/top") == 3
+    assert master.call("getParam", "/robots/base") == {**before, "turn": 2.5}
+    problems = {warning for warning in parameters.warnings() if "not copied" in warning}
+    no_names = "has a value, and ROS 1 does not allow names below it"
+    assert problems == {
+        f"parameter /top/below/speed: not copied, since /top {no_names}",
+        f"parameter /robots/base/speed/max: not copied, since /robots/base/speed {no_names}",
+        "parameter /robots/base/mode: not copied, since /robots/base/mode is a namespace in ROS 1",
+    }
+    master.call("deleteParam", "/top")
+    until(lambda: master.call("getParam", "/top") == {"below": {"speed": 0.5}}, "a name without an obstacle is copied")
+    parameters.stop()
+    assert master.call("getParam", "/robots/base") == before, "only copies are deleted"
+
+
+@needs_ros1
 @pytest.mark.parametrize(
     "odd", [[json.loads("[" * 70 + "]" * 70)], [None], [2**40]], ids=["deep", "none", "large integer"]
 )
