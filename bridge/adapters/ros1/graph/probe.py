@@ -14,7 +14,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
@@ -39,6 +39,8 @@ before it enables latching (``rospy.topics.Publisher.__init__``), and may announ
 
 _FIRST_WAIT = 0.5
 _LONGEST_WAIT = 10.0
+_MOST_LOGGED = 5
+"""Maximum number of different errors of one peer in the log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +89,14 @@ class _Attempt:
     """The attempts to probe one peer.
 
     ``due`` is the monotonic time of the next attempt, ``wait`` the pause in seconds after it, ``failure`` the last
-    error; ``refused``: nothing listens at the peer's address.
+    error, ``logged`` all errors so far; ``refused``: nothing listens at the peer's address.
     """
 
     due: float = 0.0
     wait: float = _FIRST_WAIT
     under_way: bool = False
     failure: str = ""
+    logged: set[str] = field(default_factory=set)
     refused: bool = False
 
 
@@ -271,7 +274,9 @@ class Prober:
             attempt = self._unprobed.get(peer)
             if attempt is None:
                 return
-            if failure != attempt.failure:
+            # the errors of an unreachable host alternate, for example between a timeout and a missing route
+            if failure not in attempt.logged and len(attempt.logged) < _MOST_LOGGED:
+                attempt.logged.add(failure)
                 description = f"{self._kind} of {peer.topic} in {peer.node}"
                 _log.info("cannot learn the type from the %s: %s", description, failure)
             attempt.failure, attempt.refused, attempt.under_way = failure, refused, False

@@ -103,6 +103,25 @@ def test_dead_publishers_do_not_delay_others(prober):
         )
 
 
+def test_alternating_failures_are_logged_once_each(prober, caplog: pytest.LogCaptureFixture):
+    asked: list[str] = []
+
+    def request(_caller, _topic, _protocols) -> list[Any]:
+        asked.append("timed out" if len(asked) % 2 else "no route")
+        return [0, asked[-1], 0]
+
+    with caplog.at_level("INFO"), node(requestTopic=request) as uri:
+        link = Registration("/flapping", "/t", uri)
+
+        def poll() -> bool:
+            prober.update(frozenset({link}))
+            return len(asked) > 4
+
+        until(poll, "the publisher is probed several times")
+    prober.update(frozenset())
+    assert [record.getMessage().rpartition(": ")[2] for record in caplog.records] == ["no route", "timed out"]
+
+
 def test_a_publisher_that_does_not_respond_yet_is_probed_again(prober):
     listening = threading.Event()
 
