@@ -11,7 +11,10 @@ import re
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from enum import Enum
+from queue import SimpleQueue
+from threading import Event, Thread
 
 from typing_extensions import override
 
@@ -19,6 +22,8 @@ from bridge.config.model import Config
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 RECENT_LINES = 200
+WAITING_RECORDS = 1000
+FLUSH_SECONDS = 0.5
 
 # syslog's numbers (sd-daemon(3)): err, warning, info, debug
 _PRIORITIES = {logging.ERROR: 3, logging.WARNING: 4, logging.INFO: 6, logging.DEBUG: 7}
@@ -116,6 +121,53 @@ class RelayHandler(logging.Handler):
         for line in self.format(record).split("\n"):
             self._lines.append(split_priority(line))
         self.flush()
+
+
+class StderrHandler(logging.Handler):
+    """Writes to stderr on a thread, because a suspended reader of the log, such as a terminal, blocks writing.
+
+    At most `WAITING_RECORDS` wait; further ones are dropped and counted.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._file = sys.stderr.fileno()  # not the stream, whose lock Python needs at its exit
+        self._waiting: SimpleQueue[str | Event | None] = SimpleQueue()
+        self._dropped = 0
+        Thread(target=self._run, name="midspan-log", daemon=True).start()
+
+    @override
+    def emit(self, record: logging.LogRecord) -> None:
+        if self._waiting.qsize() >= WAITING_RECORDS:
+            self._dropped += 1
+            return
+        dropped, self._dropped = self._dropped, 0
+        if dropped:
+            text = f"{dropped} log messages were dropped, because the reader of the log was suspended"
+            self._waiting.put(self.format(logging.LogRecord(record.name, logging.WARNING, "", 0, text, None, None)))
+        self._waiting.put(self.format(record))
+
+    @override
+    def flush(self) -> None:
+        """Wait up to `FLUSH_SECONDS` until all records are written."""
+        written = Event()
+        self._waiting.put(written)
+        written.wait(FLUSH_SECONDS)
+
+    @override
+    def close(self) -> None:
+        self._waiting.put(None)
+        super().close()
+
+    def _run(self) -> None:
+        while (item := self._waiting.get()) is not None:
+            if isinstance(item, Event):
+                item.set()
+                continue
+            data = f"{item}\n".encode(errors="backslashreplace")
+            with suppress(OSError):  # a closed stderr or a full disk must not stop a bridge
+                while data:
+                    data = data[os.write(self._file, data) :]
 
 
 def setup(config: Config, name: str, style: Style, handler: logging.Handler | None = None) -> None:

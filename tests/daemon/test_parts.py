@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
+import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,6 +160,30 @@ def test_relayed_lines_are_queued_until_they_are_delivered(capsys: pytest.Captur
     written = capsys.readouterr().err.splitlines()
     assert written[0] == "<6>line 7"  # the line was not delivered, so it is still pending
     assert written[-1] == f"<6>line {log.RECENT_LINES + 4}"
+
+
+def test_log_records_are_dropped_and_counted_while_the_reader_is_suspended(monkeypatch: pytest.MonkeyPatch) -> None:
+    reader, writer = os.pipe()
+    with os.fdopen(writer, "w") as stderr, os.fdopen(reader) as lines:
+        os.set_blocking(writer, False)
+        for filling in (b"-\n" * 1000, b"\n"):
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    os.write(writer, filling)
+        os.set_blocking(writer, True)
+        monkeypatch.setattr(sys, "stderr", stderr)
+        handler = log.StderrHandler()
+        for number in range(log.WAITING_RECORDS + 5):
+            handler.handle(logging.LogRecord("x", logging.INFO, "", 0, f"line {number}", None, None))
+        assert next(line for line in lines if line not in ("-\n", "\n")) == "line 0\n"
+        handler.flush()
+        handler.handle(logging.LogRecord("x", logging.INFO, "", 0, "last", None, None))
+        handler.flush()
+        handler.close()
+        stderr.close()
+        left = lines.read().splitlines()
+    assert left[-1] == "last"
+    assert re.fullmatch("[45] log messages were dropped, because the reader of the log was suspended", left[-2])
 
 
 def test_a_lock_lasts_while_any_process_has_its_descriptor(tmp_path: Path) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import psutil
 import pytest
@@ -236,7 +240,7 @@ def test_no_descriptors_or_processes_leak_over_restarts(daemon: Daemon) -> None:
     process = daemon.start()
     daemon.wait_ready(process)
     watched = psutil.Process(process.pid)
-    before = watched.num_fds()
+    before, threads = watched.num_fds(), watched.num_threads()
     for count in range(2, 5):
         os.kill(daemon.wait_started("ros1", count - 1), signal.SIGKILL)
         daemon.wait_started("ros1", count)
@@ -244,7 +248,7 @@ def test_no_descriptors_or_processes_leak_over_restarts(daemon: Daemon) -> None:
         daemon.wait_started("router", count)
     until(lambda: watched.num_fds() == before, "the number of descriptors is the same as before")
     assert len(watched.children()) == len(WORKERS)
-    assert watched.num_threads() == 1
+    assert watched.num_threads() == threads
 
 
 def test_open_files_limit_is_raised_for_the_workers(daemon: Daemon) -> None:
@@ -252,3 +256,30 @@ def test_open_files_limit_is_raised_for_the_workers(daemon: Daemon) -> None:
     daemon.wait_ready(process)
     soft, hard = psutil.Process(daemon.wait_started("ros1")).rlimit(psutil.RLIMIT_NOFILE)
     assert soft == min(hard, 1 << 16)
+
+
+def test_a_suspended_reader_of_the_log_does_not_block_the_daemon(daemon: Daemon, tmp_path: Path) -> None:
+    """As after Ctrl-S in the terminal, or with ``midspan run 2>&1 | less``."""
+    pipe = tmp_path / "log"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    writer = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+    for filling in (b"-" * 4096, b"-"):
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(writer, filling)
+    command = [sys.executable, "-m", "bridge.cli.main", "run", "--config", str(daemon.file)]
+    process = subprocess.Popen(command, env=daemon.env, stderr=writer)
+    os.set_blocking(writer, True)
+    worker = daemon.wait_started("ros1")
+    daemon.wait_started("ros2")
+    os.kill(worker, signal.SIGKILL)
+    daemon.wait_started("ros1", 2)
+    process.send_signal(signal.SIGTERM)
+    try:
+        assert process.wait(40) == 0
+    finally:
+        os.close(reader)  # ends a blocked write
+        os.close(writer)
+        process.kill()
+        process.wait()

@@ -50,7 +50,7 @@ def run_run(args: argparse.Namespace) -> int:
     except ConfigError as err:
         print(err, file=sys.stderr)
         return EXIT_CANNOT_WORK  # so that systemd does not restart the service
-    log.setup(supervisor.config, "midspan", log.style_for())
+    log.setup(supervisor.config, "midspan", log.style_for(), log.StderrHandler())
     for name in ("SIGTERM", "SIGINT", "SIGBREAK"):  # Windows sends the last one as it closes a console or a session
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), lambda *_: supervisor.request_stop())
