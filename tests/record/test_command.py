@@ -66,6 +66,13 @@ def test_times_are_parsed(text: str, value: float) -> None:
     assert span(text) == value
 
 
+@pytest.mark.parametrize("name", ["pipe", "pipe.mcap"])
+def test_pipes_are_rejected(name: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / name)
+    assert main(["record", "-a", "--duration", "1", "-o", str(tmp_path / name), "--config", str(file)]) == 1
+    assert f"cannot record into {tmp_path / name}: it is a pipe or a device" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

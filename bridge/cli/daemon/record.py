@@ -136,6 +136,8 @@ def run(args: argparse.Namespace) -> int:
     output: Path = args.output or Path("." if args.ring else f"midspan_{stamp()}.mcap")
     if reason := forbidden(output.name):
         raise CliError(f"{output} {reason}")
+    if output.exists() and not (output.is_file() or output.is_dir()):
+        raise CliError(f"cannot record into {output}: it is a pipe or a device; record into a file")
     warn_of_daemon(args, config)
     return _record(args, config, section, output)
 
