@@ -176,6 +176,9 @@ class Participant:
 UNKNOWN_DEPTH = 10
 """Assumed depth of a volatile remote endpoint; for a latched endpoint 1 is assumed, its last message."""
 
+_MANUAL_BY_TOPIC = 3
+"""rmw's number of the liveliness policy (rmw/types.h)."""
+
 _LONGEST_NS = 2**62
 """Longer durations count as infinite; for infinity DDS reports the largest number, far above any finite duration."""
 
@@ -190,6 +193,8 @@ def from_rclpy(profile: Mapping[str, Any]) -> Qos:
         int(profile["depth"]) or (1 if latched else UNKNOWN_DEPTH),
         _finite(profile["deadline"].nanoseconds),
         _finite(profile["lifespan"].nanoseconds),
+        _finite(profile["liveliness_lease_duration"].nanoseconds),
+        int(profile["liveliness"]) == _MANUAL_BY_TOPIC,
     )
 
 
@@ -219,6 +224,10 @@ def mismatch(offered: Qos, requested: Qos) -> str:
         reasons.append("volatile is offered, transient local is requested")
     if requested.deadline_ns is not None and (offered.deadline_ns or _LONGEST_NS) > requested.deadline_ns:
         reasons.append("the offered deadline is longer than the requested one")
+    if requested.manual and not offered.manual:
+        reasons.append("automatic liveliness is offered, manual by topic is requested")
+    if requested.lease_ns is not None and (offered.lease_ns or _LONGEST_NS) > requested.lease_ns:
+        reasons.append("the offered lease of the liveliness is longer than the requested one")
     return " and ".join(reasons)
 
 

@@ -56,7 +56,10 @@ class History(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """The quality of service of one endpoint; deadlines and lifespans are in nanoseconds, None for infinite."""
+    """The quality of service of one endpoint; deadlines, lifespans and leases are in nanoseconds, None for infinite.
+
+    ``lease_ns`` and ``manual`` (by topic) are the liveliness on DDS; the hub does not store it, see `decode_qos`.
+    """
 
     reliability: Reliability = Reliability.RELIABLE
     durability: Durability = Durability.VOLATILE
@@ -64,6 +67,8 @@ class Qos:
     depth: int = 10
     deadline_ns: int | None = None
     lifespan_ns: int | None = None
+    lease_ns: int | None = None
+    manual: bool = False
 
     @property
     def latched(self) -> bool:

@@ -21,6 +21,9 @@ VOLATILE, LATCHED = Durability.VOLATILE, Durability.TRANSIENT_LOCAL
         (Qos(deadline_ns=10**9), Qos(deadline_ns=10**9), ""),
         (Qos(deadline_ns=2 * 10**9), Qos(deadline_ns=10**9), "deadline"),
         (Qos(), Qos(deadline_ns=10**9), "deadline"),
+        (Qos(), Qos(manual=True), "manual by topic"),
+        (Qos(manual=True, lease_ns=10**9), Qos(lease_ns=10**9), ""),
+        (Qos(), Qos(lease_ns=10**9), "lease"),
     ],
 )
 def test_incompatible_policies_are_named(offered: Qos, requested: Qos, why: str) -> None:
