@@ -84,8 +84,8 @@ def _read(args: argparse.Namespace) -> int:
         else:
             missed += 1
 
+    _check_name(args)
     names = client(args)
-    _check_unused(args)
     port = PortCore(args.port, on_message=on_message, naming=names, is_output=False, profile=_profile(args))
     port.open()
     try:
@@ -118,8 +118,8 @@ def _message_text(args: argparse.Namespace, message: PortMessage) -> str:
 
 
 def _write(args: argparse.Namespace) -> int:
+    _check_name(args)
     names = client(args)
-    _check_unused(args)
     port = PortCore(args.port, naming=names, is_input=False, profile=_profile(args))
     port.open()
     try:
@@ -171,8 +171,10 @@ def _values(line: str) -> list[Any]:
         raise CliError(f"not a Bottle: {err}") from None
 
 
-def _check_unused(args: argparse.Namespace) -> None:
-    """Refuse a name that is in use, because the name server would reassign it."""
+def _check_name(args: argparse.Namespace) -> None:
+    """Refuse a name without a slash, as YARP does, or one in use, because the name server would reassign it."""
+    if args.port and not args.port.startswith(("/", "=", "...")):  # =name and ...name: the name server adds a prefix
+        raise CliError(clean(f"{args.port!r} is not a port name: YARP's names begin with a slash, as in /{args.port}"))
     if args.port != "..." and connections.exists(client(args), args.port, timeout=args.timeout):
         raise PortError(clean(f"{args.port} is in use by another program; '...' opens a port with a unique name"))
 

@@ -105,6 +105,15 @@ def test_without_any_name_server_the_error_names_the_missing_file(
     assert done.err.count("\n") == 1
 
 
+@pytest.mark.parametrize("verb", ["read", "write"])
+def test_a_port_name_without_a_slash_is_refused(yarp: Yarp, server: NameServer, verb: str) -> None:
+    """As YARP refuses it."""
+    done = yarp(verb, "noslash", *(["--message", "x"] if verb == "write" else ["--count", "0"]))
+    assert done.code == 1
+    assert "'noslash' is not a port name: YARP's names begin with a slash, as in /noslash" in done.err
+    assert [line.split()[0] for line in yarp("list").out.splitlines()] == ["/root"]
+
+
 def test_ports_are_listed_and_queried(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -> None:
     """Tests the verbs list, name, exists and ping."""
     owner, _ = owners("/a/b"), owners("/c")
