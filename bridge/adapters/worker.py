@@ -115,6 +115,8 @@ class BridgeWorker(Worker):
         """Return the combined health of the engines: running if any engine is."""
         if self._failure:
             raise WorkerFailedError(self._failure)
+        if endpoint := listeners.arrived():
+            raise WorkerFailedError(f"this machine has got the address of {endpoint} (hub.zenoh): restarting")
         reports = {bridge.name: bridge.health() for bridge in self.bridges}
         if not reports:
             return Health("waiting", "starting")

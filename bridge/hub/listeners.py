@@ -2,14 +2,17 @@
 
 By default zenoh opens no session if one of its listeners fails. A session of the hub works without, because it connects
 to the router. zenoh could retry listeners in the background, but then a session does not close for 10 s while one of
-them fails (observed with 1.10.2); so the listener stays closed until the worker restarts.
+them fails (observed with 1.10.2); so the listener stays closed until the worker restarts. The workers of sides restart
+when the machine gets a missing address.
 """
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import logging
 import re
+import socket
 import threading
 
 import psutil
@@ -24,6 +27,8 @@ _log = logging.getLogger(__name__)
 _lock = threading.Lock()
 _closed: dict[str, str] = {}
 """The reason why a listener is closed, by endpoint."""
+_absent: dict[str, str] = {}
+"""The IP address of a closed listener that this machine lacks, by endpoint."""
 
 
 def open_hub_session(config: zenoh.Config) -> zenoh.Session:
@@ -40,8 +45,11 @@ def open_hub_session(config: zenoh.Config) -> zenoh.Session:
         reason = zenoh_reason(err)
     config.insert_json5("listen/exit_on_failure", "false")
     session = open_session(config, prepares=True)
+    closed = [endpoint for endpoint in endpoints if not _is_open(endpoint)]
+    addresses = {endpoint: address for endpoint in closed if (address := _ip_address(endpoint))}
     with _lock:
-        _closed.update({endpoint: reason for endpoint in endpoints if not _is_open(endpoint)})
+        _closed.update(dict.fromkeys(closed, reason))
+        _absent.update({endpoint: address for endpoint, address in addresses.items() if not _has_address(address)})
     if text := trouble():
         _log.warning("%s", text)
     return session
@@ -66,6 +74,33 @@ def trouble() -> str:
         return (
             f"no program can connect at {', '.join(_closed)} (hub.zenoh): {reason}; correct it, or restart this worker"
         )
+
+
+def arrived() -> str:
+    """Return a closed listener whose IP address this machine lacked and has now; "" if none."""
+    with _lock:
+        absent = tuple(_absent.items())
+    return next((endpoint for endpoint, address in absent if _has_address(address)), "")
+
+
+def _ip_address(endpoint: str) -> str:
+    """Return an endpoint's IP address; "" if it has a host name."""
+    host = re.split(r"[?#]", endpoint)[0].partition("/")[2].rpartition(":")[0].strip("[]")
+    try:
+        return str(ipaddress.ip_address(host))
+    except ValueError:
+        return ""
+
+
+def _has_address(address: str) -> bool:
+    """Return whether a program on this machine can listen at an IP address."""
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as sock:
+            sock.bind((address, 0))
+    except OSError:
+        return False
+    return True
 
 
 def _is_open(endpoint: str) -> bool:
