@@ -131,7 +131,8 @@ class StderrHandler(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__()
-        self._file = sys.stderr.fileno()  # not the stream, whose lock Python needs at its exit
+        # not the stream, whose lock Python needs at its exit; None if stderr was closed before Python started
+        self._file = None if sys.stderr is None else sys.stderr.fileno()
         self._waiting: SimpleQueue[str | Event | None] = SimpleQueue()
         self._dropped = 0
         Thread(target=self._run, name="midspan-log", daemon=True).start()
@@ -166,7 +167,7 @@ class StderrHandler(logging.Handler):
                 continue
             data = f"{item}\n".encode(errors="backslashreplace")
             with suppress(OSError):  # a closed stderr or a full disk must not stop a bridge
-                while data:
+                while data and self._file is not None:
                     data = data[os.write(self._file, data) :]
 
 

@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -184,6 +185,16 @@ def test_log_records_are_dropped_and_counted_while_the_reader_is_suspended(monke
         left = lines.read().splitlines()
     assert left[-1] == "last"
     assert re.fullmatch("[45] log messages were dropped, because the reader of the log was suspended", left[-2])
+
+
+def test_logging_works_without_stderr(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", None)
+    handler = log.StderrHandler()
+    handler.handle(logging.LogRecord("x", logging.INFO, "", 0, "line", None, None))
+    start = time.monotonic()
+    handler.flush()
+    assert time.monotonic() - start < log.FLUSH_SECONDS
+    handler.close()
 
 
 def test_a_lock_lasts_while_any_process_has_its_descriptor(tmp_path: Path) -> None:
