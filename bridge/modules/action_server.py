@@ -155,6 +155,7 @@ class ActionServer:
         self._others = self._results, node.server(names.cancel_goal, CANCEL, self._on_cancel, at_once)
         self._sending = node.server(names.send_goal, types.send_goal, self._on_goal)
         self.accepting = True  # whether new goals are accepted
+        self.closed = False
         self._clients_of = names.send_goal
         self.met: Callable[[Goal], object] = lambda _goal: None  # called with each new goal
         self.publish_status()  # an empty list, which informs subscribers that no goal is active
@@ -173,6 +174,7 @@ class ActionServer:
     def close(self) -> None:
         """Close all five parts of the action."""
         self.stop_accepting()
+        self.closed = True
         for endpoint in (*self._others, self._feedback, self._status):
             self._node.release(endpoint)
 
@@ -222,15 +224,25 @@ class ActionServer:
 
         If the result has no field for the reason, the client gets the exception as the error of its request.
         """
-        if self._cancel is not None:
-            with contextlib.suppress(Exception):
-                self._cancel(goal)
+        self._stop_quietly(goal)
         reason = {"error_msg": f"{self.name} failed: {type(err).__name__}: {err}"}
         if not self._fits(reason):
             self._drop(goal)
             raise err
         _log.error("%s failed", self.name, exc_info=err)
         goal.abort(reason)
+
+    def fail_goals(self, text: str) -> None:
+        """Abort all active goals with a reason, and stop what they have started."""
+        reason = {"error_msg": text}
+        for goal in self.active:
+            self._stop_quietly(goal)
+            goal.abort(reason if self._fits(reason) else {})
+
+    def _stop_quietly(self, goal: Goal) -> None:
+        if self._cancel is not None:
+            with contextlib.suppress(Exception):
+                self._cancel(goal)
 
     def _fits(self, result: Mapping[str, Any]) -> bool:
         return self._results.fits({"status": 0, "result": result})

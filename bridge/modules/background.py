@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
@@ -11,7 +10,6 @@ from typing import Any, TypeVar
 from bridge.concurrency import WorkerPool
 from bridge.modules.loop import EventLoop
 
-_log = logging.getLogger(__name__)
 _END_SECONDS = 1.0
 
 T = TypeVar("T")
@@ -25,7 +23,7 @@ class Background:
 
     Args:
         loop: the module's thread.
-        name: name of the module, for the thread and log lines.
+        name: name of the module, for the thread.
         inline: run each job on the module's thread, so that results do not depend on timing.
 
     Attributes:
@@ -33,7 +31,7 @@ class Background:
     """
 
     def __init__(self, loop: EventLoop, name: str, *, inline: bool = False) -> None:
-        self._loop, self._name, self._inline = loop, name, inline
+        self._loop, self._inline = loop, inline
         self._pool = WorkerPool(1, f"midspan-{name}-background")
         self._waiting: list[tuple[Prepare[Any], Callable[[Any], object]]] = []
         self._running = self._closed = False
@@ -42,7 +40,7 @@ class Background:
     def submit(self, prepare: Prepare[T], deliver: Callable[[T], object]) -> None:
         """Run a job as soon as no other runs, and deliver its result on the module's thread.
 
-        If the job fails, nothing is delivered; the error is logged, and stored as ``trouble``.
+        If the job fails, nothing is delivered; the error is stored as ``trouble``, and reported like a callback's.
         """
         self._waiting = [(prepare, deliver)]
         if not self._running:
@@ -78,9 +76,7 @@ class Background:
             self.trouble = ""
             deliver(future.result())
         else:
-            text = f"{type(error).__name__}: {error}"
-            if text != self.trouble:
-                _log.error("%s: a background job failed", self._name, exc_info=error)
-            self.trouble = text
+            self.trouble = f"{type(error).__name__}: {error}"
+            self._loop.failures.add(error, "a background job")
         if self._waiting and not self._running:
             self._begin()

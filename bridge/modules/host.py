@@ -26,6 +26,10 @@ from bridge.stores.store import Store
 class ModuleNode(Endpoints):
     """A module's node with topics, services and actions, which are closed with the node."""
 
+    def __init__(self, hub: Hub, registry: Registry, loop: EventLoop, clock: RunClock) -> None:
+        super().__init__(hub, registry, loop, clock)
+        self._actions: list[ActionServer] = []
+
     def action_server(
         self,
         name: str,
@@ -40,7 +44,14 @@ class ModuleNode(Endpoints):
 
         Raises `bridge.messages.errors.MessageTypeError`.
         """
-        return ActionServer(self, name, type_name, accept, cancel, result_seconds=result_seconds, brake=brake)
+        server = ActionServer(self, name, type_name, accept, cancel, result_seconds=result_seconds, brake=brake)
+        self._actions = [*(other for other in self._actions if not other.closed), server]
+        return server
+
+    def fail_goals(self, reason: str) -> None:
+        """Cancel and abort the active goals of all actions."""
+        for server in self._actions:
+            server.fail_goals(reason)
 
     def action_client(self, name: str, type_name: str) -> ActionClient:
         """Send goals to an action; raises `bridge.messages.errors.MessageTypeError`."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 import itertools
-import logging
 import threading
 import time
 from collections import deque
@@ -13,9 +12,9 @@ from threading import Lock
 from typing import Any, Generic, TypeVar
 
 from bridge.clock import RunClock
+from bridge.modules.step_failures import StepFailures
 from bridge.progress import StepWatch, working
 
-_log = logging.getLogger(__name__)
 ANSWER_SECONDS = 5.0
 STEP_SECONDS = 5.0
 """Seconds without progress after which a step counts as hanging."""
@@ -31,10 +30,14 @@ class EventLoop:
 
     Args:
         limit: maximum time in seconds without progress in a step.
+
+    Attributes:
+        failures: the errors of actions, except for those that the caller of an action receives.
     """
 
     def __init__(self, name: str, limit: float = STEP_SECONDS) -> None:
         self._name = name
+        self.failures = StepFailures(name)
         self._limit = limit
         self._watch = StepWatch(limit)
         self._begun = threading.Event()
@@ -181,8 +184,8 @@ class EventLoop:
             self._busy_since = time.monotonic()
             try:
                 action()
-            except Exception:
-                _log.exception("%s: one step failed", self._name)
+            except Exception as err:
+                self.failures.add(err)
             self._busy_since = None
 
     def _next(self) -> Action | None:

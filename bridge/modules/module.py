@@ -46,6 +46,13 @@ class Module(ABC):
         """Return problems that users should fix although the module runs, for status and doctor; "" is ignored."""
         return ()
 
+    def on_failure(self, error: BaseException) -> bool:  # noqa: ARG002 - most modules need nothing else
+        """Handle an error that a callback or a background job of the module raised, after it was logged.
+
+        Return False to have the host cancel and abort the active goals of the module's actions.
+        """
+        return False
+
     def begin_stop(self, done: Callable[[], None]) -> None:
         """Begin to stop what must not end abruptly, such as a robot's motion, while all endpoints still work.
 

@@ -22,6 +22,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module, kind_of
 from bridge.modules.ports import ports_stay
 from bridge.modules.shared import Shared
+from bridge.modules.step_failures import described
 from bridge.progress import working
 from bridge.status import ModuleStatus, Part
 from bridge.stores.entry import StoreError
@@ -88,6 +89,7 @@ class Running:
         try:
             host = self._host = Host(self.name, self._config, self._registry, self._shared)
             module = self._module = self._kind()
+            host.loop.failures.on_failure = lambda error: self._on_step_failure(module, host, error)
             host.loop.start()
             host.loop.work(lambda: module.start(host, self.section), _START_SECONDS)
             host.answer("status", self._status)
@@ -159,6 +161,19 @@ class Running:
                 _log.exception("%s: health check failed", self.name)
             return Health("waiting", f"health check failed: {type(err).__name__}: {err}")
 
+    def _on_step_failure(self, module: Module, host: Host, error: BaseException) -> None:
+        if not module.on_failure(error):
+            host.node.fail_goals(f"{self.name} failed: {described(error)}")
+
+    def _reports(self, module: Module) -> tuple[dict[str, Any], list[str]]:
+        """Return the module's own keys and warnings; an exception there must not hide the rest of the status."""
+        try:
+            own = module.status()
+            # modules of other packages may return a dictionary
+            return dict(own.document() if isinstance(own, Part) else own), list(module.warnings())
+        except Exception as err:
+            return {}, [f"the module's status failed: {described(err)}"]
+
     def _on_failure(self, why: str) -> None:
         self.stop()
         pause = self._backoff.pause(time.monotonic() - self._started)
@@ -170,18 +185,18 @@ class Running:
         if module is None or host is None:
             return ModuleStatus(**self._names, state="stopped", routes=[]).document()
         health = self._module_health(module)
+        own, warnings = self._reports(module)
         text = "; ".join(filter(None, (self._computes, health.text)))
-        troubles = host.yarp.trouble(), host.clock.trouble(), opening.trouble(), listeners.trouble()
+        failures = host.loop.failures.warning()
+        troubles = failures, host.yarp.trouble(), host.clock.trouble(), opening.trouble(), listeners.trouble()
         status = ModuleStatus(
             **self._head.fields(health.state, text, refused=[]),
             zid=host.node.hub.zid,
             routes=[],
-            warnings=[text for text in (*module.warnings(), *troubles) if text],
+            warnings=[text for text in (*warnings, *troubles) if text],
             **host.status(),
         )
-        own = module.status()
-        # modules of other packages may return a dictionary
-        return {**status.document(), **(own.document() if isinstance(own, Part) else own)}
+        return {**status.document(), **own}
 
 
 def _end(module: Module, host: Host) -> None:

@@ -6,24 +6,27 @@ from collections import deque
 
 import numpy as np
 
-from navigation.algorithms.distance_transform import distance_transform
 from navigation.algorithms.shortcut import shortcut
 from navigation.pose import Pose
+from navigation.robot_path_planner.ground import Ground
 from navigation.status import Fault, PlanError
-from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.sig.vec2d import Vec2D
 
 
-def plan(grid: MapGrid2D, start: Pose, goal: Pose, radius: float) -> list[Pose]:
-    """Return waypoints to a goal, in meters, by a wave that spreads from the goal; raises `PlanError`."""
-    free = distance_transform(grid.flags != 0) * grid.getResolution() > radius
-    free[[0, -1]] = free[:, [0, -1]] = False  # so that all neighbors of free cells are on the map
-    begin, end = (tuple(cell) for cell in grid.cells_at([start[:2], goal[:2]])[:, ::-1].tolist())
-    if not (grid.isInsideMap(Vec2D(*start[:2])) and grid.isInsideMap(Vec2D(*goal[:2])) and free[end]):
-        raise PlanError(
-            Fault.GOAL_OCCUPIED, "the robot or the goal is off the map, or the robot does not fit at the goal"
-        )
-    free[begin] = True  # where the robot stands
+def plan(ground: Ground, start: Pose, goal: Pose) -> list[Pose]:
+    """Return waypoints to a goal, in meters, by a wave that spreads from the goal; raises `PlanError`.
+
+    The path stays in the cells in which `Ground` lets the robot be: outside walls, unknown parts and keep-out areas.
+    """
+    if ground.closed:
+        raise PlanError(Fault.NO_MAP, ground.closed)
+    free = ground.weights.copy()
+    free[[0, -1]] = free[:, [0, -1]] = 0  # so that all neighbors of free cells are on the map
+    begin, end = ground.cell(*start[:2]), ground.cell(*goal[:2])
+    if begin is None or end is None:
+        raise PlanError(Fault.OFF_THE_MAP, "the robot or the goal is off the map")
+    if not free[end]:
+        raise PlanError(Fault.GOAL_OCCUPIED, f"the goal is {ground.reason(end) or 'at the border of the map'}")
+    free[begin] = 1  # where the robot stands
     following, front = {end: end}, deque([end])
     while front and begin not in following:
         row, column = front.popleft()
@@ -36,5 +39,5 @@ def plan(grid: MapGrid2D, start: Pose, goal: Pose, radius: float) -> list[Pose]:
     cells = [begin]
     while cells[-1] != end:
         cells.append(following[cells[-1]])
-    corners = shortcut(free.astype(np.uint8), np.array(cells, np.int32))[1:-1, ::-1]
-    return [*(Pose(x, y, 0.0) for x, y in grid.centers_of(corners).tolist()), goal]
+    corners = shortcut(free, np.array(cells, np.int32))[1:-1]
+    return [*(Pose(x, y, 0.0) for x, y in ground.places(corners).tolist()), goal]

@@ -90,6 +90,13 @@ class BaseControl(Module):
         if self.base.due(velocities):
             self._turn(velocities)
 
+    @override
+    def on_failure(self, error: BaseException) -> bool:
+        """Stop the base, because the next step may fail as well and send no command."""
+        self.base.stop()
+        self._turn(np.zeros(len(self._joints)))
+        return super().on_failure(error)
+
     def _turn(self, velocities: Array) -> None:
         stamp = self._host.clock.stamp()
         self._wheels.offer(lambda: self._command.fill(stamp["sec"], stamp["nanosec"], *velocities.tolist()))

@@ -85,6 +85,11 @@ class GatewayModule(Module):
         self.gateway.configure(section)
         return True
 
+    @override
+    def on_failure(self, error: BaseException) -> bool:
+        """Keep the goals: the planner executes them, and the next poll, 0.1 s later, follows them again."""
+        return True
+
     def halt(self, _params: Any = None) -> dict[str, Any]:
         """Cancel every goal, even a paused one; may be called on any thread.
 

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import logging
+import math
+import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from bridge.modules.step_failures import described
 from navigation.localization_server.estimate import Floats, LocalizationStatus, PoseEstimate, unknown
-from navigation.localization_server.sources import PoseSource
+from navigation.localization_server.sources import PoseSource, Start
 from navigation.pose import Pose
+from yarp_compat.dev.mapgrid import MapGrid2D
 
 _NOWHERE = np.empty((0, 3))
+_DOUBT = 2.0
+"""Seconds for which the pose is unknown after a callback has failed: the source may have missed its data."""
 
 
 class CheckedSource:
@@ -24,14 +30,48 @@ class CheckedSource:
     def __init__(self, source: PoseSource, name: str, log: logging.LoggerAdapter[Any] | logging.Logger) -> None:
         self._source, self._name, self._log = source, name, log
         self._logged = ""
+        self._failed, self._failed_at = "", -math.inf
+        self.without_map = ""  # why the source could not switch to the current map
+
+    def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
+        """Switch to another map; raises `RuntimeError`. Until that succeeds, a pose on the previous map is not used."""
+        self.without_map = ""
+        try:
+            self._source.use_map(grid, start)
+        except Exception as err:
+            if start is None or not isinstance(err, RuntimeError):  # else the source refuses only the start pose
+                self.without_map = f"use_map() of {self._name}: {type(err).__name__}: {err}"
+            raise RuntimeError(self.without_map or str(err)) from err
+
+    def initial(self, pose: Pose, covariance: Floats | None) -> None:
+        """Start at a pose; raises `RuntimeError`."""
+        try:
+            self._source.initial(pose, covariance)
+        except RuntimeError:
+            raise
+        except Exception as err:
+            self.fail(err)
+            raise RuntimeError(f"initial() of {self._name}: {type(err).__name__}: {err}") from err
+
+    def fail(self, error: BaseException) -> None:
+        """Report an unknown pose for `_DOUBT`, because a callback has failed."""
+        self._failed, self._failed_at = f"LocalizationServer failed: {described(error)}", time.monotonic()
+
+    @property
+    def _doubt(self) -> str:
+        return self.without_map or (self._failed if time.monotonic() - self._failed_at < _DOUBT else "")
 
     def estimate(self) -> PoseEstimate:
         """Return the source's estimate, or why it cannot be used."""
+        if doubt := self._doubt:
+            return unknown(doubt, LocalizationStatus.ERROR)
         estimate, error = self._ask("estimate", self._source.estimate, _estimate_problem)
         return unknown(error, LocalizationStatus.ERROR) if estimate is None else estimate
 
     def correction(self) -> Pose | None:
         """Return the pose of the odometry frame on the map; None if it is unknown or invalid."""
+        if self._doubt:
+            return None
         pose: Pose | None = self._ask("correction", self._source.correction, _pose_problem)[0]
         return pose
 

@@ -154,7 +154,7 @@ class LocalizationServer(Module):
     def begin(self, pose: Pose, covariance: Floats | None, map_name: str) -> None:
         """Start at a pose on a map ("" for the current one); raises `RuntimeError` with the reason on failure."""
         if map_name in ("", self.map_name):
-            self.source.initial(pose, covariance)
+            self._checked.initial(pose, covariance)
             return
         if not self._maps.of_store:
             raise RuntimeError(f"the current map is {self.map_name!r} from {self._section.map}, not {map_name!r}")
@@ -182,7 +182,7 @@ class LocalizationServer(Module):
         start = message["pose"]
         try:
             check_rotation(start["pose"]["orientation"], "the start pose's")
-            self.source.initial(pose_of(start["pose"]), plane_of(start["covariance"]))
+            self._checked.initial(pose_of(start["pose"]), plane_of(start["covariance"]))
         except (RuntimeError, ValueError) as err:
             self._refuse_start(str(err))
 
@@ -194,9 +194,20 @@ class LocalizationServer(Module):
             return  # the same map again: the estimate stays valid
         self._grid = grid
         start, self._start = self._start, None
-        self.source.use_map(grid, start[1] if start is not None and start[0] == grid.name else None)
+        try:
+            self._checked.use_map(grid, start[1] if start is not None and start[0] == grid.name else None)
+        except RuntimeError:
+            if self._checked.without_map:
+                self._grid = None  # so that the same map is tried again
+            raise
 
     # events
+
+    @override
+    def on_failure(self, error: BaseException) -> bool:
+        """Report an unknown pose, which stops the robot: without the failed callback, the estimate may be stale."""
+        self._checked.fail(error)
+        return True
 
     def _publish(self) -> None:
         try:

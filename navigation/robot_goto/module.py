@@ -249,9 +249,15 @@ class RobotGoto(PlannerModule):
         try:
             self._drive()
         except Exception as err:
-            self._topics.stop_base()
-            self._abort(f"RobotGoto failed: {type(err).__name__}: {err}", Fault.OTHER)
+            self.on_failure(err)
             raise
+
+    @override
+    def on_failure(self, error: BaseException) -> bool:
+        """Stop, and end the goal, because another step may fail as well."""
+        self._topics.stop_base()
+        self._abort(f"RobotGoto failed: {type(error).__name__}: {error}", Fault.OTHER)
+        return True
 
     def _drive(self) -> None:
         if (closed := self._closed) and not self.progress.state.ended:

@@ -253,14 +253,17 @@ class RobotPathPlanner(PlannerModule):
         try:
             self._drive()
         except Exception as err:
-            self._fail(f"RobotPathPlanner failed: {type(err).__name__}: {err}")
+            self.on_failure(err)
             raise
 
-    def _fail(self, reason: str) -> None:
-        """Stop, and end the goal, because another step would fail as well."""
+    @override
+    def on_failure(self, error: BaseException) -> bool:
+        """Stop, and end the goal, because another step may fail as well."""
+        reason = f"RobotPathPlanner failed: {type(error).__name__}: {error}"
         self._local.cancel()
         self._goal.end(PlannerStatus(State.ABORTED, reason, Fault.OTHER))
         self.planner.cancel(reason)
+        return True
 
     def _drive(self) -> None:
         lost, pose = "", None

@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from navigation.pose import Pose
+from navigation.robot_path_planner.ground import Ground
 from navigation.status import PlanError
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.daemon.examples import EXAMPLES
@@ -111,7 +112,7 @@ def test_the_wave_finds_the_gap_in_a_wall(monkeypatch: pytest.MonkeyPatch) -> No
     flags = np.zeros((60, 100), np.uint8)
     flags[:45, 50] = 1  # a wall from the upper border, open for 1.5 m above the lower one
     grid = MapGrid2D.of(flags, name="wall", resolution=0.1)
-    path = plan(grid, Pose(2.0, 4.0, 0.0), Pose(8.0, 4.0, 1.0), 0.3)
+    path = plan(Ground(grid, 0.3), Pose(2.0, 4.0, 0.0), Pose(8.0, 4.0, 1.0))
     assert path[-1] == Pose(8.0, 4.0, 1.0)
     legs = list(pairwise([Pose(2.0, 4.0, 0.0), *path]))
     crossing = [
@@ -122,6 +123,6 @@ def test_the_wave_finds_the_gap_in_a_wall(monkeypatch: pytest.MonkeyPatch) -> No
     for closed, start, goal in ((50, 2.0, 5.05), (60, 2.0, 8.0), (45, -2.0, 8.0), (45, 2.0, 12.0)):
         flags[:closed, 50] = 1
         with pytest.raises(PlanError):
-            plan(grid, Pose(start, 4.0, 0.0), Pose(goal, 4.0, 0.0), 0.3)
+            plan(Ground(grid, 0.3), Pose(start, 4.0, 0.0), Pose(goal, 4.0, 0.0))
         flags[45:, 50] = 0
     sys.modules.pop("wave_search", None)

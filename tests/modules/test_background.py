@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
 
 import pytest
 
@@ -98,10 +97,13 @@ def test_close_waits_for_the_running_job_and_drops_its_result(loop: EventLoop) -
 
 
 def test_inline_jobs_run_in_order_on_the_calling_thread() -> None:
-    unused: Any = None
-    background, jobs = Background(unused, "test", inline=True), Jobs()
+    errors: list[BaseException] = []
+    loop = EventLoop("test")
+    loop.failures.on_failure = errors.append
+    background, jobs = Background(loop, "test", inline=True), Jobs()
     jobs.free.set()
     jobs.submit(background, "first", "bad", "third")
     assert jobs.results == ["first", "third"]
     assert set(jobs.threads) == {threading.current_thread()}
+    assert [str(error) for error in errors] == ["no solution"]
     assert background.trouble == ""
