@@ -78,7 +78,7 @@ class RobotGoto(PlannerModule):
         others = self.driver.obstacles
         self._layers = LayerSubscriptions(host, section.obstacles, self._frames, others.layer, self.now, others.trouble)
         known = section.keep_out_map
-        self._areas = MapAreas()
+        self._areas, self._map_of_goal = MapAreas(), ""
         self._map = MapInUse(host, known, self._use_map, AREA, BEHAVIOR) if known else None
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
@@ -173,6 +173,13 @@ class RobotGoto(PlannerModule):
             return f"robots keep out of an unknown map: {self._map.trouble}"
         return self._areas.closed
 
+    def _changed_map(self) -> str:
+        """Return which map has replaced the goal's map in the store, as the goal's pose is not valid there; else ""."""
+        goal, current = self._map_of_goal, self.map_name()
+        if "" in (goal, current) or goal == current or self._host.config.navigation.map != "store":
+            return ""
+        return f"the map changed from {goal} to {current} while driving"
+
     def _check(self) -> None:
         """Raise `PlanError` if the robot must not drive at all."""
         self.compiled.check()
@@ -207,6 +214,7 @@ class RobotGoto(PlannerModule):
         if place.map_name and current and place.map_name != current:
             raise PlanError(Fault.BAD_GOAL, f"the robot is on the map {current}, not on {place.map_name}")
         self.driver.goal(place.pose, constraints)
+        self._map_of_goal = current
         self._goal.replace(goal)
         self._began = self.now()
         self._publish(None)
@@ -262,6 +270,8 @@ class RobotGoto(PlannerModule):
     def _drive(self) -> None:
         if (closed := self._closed) and not self.progress.state.ended:
             self._abort(closed, Fault.NO_MAP)
+        if (changed := self._changed_map()) and self.driver.target is not None:
+            self._abort(changed, Fault.MAP_CHANGED)
         pose = self._pose_now()
         moved = self._moved(pose)
         self.driver.obstacles.silent = self._layers.silent()

@@ -116,9 +116,7 @@ class PathPlanner:
                 task.replan_reason = "the map was removed"
         elif before is None or before.name != ground.name:
             task.replan_reason = f"the map changed to {ground.name}"
-        elif ground.closed or (
-            task.arrived_at is None and blocked(ground, ground.weights == 0, task.line(self._jumps.pose))
-        ):
+        elif ground.closed or (task.arrived_at is None and _closes(ground, task, self._jumps.pose)):
             task.replan_reason = "the map has changed"
 
     def goal(
@@ -474,6 +472,12 @@ class PathPlanner:
         if status.state is not State.REACHED:
             local.cancel()
         self.task, self.status = None, status
+
+
+def _closes(ground: Ground, task: DriveTask, pose: Pose | None) -> bool:
+    """Whether the path enters closed cells of a map, or ends in them; a robot that is in closed cells leaves them."""
+    line, closed = task.line(pose), ground.weights == 0
+    return blocked(ground, closed, line) or blocked(ground, closed, line[-1:], inside=True)
 
 
 def _waits_for_obstacle(local: LocalNavigator) -> bool:

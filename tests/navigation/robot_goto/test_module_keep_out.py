@@ -144,3 +144,22 @@ def test_a_robot_stands_until_the_map_of_a_topic_arrives(tmp_path: Path) -> None
         place.far.publish(floor, to_grid(free("floor")))
         until(lambda: module.health().state == "running", "the robot may drive", 30)
         assert robot.send(1.0, 0.0).end()[0] is GoalState.SUCCEEDED
+
+
+def test_a_goal_ends_when_another_map_is_used_while_the_robot_drives(place: Goto) -> None:
+    store, robot = place.host.store, place.robot
+    try:
+        for name in ("room", "other"):
+            store.put(MAP, name, free(name))
+        store.use_map("room")
+        sent = robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
+        until(lambda: robot.x > 0.05, "the robot drives", 30)
+        store.put(MAP, "room", free("room"))  # a new version of the same map does no harm
+        store.use_map("other")
+        status, result = sent.end()
+        assert (status, result["error_code"]) == (GoalState.ABORTED, Fault.MAP_CHANGED)
+        assert result["error_msg"] == "the map changed from room to other while driving"
+        until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
+        assert robot.send(0.5, 0.0).end()[0] is GoalState.SUCCEEDED
+    finally:
+        clear_store(place)

@@ -18,7 +18,9 @@ from navigation.status import Fault, State
 from tests.navigation.robot_path_planner.test_path import LIFT, Two, area
 from tests.peers.navigation.floors import EAST, KEPT, LOW_DOOR, ROOMS, SETTINGS, WEST, Drive, floor, least_room, paint
 from yarp_compat.dev.extras import AreaBehavior
+from yarp_compat.dev.locations import Map2DArea
 from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.sig.vec2d import Vec2D
 
 
 def test_the_robot_reaches_the_goal_with_its_heading_and_keeps_clear_of_walls() -> None:
@@ -274,6 +276,28 @@ def test_a_changed_map_triggers_a_new_plan_or_aborts_the_goal() -> None:
     assert (status.state, status.fault) == (State.ABORTED, Fault.MAP_CHANGED)
     assert "other" in status.reason
     assert drive.local.state is State.IDLE
+
+
+def test_a_keep_out_area_over_the_robot_and_its_goal_ends_the_drive() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    corners = [Vec2D(-1.0, -1.0), Vec2D(9.0, -1.0), Vec2D(9.0, 9.0), Vec2D(-1.0, 9.0)]
+    drive.zones = [Zone(Map2DArea("floor", corners), AreaBehavior(keep_out=True))]
+    drive.use(floor())
+    status = drive.tick()
+    assert (status.state, status.fault) == (State.ABORTED, Fault.GOAL_OCCUPIED)
+    assert "in a keep-out area" in status.reason
+    assert drive.local.state is State.IDLE
+
+
+def test_a_robot_leaves_a_keep_out_area_that_is_drawn_around_it() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    x, y = drive.local.pose[:2]
+    corners = [Vec2D(x - 0.4, y - 0.4), Vec2D(x + 0.4, y - 0.4), Vec2D(x + 0.4, y + 0.4), Vec2D(x - 0.4, y + 0.4)]
+    drive.zones = [Zone(Map2DArea("floor", corners), AreaBehavior(keep_out=True))]
+    drive.use(floor())
+    assert drive.run(60.0).state is State.REACHED
 
 
 def test_a_goal_on_another_map_is_reached_over_a_link() -> None:
