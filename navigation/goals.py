@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from bridge.clock import steady_ns
+from bridge.hub.zenoh_config import LEASE_MS
 from bridge.modules.action_server import ActionServer, Goal
 from bridge.modules.host import Host
 from bridge.modules.loop import EventLoop
@@ -122,7 +125,9 @@ _EVERY = 0.25  # seconds between two checks
 _MISSES = 3  # checks in a row without a client before it counts as gone, because a link may be reopened
 
 GONE = "the goal's client is unreachable, and no other client could cancel it"
-CUT_OFF = "the goal's client is unreachable: the program has exited, or the link to its machine is cut"
+_CUT_OFF = "the goal's client is unreachable: the program has exited, or the link to its machine is cut"
+_SUSPENDED_SECONDS = 0.75 * LEASE_MS / 1000
+"""Seconds of a suspension after which a client may have lost contact: sessions send four signs of life per lease."""
 
 
 class Clients:
@@ -161,12 +166,15 @@ class FarClients:
     """Watches the clients that reach this session through a router: if they are cut off, they cannot stop the robot.
 
     These are the clients on other machines, and short-lived programs on this machine such as ``midspan goto``. The goal
-    of a directly linked client continues when the client exits. ``gone`` is called with the goal of a missing client.
+    of a directly linked client continues when the client exits. ``gone`` is called with the goal of a missing client,
+    and the reason. If this process was suspended for about the lease of a link, all clients in other processes count as
+    missing: for them the goal has ended, and no other client knows that the robot would drive on.
     """
 
-    def __init__(self, host: Host, server: ActionServer, gone: Callable[[Goal], None]) -> None:
+    def __init__(self, host: Host, server: ActionServer, gone: Callable[[Goal, str], None]) -> None:
         self._hub, self._server, self._gone = host.node.hub, server, gone
         self._known: dict[bytes, _Far] = {}
+        self._checked = _now()
         server.met = self._on_goal
         self._timer = host.loop.every(_EVERY, self._check)
 
@@ -190,7 +198,14 @@ class FarClients:
         far.missed = 0 if session else far.missed + 1
 
     def _check(self) -> None:
+        before, self._checked = self._checked, _now()
+        seconds, computed = self._checked[0] - before[0], self._checked[1] - before[1]
         goals = [goal for goal in self._server.active if goal.client]
+        if seconds - computed > _SUSPENDED_SECONDS:  # a thread that is only busy uses processor time
+            for goal in goals:
+                if self._hub.graph.zid_of(goal.client) != self._hub.zid:
+                    self._gone(goal, f"the goal's client may have lost contact: {_suspended(seconds)}")
+            return
         self._known = {goal.id: self._known.get(goal.id) or _Far() for goal in goals}
         if not goals:
             return
@@ -199,4 +214,13 @@ class FarClients:
             far = self._known[goal.id]
             self._update(far, goal, near)
             if far.seen and not far.near and far.missed >= _MISSES:
-                self._gone(goal)
+                self._gone(goal, _CUT_OFF)
+
+
+def _now() -> tuple[float, float]:
+    """Return the time, also while the machine is suspended, and this process's processor time, in seconds."""
+    return steady_ns() / 1e9, time.process_time()
+
+
+def _suspended(seconds: float) -> str:
+    return f"the process that executes it was suspended, or got no processor time, for {seconds:.1f} s"

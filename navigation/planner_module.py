@@ -19,7 +19,7 @@ from bridge.modules.module import Module
 from bridge.status import Part
 from navigation.constraints import Constraints
 from navigation.frames import FramesError, Localized, RobotFrames
-from navigation.goals import CUT_OFF, GONE, Clients, CurrentGoal, FarClients, MapPlace, places_of, result
+from navigation.goals import GONE, Clients, CurrentGoal, FarClients, MapPlace, places_of, result
 from navigation.messages import NAVIGATE, Message, duration, pose_message
 from navigation.pose import Pose
 from navigation.status import NO_GOAL, STATUS, Compiled, Fault, PlanError, PlannerStatus, State, status_message
@@ -47,7 +47,7 @@ class PlannerModule(Module):
         host, action = self._host, f"/planner/{self.name}/{name}"
         server = host.node.action_server(action, kind, self._on_goal, self._goal.cancel, brake=brake)
         Clients(host, server, lambda: self._abort(GONE))
-        FarClients(host, server, lambda goal: self._abort(CUT_OFF) if goal is self._goal.goal else None)
+        FarClients(host, server, lambda goal, reason: self._abort(reason) if goal is self._goal.goal else None)
 
     @property
     @abstractmethod

@@ -9,7 +9,7 @@ from bridge.hub.graph.endpoints import HubEndpoint
 from bridge.messages.actions import names
 from bridge.modules.action_server import ActionServer, Goal
 from bridge.modules.host import Host
-from navigation.goals import CUT_OFF, FarClients
+from navigation.goals import FarClients
 from navigation.messages import NAVIGATE
 
 STOP_SERVICE = "/navigation/stop"
@@ -75,7 +75,7 @@ class NavigateAction:
                 return  # its goals must end first
             self._close()
         self._server = self._host.node.action_server(ACTION, NAVIGATE, self._accept, self._cancel)
-        self._watch = FarClients(self._host, self._server, lambda goal: self._client_lost(goal, CUT_OFF))
+        self._watch = FarClients(self._host, self._server, self._client_lost)
 
     def _step_aside(self) -> None:
         if self._server is None:

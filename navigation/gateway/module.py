@@ -30,7 +30,7 @@ from navigation.gateway.services import CLIENT, GatewayDevice, HubServices, Velo
 from navigation.gateway.stop import StopAnswer, wait_for
 from navigation.gateway.targets import StoredPlaces, TargetError, target_of
 from navigation.gateway.telemetry import POSE
-from navigation.goals import CUT_OFF, FarClients
+from navigation.goals import FarClients
 from navigation.messages import THROUGH
 from navigation.status import STATUS, Fault, State
 from yarp_compat.dev.inavigation2d import Navigation2DServer
@@ -61,7 +61,7 @@ class GatewayModule(Module):
         gateway = self.gateway
         self._action = NavigateAction(host, gateway.accept_goal, gateway.cancel_goal, gateway.client_lost)
         poses = host.node.action_server(THROUGH_POSES, THROUGH, gateway.accept_goal, gateway.cancel_goal)
-        FarClients(host, poses, lambda goal: gateway.client_lost(goal, CUT_OFF))
+        FarClients(host, poses, gateway.client_lost)
         host.node.subscription(GOAL_POSE, POSE, self._on_goal_pose, Qos(depth=1))
         HubServices(host.node, gateway, places, self._commander)
         self._device = Navigation2DServer(GatewayDevice(host, gateway, places, self._commander, self._begin_stop))

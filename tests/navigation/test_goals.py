@@ -29,13 +29,13 @@ class World:
         loop = SimpleNamespace(every=lambda _seconds, check: timers.append(check))
         self.server: Any = type("Server", (), {"active": property(lambda _: self.goals)})()
         host: Any = SimpleNamespace(node=SimpleNamespace(hub=hub), loop=loop)
-        FarClients(host, self.server, self.unreachable.append)
+        FarClients(host, self.server, lambda goal, reason: self.unreachable.append((goal, reason)))
         (self._check,) = timers
 
     def check(self, times: int = 5) -> list[Any]:
         for _ in range(times):
             self._check()
-        return self.unreachable
+        return [goal for goal, _ in self.unreachable]
 
 
 def test_the_goal_of_a_client_that_is_cut_off_ends() -> None:
@@ -79,6 +79,30 @@ def test_all_other_goals_continue(client: str) -> None:
     elif client == "ended":
         world.goals = []
     assert world.check(5) == []
+
+
+@pytest.mark.parametrize(
+    ("session", "seconds", "computed", "ends"),
+    [
+        ("other", 2.9, 0.1, True),
+        ("", 9.0, 0.0, True),
+        ("own", 9.0, 0.0, False),
+        ("other", 1.9, 0.0, False),
+        ("other", 9.0, 8.9, False),
+    ],
+)
+def test_after_a_suspension_the_goals_of_other_processes_end(
+    monkeypatch: pytest.MonkeyPatch, session: str, seconds: float, computed: float, ends: bool
+) -> None:
+    clock = [100.0, 5.0]
+    monkeypatch.setattr("navigation.goals._now", lambda: tuple(clock))
+    world = World()
+    world.near.add("other")
+    world.check(1)
+    world.seen[b"client"] = session
+    clock[:] = 100.0 + seconds, 5.0 + computed
+    assert bool(world.check(1)) is ends
+    assert all(f"for {seconds} s" in reason for _, reason in world.unreachable)
 
 
 def goal(turn: dict[str, float], tree: str = "") -> Any:
