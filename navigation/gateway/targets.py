@@ -115,7 +115,8 @@ class StoredPlaces:
     def find(self, name: str) -> Target:
         """Return a location's pose, or a point in an area, with a theta of NaN.
 
-        Raises `LookupError` if the name is unknown, the area is invalid, or the store is disabled or cannot be used.
+        Raises `LookupError` if the name is unknown, the area is invalid, the place's map is not stored, or the store is
+        disabled or cannot be used.
         """
         try:
             store = self._host.store
@@ -123,7 +124,7 @@ class StoredPlaces:
             raise LookupError(f"stored places are unavailable: {err}") from None
         location = store.get(LOCATION, name)
         if location is not None:
-            return self.target(location)
+            return self.known(location)
         area = store.get(AREA, name)
         if area is None:
             known = ", ".join([*store.names(LOCATION), *store.names(AREA)][:20]) or "none"
@@ -133,7 +134,7 @@ class StoredPlaces:
             raise LookupError(f"area {name!r} is invalid; it must have a map and at least three points")
         inside = middle if area.contains(middle.x, middle.y) else area.getRandomLocation() or middle
         inside.theta = _ANY
-        return self.target(inside)
+        return self.known(inside)
 
     def target(self, place: Map2DLocation) -> Target:
         """Return a goal at a place; if the place is on another map, the goal's frame is that map's name.

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from bridge.stores.entry import StoreError
-from bridge.stores.kinds import AREA
+from bridge.stores.kinds import AREA, LOCATION
 from navigation.gateway.targets import StoredPlaces
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.sig.vec2d import Vec2D
@@ -37,6 +37,14 @@ def test_a_place_on_a_map_that_is_not_stored_is_rejected_if_a_map_is_in_use() ->
     assert places("", waits=True).target(Map2DLocation("elsewhere", 1.0, 2.0, 0.0)).frame == "map"
     with pytest.raises(LookupError, match="is on map 'elsewhere', which is not stored; stored maps: house, shed"):
         places("house", waits=True).known(Map2DLocation("elsewhere", 1.0, 2.0, 0.0))
+
+
+def test_a_named_place_on_a_map_that_is_not_stored_is_rejected() -> None:
+    stored = places("house", waits=True)
+    assert stored.store is not None
+    cast("Any", stored.store).get = lambda kind, _name: Map2DLocation("luna", 1.0, 2.0) if kind is LOCATION else None
+    with pytest.raises(LookupError, match="is on map 'luna', which is not stored; stored maps: house, shed"):
+        stored.find("moon")
 
 
 @pytest.mark.parametrize("reason", ["the store is disabled (store.enabled)", "store.sqlite is in use"])
