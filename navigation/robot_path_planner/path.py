@@ -324,6 +324,7 @@ class DriveTask:
     constraints: Constraints  #: the client's constraints
     since: float  #: when the goal arrived
     further: tuple[MapPlace, ...] = ()  #: the goals after this one, in sequence
+    passed: int = 0  #: the number of goals before this one
     replan_reason: str = "a new goal"  #: why a path has to be planned; empty if none has to
     not_before: float = -math.inf  #: when planning may be tried next
     leg: Leg | None = None  #: the part on the current map
@@ -347,6 +348,11 @@ class DriveTask:
         goals = (self.goal, *self.further)
         self.goal, *further = (replace(goal, map_name=goal.map_name or map_name) for goal in goals)
         self.further = tuple(further)
+
+    def numbered(self, reason: str) -> str:
+        """Return a reason with the number of the current goal, if there are several."""
+        total = self.passed + 1 + len(self.further)
+        return f"place {self.passed + 1} of {total}: {reason}" if total > 1 else reason
 
     @property
     def waypoint(self) -> Waypoint:

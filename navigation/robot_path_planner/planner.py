@@ -209,7 +209,7 @@ class PathPlanner:
             else:
                 self._go(task, now, pose, local)
         except PlanError as err:
-            self._end(local, PlannerStatus(State.ABORTED, str(err), err.fault))
+            self._end(local, PlannerStatus(State.ABORTED, task.numbered(str(err)), err.fault))
         return self.status
 
     def _go(self, task: DriveTask, now: float, pose: Pose, local: LocalNavigator) -> None:
@@ -388,6 +388,7 @@ class PathPlanner:
         if task.leg.onto is None and task.further:
             task.goal, *further = task.further
             task.further, task.replan_reason, task.waypoints, task.best = tuple(further), "the next goal", (), math.inf
+            task.passed += 1
         elif task.leg.onto is None:
             self._end(local, PlannerStatus(State.REACHED, "goal reached"))
         else:

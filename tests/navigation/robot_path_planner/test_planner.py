@@ -93,6 +93,15 @@ def test_the_goals_of_a_path_are_passed_in_sequence_without_stops() -> None:
     assert not drive.local.canceled
 
 
+def test_the_reason_names_the_unreachable_place_of_several() -> None:
+    drive = Drive(floor(), WEST)
+    wall = MapPlace("", Pose(0.0, 0.0, 0.0))
+    drive.planner.goal(Pose(2.0, 1.0, 0.0), then=[wall, MapPlace("", EAST)], now=drive.now)
+    status = drive.run(60.0)
+    assert (status.state, status.fault) == (State.ABORTED, Fault.GOAL_OCCUPIED)
+    assert status.reason.startswith("place 2 of 3: the goal (0.00, 0.00) is in a wall")
+
+
 def test_cancel_and_pause_stop_the_robot() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
