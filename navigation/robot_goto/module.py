@@ -6,6 +6,7 @@ It replaces robotology/navigation's ``robotGotoDev``.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
@@ -20,6 +21,7 @@ from bridge.messages.scan import LaserScan
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.modules.loop import Newest
+from bridge.routing.hold import Hold
 from bridge.status import Part
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, BEHAVIOR
@@ -41,6 +43,7 @@ from navigation.robot_goto.obstacles import MOST, thinned
 from navigation.robot_goto.ports import GotoServer, GotoTopics, local_map
 from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.settings import read_file
+from navigation.robot_goto.steering import STILL
 from navigation.scan import SCAN, ScanError, of_ros, of_yarp
 from navigation.status import Fault, PlanError, PlannerStatus, State
 from navigation.yarp import Calls, PortConnection
@@ -49,6 +52,9 @@ from yarp_compat.dev.rangefinder import LaserScan2D
 from yarp_compat.pythonic import Received
 
 CLOUD_PERIOD = 0.15  # seconds between two clouds that are used: all clouds of a camera at 30 Hz would occupy a core
+
+_HELD_SECONDS = 0.5
+"""Seconds after which a planner that works has canceled its goal when a stop or pause is requested."""
 
 
 class RobotGoto(PlannerModule):
@@ -79,6 +85,8 @@ class RobotGoto(PlannerModule):
         self._layers = LayerSubscriptions(host, section.obstacles, self._frames, others.layer, self.now, others.trouble)
         known = section.keep_out_map
         self._areas, self._map_of_goal = MapAreas(), ""
+        self._hold, self._held_since = Hold(host.node.hub, ()), math.inf
+        self._goal_at = -math.inf
         self._map = MapInUse(host, known, self._use_map, AREA, BEHAVIOR) if known else None
         self._serve()
         host.answer("halt", lambda _params: host.loop.call(self.halt))
@@ -214,7 +222,7 @@ class RobotGoto(PlannerModule):
         if place.map_name and current and place.map_name != current:
             raise PlanError(Fault.BAD_GOAL, f"the robot is on the map {current}, not on {place.map_name}")
         self.driver.goal(place.pose, constraints)
-        self._map_of_goal = current
+        self._map_of_goal, self._goal_at = current, time.monotonic()
         self._goal.replace(goal)
         self._began = self.now()
         self._publish(None)
@@ -275,10 +283,18 @@ class RobotGoto(PlannerModule):
         pose = self._pose_now()
         moved = self._moved(pose)
         self.driver.obstacles.silent = self._layers.silent()
+        self._end_held()
         command = self.driver.step(self.now(), pose, None if moved is pose else moved, self._lost)
-        self._topics.command(command, silent=self.driver.silent)
+        self._topics.command(STILL if self._hold.held else command, silent=self.driver.silent)
         self._publish(pose)
         self._topics.publish_surroundings(self.now(), self.driver, pose, moved)
+
+    def _end_held(self) -> None:
+        """End a goal that the planner still has after a stop or pause: it may hang, and never cancel the goal."""
+        now = time.monotonic()
+        self._held_since = min(self._held_since, now) if self._hold.held else math.inf
+        if now - self._held_since > _HELD_SECONDS and self._goal_at < self._held_since and self.driver.target:
+            self._abort("a stop or pause was requested, and the planner has not canceled its goal")
 
     @override
     def _pose_now(self) -> Pose | None:
@@ -350,6 +366,7 @@ class RobotGoto(PlannerModule):
     @override
     def stop(self) -> None:
         self._abort("RobotGoto has stopped")
+        self._hold.close()
         if self._map is not None:
             self._map.close()
         if self._connection is not None:
