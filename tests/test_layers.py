@@ -328,6 +328,7 @@ def test_navigation_imports_only_the_hub_its_clients_the_store_and_the_module_ho
         "bridge.module_keys",
         "bridge.state_machine",
         "bridge.status",
+        "bridge.routing.hold",
         "bridge.routing.stall",
         "bridge.routing.processes",
     }

@@ -369,6 +369,8 @@ def test_places_are_returned_by_name_and_a_published_goal_is_sent(rig: Rig) -> N
     goal = rig.planner.until(2)
     assert target(goal) == ("map", 1.0, 1.0)
     assert goal.goal["behavior_tree"] == "midspan: heading=false"
+    assert "on map 'below', which is not stored" in rig.ask("go_to", name="cellar")["message"]
+    store.put(MAP, "below", MapGrid2D.of([[0] * 4] * 4, name="below"))
     assert "on the map below" in rig.ask("go_to", name="cellar")["message"]
     assert rig.ask("get_location", name="cellar")["pose"]["header"]["frame_id"] == "below"
     missing = rig.ask("go_to", name="attic")
