@@ -8,6 +8,8 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from typing_extensions import override
+
 from bridge.clock import steady_ns
 from bridge.hub.zenoh_config import LEASE_MS
 from bridge.modules.action_server import ActionServer, Goal
@@ -129,6 +131,9 @@ _CUT_OFF = "the goal's client is unreachable: the program has exited, or the lin
 _SUSPENDED_SECONDS = 0.75 * LEASE_MS / 1000
 """Seconds of a suspension after which a client may have lost contact: sessions send four signs of life per lease."""
 
+_NOTICED_SECONDS = 3.0
+"""Seconds after a suspension within which the session notices that links have ended meanwhile."""
+
 
 class Clients:
     """Watches the clients of an action while it has a goal.
@@ -162,19 +167,36 @@ class _Far:
     missed: int = 0
 
 
+@dataclass(frozen=True)
+class _Suspension:
+    """A suspension of this process.
+
+    ``until`` is the time at which it has noticed all links that ended meanwhile, ``links`` their number before.
+    """
+
+    seconds: float
+    until: float
+    links: int
+
+    @override
+    def __str__(self) -> str:
+        return f"the process that executes it was suspended, or got no processor time, for {self.seconds:.1f} s"
+
+
 class FarClients:
     """Watches the clients that reach this session through a router: if they are cut off, they cannot stop the robot.
 
     These are the clients on other machines, and short-lived programs on this machine such as ``midspan goto``. The goal
     of a directly linked client continues when the client exits. ``gone`` is called with the goal of a missing client,
-    and the reason. If this process was suspended for about the lease of a link, all clients in other processes count as
-    missing: for them the goal has ended, and no other client knows that the robot would drive on.
+    and the reason. If this process was suspended for so long that one of its links has ended, all clients in other
+    processes count as missing: for them the goal has ended, and no other client knows that the robot would drive on.
     """
 
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[Goal, str], None]) -> None:
         self._hub, self._server, self._gone = host.node.hub, server, gone
         self._known: dict[bytes, _Far] = {}
-        self._checked = _now()
+        self._checked, self._links_ended = _now(), self._hub.mesh.ended
+        self._suspension: _Suspension | None = None
         server.met = self._on_goal
         self._timer = host.loop.every(_EVERY, self._check)
 
@@ -197,14 +219,28 @@ class FarClients:
         far.seen = far.seen or bool(session)
         far.missed = 0 if session else far.missed + 1
 
-    def _check(self) -> None:
+    def _lost_contact(self) -> str:
+        """Return why the clients have lost contact, if that is because this process was suspended; else ""."""
         before, self._checked = self._checked, _now()
         seconds, computed = self._checked[0] - before[0], self._checked[1] - before[1]
-        goals = [goal for goal in self._server.active if goal.client]
         if seconds - computed > _SUSPENDED_SECONDS:  # a thread that is only busy uses processor time
+            self._suspension = _Suspension(seconds, self._checked[0] + _NOTICED_SECONDS, self._links_ended)
+        self._links_ended = self._hub.mesh.ended
+        if self._suspension is None:
+            return ""
+        cut_off, over = self._suspension.links < self._links_ended, self._suspension.until < self._checked[0]
+        reason = f"the goal's client has lost contact: {self._suspension}" if cut_off else ""
+        if cut_off or over:
+            self._suspension = None
+        return reason
+
+    def _check(self) -> None:
+        reason = self._lost_contact()
+        goals = [goal for goal in self._server.active if goal.client]
+        if reason:
             for goal in goals:
                 if self._hub.graph.zid_of(goal.client) != self._hub.zid:
-                    self._gone(goal, f"the goal's client may have lost contact: {_suspended(seconds)}")
+                    self._gone(goal, reason)
             return
         self._known = {goal.id: self._known.get(goal.id) or _Far() for goal in goals}
         if not goals:
@@ -220,7 +256,3 @@ class FarClients:
 def _now() -> tuple[float, float]:
     """Return the time, also while the machine is suspended, and this process's processor time, in seconds."""
     return steady_ns() / 1e9, time.process_time()
-
-
-def _suspended(seconds: float) -> str:
-    return f"the process that executes it was suspended, or got no processor time, for {seconds:.1f} s"

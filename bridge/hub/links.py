@@ -82,6 +82,7 @@ class Mesh:
 
     Attributes:
         mended: number of missing links that were restored.
+        ended: number of links that have ended, to peers and routers.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class Mesh:
         self._compare_at = time.monotonic() + _COMPARE_SECONDS
         self._router_lost_at = float("-inf")
         self._closed = Event()
-        self.mended = 0
+        self.mended = self.ended = 0
         # not a callback, which would block zenoh's thread that opens and closes links on the GIL
         channel: Any = zenoh.handlers.RingChannel(_MOST_EVENTS)
         self._listener: Any = session.info.declare_transport_events_listener(channel)
@@ -172,9 +173,12 @@ class Mesh:
         if event.kind != zenoh.SampleKind.DELETE:
             return
         zid, now = str(event.transport.zid), time.monotonic()
+        if zid.startswith(_MARK):
+            return
+        self.ended += 1
         if event.transport.whatami == zenoh.WhatAmI.ROUTER:
             self._router_lost_at = now
-        elif event.transport.whatami == zenoh.WhatAmI.PEER and not zid.startswith(_MARK):
+        elif event.transport.whatami == zenoh.WhatAmI.PEER:
             self._lost[zid] = now
 
     def _restore_links(self) -> None:

@@ -22,9 +22,9 @@ class World:
         self.goal = SimpleNamespace(id=b"goal", client=b"client")
         self.goals = [self.goal]
         self.unreachable: list[Any] = []
-        hub = SimpleNamespace(
-            zid="own", neighbors=lambda: self.near, graph=SimpleNamespace(zid_of=lambda gid: self.seen.get(gid, ""))
-        )
+        self.mesh = SimpleNamespace(ended=0)
+        graph = SimpleNamespace(zid_of=lambda gid: self.seen.get(gid, ""))
+        hub = SimpleNamespace(zid="own", neighbors=lambda: self.near, graph=graph, mesh=self.mesh)
         timers: list[Any] = []
         loop = SimpleNamespace(every=lambda _seconds, check: timers.append(check))
         self.server: Any = type("Server", (), {"active": property(lambda _: self.goals)})()
@@ -91,9 +91,11 @@ def test_all_other_goals_continue(client: str) -> None:
         ("other", 9.0, 8.9, False),
     ],
 )
-def test_after_a_suspension_the_goals_of_other_processes_end(
-    monkeypatch: pytest.MonkeyPatch, session: str, seconds: float, computed: float, ends: bool
+@pytest.mark.parametrize("late", [False, True])
+def test_the_goals_of_other_processes_end_if_a_suspension_has_ended_a_link(
+    monkeypatch: pytest.MonkeyPatch, session: str, seconds: float, computed: float, ends: bool, late: bool
 ) -> None:
+    """Whether the session notices the end of the link before the first check, or after it."""
     clock = [100.0, 5.0]
     monkeypatch.setattr("navigation.goals._now", lambda: tuple(clock))
     world = World()
@@ -101,8 +103,25 @@ def test_after_a_suspension_the_goals_of_other_processes_end(
     world.check(1)
     world.seen[b"client"] = session
     clock[:] = 100.0 + seconds, 5.0 + computed
+    if late:
+        assert world.check(1) == []
+        clock[0] += 0.25
+    world.mesh.ended += 1
     assert bool(world.check(1)) is ends
     assert all(f"for {seconds} s" in reason for _, reason in world.unreachable)
+
+
+def test_a_suspension_that_ended_no_link_ends_no_goal(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0, 5.0]
+    monkeypatch.setattr("navigation.goals._now", lambda: tuple(clock))
+    world = World()
+    world.check(1)
+    clock[0] += 9.0
+    for _ in range(20):
+        assert world.check(1) == []
+        clock[0] += 0.25
+    world.mesh.ended += 1  # for another reason
+    assert world.check(1) == []
 
 
 def goal(turn: dict[str, float], tree: str = "") -> Any:

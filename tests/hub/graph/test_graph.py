@@ -137,13 +137,15 @@ def test_killed_node_disappears(network: HubNetwork):
 
 
 def test_suspended_node_disappears_and_returns(network: HubNetwork):
-    """No socket closes when a process is suspended, so only the lease reveals it."""
+    """No socket closes when a process is suspended, so only the lease reveals it; the process notices it afterwards."""
     with Hub.open(network.settings("a")) as a, network.hub_peer("victim") as victim:
         publisher = victim.ask("publisher", topic="/map", latched=True)["id"]
         until(lambda: a.graph.publishers("/map"), "the publisher is seen")
+        ended = victim.ask("ended_links")["links"]
         victim.signal(signal.SIGSTOP)
         until(lambda: not a.graph.publishers("/map"), "the publisher is gone after the lease")
         victim.signal(signal.SIGCONT)
+        until(lambda: victim.ask("ended_links")["links"] > ended, "the process notices that links have ended")
         until(lambda: a.graph.publishers("/map"), "the publisher is seen again")
         victim.ask("put", id=publisher, text="back")
         Subscriber(a, "/map", LATCHED).expect("back")

@@ -82,6 +82,9 @@ class HubPeer(Commands):
             self._none.close()
         return {}
 
+    def ended_links(self) -> dict[str, Any]:
+        return {"links": self._hub.mesh.ended}
+
     def drop(self, id: int) -> dict[str, Any]:
         self.parts[id].close()
         return {}
