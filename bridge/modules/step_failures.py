@@ -14,7 +14,7 @@ _SHOWN = 600.0
 """Seconds for which the status shows the last error."""
 
 _SILENCE = 60.0
-"""Seconds before the traceback of the same error is logged again: a timer may fail many times per second."""
+"""Seconds before an error of the same type and line is logged again: a timer may fail many times per second."""
 
 
 class StepFailures:
@@ -46,15 +46,18 @@ class StepFailures:
         return f"{last[0]}; the log has the traceback"
 
     def _note(self, error: BaseException, what: str) -> None:
-        now, text = time.monotonic(), f"{what} failed: {described(error)}"
-        self._last = text, now
-        if self._logged is None or self._logged[0] != text or now - self._logged[1] > _SILENCE:
-            self._logged = text, now
+        now, source = time.monotonic(), type(error).__name__ + _place(error)
+        self._last = f"{what} failed: {described(error)}", now
+        if self._logged is None or self._logged[0] != source or now - self._logged[1] > _SILENCE:
+            self._logged = source, now
             _log.error("%s: %s failed", self._name, what, exc_info=error)
 
 
 def described(error: BaseException) -> str:
     """Return an error with the file and the line that raised it."""
+    return f"{type(error).__name__}: {error}{_place(error)}"
+
+
+def _place(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__, -1)
-    place = f" ({PurePath(frames[0].filename).name}, line {frames[0].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{place}"
+    return f" ({PurePath(frames[0].filename).name}, line {frames[0].lineno})" if frames else ""

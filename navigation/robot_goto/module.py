@@ -261,13 +261,6 @@ class RobotGoto(PlannerModule):
 
     # steps
 
-    def _step(self) -> None:
-        try:
-            self._drive()
-        except Exception as err:
-            self.on_failure(err)
-            raise
-
     @override
     def on_failure(self, error: BaseException) -> bool:
         """Stop, and end the goal, because another step may fail as well."""
@@ -275,7 +268,7 @@ class RobotGoto(PlannerModule):
         self._abort(f"RobotGoto failed: {type(error).__name__}: {error}", Fault.OTHER)
         return True
 
-    def _drive(self) -> None:
+    def _step(self) -> None:
         if (closed := self._closed) and not self.progress.state.ended:
             self._abort(closed, Fault.NO_MAP)
         if (changed := self._changed_map()) and self.driver.target is not None:

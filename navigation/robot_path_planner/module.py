@@ -249,13 +249,6 @@ class RobotPathPlanner(PlannerModule):
 
     # steps
 
-    def _step(self) -> None:
-        try:
-            self._drive()
-        except Exception as err:
-            self.on_failure(err)
-            raise
-
     @override
     def on_failure(self, error: BaseException) -> bool:
         """Stop, and end the goal, because another step may fail as well."""
@@ -265,7 +258,7 @@ class RobotPathPlanner(PlannerModule):
         self.planner.cancel(reason)
         return True
 
-    def _drive(self) -> None:
+    def _step(self) -> None:
         lost, pose = "", None
         try:
             pose = self.pose()

@@ -166,7 +166,7 @@ def plan_path(
     wanted: Constraints | None = None,  # the client's constraints, which override the settings
     weights: Weights | None = None,  # the map's weights with obstacles; by default the map's own
 ) -> PlannedPath:
-    """Plan a path on a map; raises `PlanError` if there is none, with ``passing`` if only obstacles block it."""
+    """Plan a path on a map; raises `PlanError` if every path is blocked, with ``passing`` if only by obstacles."""
     start_cell, goal_cell = _ends(ground, start, goal)
     cells = None
     if weights is not None and weights[goal_cell]:
@@ -210,7 +210,7 @@ def _ends(ground: Ground, start: Pose, goal: Pose) -> tuple[Cell, Cell]:
 
 
 def _path_on_map(ground: Ground, start: Pose, goal: Pose, weights: Weights) -> tuple[Cells, Cells]:
-    """Return the path on the map without obstacles; raises `PlanError` with the reason if there is none."""
+    """Return the path on the map without obstacles; raises `PlanError` with the reason if every path is blocked."""
     start_cell, goal_cell = _ends(ground, start, goal)
     if not ground.fits(goal_cell):
         raise PlanError(
@@ -325,7 +325,7 @@ class DriveTask:
     since: float  #: when the goal arrived
     further: tuple[MapPlace, ...] = ()  #: the goals after this one, in sequence
     passed: int = 0  #: the number of goals before this one
-    replan_reason: str = "a new goal"  #: why a path has to be planned; empty if none has to
+    replan_reason: str = "a new goal"  #: why a path has to be planned; empty if the path is valid
     not_before: float = -math.inf  #: when planning may be tried next
     leg: Leg | None = None  #: the part on the current map
     waypoints: tuple[Waypoint, ...] = field(default=())  #: the waypoints of the current path
@@ -341,7 +341,7 @@ class DriveTask:
     all_blocked_since: float | None = None  #: since when obstacles block every path
     path_blocked_since: float | None = None  #: since when an obstacle is on the current path
     arrived_at: float | None = None  #: when the robot reached the link at the leg's end
-    beside_wall: Pose | None = None  #: where the robot last waited with a wall beside its line to the waypoint
+    beside_wall: Pose | None = None  #: where the robot last waited with a wall next to its line to the waypoint
 
     def set_map(self, map_name: str) -> None:
         """Set the map of the goals that were given without one."""
