@@ -123,9 +123,13 @@ def test_a_stop_cancels_another_clients_goal_that_moves_the_base(
     monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", LONG)
     rig, (action,) = robot.rig, robot.rig.gateway.link.motion
     rig.state(State.MOVING, f"{action} moves the base")
+    begin = len(rig.statuses)
     stop = robot.begin("stop")
     assert controller.canceled.wait(20)
-    rig.state(State.MOVING, "stopping: it was stopped")
+    # not only the newest status: a second later, the reason is that the robot may still be moving
+    reported = lambda: [status for status in rig.statuses[begin:] if status["reason"] == "stopping: it was stopped"]  # noqa: E731
+    until(reported, "the stop is in the status")
+    assert {status["state"] for status in rig.statuses[begin:]} == {State.MOVING}
     polls = count_polls(rig)
     until(lambda: polls() > 5, "the gateway has polled the planner several times")
     assert rig.gateway.held, "the controller's velocities are held, although Nav2 itself has no goal"
