@@ -18,8 +18,10 @@ def test_a_new_machine_is_set_up_once(tmp_path: Path) -> None:
     assert not machine.called("apt-get"), "all packages are installed"
     assert [call.split()[1:3] for call in machine.called("venv")] == [["-m", "venv"]]
     installs = machine.called("pip install")
-    assert ["--no-deps" in call for call in installs] == [True, True, True]
-    assert [call.split()[-1] for call in installs] == ["requirements.lock", "requirements-ros2.lock", "."]
+    assert ["--no-deps" in call for call in installs] == [True, True, True, True]
+    pip, *targets = [call.split()[-1] for call in installs]
+    assert pip.startswith("pip=="), "the rest is installed with the locked pip"
+    assert targets == ["requirements.lock", "requirements-ros2.lock", "."]
     assert machine.calls[-1] == "midspan interfaces build"
     assert machine.setup().returncode == 0
     assert machine.calls == AGAIN
