@@ -5,10 +5,12 @@ The caches are empty, but in CI they contain most of the compiled code.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -32,21 +34,27 @@ _FOLDER = ROOT / ".cache" / "first-run"
 """The folder with the clone and the user's home, which both tests use, in two processes of pytest-xdist; `make` removes
 what a failed run left behind."""
 
+_LOCK = _FOLDER.with_suffix(".lock")
+"""Only one test uses the folder at a time: `make demo` would otherwise set up a clone that is being set up."""
+
 _CACHE = _FOLDER / "home" / "cache"
 _PACKAGES = _CACHE / "midspan" / "interfaces"
 _KERNELS = _CACHE / "kernels"
 
 
 @pytest.fixture
-def clone() -> Path:
+def clone() -> Iterator[Path]:
     """Return a clone of this tree: its files without ignored ones, so without anything that was built."""
     folder = _FOLDER / "my robots" / "midspan"
-    if not folder.exists():
-        _copy(folder)
-        # compiling everything would take two minutes of processor time, and CI's own set-up has checked it already
-        if copy_kernels(_KERNELS):
-            copy_packages(_PACKAGES)
-    return folder
+    _LOCK.parent.mkdir(exist_ok=True)
+    with _LOCK.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            _copy(folder)
+            # compiling everything would take two minutes of processor time, and CI's own set-up has checked it already
+            if copy_kernels(_KERNELS):
+                copy_packages(_PACKAGES)
+        yield folder
 
 
 def _copy(folder: Path) -> None:
@@ -91,5 +99,5 @@ def _environ() -> dict[str, str]:
     home = _FOLDER / "home"
     home.mkdir(exist_ok=True)
     environ = {name: value for name, value in os.environ.items() if not name.startswith(_OURS)}
-    environ |= {"HOME": str(home), "XDG_CACHE_HOME": str(_CACHE), "PYTHONDONTWRITEBYTECODE": "1"}
+    environ |= {"HOME": str(home), "XDG_CACHE_HOME": str(_CACHE)}
     return environ | ({"MIDSPAN_KERNEL_CACHE": str(_KERNELS)} if _KERNELS.is_dir() else {})
