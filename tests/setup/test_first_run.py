@@ -23,8 +23,8 @@ SECONDS = 1500
 """Time limit for set-up and demo on one core. Neither depends on timing, so only a hang takes this long."""
 
 _OURS = (
-    "AMENT", "BROWSER", "CI", "KILTED", "MIDSPAN_CACHE", "MIDSPAN_KERNEL_CACHE", "PYTEST", "PYTHON", "ROS",
-    "VIRTUAL_ENV", "YARP",
+    "AMENT", "BROWSER", "CI", "KILTED", "MIDSPAN_CACHE", "MIDSPAN_KERNEL_CACHE", "PIP_NO_COMPILE", "PYTEST", "PYTHON",
+    "ROS", "VIRTUAL_ENV", "YARP",
 )  # fmt: skip
 """Prefixes of variables that a newcomer's shell does not have; ``CI`` makes the set-up install what only tests use."""
 
@@ -99,5 +99,5 @@ def _environ() -> dict[str, str]:
     home = _FOLDER / "home"
     home.mkdir(exist_ok=True)
     environ = {name: value for name, value in os.environ.items() if not name.startswith(_OURS)}
-    environ |= {"HOME": str(home), "XDG_CACHE_HOME": str(_CACHE)}
+    environ |= {"HOME": str(home), "XDG_CACHE_HOME": str(_CACHE), "PYTHONDONTWRITEBYTECODE": "1"}
     return environ | ({"MIDSPAN_KERNEL_CACHE": str(_KERNELS)} if _KERNELS.is_dir() else {})
