@@ -10,6 +10,7 @@ library.
 from __future__ import annotations
 
 import ast
+import atexit
 import contextlib
 import ctypes
 import gc
@@ -26,7 +27,7 @@ import types
 from collections.abc import Sequence
 from importlib.abc import InspectLoader
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 1 << 18
@@ -183,7 +184,29 @@ def become(request: dict[str, Any]) -> None:
         from tests.support.forked_workers import install
 
         install()
-    exec(code, module.__dict__)
+    number: int | None = 0
+    try:
+        exec(code, module.__dict__)
+    except SystemExit as err:
+        if not isinstance(err.code, int | None):
+            raise  # Python prints the text
+        number = err.code
+    end(number or 0)
+
+
+def end(code: int) -> NoReturn:
+    """End the process as Python does after the main program, except that it keeps the imported modules.
+
+    Freeing them would copy every page that the process still shares with the fork server, and take 0.1 s.
+    """
+    try:
+        threading._shutdown()  # type: ignore[attr-defined]
+        atexit._run_exitfuncs()
+        gc.collect()  # the program's own objects; the others are frozen
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(code & 0xFF)
 
 
 def show(command: Sequence[str]) -> None:

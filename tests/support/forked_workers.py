@@ -16,7 +16,6 @@ import runpy
 import signal
 import subprocess
 import sys
-import threading
 import traceback
 import weakref
 from collections.abc import Mapping, Sequence
@@ -149,18 +148,7 @@ def _become(command: list[str], env: Mapping[str, str], stdio: Sequence[int], pa
     except BaseException:
         traceback.print_exc()
     finally:
-        _exit(code)
-
-
-def _exit(code: object) -> NoReturn:
-    """End the process as Python does after the main program."""
-    number = code if isinstance(code, int) else int(code is not None)
-    try:
-        threading._shutdown()  # type: ignore[attr-defined]
-        atexit._run_exitfuncs()
-        sys.stderr.flush()
-    finally:
-        os._exit(number)
+        fork_server.end(code if isinstance(code, int) else int(code is not None))
 
 
 def _close_others(passed: Sequence[int]) -> None:
