@@ -34,6 +34,18 @@ LONGEST = 1 << 18
 PADDING = " " * 400
 """Last argument of this program: in the list of processes, a forked program's command replaces this program's."""
 
+_LATER = {
+    "rclpy": ("lark", "em", "rosidl_generator_py", "service_msgs.msg", "std_msgs.msg", "std_srvs.srv"),
+    "rospy": ("configparser", "encodings.idna", "std_msgs.msg", "std_srvs.srv", "unittest.mock"),
+    "bridge.adapters.worker": (
+        "bridge.config.sections.clock", "bridge.config.sections.hub", "bridge.config.sections.listen",
+        "bridge.config.sections.ros", "bridge.metrics.on_demand", "encodings.idna", "encodings.utf_8_sig",
+        "rosbags.interfaces",
+    ),
+    "bridge.adapters.ros1.edge": ("bridge.adapters.ros1.parameters.store", "bridge.adapters.ros1.topics.publisher"),
+}  # fmt: skip
+"""Modules that most programs with a module import while they run."""
+
 _PR_SET_PDEATHSIG = 1
 
 _seen: set[Path] = set()
@@ -117,10 +129,11 @@ def send(owner: socket.socket, message: dict[str, Any]) -> None:
 
 
 def prepare(request: dict[str, Any]) -> None:
-    """Import a program's modules: the requested ones, and those imported at the top of its file and of tests' files."""
+    """Import a program's modules: the requested ones, those at the top of its files, and those that it needs later."""
     names = list(request["imports"])
     if request["args"][0] != "-m":
         names += imported(Path(request["args"][0]))
+    names += [later for name in names for later in _LATER.get(name, ())]
     for name in names:
         with contextlib.suppress(Exception):  # the program itself reports import errors
             importlib.import_module(name)
