@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -48,6 +49,17 @@ def test_help_names_every_verb_and_imports_none(capsys: pytest.CaptureFixture[st
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_parser_can_have_only_the_named_verb() -> None:
+    assert list(verbs_of(build_parser(["worker"], others=False))[0].choices) == ["worker"]
+    assert list(verbs_of(build_parser(["worker"]))[0].choices) == list(VERBS)
+
+
+def test_help_after_an_option_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help", "worker"])
+    assert set(re.findall(r"^ {4}([\w-]+)", capsys.readouterr().out, re.MULTILINE)) >= set(VERBS)
 
 
 @pytest.mark.parametrize("verb", VERBS)
