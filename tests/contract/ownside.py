@@ -95,7 +95,7 @@ class OwnWorker(WorkerProcess):
     def __init__(self, config: Config, section: dict[str, Any]) -> None:
         self._section = section
         env = {**os.environ, "PYTHONPATH": str(PACKAGE), "MIDSPAN_SIDES": "datagrams:SIDE"}
-        super().__init__("datagrams", config, env)
+        super().__init__("datagrams", config, env, edge="datagrams.edge")
 
     def _send(self, line: dict[str, Any]) -> None:
         super()._send({"config": {**line["config"], "datagrams": self._section}} if "config" in line else line)

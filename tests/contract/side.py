@@ -102,10 +102,10 @@ class WorkerProcess:
 
     def __init__(
         self, side: str, config: Config, env: Mapping[str, str], states: Collection[str] = ("running",), *,
-        any_os: bool = False,
+        any_os: bool = False, edge: str | None = None,
     ) -> None:  # fmt: skip
         words = ["worker", side, "--supervised"]
-        imports = [*IMPORTS, f"bridge.adapters.{side}.edge"]
+        imports = [*IMPORTS, edge or f"bridge.adapters.{side}.edge"]
         if any_os:  # a worker without the features that Windows lacks
             env = as_on("windows", env)
             config.state.mkdir(parents=True, exist_ok=True)  # the daemon's task; the worker locks a file there
