@@ -14,7 +14,7 @@ import os
 import re
 import site
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -66,18 +66,21 @@ class DefinitionFolder:
         self.world = world
         self._path = str(root)
 
-    def folders(self, package: str, kind: str) -> list[Path]:
-        """Return the folders of this tree that hold the package's files of one kind (``msg``, ``srv``, ``action``)."""
-        wanted = [f"{self._path}/{package}/{kind}"]  # text, because many lookups find nothing, and `Path` is slow
+    def folders(self, package: str, kind: str) -> Iterator[Path]:
+        """Yield the folders of this tree that hold the package's files of one kind (``msg``, ``srv``, ``action``)."""
+        return (Path(folder) for folder in self._candidates(package, kind) if os.path.isdir(folder))  # noqa: PTH112
+
+    def _candidates(self, package: str, kind: str) -> Iterator[str]:
+        """Yield where such folders may be, first those that are known without reading each ``package.xml``."""
+        yield f"{self._path}/{package}/{kind}"  # text, because many lookups find nothing, and `Path` is slow
         if kind == "msg":
-            wanted.append(f"{self._path}/{package}")
+            yield f"{self._path}/{package}"
         for folder in self._renamed.get(package, ()):
-            wanted += [f"{folder}/{kind}", str(folder)]
+            yield from (f"{folder}/{kind}", str(folder))
         if package in self._names:
-            wanted += [f"{self._path}/{kind}", self._path]
+            yield from (f"{self._path}/{kind}", self._path)
         if package in self._parent_names and kind in self._own_names:
-            wanted.append(self._path)
-        return [Path(folder) for folder in wanted if os.path.isdir(folder)]  # noqa: PTH112
+            yield self._path
 
     @cached_property
     def _names(self) -> set[str]:
