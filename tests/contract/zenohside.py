@@ -5,6 +5,7 @@ The adapter runs in the test's process, because it needs no middleware but zenoh
 
 from __future__ import annotations
 
+import functools
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,12 @@ from tests.support.wait import until
 
 PERIOD = 0.25
 """Seconds between beacons of the ros1 dialect, for all bridges. The plugin's 1 s would make the suite slow."""
+
+
+@functools.cache
+def messages(*, ros1: bool) -> Messages:
+    """Return the types of all bridges of a dialect, which take 50 ms to read."""
+    return Messages(ros1=ros1, folders=PEER_FOLDERS, texts=service_texts())
 
 
 class ZenohBridge:
@@ -95,8 +102,7 @@ class Ros2ddsSide(ZenohSide):
     tells_errors = False
 
     def peer(self) -> Ros2ddsBridge:
-        messages = Messages(ros1=False, folders=PEER_FOLDERS, texts=service_texts())
-        peer = Ros2ddsBridge(self._router.endpoint, messages)
+        peer = Ros2ddsBridge(self._router.endpoint, messages(ros1=False))
         self._open.append(peer)
         return peer
 
@@ -117,8 +123,7 @@ class Ros1KeysSide(ZenohSide):
         self._patch.setattr(ros1_discovery, "PERIOD", PERIOD)
 
     def peer(self) -> Ros1Bridge:
-        messages = Messages(ros1=True, folders=PEER_FOLDERS, texts=service_texts())
-        peer = Ros1Bridge(self._router.endpoint, messages, period=PERIOD)
+        peer = Ros1Bridge(self._router.endpoint, messages(ros1=True), period=PERIOD)
         self._open.append(peer)
         return peer
 
