@@ -116,10 +116,13 @@ class World:
             self.step()
         return self.now - start
 
+    def active(self) -> list[Worker]:
+        return [worker for worker in self.workers if worker.active]
+
     def paths(self) -> Iterator[tuple[str, str, str]]:
         """Yield every path of a message: its source network, its destination network, and the workers that carry it."""
-        for put, take in itertools.product(self.workers, repeat=2):
-            across = put.active and take.active and put.network != take.network and self.same_hub(put, take)
+        for put, take in itertools.product(self.active(), repeat=2):
+            across = put.network != take.network and self.same_hub(put, take)
             if across and take.name in put.election.outcome.carried:
                 yield take.network, put.network, f"{take.name} {put.name}"
 
@@ -127,7 +130,7 @@ class World:
         """Assert that no message has two paths to a network, or two paths into a hub."""
         paths = [path[:2] for path in self.paths()]
         assert len(paths) == len(set(paths)), sorted(self.paths())
-        entries = [(w, v) for w, v in itertools.combinations(self.workers, 2) if w.active and v.active]
+        entries = itertools.combinations(self.active(), 2)
         assert not [(w.name, v.name) for w, v in entries if w.network == v.network and self.same_hub(w, v)]
 
     def reached(self) -> set[tuple[str, str]]:
