@@ -307,9 +307,9 @@ def test_goals_in_unknown_frames_are_rejected(master, edge, servers):
 
 
 @pytest.mark.thorough
-def test_a_thousand_concurrent_goals_end_as_their_server_reports(master, edge, servers):
+def test_hundreds_of_concurrent_goals_end_as_their_server_reports(master, edge, servers):
     """Some goals are rejected, some end at once, and all others are held until all have been accepted."""
-    count = 1000
+    count = 400  # actionlib publishes the whole list for each change, so the time grows with the square
     numbers = [100 * n + (n % 5 if n % 2 else 4) for n in range(count)]
     peer = servers
     server = peer.ask("server", name="/many")["id"]
