@@ -47,6 +47,21 @@ def test_a_forked_program_has_its_arguments_exit_code_and_output(start: Start) -
     assert set(program.output().splitlines()) == {"one two", "bad"}
 
 
+def test_threads_and_exit_handlers_end_before_a_program(start: Start) -> None:
+    program = start(
+        "import atexit, sys, threading\natexit.register(print, 'handler')\n"
+        "threading.Timer(0.1, print, ['thread']).start()\nprint('main')\nsys.exit(3)"
+    )
+    assert program.popen.wait(20) == 3
+    assert program.output().splitlines() == ["main", "thread", "handler"]
+
+
+def test_a_program_can_exit_with_a_text(start: Start) -> None:
+    program = start("import sys; sys.exit('no robot')")
+    assert program.popen.wait(20) == 1
+    assert program.output() == "no robot\n"
+
+
 def test_exceptions_are_reported(start: Start) -> None:
     program = start("import no_such_module_anywhere")
     assert program.popen.wait(20) == 1
