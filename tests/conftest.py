@@ -49,7 +49,7 @@ def _processes() -> dict[object, str]:
         with contextlib.suppress(psutil.Error, OSError):
             if process.pid == current.pid or process.status() == psutil.STATUS_ZOMBIE:
                 continue
-            if process in processes or current in process.parents() or process.environ().get(_MARK) == _run:
+            if process in processes or process.environ().get(_MARK) == _run:
                 name = forks.command_of(process.pid) or " ".join(process.cmdline())
                 processes[process] = f"process {process.pid}: {name[:200]}"
     return processes

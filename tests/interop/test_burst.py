@@ -36,7 +36,7 @@ JOIN, SLOWER, LONGEST = 2.0, 4.0, 8.0
 """Seconds within which all endpoints are created, or else the test is not one of a burst.
 
 On a slower machine this is four times as long as YARP programs need, up to 8 s: those create the same number of
-endpoints on a network without Midspan just before (`seconds_without_midspan`), where no bridge adds routes meanwhile.
+endpoints on a network without Midspan before (`seconds_without_midspan`), where no bridge adds routes meanwhile.
 """
 
 SECONDS = 90.0
@@ -84,8 +84,9 @@ def yarp_program(address: Address, name: str) -> Peer:
     return Peer(YARP_PEER, Path(sys.executable), {"PYTHONPATH": str(ROOT)}, address.host, str(address.port), name)
 
 
+@pytest.fixture(scope="module")
 def seconds_without_midspan() -> float:
-    """Measure how long YARP programs take to join a network without Midspan: eight requests for each of 195 ports."""
+    """How long YARP programs take to join a network without Midspan: eight requests for each of 195 ports."""
     with name_server() as address, contextlib.ExitStack() as stack:
         nodes = [stack.enter_context(yarp_program(address, f"/node{number}")) for number in range(NODES)]
         return join(nodes, "/topics")[1]
@@ -181,7 +182,7 @@ class Transforms:
 
 @pytest.mark.parametrize("side", ["ros1", "ros2", "yarp", "zenoh"])
 def test_all_routes_work_after_a_burst_and_tf_continues(
-    site: tuple[Deployment, Address], tmp_path: Path, side: str
+    site: tuple[Deployment, Address], seconds_without_midspan: float, side: str
 ) -> None:
     deployment, address = site
     numbers = itertools.count(1)
@@ -192,7 +193,6 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
             "zenoh": deployment.rmw,
             "yarp": lambda: deployment.keep(yarp_program(address, f"/burst{next(numbers)}")),
         }
-        alone = seconds_without_midspan()
         far = deployment.ros1() if side == "ros2" else deployment.ros2()
         nodes = [make[side]() for _ in range(NODES)]
         transforms = Transforms(deployment)
@@ -200,7 +200,7 @@ def test_all_routes_work_after_a_burst_and_tf_continues(
         burst.check()
         transforms.until_arriving(time.monotonic())
         across, beside = transforms.pauses(burst.begun)
-        assert burst.seconds < max(burst.limit, min(SLOWER * alone, LONGEST))
+        assert burst.seconds < max(burst.limit, min(SLOWER * seconds_without_midspan, LONGEST))
         assert across < PAUSE / burst.share.least() + beside
     finally:
         deployment.stop_programs()

@@ -34,9 +34,19 @@ LONGEST = 1 << 18
 PADDING = " " * 400
 """Last argument of this program: in the list of processes, a forked program's command replaces this program's."""
 
+_TYPED = (
+    "builtin_interfaces", "geometry_msgs", "rcl_interfaces", "service_msgs", "std_msgs", "std_srvs",
+    "type_description_interfaces",
+)  # fmt: skip
+"""Packages whose compiled part most nodes load."""
+
 _LATER = {
-    "rclpy": ("lark", "em", "rosidl_generator_py", "service_msgs.msg", "std_msgs.msg", "std_srvs.srv"),
-    "rospy": ("configparser", "encodings.idna", "std_msgs.msg", "std_srvs.srv", "unittest.mock"),
+    "rclpy": (
+        "lark", "em", "rosidl_generator_py", "service_msgs.msg", "std_msgs.msg", "std_srvs.srv", "geometry_msgs.msg",
+        "type_description_interfaces.msg",
+        *(f"{package}.{package}_s__rosidl_typesupport_c" for package in _TYPED),
+    ),
+    "rospy": ("configparser", "encodings.idna", "std_msgs.msg", "geometry_msgs.msg", "std_srvs.srv"),
     "bridge.adapters.worker": (
         "bridge.config.sections.clock", "bridge.config.sections.hub", "bridge.config.sections.listen",
         "bridge.config.sections.ros", "bridge.metrics.on_demand", "encodings.idna", "encodings.utf_8_sig",
@@ -162,7 +172,8 @@ def imported(file: Path) -> list[str]:
     for node in ast.parse(file.read_bytes()).body:
         modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            modules = [node.module]
+            # a name may be that of a module
+            modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         for module in modules:
             if module.partition(".")[0] != "tests":
                 names.append(module)

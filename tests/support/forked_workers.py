@@ -28,7 +28,7 @@ WORKERS = (
     "bridge.adapters.zenoh.dialects", "bridge.cli.daemon.run", "bridge.hub.router", "bridge.modules.worker",
     "bridge.record.worker", "navigation.base_control.module", "navigation.gateway.module",
     "navigation.localization_server.module", "navigation.map2d_server.module", "navigation.robot_goto.module",
-    "navigation.robot_path_planner.module", "sim.simulator",
+    "navigation.robot_path_planner.module", "sim.simulator", "dartpy", "numpy.random", "rosbags.interfaces",
 )  # fmt: skip
 """Modules of workers to import before the daemon is forked."""
 

@@ -37,7 +37,9 @@ DAEMON = ("bridge.config.load", "bridge.daemon.worker_main", "bridge.daemon.supe
 DAEMON_AND_WORKERS = (*DAEMON, *WORKERS)
 """Imports of `midspan run` that forks its workers, see `tests.support.forked_workers`."""
 
-COMMAND = (*DAEMON, "bridge.client.session", "bridge.hub.router", "bridge.messages.registry")
+COMMAND = (
+    *DAEMON, "bridge.client.session", "bridge.hub.router", "bridge.messages.json", "bridge.messages.registry", "numpy",
+)  # fmt: skip
 """Imports of a command that queries a hub or a daemon, in addition to the command's own module."""
 
 _AT_START = ("PYTHON", "LD_", "_ROS_WHEELS", "MALLOC_", "GLIBC_", "MIDSPAN_", "HIDDEN_OS")
