@@ -143,8 +143,21 @@ class MessageWriter:
         if not definition.fields:
             self.data.append(0)
         for field in definition.fields:
-            item = value[field.name] if field.name in value else _default(field)
-            self.value(field.type, item, join(where, field.name))
+            if field.name in value:
+                self.value(field.type, value[field.name], join(where, field.name))
+            else:
+                self.default(definition, field, where)
+
+    def default(self, definition: Definition, field: Field, where: str) -> None:
+        """Write a missing field; its bytes, which depend on the padding, are kept in the schema."""
+        start = len(self.data)
+        place = definition.name, field.name, start % 8
+        kept = self.schema.defaults.get(place)
+        if kept is not None:
+            self.data += kept
+            return
+        self.value(field.type, _default(field), join(where, field.name))
+        self.schema.defaults[place] = bytes(self.data[start:])
 
     def value(self, kind: FieldType, value: Any, where: str) -> None:
         """Write a field."""

@@ -24,7 +24,8 @@ from bridge.worker import Health
 from navigation.map2d_server.files import MapFiles, MapsFolder
 from navigation.map2d_server.intake import ClickedPoints, MapIntake, is_ours
 from navigation.map2d_server.maps3d import Maps3D
-from navigation.map2d_server.publishers import MAP_TOPIC, AllMaps, CurrentMap, Head, Keys, Markers, Masks
+from navigation.map2d_server.markers import Markers
+from navigation.map2d_server.publishers import MAP_TOPIC, AllMaps, CurrentMap, Head, Keys, Masks
 from navigation.map2d_server.section import Map2DServerSection
 from navigation.map2d_server.services import MapAnswers, MapCommands, MapServices
 
@@ -54,7 +55,7 @@ class Map2DServer(Module):
         self._maps = AllMaps(node, self._store, head)
         self._maps3d = Maps3D(node, self._store, head)
         self._masks = Masks(node, self._store, head)
-        self._markers = Markers(node, self._store, head)
+        self._markers = Markers(node, self._store, section.frame)
         self._intakes = [MapIntake(host, rule, self._store, self._refuse) for rule in section.take]
         self._others: list[str] = []
         self._closing = [self._store.watch(self._on_change, *_SHOWN), node.hub.graph.watch(self._graph_changed)]

@@ -1,12 +1,11 @@
-"""Latched publishers of maps and places: the current map, every map, masks for Nav2's filters, markers."""
+"""Latched publishers of maps: the current map, every map, and masks for Nav2's filters."""
 
 from __future__ import annotations
 
 import hashlib
 import logging
-import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 
 import numpy as np
@@ -15,14 +14,12 @@ from numpy.typing import NDArray
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import ModuleNode
-from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LOCATION, MAP, OBJECT, PATH
+from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, MAP
 from bridge.stores.store import MapAreas, Store
 from navigation.maps.grid import data_of, info_of, message_of, to_cdr, to_grid, turned
 from navigation.maps.masks import KEEP_OUT as KEPT
 from navigation.maps.masks import binary_mask, keepout_mask, speed_mask
-from navigation.messages import GRID, Message, pose_message
-from navigation.pose import Pose
-from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
+from navigation.messages import GRID, Message
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 
@@ -36,16 +33,6 @@ class Head:
         """Return a ``std_msgs/msg/Header`` with the current time."""
         seconds, nanoseconds = divmod(self.now_ns(), 1_000_000_000)
         return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.frame}
-
-
-def color(red: float, green: float, blue: float) -> Message:
-    """Return a ``std_msgs/msg/ColorRGBA``."""
-    return {"r": red, "g": green, "b": blue, "a": 1.0}
-
-
-def points(corners: Sequence[tuple[float, float]], z: float = 0.02) -> list[Message]:
-    """Return a ``geometry_msgs/msg/Point`` for each corner."""
-    return [{"x": x, "y": y, "z": z} for x, y in corners]
 
 
 _log = logging.getLogger(__name__)
@@ -94,83 +81,6 @@ def masks_of(grid: MapGrid2D, areas: MapAreas, head: Head) -> dict[str, tuple[st
         SPEED: on_cells(speed.values),
         SPEED_INFO: info(speed.type, SPEED, speed.base, speed.multiplier),
     }
-
-
-MARKERS = "/map_locations"
-MARKERS_TYPE = "visualization_msgs/msg/MarkerArray"
-
-_ARROW, _CUBE, _LINES, _TEXT = 0, 1, 4, 9
-_DELETE_ALL = 3
-_TEXT_HEIGHT = 0.2
-_GREEN, _BLUE, _ORANGE, _GRAY = (
-    color(0.1, 0.7, 0.2),
-    color(0.1, 0.4, 0.9),
-    color(1.0, 0.6, 0.0),
-    color(0.5, 0.5, 0.5),
-)
-
-
-def markers_of(store: Store, map_name: str, areas: MapAreas, head: Head) -> Message:
-    """Return markers of all places on a map; the first marker deletes all previous markers."""
-    markers = _Markers(head)
-    for name, location in store.all(LOCATION).items():
-        if location.map_id == map_name:
-            markers.add_location(name, location)
-    for name, thing in store.all(OBJECT).items():
-        if thing.map_id == map_name:
-            markers.add_object(name, thing)
-    for name, (area, _) in areas.named.items():
-        if area.points:
-            markers.add_area(name, area)
-    for name, path in store.all(PATH).items():
-        markers.add_path(name, path, map_name)
-    return {"markers": markers.markers}
-
-
-class _Markers:
-    """Builds the markers of places; the namespaces of a place's marker and text contain the place's name."""
-
-    def __init__(self, head: Head) -> None:
-        self._header = head.header()
-        self.markers: list[Message] = [{"header": self._header, "action": _DELETE_ALL}]
-
-    def add_location(self, name: str, location: Map2DLocation) -> None:
-        shape = {"x": 0.4, "y": 0.08, "z": 0.08}
-        place = pose_message(Pose(location.x, location.y, math.radians(location.theta)))
-        self._add("location", name, _ARROW, pose=place, scale=shape, color=_GREEN)
-        self._text("location", name, location.x, location.y)
-
-    def add_object(self, name: str, thing: Map2DObject) -> None:
-        shape = {"x": 0.15, "y": 0.15, "z": 0.15}
-        place = pose_message(Pose(thing.x, thing.y, 0.0), thing.z)
-        self._add("object", name, _CUBE, pose=place, scale=shape, color=_ORANGE)
-        self._text("object", name, thing.x, thing.y)
-
-    def add_area(self, name: str, area: Map2DArea) -> None:
-        corners = [(corner.x, corner.y) for corner in (*area.points, area.points[0])]
-        self._line("area", name, corners, _BLUE)
-        count = len(area.points)
-        self._text("area", name, sum(p.x for p in area.points) / count, sum(p.y for p in area.points) / count)
-
-    def add_path(self, name: str, path: Map2DPath, map_name: str) -> None:
-        points = [(point.x, point.y) for point in path.waypoints if point.map_id == map_name]
-        if len(points) > 1:
-            self._line("path", name, points, _GRAY)
-            self._text("path", name, *points[0])
-
-    def _line(self, kind: str, name: str, corners: list[tuple[float, float]], color: Message) -> None:
-        width = {"x": 0.04, "y": 0.0, "z": 0.0}
-        place = pose_message(Pose(0.0, 0.0, 0.0))
-        self._add(kind, name, _LINES, pose=place, scale=width, color=color, points=points(corners))
-
-    def _text(self, kind: str, name: str, x: float, y: float) -> None:
-        shape = {"x": 0.0, "y": 0.0, "z": _TEXT_HEIGHT}
-        place = pose_message(Pose(x, y, 0.0), 0.2)
-        self._add(f"{kind} name", name, _TEXT, pose=place, scale=shape, color=color(1, 1, 1), text=name)
-
-    def _add(self, kind: str, name: str, form: int, **fields: object) -> None:
-        number = len(self.markers)
-        self.markers.append({"header": self._header, "ns": f"{kind} {name}", "id": number, "type": form, **fields})
 
 
 Keys = AbstractSet[tuple[str, str]]  # kinds and names of changed values
@@ -286,21 +196,6 @@ class Masks:
             if topic not in self._ends:
                 self._ends[topic] = self._node.publisher(topic, type_name, LATCHED, priority="state")
             self._ends[topic].publish(message)
-
-
-class Markers:
-    """Publishes places on the current map as markers for rviz."""
-
-    _KINDS = frozenset(kind.name for kind in (LOCATION, OBJECT, AREA, PATH))
-
-    def __init__(self, node: ModuleNode, store: Store, head: Head) -> None:
-        self._store, self._head = store, head
-        self._end = node.publisher(MARKERS, MARKERS_TYPE, LATCHED, priority="state")
-
-    def update(self, current: CurrentMap, areas: MapAreas, changed: Keys, *, map_changed: bool) -> None:
-        """Publish the markers of the current map and its areas if a place or the map has changed."""
-        if map_changed or any(kind in self._KINDS for kind, _ in changed):
-            self._end.publish(markers_of(self._store, current.name, areas, self._head))
 
 
 def topic_of(name: str, taken: AbstractSet[str] = frozenset(), *, under: str = "/maps") -> str:

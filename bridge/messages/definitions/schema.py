@@ -136,6 +136,9 @@ class Schema:
     fingerprints: dict[str, str] = field(default_factory=dict, init=False, repr=False, compare=False)
     """The fingerprints that `bridge.messages.definitions.hashes` has computed, by function."""
 
+    defaults: dict[tuple[str, str, int], bytes] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """The CDR of missing fields, by type, field and position modulo 8; see `bridge.messages.values`."""
+
     @property
     def name(self) -> str:
         """Name of the root type."""
