@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from bridge.messages.definitions.schema import PRIMITIVE_SIZES, STRUCT_FORMATS, FieldType, Schema
+from bridge.messages.definitions.schema import PRIMITIVE_SIZES, STRUCT_FORMATS, Definition, Field, FieldType, Schema
 from bridge.messages.errors import ConversionError
 from bridge.messages.values import HEADER, MessageWriter
 
@@ -59,6 +59,10 @@ class _PlaceWriter(MessageWriter):
         self._changing = changing
         self.places: list[tuple[int, str]] = []
         self.found: set[str] = set()
+
+    @override
+    def default(self, definition: Definition, field: Field, where: str) -> None:
+        self.write_default(field, where)  # kept bytes would hide numbers
 
     @override
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | bytes:

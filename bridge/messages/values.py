@@ -156,8 +156,12 @@ class MessageWriter:
         if kept is not None:
             self.data += kept
             return
-        self.value(field.type, _default(field), join(where, field.name))
+        self.write_default(field, where)
         self.schema.defaults[place] = bytes(self.data[start:])
+
+    def write_default(self, field: Field, where: str) -> None:
+        """Write a missing field value by value."""
+        self.value(field.type, _default(field), join(where, field.name))
 
     def value(self, kind: FieldType, value: Any, where: str) -> None:
         """Write a field."""

@@ -44,6 +44,17 @@ def test_filled_template_equals_the_serialized_message(registry: Registry) -> No
         assert template.fill(*numbers) == MessageWriter(schema).message(_odometry(*numbers))
 
 
+def test_missing_numbers_change_although_their_bytes_are_kept(registry: Registry) -> None:
+    schema = registry.schema("nav_msgs/msg/Odometry")
+    MessageWriter(schema).message({"header": {}, "pose": {}, "twist": {}})
+    template = MessageTemplate(schema, {}, "header.stamp", "pose.pose", "twist.twist")
+    numbers = 17, 4, *(float(number) for number in range(13))
+    whole = _odometry(*numbers)
+    del whole["pose"]["covariance"]
+    whole["header"]["frame_id"] = whole["child_frame_id"] = ""
+    assert template.fill(*numbers) == MessageWriter(schema).message(whole)
+
+
 def test_arrays_change_and_texts_stay(registry: Registry) -> None:
     schema = registry.schema("sensor_msgs/msg/JointState")
     names = ["left", "right wheel"]
