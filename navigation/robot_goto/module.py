@@ -39,7 +39,7 @@ from navigation.messages import stamp_ns
 from navigation.planner_module import PlannerModule
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
-from navigation.robot_goto.obstacles import MOST, thinned
+from navigation.robot_goto.obstacles import MOST
 from navigation.robot_goto.ports import GotoServer, GotoTopics, local_map
 from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_goto.settings import read_file
@@ -157,7 +157,7 @@ class RobotGoto(PlannerModule):
         stamp = stamp_ns(message["header"])
         age = max(self._host.clock.now_ns() - stamp, 0) / 1e9 if stamp else 0.0
         try:
-            points = thinned(read_points(message), MOST)
+            points = read_points(message, enough=MOST)
             at, moved = self._frames.placed_at(message["header"]["frame_id"], stamp)
         except (FramesError, CloudError) as err:
             self.driver.obstacles.trouble[topic] = str(err)

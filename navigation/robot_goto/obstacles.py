@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from navigation.clouds import Points
+from navigation.clouds import Points, thinning
 from navigation.layers import Places, on
 from navigation.pose import Pose
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE
@@ -47,7 +47,7 @@ class CloudWindow:
         `at` is the robot's pose in that frame.
         """
         self._move(math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2)
-        points = thinned(points, MOST)
+        points = points[:: thinning(len(points), MOST)]
         robot = np.hypot(points[:, 0] - at.x, points[:, 1] - at.y) < self._radius
         z = points[:, 2]
         hit = np.zeros(self._seen.shape, np.bool_)
@@ -55,7 +55,7 @@ class CloudWindow:
         hit[:1] = self._count_points(_through_floor(points[(z < -self._step) & ~robot], eye)) >= LEAST
         floor = self._count_points(points[np.abs(z) < self._step])[0] >= LEAST
         self._seen[0][floor] = _NEVER
-        self._clear(thinned(points, RAYS), eye, hit)
+        self._clear(points[:: thinning(len(points), RAYS)], eye, hit)
         self._seen[hit] = now
         self._looked = _NEVER
 
@@ -100,11 +100,6 @@ class CloudWindow:
         around = np.min([np.roll(nearest, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
         free = np.isfinite(nearest[tuple(directions.T)]) & (around[tuple(directions.T)] > away + _BEYOND)
         self._seen[1:][levels[free], rows[free], columns[free]] = _NEVER
-
-
-def thinned(points: Points, most: int) -> Points:
-    """Return at most this many points, evenly selected; an odd step avoids the same columns in all rows of an image."""
-    return points[:: math.ceil(len(points) / most) | 1] if len(points) > most else points
 
 
 def _through_floor(points: Points, eye: NDArray[np.float64]) -> Points:

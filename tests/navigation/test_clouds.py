@@ -84,3 +84,16 @@ def test_a_cloud_may_have_the_maximum_number_of_points():
     with pytest.raises(CloudError, match="more than 3"):
         read_points(cloud(), most=3)
     assert len(read_points(cloud(), most=4)) == 4
+
+
+@pytest.mark.parametrize("row_gap", [0, 12])
+def test_a_large_cloud_is_read_in_part(row_gap):
+    points = np.stack((np.arange(600.0), np.ones(600), np.zeros(600)), axis=1)
+    points[1::2, 2] = np.nan
+    message = cloud(points, height=20, row_gap=row_gap)
+    np.testing.assert_array_equal(read_points(message, enough=300)[:, 0], np.arange(0.0, 600.0, 2.0))
+    few = read_points(message, enough=100)[:, 0]
+    np.testing.assert_array_equal(few, np.arange(0.0, 600.0, 6.0))
+    rows = {int(x) // 30 for x in few}
+    assert len(rows) == 20
+    assert len({int(x) % 30 for x in read_points(message, enough=60)[:, 0]}) > 2, "the same columns in all rows"
