@@ -38,7 +38,7 @@ def read_points(message: Mapping[str, Any], most: int = MOST_POINTS, enough: int
     cells = _cells(message).reshape(-1)
     with np.errstate(over="ignore", invalid="ignore"):
         if len(cells) > enough:
-            valid = np.count_nonzero(np.abs(cells["z"]) < FARTHEST)
+            valid = int(np.count_nonzero(np.abs(cells["z"]) < FARTHEST))
             cells = cells[:: thinning(valid, enough)]
         points = np.empty((len(cells), 3), np.float32)
         for axis, name in enumerate("xyz"):
