@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Collection
+from typing import Any
 
 from bridge.config.sections.navigation import HOLD, HOLD_TYPE, NavigationSection
 from bridge.hub.endpoints.subscription import HubSample
@@ -42,10 +43,11 @@ class Hold:
         self.held = False
         self._graph = hub.graph
         self._requests: dict[bytes, bool] = {}
-        self._present: set[bytes] = set()
+        self._present: dict[bytes, str] = {}  # the gateways on the graph, by GID, with their sessions (zid)
+        self._departed: dict[bytes, None] = {}  # the newest gateways that have left after their first message
         self._lock = threading.Lock()
-        self._unwatch = hub.graph.watch(self._refresh)
         self._subscription = hub.subscription(HOLD, HOLD_TYPE, "*", LATCHED, self._received)
+        self._unwatch = hub.graph.watch(self._on_graph_change)
         self._refresh()
 
     def blocks(self, topic: str) -> bool:
@@ -60,19 +62,41 @@ class Hold:
         data = sample.data()
         with self._lock:
             self._requests[sample.gid] = len(data) <= _DATA or bool(data[_DATA])
-            while len(self._requests) > _MOST:
-                del self._requests[next(iter(self._requests))]
+            _limit(self._requests)
         self._refresh()
+
+    def _on_graph_change(self) -> None:
+        """Follow the gateways; request the message of one that has returned, since it was already received once.
+
+        The subscription passes on no message twice. So without the request, a gateway whose link was restored would
+        count as holding until its next change.
+        """
+        self._refresh()
+        with self._lock:
+            returned = {gid: self._present[gid] for gid in self._departed.keys() & self._present.keys()}
+            for gid in returned:
+                del self._departed[gid]
+        for gid, zid in returned.items():
+            self._subscription.request_again(gid, zid, lambda: None)
 
     def _refresh(self) -> None:
         """Update ``held``: a gateway counts as holding until its first message, and no longer after it has left."""
-        present = {publisher.gid for publisher in self._graph.publishers(HOLD)}
-        with self._lock:
-            for departed in self._present - present:  # a gateway's message may arrive before the graph lists it
-                self._requests.pop(departed, None)
+        with self._lock:  # includes reading the graph: an older state must not be applied last
+            present = {publisher.gid: publisher.zid for publisher in self._graph.publishers(HOLD)}
+            for departed in self._present.keys() - present.keys():
+                # a gateway's message may arrive before the graph lists it
+                if self._requests.pop(departed, None) is not None:
+                    self._departed[departed] = None
+                    _limit(self._departed)
             self._present = present
             self.held = any(self._requests.get(gid, True) for gid in present)
 
     def close(self) -> None:
         self._unwatch()
         self._subscription.close()
+
+
+def _limit(gateways: dict[bytes, Any]) -> None:
+    """Remove the oldest gateways beyond the maximum."""
+    while len(gateways) > _MOST:
+        del gateways[next(iter(gateways))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,6 +18,7 @@ from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from bridge.routing.hold import Hold, held_topics
+from tests.hub.test_links import cut
 from tests.peers.fake import FakeEdge, FakeNetwork
 from tests.peers.hub.quick import QuickHub
 from tests.peers.zenoh.releases import JAZZY, ReleaseNode, ReleasePublisher, Topic
@@ -61,15 +63,35 @@ def test_gateway_report_counts_before_the_graph_lists_the_gateway() -> None:
     for gid, held in ((b"first", True), (b"second", False)):
         data = from_json(REGISTRY, HOLD_TYPE, {"data": held})
         hear(SimpleNamespace(gid=gid, data=lambda data=data: data))
-    present.append(SimpleNamespace(gid=b"second"))
+    present.append(SimpleNamespace(gid=b"second", zid="2"))
     look()
     assert not hold.held
-    present.append(SimpleNamespace(gid=b"first"))
+    present.append(SimpleNamespace(gid=b"first", zid="1"))
     look()
     assert hold.held
     present.pop()
     look()
     assert not hold.held
+
+
+def test_hold_ends_when_the_link_to_a_gateway_is_restored(hubs: QuickHub) -> None:
+    """The gateway publishes only changes, and the subscription received its last message before the link was lost."""
+    gateway, hub = Gateway(hubs), Hub.open(hubs.settings("midspan_fake"))
+    hold = Hold(hub, {"/cmd_vel"})
+    lost = threading.Event()
+    try:
+        gateway.publish(held=False)
+        until(lambda: hub.graph.publishers(HOLD) and not hold.held, "velocities are not held")
+        hub.graph.watch(lambda: hub.graph.publishers(HOLD) or lost.set())
+        cut(int(hubs.endpoint.rpartition(":")[2]))
+        assert lost.wait(10.0), "the gateway has left the graph"
+        until(lambda: hub.graph.publishers(HOLD) and not hold.held, "velocities are not held after its return")
+        gateway.publish(held=True)
+        until(lambda: hold.held, "velocities are held")
+    finally:
+        hold.close()
+        for session in (hub, gateway.hub):
+            session.close()
 
 
 def test_velocities_enter_the_hub_only_while_no_gateway_holds_them(hubs: QuickHub) -> None:
