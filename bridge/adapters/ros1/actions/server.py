@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 from uuid import uuid4
@@ -46,6 +46,9 @@ CALM_SECONDS = 0.05
 FEW_GOALS = 32
 """A longer status list is published at most once per `CALM_SECONDS`, because each message contains all entries."""
 
+CANCEL_SECONDS = 1.0
+"""Pause before a cancel request that did not reach the hub's server is repeated."""
+
 _CANCELED_EARLIER = "the goal's stamp is not after that of the last cancel request"
 _ANY = bytes(wire.UUID_SIZE)
 _CANCELING = {Ros1State.PENDING: Ros1State.RECALLING, Ros1State.ACTIVE: Ros1State.PREEMPTING}
@@ -75,6 +78,8 @@ class _ListedGoal:
     ``ours`` is whether a ROS 1 client sent it; otherwise a hub client did, and ROS 1 clients only see its status.
     ``uuid`` is its id on the hub, None for a cancel request whose goal has not arrived. ``since`` is the time from
     which `LIST_SECONDS` count: the goal ended, or was sent again after its end, or such a cancel request arrived.
+    ``unheeded`` is whether the hub's server did not accept the last answered cancel request; ``cancel_at`` is when to
+    repeat one that did not reach it.
     """
 
     id: str
@@ -85,6 +90,8 @@ class _ListedGoal:
     text: str = ""
     accepted: bool = False
     since: float | None = None
+    unheeded: bool = False
+    cancel_at: float | None = None
 
     @property
     def status(self) -> GoalStatus:
@@ -170,7 +177,8 @@ class ActionlibServer:
         everything = request == GoalId(ZERO, "")
         if everything:
             # one call for all goals, so that goals of hub clients are canceled, too
-            self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(_ANY, ZERO)), self._cancel_answered)
+            listed = [entry for entry in self._entries.values() if entry.accepted]
+            self._call_cancel(GoalInfo(_ANY, ZERO), listed)
         for entry in list(self._entries.values()):
             before = request.stamp != ZERO and entry.stamp <= request.stamp
             if (everything or entry.id == request.id or before) and not entry.state.ended:
@@ -182,29 +190,36 @@ class ActionlibServer:
 
     def _cancel(self, entry: _ListedGoal, *, already_sent: bool) -> None:
         state = _CANCELING.get(entry.state)
-        if state is None:
+        if state is not None:
+            self._set(entry, state)
+        elif not entry.unheeded:
             return
-        self._set(entry, state)
         if not already_sent and entry.accepted:
             self._send_cancel(entry)
 
     def _send_cancel(self, entry: _ListedGoal) -> None:
         assert entry.uuid is not None
-        self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(entry.uuid, ZERO)), self._cancel_answered)
+        self._call_cancel(GoalInfo(entry.uuid, ZERO), [entry])
 
-    def _cancel_answered(self, reply: bytes | CallError) -> None:
-        """Log a failed cancel request; ROS 1 clients see only that the goal ends in a state other than canceled."""
-        reason = str(reply)
-        if isinstance(reply, bytes):
-            try:
-                code, _ = wire.read_cancel_response(reply)
-            except ConversionError as err:
-                reason = str(err)
-            else:
-                if code != CancelCode.REJECTED:
-                    return
-                reason = "the action server rejected it"
-        _log.warning("%s: a cancel request had no effect: %s", self.name, reason)
+    def _call_cancel(self, info: GoalInfo, goals: Sequence[_ListedGoal]) -> None:
+        for entry in goals:
+            entry.cancel_at = None
+        self._output.call(CANCEL_GOAL, wire.cancel_request(info), lambda reply: self._on_cancel_reply(goals, reply))
+
+    def _on_cancel_reply(self, goals: Sequence[_ListedGoal], reply: bytes | CallError) -> None:
+        """Log a failed cancel request, and note its goals; ROS 1 clients see only that these end in another state.
+
+        A further request of a ROS 1 client is then sent to the server again. A request that did not reach the server is
+        also repeated without one.
+        """
+        reason = _failure(reply)
+        running = [entry for entry in goals if not entry.state.ended]
+        if reason and not (running and all(entry.unheeded for entry in running)):
+            _log.warning("%s: a cancel request had no effect: %s", self.name, reason)
+        for entry in running:
+            entry.unheeded = bool(reason)
+            if isinstance(reply, CallError):
+                entry.cancel_at = self._clock() + CANCEL_SECONDS
 
     # -- events of the hub's server ------------------------------------------------------------------------------------
 
@@ -313,6 +328,10 @@ class ActionlibServer:
             del self._entries[entry.id]
             self._by_uuid.pop(entry.uuid or b"", None)
             self._changed = True
+        for entry in [e for e in self._entries.values() if e.cancel_at is not None and e.cancel_at <= now]:
+            entry.cancel_at = None
+            if not entry.state.ended:
+                self._send_cancel(entry)
         while self._results and self._results[0][0] <= now - RESULT_SECONDS:
             self._forget_result()
         if self._entries and now >= self._published + STATUS_SECONDS - _TICK_SLACK:
@@ -361,3 +380,14 @@ class ActionlibServer:
         self._changed, self._published = False, now
         self._seq += 1
         self._output.publish(STATUS, wire.statuses(self._seq, self._now(), [e.status for e in self._entries.values()]))
+
+
+def _failure(reply: bytes | CallError) -> str:
+    """Return why a cancel request had no effect, "" if it had one."""
+    if isinstance(reply, CallError):
+        return str(reply)
+    try:
+        code, _ = wire.read_cancel_response(reply)
+    except ConversionError as err:
+        return str(err)
+    return "the action server rejected it" if code == CancelCode.REJECTED else ""

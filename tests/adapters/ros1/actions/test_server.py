@@ -255,8 +255,32 @@ def test_a_goal_that_cannot_be_canceled_continues(world, caplog):
     world.server.cancel(GoalId(ZERO, "g"))
     world.cancels[0][1](wire.cancel_response(CancelCode.REJECTED, ()))
     assert "rejected" in caplog.text
+    world.advance(5.0)
+    assert len(world.cancels) == 1, "only a client repeats a rejected request"
+    world.server.cancel(GoalId(ZERO, "g"))
+    assert [c for c, _ in world.cancels] == 2 * [GoalInfo(uuid, ZERO)], "the server may accept it by now"
+    world.cancels[1][1](wire.cancel_response(CancelCode.NONE, [GoalInfo(uuid, TAKEN)]))
+    world.server.cancel(GoalId(ZERO, "g"))
+    assert len(world.cancels) == 2, "the goal is already canceling"
     world.ends(uuid, GoalState.SUCCEEDED)
     assert world.results[0][1] is Ros1State.SUCCEEDED
+
+
+@pytest.mark.parametrize("id_", ["g", ""])
+def test_a_cancel_request_that_does_not_reach_the_server_is_repeated(world, caplog, id_):
+    uuid = world.running()
+    world.server.cancel(GoalId(ZERO, id_))
+    for count in (1, 2):
+        world.cancels[-1][1](CallError("the bridge was suspended"))
+        assert len(world.cancels) == count
+        world.advance(1.1)
+        assert world.cancels[-1][0] == GoalInfo(uuid, ZERO)
+        assert len(world.cancels) == count + 1
+    assert caplog.text.count("had no effect") == 1
+    world.cancels[-1][1](CallError("the bridge was suspended"))
+    world.ends(uuid, GoalState.SUCCEEDED)
+    world.advance(2.0)
+    assert len(world.cancels) == 3, "the goal has ended"
 
 
 def test_a_nonempty_list_is_published_at_five_hertz(world):
