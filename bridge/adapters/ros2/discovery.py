@@ -41,6 +41,9 @@ LEASE = 30.0
 
 _SERVER = re.compile(r"(?:UDPv4:)?\[?(?P<host>[^\[\]:]+)\]?(?::(?P<port>[0-9]{1,5}))?")
 _PORT = 11811
+_INVALID = (OverflowError, UnicodeError)
+"""What the socket module raises for a port above 65535, and for a host name with an empty or too long part."""
+
 _PROBE = b"RTPS\x02\x03\x01\x0f" + bytes(12)
 
 
@@ -67,7 +70,7 @@ def elsewhere(listed: Iterable[Server]) -> list[Server]:
 
 
 def _is_here(host: str) -> bool:
-    with socket.socket(type=socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+    with socket.socket(type=socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError, *_INVALID):
         probe.bind((host, 0))
         return True
     return False
@@ -115,7 +118,7 @@ class Probe:
         except ConnectionRefusedError:  # the socket remains usable
             self.refused = True
             return True
-        except OSError:  # such as an unknown name, or a network that is unreachable
+        except (OSError, *_INVALID):  # such as an unknown name, or a network that is unreachable
             self.close()
             return True
         return False
@@ -151,7 +154,7 @@ def failing(listed: Iterable[Server], seconds: float = 0.3) -> list[Server]:
 
 def _resolved(server: Server) -> Server:
     """Return a server with its IPv4 address, since a look-up may block; unchanged if its name is unknown."""
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, *_INVALID):
         return server._replace(host=socket.gethostbyname(server.host))
     return server
 

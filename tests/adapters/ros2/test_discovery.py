@@ -57,6 +57,19 @@ def test_servers_on_other_machines_are_excluded_by_localhost_only(later: Delayed
     watch.close()
 
 
+@pytest.mark.parametrize("server", [Server("127.0.0.1", 99999), Server("robot..local", 11811), Server(64 * "a", 1)])
+def test_a_server_with_an_invalid_name_or_port_is_reported(
+    later: DelayedCalls, monkeypatch: pytest.MonkeyPatch, server: Server
+) -> None:
+    """Neither ends the worker, or the probes of the other servers."""
+    monkeypatch.setattr(discovery, "PERIOD", 0.05)
+    assert discovery.failing([server]) == [server]
+    watch = ServerWatch([server, Server("127.0.0.1", free_port())], later, localhost_only=True)
+    until(lambda: sum("no discovery server receives at" in text for text in watch.texts) == 2, "both are reported")
+    later.close()
+    watch.close()
+
+
 def test_a_server_that_does_not_run_is_reported(later: DelayedCalls, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(discovery, "PERIOD", 0.05)
     server = Server("127.0.0.1", free_port())
