@@ -35,26 +35,27 @@ If it refuses connections, `_FAILURES` failures in a row suffice.
 """
 
 Seen = Callable[[MasterState | None], None]
-Lost = Callable[[str], None]
+Failed = Callable[[str], None]
 
 
 class Master:
     """Follows one master for one node.
 
-    ``seen`` is called on its thread after each read, with None while the master is unreachable. ``is_dead`` returns
-    whether a service's server is known to be dead, so that Midspan may register the service. ``pool`` calls nodes.
+    ``seen`` is called on its thread after each read, with None while the master is unreachable; ``failed`` with the
+    reason if the thread cannot continue, or another node has this node's name. ``is_dead`` returns whether a service's
+    server is known to be dead, so that Midspan may register the service. ``pool`` calls nodes.
     ``trouble`` is why the master is unreachable, else ""; ``polled_at`` is ``time.monotonic()`` before the latest read.
     """
 
     def __init__(
-        self, uri: str, node: Ros1Node, daemon: str, ledger: Ledger, period: float, seen: Seen, lost_name: Lost,
+        self, uri: str, node: Ros1Node, daemon: str, ledger: Ledger, period: float, seen: Seen, failed: Failed,
         is_dead: Callable[[Registration], bool], pool: PeerPool, *, simulated: bool,
     ) -> None:  # fmt: skip
         self.uri = uri
         self.trouble = ""
         self.polled_at = float("-inf")
         self._node = node
-        self._period, self._seen, self._lost_name = period, seen, lost_name
+        self._period, self._seen, self._give_up = period, seen, failed
         self._name_lost = False
         self._client = XmlRpcClient(uri, _TIMEOUT)
         self._reader = MasterReader(self._client, node.name)
@@ -66,7 +67,7 @@ class Master:
         self._answered_at = time.monotonic()
         self._wake = threading.Event()
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="midspan-ros1-master", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="midspan-ros1-master", daemon=True)
 
     @property
     def simulated(self) -> bool:
@@ -106,7 +107,14 @@ class Master:
             except Ros1Error as err:
                 _log.info("not unregistered, because the master is unreachable: %s", err)
 
-    def _loop(self) -> None:
+    def _run(self) -> None:
+        try:
+            self._follow()
+        except Exception as err:  # of the edge, for example because the system is out of threads
+            _log.exception("following the ROS 1 master failed")
+            self._give_up(f"following the ROS 1 master failed: {type(err).__name__}: {err}")
+
+    def _follow(self) -> None:
         while True:
             self._wake.wait(_RETRY if self._failures == 1 else self._reader.pause(self._period))
             self._wake.clear()
@@ -160,4 +168,4 @@ class Master:
         uri = state.uris.get(self._node.name, self._node.uri)
         if uri != self._node.uri and not self._name_lost and self._membership.responds(uri):
             self.stop_registering()
-            self._lost_name(f"another node, at {uri}, took the name {self._node.name} on this ROS 1 network")
+            self._give_up(f"another node, at {uri}, took the name {self._node.name} on this ROS 1 network")
