@@ -27,11 +27,16 @@ class Ros1Error(Exception):
 
 
 class UnreachableError(Ros1Error):
-    """A master or node cannot be reached or does not respond in time; ``refused``: its host refused the connection."""
+    """A master or node cannot be reached or does not respond in time.
 
-    def __init__(self, message: str, *, refused: bool = False) -> None:
+    Attributes:
+        refused: whether its host refused the connection.
+        silent: whether its host accepted the connection.
+    """
+
+    def __init__(self, message: str, *, refused: bool = False, silent: bool = False) -> None:
         super().__init__(message)
-        self.refused = refused
+        self.refused, self.silent = refused, silent
 
 
 class Ros1ProtocolError(Ros1Error):

@@ -132,7 +132,7 @@ def _exchange_headers(sock: DeadlineSocket, ours: Header, peer: str) -> dict[str
         sock.sendall(encode(ours))
         header = read_header(sock)
     except TimeoutError:
-        raise UnreachableError(f"{peer} sends no connection header in time") from None
+        raise UnreachableError(f"{peer} sends no connection header in time", silent=True) from None
     except OSError as err:
         raise UnreachableError(f"{peer} broke off the handshake: {err}") from None
     except Ros1ProtocolError as err:

@@ -311,10 +311,14 @@ class Ros1Caller:
         return connection
 
     def _suspect(self, server: Registration, err: Ros1Error) -> None:
+        """Have a server's registration checked, which ends its pending calls, unless the server is only busy."""
         if isinstance(err, ExhaustedError):
             return
         if isinstance(err, UnreachableError):
             self._pool.failed(server.uri)
+            # a program that computes for long, for example in one of the calls, accepts no connection meanwhile
+            if err.silent and server in self.connected:
+                return
         self._on_outdated(server, str(err))
 
     # -- the persistent connection -------------------------------------------------------------------------------------

@@ -152,6 +152,32 @@ def test_a_slow_call_does_not_delay_others(bench):
         until(lambda: bench.caller.load.connections <= 8, "only a few idle connections are kept")
 
 
+def test_a_server_that_is_too_busy_to_connect_keeps_its_pending_calls(bench, monkeypatch):
+    """For example a rospy server whose handler computes in an extension and holds the interpreter lock."""
+    monkeypatch.setattr(caller_module, "_CONNECT_SECONDS", 0.3)
+    go_on, server = threading.Event(), Server(echo)
+
+    def serve(sock) -> None:
+        if server.connections:
+            until_closed(sock)
+        server(sock)
+
+    def compute(sock, _header) -> None:
+        request = request_of(sock)
+        go_on.wait(20)
+        sock.sendall(framed(request))
+
+    server._serve = compute
+    with tcp_server(serve) as address:
+        bench.toward(address)
+        bench.warm()
+        long = bench.call(b"long")
+        assert "sends no connection header in time" in bench.call().error()
+        assert not bench.doubts, "the route to the server would be closed"
+        go_on.set()
+        assert long.wait() == [b"long"]
+
+
 def test_a_reply_in_pieces_is_joined(bench):
     def serve(sock, _header) -> None:
         request_of(sock)
