@@ -26,7 +26,7 @@ RESULT_SECONDS = 3600.0
 
 MAX_RESULTS = 10_000
 MAX_STATUSES = 100
-"""Maximum number of goals in a status message, which lists the newest ones."""
+"""Maximum number of goals in a status message."""
 
 MAX_GOALS = 1000
 """Maximum number of active goals; further goals are rejected."""
@@ -188,12 +188,14 @@ class ActionServer:
         self._feedback.publish({"goal_id": {"uuid": list(goal_id)}, "feedback": feedback})
 
     def publish_status(self) -> None:
-        """Publish the states of the newest `MAX_STATUSES` goals, active or ended."""
+        """Publish the states of `MAX_STATUSES` goals: the newest active ones, and those that ended last."""
         if self._starting:
             return
         self._expire()
-        newest = reversed(list(islice(reversed(self._goals.values()), MAX_STATUSES)))
-        self._status.publish({"status_list": [{"goal_info": g.info, "status": int(g.status)} for g in newest]})
+        active = list(islice(reversed(self._active.values()), MAX_STATUSES))
+        ended = list(islice(reversed(self._ended), MAX_STATUSES - len(active)))
+        goals = [*reversed(ended), *reversed(active)]
+        self._status.publish({"status_list": [{"goal_info": g.info, "status": int(g.status)} for g in goals]})
 
     def _on_goal(self, request: dict[str, Any], answer: Answer) -> None:
         goal_id = bytes(request["goal_id"]["uuid"])

@@ -161,6 +161,24 @@ def test_goals_end_as_their_server_decides(pair: NodePair) -> None:
     assert until(lambda: results, "the cached result arrives")[0]["status"] == GoalState.ABORTED
 
 
+def test_the_list_has_active_goals_however_many_have_ended(pair: NodePair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.modules.action_server.MAX_STATUSES", 3)
+    served = Served(pair)
+    client = pair.client.action_client("/lookup", LOOKUP)
+    lists: list[list[int]] = []
+
+    def on_list(message: dict[str, Any]) -> None:
+        lists.append([entry["status"] for entry in message["status_list"]])
+
+    pair.client.subscription("/lookup/_action/status", "action_msgs/msg/GoalStatusArray", on_list)
+    until(lambda: client.ready, "the action is available")
+    Sent(pair, client, "wait")
+    until(lambda: served.goals, "the goal arrives")
+    for _ in range(3):
+        assert Sent(pair, client, "done").ended()[0] is GoalState.SUCCEEDED
+    until(lambda: lists and lists[-1] == [GoalState.SUCCEEDED] * 2 + [GoalState.ACCEPTED], "the list has all")
+
+
 NAVIGATE = "nav2_msgs/action/NavigateToPose"
 
 
