@@ -136,7 +136,7 @@ _NOTICED_SECONDS = 3.0
 
 
 class Clients:
-    """Watches the clients of an action while it has a goal.
+    """Watches the clients of an action while it has a goal of theirs.
 
     If all clients have disappeared, the link to them has been cut, so ``gone`` is called once.
     """
@@ -147,7 +147,7 @@ class Clients:
         host.loop.every(_EVERY, self._check)
 
     def _check(self) -> None:
-        if not self._server.active:
+        if all(goal.local for goal in self._server.active):
             self._seen, self._missed = False, 0
         elif self._server.clients:
             self._seen, self._missed = True, 0

@@ -46,6 +46,8 @@ class PlannerModule(Module):
         """Serve an action, and abort the goals of clients that are cut off."""
         host, action = self._host, f"/planner/{self.name}/{name}"
         server = host.node.action_server(action, kind, self._on_goal, self._goal.cancel, brake=brake)
+        if kind == NAVIGATE:
+            self._server = server
         Clients(host, server, lambda: self._abort(GONE))
         FarClients(host, server, lambda goal, reason: self._abort(reason) if goal is self._goal.goal else None)
 
@@ -66,6 +68,18 @@ class PlannerModule(Module):
     @abstractmethod
     def drive(self, *places: MapPlace, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
         """Drive to places in sequence, instead of the current goal; raises `PlanError` with a reason."""
+
+    def drive_locally(self, *places: MapPlace) -> None:
+        """Drive as `drive` does for a request that did not use the action, under a goal of the action.
+
+        Without such a goal, the action's clients, such as the gateway, could neither see nor stop the drive.
+        """
+        goal = self._server.begin()
+        try:
+            self.drive(*places, goal=goal)
+        except Exception as err:
+            goal.abort(result(err.fault if isinstance(err, PlanError) else Fault.OTHER, str(err)))
+            raise
 
     @abstractmethod
     def stop_driving(self, reason: str) -> None:
@@ -187,7 +201,7 @@ class PlannerDevice(NavigationDevice):
         self._module = module
 
     def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
-        self._accept(lambda: self._module.drive(place_of(loc)))
+        self._accept(lambda: self._module.drive_locally(place_of(loc)))
 
     def stopNavigation(self) -> None:
         self._do(lambda: self._module.stop_driving("stopped"))
@@ -203,7 +217,7 @@ class PlannerDevice(NavigationDevice):
 
     @override
     def _go_to(self, pose: Pose) -> None:
-        self._module.drive(MapPlace("", pose))
+        self._module.drive_locally(MapPlace("", pose))
 
     @override
     def _robot(self) -> Pose:

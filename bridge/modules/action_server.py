@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
+import uuid
 from collections import deque
 from collections.abc import Callable, Mapping
 from itertools import islice
@@ -42,6 +43,7 @@ class Goal:
         status: the current state.
         cancel_wanted: whether a client requested cancellation.
         client: GID of the action client; empty if unknown.
+        local: whether the module itself began the goal (`ActionServer.begin`).
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class Goal:
         self.info = {"goal_id": {"uuid": np.frombuffer(goal_id, np.uint8)}, "stamp": stamp}
         self.status = GoalState.ACCEPTED
         self.cancel_wanted = False
+        self.local = False
         self._server = server
         self._result: Mapping[str, Any] = {}
         self._result_requests: list[Answer] = []
@@ -196,6 +199,13 @@ class ActionServer:
         ended = list(islice(reversed(self._ended), MAX_STATUSES - len(active)))
         goals = [*reversed(ended), *reversed(active)]
         self._status.publish({"status_list": [{"goal_info": g.info, "status": int(g.status)} for g in goals]})
+
+    def begin(self) -> Goal:
+        """Return a new goal for a request that did not use the action; its clients see the goal and can cancel it."""
+        goal_id = uuid.uuid4().bytes
+        goal = self._goals[goal_id] = self._active[goal_id] = Goal(self, goal_id, {}, self._node.clock.stamp())
+        goal.local = True
+        return goal
 
     def _on_goal(self, request: dict[str, Any], answer: Answer) -> None:
         goal_id = bytes(request["goal_id"]["uuid"])

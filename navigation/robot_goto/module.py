@@ -230,7 +230,7 @@ class RobotGoto(PlannerModule):
     def approach(self, direction: float, speed: float, seconds: float) -> None:
         """Move with only the laser: radians, m/s, seconds. Raises `PlanError` if the robot must not drive."""
         self._check()
-        self._goal.replace(None)
+        self._goal.replace(self._server.begin())
         self.driver.approach(direction, speed, seconds)
 
     @override

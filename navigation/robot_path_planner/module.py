@@ -240,7 +240,7 @@ class RobotPathPlanner(PlannerModule):
         values = received.values
 
         def drive() -> None:
-            self.drive(MapPlace("", goal_of_click(self.planner.ground, values)))
+            self.drive_locally(MapPlace("", goal_of_click(self.planner.ground, values)))
 
         try:
             self._host.loop.call(drive, late=False)

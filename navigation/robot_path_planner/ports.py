@@ -207,7 +207,7 @@ class PathPlannerDevice(PlannerDevice):
         self._planner, self._brake = planner, brake
 
     def followPath(self, path: Map2DPath) -> None:
-        self._move(lambda: self._module.drive(*map(place_of, path)))
+        self._move(lambda: self._module.drive_locally(*map(place_of, path)))
 
     @override
     def stopNavigation(self) -> None:

@@ -174,6 +174,33 @@ def test_yarp_clients_send_goals_and_receive_commands(place: Goto) -> None:
         assert client.remote.get_navigation_status_RPC()[1] is ok.navigation_status_idle
 
 
+def test_clients_of_the_action_see_and_cancel_what_yarp_clients_request(place: Goto) -> None:
+    robot, rpc = place.robot, place.registered("/robotGoto/rpc")
+    topic = f"{PLANNER}/navigate_to_pose/_action/status"
+    listed = place.far.subscribe(topic, "action_msgs/GoalStatusArray", latched=True)
+
+    def states() -> list[int]:
+        """Return the state of the newest goal."""
+        return [entry["status"] for lists in place.far.wait(listed, 0, 0)[-1:] for entry in lists["status_list"][-1:]]
+
+    def cancel_all() -> None:
+        begin = robot.x
+        until(lambda: robot.x > begin + 0.05, "the robot drives", 30)
+        until(lambda: states() == [GoalState.EXECUTING], "the list shows the goal", 20)
+        robot.loop.call(robot.client.cancel)
+        until(lambda: place.state == "idle" and robot.commands[-1] == (0.0, 0.0, 0.0), "the robot stops", 20)
+        until(lambda: states() == [GoalState.CANCELED], "the list shows the end", 20)
+
+    until(lambda: robot.client.ready, "the planner is available", 30)
+    with ServiceClient(INavigation2DMsgs, rpc, naming=place.names) as client:
+        assert client.remote.goto_target_by_absolute_location_RPC(Map2DLocation("", 2.0, 0.0, math.nan))
+        cancel_all()
+        assert not client.remote.goto_target_by_absolute_location_RPC(Map2DLocation("", math.inf, 0.0, 0.0))
+    with Client(rpc, naming=place.names) as commander:
+        commander.ask(["approach", 0.0, 0.3, 60.0])
+        cancel_all()
+
+
 def test_a_yarp_scan_is_stamped_on_reception(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     module, resume = place.module, threading.Event()
     stamps: list[int] = []

@@ -157,6 +157,21 @@ def test_a_stop_reaches_the_navigator_while_the_planner_plans(place: Planning, b
             stopping.join(30)
 
 
+def test_clients_of_the_action_can_cancel_the_goal_of_a_yarp_client(place: Planning) -> None:
+    robot, rpc = place.robot, place.registered("/robotPathPlanner/rpc")
+    robot.speed, speed = 0.1, robot.speed
+    until(lambda: robot.client.ready, "the planner is available", 30)
+    try:
+        with ServiceClient(INavigation2DMsgs, rpc, naming=place.names) as client:
+            assert client.remote.goto_target_by_absolute_location_RPC(Map2DLocation("floor", 4.0, 1.0, 0.0))
+            until(lambda: robot.goal and robot.goal.status is GoalState.EXECUTING, "the robot drives", 20)
+            robot.loop.call(robot.client.cancel)
+            until(lambda: robot.goal and robot.goal.status is GoalState.CANCELED, "the navigator stops", 20)
+            assert client.remote.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_idle
+    finally:
+        robot.speed = speed
+
+
 def test_a_new_goal_preempts_the_first_and_a_canceled_goal_stops_the_robot(place: Planning) -> None:
     first = place.robot.send(4.0, 1.0)
     until(lambda: place.robot.asked, "the robot drives", 30)
