@@ -36,7 +36,7 @@ class ClientDrive:
     several: bool = False  #: whether the planner's goal contains all remaining targets
     machine: Machine[DriveState, DriveEvent] = field(default_factory=_machine)
     sent: SentGoal | None = None  #: the planner's current or last goal
-    replaced: list[SentGoal] = field(default_factory=list)  #: the planner's goals of earlier drives, until they end
+    replaced: list[SentGoal] = field(default_factory=list)  #: the planner's earlier goals, until they end
     followed: SentGoal | None = None  #: the goal whose result was requested again after a loss of contact
     sent_at: float = 0.0  #: when the goal was last sent (monotonic)
     released: bool = True  #: whether the planner is known to have none of the drive's goals

@@ -176,6 +176,8 @@ class Execution:
             several=several,
         )
         if before is not None:
+            if before.active and before not in drive.replaced:
+                drive.replaced.append(before)  # the same drive's goal, before it was sent again
             # planners end the old goal by themselves, unless they execute several at a time
             self._host.loop.after(REPLACED_SECONDS, lambda: self._link.end(before))
         self._changed()

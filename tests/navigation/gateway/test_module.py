@@ -128,6 +128,20 @@ def test_the_replaced_goal_is_canceled_if_the_planner_does_not_execute_the_new_o
     rig.state(State.ABORTED)
 
 
+def test_the_earlier_goal_is_canceled_if_the_planner_rejects_the_goal_that_a_client_has_sent_again(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(execution, "REPLACED_SECONDS", 1000.0)
+    rig.gateway.link.presence.unreachable_at = 0.0
+    client_goal = ClientGoal(rig.client, pose(3.0))
+    first = rig.planner.until(1)
+    rig.state(State.MOVING)
+    monkeypatch.setattr(rig.planner, "admits", lambda _goal: False)
+    rig.worker.running("gateway").host.loop.call(rig.gateway.execution.recompute)
+    assert client_goal.end()[0] == "ABORTED"
+    until(lambda: not first.active, "the planner no longer drives to the first goal", 20)
+
+
 def test_a_paused_goal_stays_active_and_continues_with_a_new_id(rig: Rig) -> None:
     client_goal = ClientGoal(rig.client, {**pose(4.0), "header": {"frame_id": "map", "stamp": {"sec": 77}}})
     first = rig.planner.until(1)
