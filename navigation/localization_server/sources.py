@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
@@ -90,6 +91,10 @@ _WIDEST = 1.0
 robot drives."""
 
 
+_AGAIN_SECONDS = 1.0
+"""Time until a map is sent to amcl again after a failed call."""
+
+
 class FrameSource(PoseSource):
     """The pose on /tf, for any localizer that publishes the transform from the map to the odometry frame."""
 
@@ -138,6 +143,7 @@ class AmclSource(FrameSource):
         self._grid: MapGrid2D | None = None
         self._due: tuple[MapGrid2D, Start | None] | None = None
         self._map_trouble = ""
+        self._send_after = -math.inf  # when the map may be sent, monotonic seconds
         self._set_map = node.client(section.set_map, "nav_msgs/srv/SetMap") if section.set_map else None
         node.subscription(section.amcl_pose, estimates.POSE_COVARIANCE, self._on_pose, LATCHED)
         for topic, kind, on_message in (
@@ -149,7 +155,7 @@ class AmclSource(FrameSource):
 
     @override
     def estimate(self) -> PoseEstimate:
-        if self._due is not None:
+        if self._due is not None and time.monotonic() >= self._send_after:
             self._send_map()
         estimate = super().estimate()
         wide = math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
@@ -182,7 +188,8 @@ class AmclSource(FrameSource):
         if not self._set_map.ready:
             self._map_trouble = f"{self._section.set_map} is not available: amcl still has the previous map"
             return
-        (grid, start), self._due = self._due, None
+        sent, self._due = self._due, None
+        grid, start = sent
         if start is None:
             try:
                 start = Start(self._frames.pose())
@@ -193,11 +200,14 @@ class AmclSource(FrameSource):
                 "map": to_grid(turned(grid), self._frames.map_frame, self._host.clock.now_ns()),
                 "initial_pose": self._start_message(start),
             },
-            self._on_map_set,
+            lambda reply: self._on_map_set(sent, reply),
         )
 
-    def _on_map_set(self, reply: Mapping[str, Any] | CallError) -> None:
+    def _on_map_set(self, sent: tuple[MapGrid2D, Start | None], reply: Mapping[str, Any] | CallError) -> None:
+        """Note whether amcl has the map; send it again after a failed call, unless a newer map replaces it."""
         if isinstance(reply, CallError):
+            if sent[0] is self._grid:
+                self._due, self._send_after = sent, time.monotonic() + _AGAIN_SECONDS
             self._map_trouble = f"{self._section.set_map}: {reply}"
         else:
             self._map_trouble = "" if reply["success"] else f"{self._section.set_map} refused the map"

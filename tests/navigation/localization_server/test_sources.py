@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bridge.config.model import Config
+from bridge.hub.endpoints.calls import CallError
 from bridge.hub.wire.qos import Qos
 from bridge.modules.worker import Running
 from bridge.stores.kinds import MAP
@@ -97,6 +98,20 @@ def test_errors_of_a_class_as_source_make_the_pose_unknown(
     monkeypatch.setattr(FaultySource, "answer", GOOD)
     until(lambda: module.status().document()["localization"] == OK, "the pose is known again")
     assert corrections() == {1.0}
+
+
+def test_a_map_is_sent_to_amcl_again_after_a_failed_call(place: Place, robot: Robot) -> None:
+    maps: list[dict[str, Any]] = []
+
+    def set_map(request: dict[str, Any], answer: Any) -> None:
+        maps.append(request)
+        answer({"success": True} if len(maps) > 1 else CallError("the worker was restarted"))
+
+    robot.node.server("/set_map", "nav_msgs/srv/SetMap", set_map)
+    started(place, robot, source="amcl")
+    use(place, "lab2", robot)
+    until(lambda: len(maps) == 2, "the map is sent again", 20)
+    until(lambda: status_of(place)["set_map"] == "done", "amcl has the map", 20)
 
 
 def test_the_pose_of_amcl_is_served(place: Place, robot: Robot) -> None:
