@@ -29,7 +29,7 @@ class MappingCommands(Commands, ABC):
 
     @abstractmethod
     def save(self) -> str:
-        """Save the map in the store; return a text for people. Raises `StoreError`, and `ValueError` with a reason."""
+        """Save the map in the store; return a text for people. Raises `StoreError`, `OSError`, and `ValueError`."""
 
     def serve(self, host: Host, module: str) -> None:
         """Offer the services ``start``, ``stop`` and ``save`` under the module's name."""
@@ -47,5 +47,5 @@ class MappingCommands(Commands, ABC):
     def _save(self, _request: dict[str, Any], answer: Answer) -> None:
         try:
             answer({"success": True, "message": self.save()})
-        except (StoreError, ValueError) as err:
+        except (OSError, StoreError, ValueError) as err:  # an exception would leave clients on ROS 2 without a reply
             answer({"success": False, "message": str(err)})

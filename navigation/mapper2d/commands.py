@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,6 +27,8 @@ from yarp_compat.sig.image import ImageRgb
 
 _ROBOT = (0, 90, 200)
 _LENGTH = 0.4  # meters of the line that shows the robot's heading
+_LONGEST_NAME = 200
+"""Longer quoted names of maps are cut in file names, which file systems limit to 255 bytes."""
 
 
 class Canvas:
@@ -128,7 +131,7 @@ class MapperCommands(MappingCommands):
 
     @override
     def save(self) -> str:
-        """Save the map in the store; return a text for people. Raises `StoreError`."""
+        """Save the map in the store; return a text for people. Raises `StoreError`, and `OSError` for the graph."""
         grid = self._source.grid()
         self._store().put(MAP, grid.name, grid)
         self._source.save_graph(self._graph_in_store(grid.name))
@@ -183,7 +186,10 @@ class MapperCommands(MappingCommands):
 
     def _graph_in_store(self, name: str) -> Path:
         """Return the file with the graph of a map of the store."""
-        return self._folder.path / "graphs" / (quote(name, safe="") + SUFFIX)
+        quoted = quote(name, safe="")
+        if len(quoted) > _LONGEST_NAME:
+            quoted = f"{quoted[:_LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:16]}"
+        return self._folder.path / "graphs" / (quoted + SUFFIX)
 
     def _type(self, arguments: list[Any]) -> str:
         self._canvas.use(_word(arguments, "wall|free|unknown|keepout"))

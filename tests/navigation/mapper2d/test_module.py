@@ -170,6 +170,25 @@ def test_the_map_is_saved_by_slam_toolboxs_service(place: Place, caplog: pytest.
     assert ask(place, "initLoc", "map", 1.0, 2.0, 30)[0].endswith("30 degrees on map.")
 
 
+def test_a_map_with_a_long_name_is_saved(place: Place) -> None:
+    name = "\u5730\u56fe" * 20
+    (place.worker.running("mapper2d").host.folder / "maps" / "graphs").mkdir(parents=True, exist_ok=True)
+    assert ask(place, "initLoc", name, 1.0, 2.0, 30)[0].endswith(f"30 degrees on {name}.")
+    try:
+        assert ask(place, "save_to_mapserver") == [f"Map {name} saved into the store."]
+    finally:
+        ask(place, "initLoc", "map", 1.0, 2.0, 30)
+
+
+def test_the_service_save_reports_why_the_graph_cannot_be_saved(untouched: Place) -> None:
+    maps = untouched.worker.running("mapper2d").host.folder / "maps"
+    maps.mkdir()
+    (maps / "graphs").touch()
+    reply = untouched.far.call("/mapper2d/save", "std_srvs/Trigger").result(20)["reply"]
+    assert not reply["success"]
+    assert "graphs" in reply["message"]
+
+
 @pytest.mark.parametrize("name", ["../out", "/etc/out.map", "a/b", ".hidden", "out.txt"])
 def test_files_outside_the_map_folder_are_refused(place: Place, name: str) -> None:
     for command in ("save_to_file", "load_from_file"):
