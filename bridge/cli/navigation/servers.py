@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments, seconds
@@ -121,14 +121,18 @@ def run_waypoints(args: argparse.Namespace) -> int:
         at = int(feedback.get("current_waypoint", 0))
         return f"to {clean(places[at])} ({at + 1} of {len(places)})" if at < len(places) else ""
 
-    def missed(result: Mapping[str, Any]) -> str:
-        indexes = [int(entry["index"]) for entry in result.get("missed_waypoints", [])]
-        return ", ".join(places[index] for index in indexes if index < len(places))
-
     def goal_of(client: CliClient) -> dict[str, Any]:
         return {"poses": _poses(client, places), "number_of_loops": args.repeat, "goal_index": 0}
 
-    return _run(args, WAYPOINTS, goal_of, step, "arrived", missed)
+    return _run(args, WAYPOINTS, goal_of, step, "arrived", lambda result: missed_places(result, places))
+
+
+def missed_places(result: Mapping[str, Any], places: Sequence[str]) -> str:
+    """Return the places that a result of ``FollowWaypoints`` names as missed, in the form of any release of Nav2."""
+    entries = result.get("missed_waypoints", [])
+    # nav2_msgs/MissedWaypoint, or from Kilted on nav2_msgs/WaypointStatus
+    indexes = [int(entry["waypoint_index"] if "waypoint_index" in entry else entry["index"]) for entry in entries]
+    return ", ".join(places[index] for index in indexes if index < len(places))
 
 
 def _run(
