@@ -14,7 +14,15 @@ from bridge.messages.velocities import TWIST, TWIST_STAMPED
 from bridge.modules.host import Host
 from bridge.routing.stall import AgeGate, StallDetector
 from navigation.base_control.base import DrivenBase
-from navigation.base_control.commands import CommandError, CommandInput, FullControl, Velocity, of_bottle, of_degrees
+from navigation.base_control.commands import (
+    STILL,
+    CommandError,
+    CommandInput,
+    FullControl,
+    Velocity,
+    of_bottle,
+    of_degrees,
+)
 from navigation.base_control.kinematics import Traveled
 from navigation.base_control.section import BaseControlSection, BaseInput, JoySection
 from yarp_compat.dev.basecontrol import (
@@ -118,18 +126,28 @@ class CommandInputs:
         target: CommandInput,
         read: Callable[[Mapping[str, Any]], Velocity | None],
     ) -> None:
-        """Subscribe to a topic; messages that are older than the input's time-out are dropped."""
+        """Subscribe to a topic; messages that are older than the input's time-out are dropped.
+
+        If a sender's command ends (``read`` returns None), the base stops at once, without waiting for the time-out.
+        """
         ages: dict[bytes, AgeGate] = {}
+        commanding: set[bytes] = set()
 
         def receive(message: Mapping[str, Any]) -> None:
             if len(ages) >= _MAX_SENDERS and subscription.sender not in ages:
-                del ages[next(iter(ages))]
+                oldest = next(iter(ages))
+                del ages[oldest]
+                commanding.discard(oldest)
             age = ages.setdefault(subscription.sender, AgeGate()).age(subscription.sent_ns)
             velocity = read(message)
             if age > target.timeout:
                 self._drop()
             elif velocity is not None:
+                commanding.add(subscription.sender)
                 self.apply(target, velocity)
+            elif subscription.sender in commanding:
+                commanding.remove(subscription.sender)
+                self.apply(target, STILL)
 
         subscription = host.node.subscription(topic, kind, receive, NEWEST)
 

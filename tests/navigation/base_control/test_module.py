@@ -151,6 +151,28 @@ def test_a_gamepad_drives_while_its_button_is_held(place: Place, wheels: Wheels)
     )
 
 
+def test_the_base_stops_when_the_enable_button_is_released(place: Place, wheels: Wheels) -> None:
+    started(place, inputs=[{"name": "pads", "timeout": 5.0, "joy": ["/joy"], "twist": ["/cmd_vel"]}])
+    module: Any = place.worker.running("base_control").module
+    module.base.inputs["pads"].timeout = 1000.0  # longer than the test waits
+    out, other = place.far.advertise("/joy", "sensor_msgs/Joy"), place.far.advertise("/cmd_vel", TWIST)
+    released = {"axes": [0.0, 1.0], "buttons": [0, 0, 0, 0, 0]}
+    held = {**released, "buttons": [0, 0, 0, 0, 1]}
+    until(lambda: (place.far.publish(out, held), drives(wheels, 0.3, 0.0)())[1], "the base drives", 20)
+    place.far.publish(out, released)
+    until(drives(wheels, 0.0, 0.0), "the base stops", 20)
+    until(lambda: (place.far.publish(other, twist(0.2, 0.0)), drives(wheels, 0.2, 0.0)())[1], "the base drives", 20)
+
+    def received() -> int:
+        (joy,) = (topic for topic in place.answer("base_control")["topics"] if topic["topic"] == "/joy")
+        return int(joy["messages"])
+
+    before = received()
+    place.far.publish(out, released)
+    until(lambda: received() > before, "the message of the gamepad arrives", 20)
+    assert module.base.inputs["pads"].last[0].x == 0.2, "a gamepad that does not drive commands nothing"
+
+
 def test_halt_drops_commands(place: Place, wheels: Wheels) -> None:
     started(place, inputs=[{"name": "long", "timeout": 5.0, "twist": ["/cmd_vel"]}])
     module: Any = place.worker.running("base_control").module
