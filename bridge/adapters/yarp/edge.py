@@ -266,7 +266,7 @@ class YarpEdge(SideEdge):
 
     @override
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> YarpSubscription:
-        return self._topics.subscribe(topic, side_type, deliver)
+        return self._topics.subscribe(topic, side_type, qos, deliver)
 
     @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> YarpPublisher:

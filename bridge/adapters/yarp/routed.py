@@ -54,12 +54,15 @@ class RoutedTopics:
         """Connect an input port with its topic's subscription."""
         with self._lock:
             subscription = self._subscriptions.get((input_port.topic, input_port.type))
-            input_port.deliver_to(None if subscription is None else subscription.deliver)
+            if subscription is None:
+                input_port.deliver_to(None)
+            else:
+                input_port.deliver_to(subscription.deliver, command=subscription.is_command)
         input_port.release()
 
-    def subscribe(self, topic: str, side_type: SideType, deliver: Deliver) -> YarpSubscription:
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> YarpSubscription:
         """Subscribe to a topic; its ports open as soon as the name server registers them."""
-        subscription = YarpSubscription(self, topic, side_type, deliver)
+        subscription = YarpSubscription(self, topic, side_type, qos, deliver)
         with self._lock:
             self._subscriptions[topic, side_type.name] = subscription
         self._connect_all(topic, side_type.name)
@@ -107,12 +110,13 @@ class RoutedTopics:
 
 
 class YarpSubscription:
-    """A subscription to one topic."""
+    """A subscription to one topic; ``is_command``: only its newest message counts, as for the engine's commands."""
 
     lost = 0
 
-    def __init__(self, topics: RoutedTopics, topic: str, side_type: SideType, deliver: Deliver) -> None:
+    def __init__(self, topics: RoutedTopics, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> None:
         self._topics = topics
+        self.is_command = qos.depth == 1 and not qos.latched
         self.topic, self.side_type, self.deliver = topic, side_type, deliver
 
     def close(self) -> None:

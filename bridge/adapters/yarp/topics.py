@@ -54,6 +54,9 @@ def on_system_clock(stamp_ns: int | None) -> int | None:
 HOLD_SECONDS = 2.0
 """Seconds for which the newest message of a new peer is held if it is not known yet who created the port."""
 
+COMMAND_HOLD_SECONDS = 0.5
+"""The same for commands: the age beyond which the engine drops a command, unless a rule sets another."""
+
 MAX_HELD = 64
 
 
@@ -86,6 +89,7 @@ class InputPort:
     made_by: Callable[[str], MadeBy]
     refused: Callable[[str, str, str], None]
     _deliver: Deliver | None = None
+    _is_command: bool = False
     _held: dict[str, _Held] = field(default_factory=dict)
     _changed: threading.Condition = field(default_factory=threading.Condition)
 
@@ -113,16 +117,24 @@ class InputPort:
             if peer in self._held or len(self._held) < MAX_HELD:
                 self._held[peer] = _Held(time.monotonic(), message)
 
-    def deliver_to(self, deliver: Deliver | None) -> None:
-        """Deliver messages to this route from now on; the next `release` delivers the held messages to it."""
+    def deliver_to(self, deliver: Deliver | None, *, command: bool = False) -> None:
+        """Deliver messages to this route from now on; the next `release` delivers the held messages to it.
+
+        ``command``: the messages are commands, which are not held for long, because a late command must not move the
+        robot.
+        """
+        self._is_command = command  # first, because another thread may release a message
         self._deliver = deliver
+
+    def _is_overdue(self, held: _Held, now: float) -> bool:
+        return now - held.since > (COMMAND_HOLD_SECONDS if self._is_command else HOLD_SECONDS)
 
     def waiting(self) -> set[str]:
         """Return the peers with held messages, even if they have left."""
         now = time.monotonic()
         with self._changed:
             for peer, held in list(self._held.items()):
-                if now - held.since > HOLD_SECONDS and not held.delivering:
+                if self._is_overdue(held, now) and not held.delivering:
                     del self._held[peer]
             return set(self._held)
 
@@ -144,11 +156,11 @@ class InputPort:
             return None
         with self._changed:
             for peer, held in [(peer, held) for peer, held in self._held.items() if not held.delivering]:
-                made_by = self.made_by(peer)
-                if made_by is MadeBy.NATIVE and now - held.since <= HOLD_SECONDS:
+                made_by, overdue = self.made_by(peer), self._is_overdue(held, now)
+                if made_by is MadeBy.NATIVE and not overdue:
                     held.delivering = True
                     return peer, held.message, deliver
-                if made_by is not MadeBy.UNKNOWN or now - held.since > HOLD_SECONDS:
+                if made_by is not MadeBy.UNKNOWN or overdue:
                     del self._held[peer]
         return None
 

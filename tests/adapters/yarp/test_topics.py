@@ -7,6 +7,9 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
+from bridge.adapters.yarp import topics
 from bridge.adapters.yarp.topics import InputPort
 from bridge.routing.edge import MadeBy
 
@@ -89,3 +92,18 @@ def test_route_connected_during_a_message_receives_it() -> None:
     input_port._held = HeldMessages(connect_route)
     input_port.on_message(message(b"x"))
     assert delivered == [b"x"]
+
+
+@pytest.mark.parametrize(("command", "expected"), [(True, []), (False, [b"1"])])
+def test_old_command_is_not_delivered(monkeypatch: pytest.MonkeyPatch, *, command: bool, expected: list[bytes]) -> None:
+    """A velocity whose sender was unknown for too long must not move the robot later; other messages are delivered."""
+    now = 100.0
+    monkeypatch.setattr(topics.time, "monotonic", lambda: now)
+    input_port, delivered = make_port(Maker(MadeBy.NATIVE)), list[bytes]()
+    input_port.on_message(message(b"1"))  # no route exists yet
+    now += topics.COMMAND_HOLD_SECONDS + 0.1
+    input_port.deliver_to(lambda cdr, *_: delivered.append(cdr), command=command)
+    input_port.release()
+    assert delivered == expected
+    input_port.on_message(message(b"2"))
+    assert delivered == [*expected, b"2"]
