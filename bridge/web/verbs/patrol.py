@@ -132,7 +132,7 @@ class Patrol:
 
     def verbs(self) -> dict[str, PageVerb]:
         """Return the verb by its name."""
-        return {"patrol": PageVerb(self._patrol, {"places": places_of}, {"wait": wait_of})}
+        return {"patrol": PageVerb(self._patrol, {"places": places_of}, {"wait": wait_of}, drives=True)}
 
     @property
     def busy(self) -> str:

@@ -65,11 +65,11 @@ class RobotVerbs:
         xy, pose = dict.fromkeys(("x", "y"), number_of), dict.fromkeys(("x", "y", "theta"), number_of)
         named = {"name": name_of}
         return {
-            "goto": PageVerb(self._goto, xy, {"theta": number_of}),
-            "goto_place": PageVerb(partial(self._call_with_name, "go_to"), named, {}),
+            "goto": PageVerb(self._goto, xy, {"theta": number_of}, drives=True),
+            "goto_place": PageVerb(partial(self._call_with_name, "go_to"), named, {}, drives=True),
             "stop": PageVerb(self._stop, {}, {}, stops=True),
             "pause": PageVerb(partial(self._pause, "pause"), {}, {}, stops=True),
-            "resume": PageVerb(partial(self._pause, "resume"), {}, {}),
+            "resume": PageVerb(partial(self._pause, "resume"), {}, {}, drives=True),
             "halt": PageVerb(self._halt, {}, {}, stops=True),
             "choose_planner": PageVerb(self._choose, named, {}),
             "set_pose": PageVerb(self._set_pose, pose, {}),

@@ -35,7 +35,8 @@ class VerbError(RuntimeError):
 class PageVerb:
     """One verb: its required and optional arguments, each with a check, and its function.
 
-    A ``slow`` verb may take long, and runs on separate threads.
+    A ``slow`` verb may take long, and runs on separate threads. A verb that ``drives`` the robot is not executed if a
+    stop began while it waited.
     """
 
     run: Callable[..., Any]
@@ -43,6 +44,7 @@ class PageVerb:
     may: Mapping[str, Callable[[Any], Any]]
     commands: bool = True
     stops: bool = False
+    drives: bool = False
     logged: bool = True  #: applies to commands
     slow: bool = False
 
@@ -101,6 +103,7 @@ class Verbs:
         self._stops = {name: WorkerPool(_STOP_THREADS, f"midspan-web-{name}") for name in stops}
         self._lock = threading.Lock()
         self._newest: dict[str, Future[Any]] = {}
+        self._begun_stops = 0
 
     def is_stop(self, verb: str) -> bool:
         """Return whether a verb stops robots; its calls have separate threads, and never expire while they wait."""
@@ -122,12 +125,23 @@ class Verbs:
         if page_verb.commands and page_verb.logged:
             arguments = " ".join(f"{key}={value!r}"[:100] for key, value in args.items())
             _log.info("%s: %s %s", who, verb, arguments)
+        if page_verb.stops:
+            with self._lock:
+                self._begun_stops += 1
         if verb in self._before:
             self._post(self._before[verb])
         job = partial(_run, page_verb.run, checked, math.inf if page_verb.stops else time.monotonic() + BEGIN_SECONDS)
         if page_verb.stops:
             return self._begin_stop(verb, job)
+        if page_verb.drives:
+            job = partial(self._drive, job, self._begun_stops)
         return (self._slow if page_verb.slow else self._pool).submit(job)
+
+    def _drive(self, job: Callable[[], Any], begun_stops: int) -> Any:
+        """Run a verb that drives the robot, unless a stop has begun since: the robot must not drive after a stop."""
+        if self._begun_stops != begun_stops:
+            raise VerbError("not executed: a stop or a pause was requested while other calls delayed it")
+        return job()
 
     def _begin_stop(self, verb: str, job: Callable[[], Any]) -> Future[Any]:
         """Run a stop without waiting for other verbs; while two stops of its kind run, further calls share the next."""
