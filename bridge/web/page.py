@@ -155,6 +155,8 @@ class Page:
         if len(self._watched) >= MOST_FEEDS:
             raise BadMessageError(f"a page can watch at most {MOST_FEEDS} feeds")
         self._watched.add(name)
+        # a value that was sent after the page had stopped watching was not drawn, and must not delay the next one
+        self._outbox.unwatched(name)
 
         def watch() -> None:
             try:

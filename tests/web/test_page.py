@@ -110,3 +110,65 @@ def test_only_the_newest_hold_or_release_is_executed() -> None:
 
     asyncio.run(serve())
     assert hold.said == ["release"]
+
+
+class OneFeed:
+    """A feed, and the feeds of which it is the only one."""
+
+    def __init__(self) -> None:
+        self.page: Any = None
+
+    def find(self, _name: str) -> OneFeed:
+        return self
+
+    def watch(self, page: Any) -> None:
+        self.page = page
+
+    def unwatch(self, page: Any) -> None:
+        assert page is self.page
+        self.page = None
+
+
+class ReadSocket(StuckSocket):
+    """A socket whose page reads everything."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts: list[str] = []
+
+    async def send_text(self, text: str) -> None:
+        self.texts.append(text)
+
+
+def test_feed_that_is_watched_again_is_sent_after_an_undrawn_value() -> None:
+    """A value may be sent while the page stops watching; the page ignores it, so it never reports it as drawn."""
+    feed, socket, waiting = OneFeed(), ReadSocket(), list[Callable[[], Any]]()
+
+    async def serve() -> list[str]:
+        verbs, hold = cast("Any", NoVerbs()), cast("Any", NoHold())
+        page_ = page.Page(cast("Any", socket), EVERYBODY, {}, cast("Any", feed), verbs, hold, waiting.append)
+        sender = asyncio.create_task(page_._outbox.send_to(cast("Any", socket)))
+
+        async def settle() -> None:
+            for _ in range(20):
+                await asyncio.sleep(0)
+
+        async def run_posted() -> None:
+            while waiting:
+                waiting.pop(0)()
+            await settle()
+
+        page_._handle({"op": "watch", "feed": "robot"})
+        await run_posted()
+        page_._handle({"op": "unwatch", "feed": "robot"})
+        feed.page.changed("robot", 1, "ignored")  # the module's thread has not handled the request yet
+        await settle()
+        await run_posted()
+        page_._handle({"op": "watch", "feed": "robot"})
+        await run_posted()
+        feed.page.changed("robot", 2, "newest")
+        await settle()
+        sender.cancel()
+        return socket.texts[1:]  # without the greeting
+
+    assert asyncio.run(serve()) == ["ignored", "newest"]
