@@ -54,13 +54,14 @@ def parse(head: bytes) -> PageRequest:
         name, _, value = line.partition(":")
         headers[name.strip().lower()] = value.strip()
     length = headers.get("content-length", "0")
-    if not length.isascii() or not length.isdigit() or int(length[:10]) > LONGEST_BODY:
+    digits = length.lstrip("0")  # leading zeros do not count, and Python refuses to convert thousands of digits
+    if not length.isascii() or not length.isdigit() or int(digits[:10] or 0) > LONGEST_BODY:
         raise WireError(f"invalid Content-Length {length[:20]!r}: it must be a number up to {LONGEST_BODY}")
     origin = headers.get("origin", "")
     foreign = bool(origin) and not origin.endswith("//" + headers.get("host", ""))
     foreign = foreign or headers.get("sec-fetch-site") == "cross-site"
     path, query = _split(target)
-    return PageRequest(target, path, query, int(length) if method == "POST" else 0, foreign)
+    return PageRequest(target, path, query, int(digits or 0) if method == "POST" else 0, foreign)
 
 
 def _split(target: str) -> tuple[str, dict[str, str]]:
