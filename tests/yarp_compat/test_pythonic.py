@@ -79,6 +79,26 @@ def test_a_reader_may_reply(naming: LocalNaming) -> None:
         assert answers == [[], ["two"]]
 
 
+def test_a_request_that_another_one_replaces_gets_an_empty_reply(naming: LocalNaming) -> None:
+    """Otherwise its sender would wait until the reader is closed."""
+    with Reader("/r", naming=naming) as reader, Client("/r", naming=naming) as first:
+        answers: dict[str, list[object]] = {}
+        waits = threading.Thread(target=lambda: answers.update(first=first.ask(["first"], timeout=20)), daemon=True)
+        waits.start()
+        until(lambda: len(reader), "the first request has arrived")
+        with Client("/r", naming=naming) as second:
+            asks = threading.Thread(target=lambda: answers.update(second=second.ask(["second"], timeout=20)))
+            asks.start()
+            waits.join(10)
+            assert answers == {"first": []}
+            newest = reader.read()
+            assert newest is not None
+            assert newest.values == ["second"]
+            newest.reply(["done"])
+            asks.join(20)
+            assert answers == {"first": [], "second": ["done"]}
+
+
 def test_a_closed_reader_sends_no_empty_reply(naming: LocalNaming) -> None:
     reader, failed = Reader("/r", naming=naming).open(), list[Exception]()
     with Client("/r", naming=naming) as client:

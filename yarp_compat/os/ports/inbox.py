@@ -95,12 +95,17 @@ class Inbox(Gate):
         return len(self._messages)
 
     def put(self, message: PortMessage) -> None:
-        """Queue a message: in strict mode after the others, else in their place."""
+        """Queue a message: in strict mode after the others, else in their place.
+
+        The sender of a replaced request that waits for a reply gets an empty one.
+        """
         with self._changed:
             if self.strict:
                 self._changed.wait_for(lambda: self._bytes < LIMIT or self.is_closed)
             else:
                 self.dropped += len(self._messages)
+                for replaced in self._messages:
+                    replaced.give_up()
                 self._messages.clear()
                 self._bytes = 0
             if not self.is_closed:
