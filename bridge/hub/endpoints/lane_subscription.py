@@ -171,6 +171,9 @@ class LaneSubscription(HubSubscription):
     def close(self) -> None:
         self._lane.remove(self)
         super().close()
+        self._leave_all()
+
+    def _leave_all(self) -> None:
         for inlet in tuple(self._lanes.inlets):
             inlet.leave(self)
 
@@ -303,7 +306,11 @@ class LaneSubscription(HubSubscription):
                     reason = f"{node}: {connection}"
                     break
                 inlets.add(connection)
-        return self._to_zenoh(reason) if reason else self._to_lane(publishers, inlets)
+        again = self._to_zenoh(reason) if reason else self._to_lane(publishers, inlets)
+        if self._reader.closed:  # meanwhile; `close` has left only the lanes that were joined before
+            self._leave_all()
+            return False
+        return again
 
     @property
     def settled(self) -> bool:

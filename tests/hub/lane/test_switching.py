@@ -12,7 +12,7 @@ import pytest
 
 from bridge.hub.endpoints.sinks import Matching
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.hub.lane.inlet import Inlet
+from bridge.hub.lane.inlet import Inlet, LaneReader
 from bridge.hub.lane.joining import Joining, send_later
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.session import Hub, HubSession
@@ -203,6 +203,23 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
     subscriber.expect(large, "late", "last")
     assert subscriber.texts() == [large, "late", "last"]
     goes_by(subscriber, "zenoh", "a message was larger than 65536 bytes")
+
+
+def test_subscription_that_is_closed_while_it_joins_a_lane_leaves_it(
+    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publisher, join = advertise(writer, "/t"), Inlet.join
+
+    def close_then_join(inlet: Inlet, joining: LaneReader) -> None:
+        subscription(subscriber).close()
+        join(inlet, joining)
+        joined.set()
+
+    joined = threading.Event()
+    monkeypatch.setattr(Inlet, "join", close_then_join)
+    subscriber = Subscriber(reader, "/t")
+    assert joined.wait(20.0)
+    until(lambda: not publisher.matched(), "the publisher is no longer matched", 5.0)
 
 
 @pytest.mark.parametrize(
