@@ -216,6 +216,7 @@ class SocketChannel(WorkerChannel):
             return False
         sock.setblocking(False)
         self._close_start()
+        self._lines = protocol.Lines()  # the previous connection may have ended within a line
         self._socket = sock
         self._connected = True
         self._loop.on_readable(sock, self._read)
@@ -252,7 +253,6 @@ class SocketChannel(WorkerChannel):
         if self._start_reports is not None:
             self._start_reports.close()
             self._start_reports = None
-            self._lines = protocol.Lines()
 
     def _read(self) -> None:
         assert self._socket is not None

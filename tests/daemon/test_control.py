@@ -6,16 +6,22 @@ import contextlib
 import socket
 import threading
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
+from bridge import state_file
+from bridge.config.model import Config
 from bridge.daemon.control import ControlServer
 from bridge.daemon.local_socket import LocalListener
-from bridge.daemon.protocol import Beat
+from bridge.daemon.protocol import Beat, Hello, encode_report
+from bridge.daemon.worker_channel import SocketChannel
 from bridge.worker import Health
 from tests.support.descriptors import no_descriptors
 from tests.support.no_threads import no_threads
 from tests.support.wait import until
+from yarp_compat.selector_loop import SelectorLoop
 
 
 def test_hello_comes_before_all_other_reports(tmp_path: Path) -> None:
@@ -87,3 +93,20 @@ def test_a_daemon_can_connect_after_a_lack_of_threads(tmp_path: Path, caplog: py
         assert "the daemon cannot connect: can't start new thread" in caplog.text
         second.connect(str(tmp_path / "socket"))
         assert b"hello" in second.recv(4096)
+
+
+def test_a_line_that_ends_with_its_connection_does_not_spoil_the_next_one(tmp_path: Path) -> None:
+    """A worker ends the connection when the daemon does not read for a while, in the middle of a report."""
+    config, kind, loop = Config(name="test", state=tmp_path), SimpleNamespace(name="tests"), SelectorLoop()
+    listener: Any = SimpleNamespace(on_report=lambda _: None, on_exit=lambda _: None)
+    channel = SocketChannel(loop, listener, cast("Any", kind), config)
+    with contextlib.closing(loop), socket.socket(socket.AF_UNIX) as worker:
+        worker.bind(str(state_file.control_socket(config, kind.name)))
+        worker.listen()
+        for pid, rest in ((101, b'{"beat": '), (102, b"")):
+            assert channel.adopt()
+            daemon, _ = worker.accept()
+            daemon.sendall(encode_report(Hello(pid, "service")) + rest)
+            until(lambda pid=pid: loop.step(0.1) or channel.pid == pid, f"process {pid} is connected", 5.0)
+            channel.detach()
+            daemon.close()
