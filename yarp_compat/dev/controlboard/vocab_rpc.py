@@ -82,7 +82,7 @@ def respond(board: JointBoard, request: Sequence[Any], stamp: tuple[int, float])
     """Return a board's reply to a Bottle; ``stamp`` (a number and seconds) is for replies that contain one."""
     try:
         return _answer(board, request, stamp)
-    except (WireError, CallFailed, NotImplementedError, IndexError, TypeError, ValueError):
+    except (WireError, CallFailed, NotImplementedError, IndexError, TypeError, ValueError, OverflowError):
         return [Vocab("fail")]
 
 

@@ -5,6 +5,7 @@ Recorded by a program that calls most methods of a board, see `docs/yarp/boards.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -92,6 +93,11 @@ def test_every_recorded_exchange_of_3_12_is_reproduced() -> None:
             assert encode(vocab_rpc.respond(JointBoard(3), bottle, stamp), Profile.YARP3) == reply
         seen.add(call.name)
     assert len(seen) >= 55
+
+
+@pytest.mark.parametrize("request_of", [["cmod", math.inf], ["cmog", 1, [math.inf]], ["cmod"], ["cmod", "x"]])
+def test_request_with_an_invalid_joint_fails(request_of: list[Any]) -> None:
+    assert vocab_rpc.respond(JointBoard(3), ["get", "icmd", *request_of], (0, 0.0)) == ["fail"]
 
 
 def test_every_recorded_exchange_of_4_0_is_reproduced() -> None:
