@@ -116,7 +116,7 @@ class StoreFollower:
             view, reason, self._client, self._digest, self._map = None, str(err), None, None, None
         except Exception as err:
             _log.exception("cannot read the store")
-            view, reason = None, f"{type(err).__name__}: {err}"
+            view, reason, self._digest, self._map = None, f"{type(err).__name__}: {err}", None, None
         self._host.loop.post(partial(self._on_view, view, reason))
 
     def _read(self) -> StoreView | None:
@@ -186,7 +186,7 @@ class MapFeed(TopicsFeed):
         super().__init__(host, "map")
         self._source, self._store, self._pictures = config.navigation.map, store, pictures
         self._drawing = SerialExecutor("midspan-web-map")
-        self._shown: MapGrid2D | None = None
+        self._shown: MapGrid2D | None = None  # None while there is no map
 
     @override
     def open(self) -> None:
@@ -207,6 +207,7 @@ class MapFeed(TopicsFeed):
 
     def _on_store_view(self, view: StoreView) -> None:
         if view.grid is None:
+            self._shown = None
             self.put(None, "no current map; choose one, or import one with 'midspan map import'")
         elif view.grid is not self._shown:
             self._shown = view.grid
@@ -216,12 +217,16 @@ class MapFeed(TopicsFeed):
         try:
             grid = from_grid(message, self._source)
         except ValueError as err:
+            self._shown = None
             self.put(None, f"{self._source}: {err}")
             return
+        self._shown = grid
         self._drawing.submit(partial(self._draw, grid, self._source))
 
     def _draw(self, grid: MapGrid2D, name: str) -> None:
         """Draw the images, on a separate thread because 16 million cells take a quarter of a second."""
+        if grid is not self._shown:
+            return  # a newer one waits, or there is no map anymore
         picture = self._pictures.put("occupancy", occupancy_picture(grid))
         tints = flags_picture(grid)
         flags = self._pictures.put("flags", tints) if tints is not None else None
@@ -235,4 +240,8 @@ class MapFeed(TopicsFeed):
             "image": picture,
             "flags": flags,
         }
-        self._host.loop.post(lambda: self.put(value))
+        self._host.loop.post(partial(self._on_drawn, value))
+
+    def _on_drawn(self, value: dict[str, Any]) -> None:
+        if self._shown is not None:
+            self.put(value)
