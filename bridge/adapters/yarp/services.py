@@ -151,7 +151,13 @@ class PortCaller:
         if trouble:
             done(CallError(trouble))
             return nothing
-        threading.Thread(target=call.run, args=(core,), name=f"midspan-yarp-call {self._port}", daemon=True).start()
+        calling = threading.Thread(target=call.run, args=(core,), name=f"midspan-yarp-call {self._port}", daemon=True)
+        try:
+            calling.start()
+        except RuntimeError as err:  # the system is out of threads
+            call.end(CallError(f"{self._port} cannot be called: {err}"))
+            self.finish(call, core)
+            return nothing
         return call.abandon
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -11,9 +12,12 @@ from hypothesis import strategies as st
 
 from bridge.adapters.yarp import environment
 from bridge.adapters.yarp.network import PortNames
+from bridge.adapters.yarp.services import MAX_CALLS, PortCaller
 from bridge.adapters.yarp.topics import envelope, on_system_clock, stamp
 from bridge.config.model import Config
 from bridge.daemon.workers import worker_kinds
+from bridge.hub.endpoints.calls import CallError
+from tests.support.no_threads import no_threads
 
 
 @given(st.integers(1, 1 << 61), st.integers(0, 10**9))
@@ -76,3 +80,13 @@ def test_worker_runs_if_yarp_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert kind.enabled(unused) == "auto"
     named = Config.model_validate({"yarp": {"namespace": "/lab"}})
     assert kind.child_environment(named, {})["YARP_NAMESPACE"] == "/lab"
+
+
+def test_ports_can_be_called_after_a_lack_of_threads() -> None:
+    unused: Any = None
+    caller, results = PortCaller(unused, "/robot/rpc", "", unused, 1000), list[bytes | CallError]()
+    with no_threads("midspan-yarp-call"):
+        for _ in range(MAX_CALLS + 1):
+            caller.call(b"", results.append)
+    assert {str(result) for result in results} == {"/robot/rpc cannot be called: can't start new thread"}
+    assert len(results) == MAX_CALLS + 1
