@@ -7,6 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from yarp_compat.overriding import override
@@ -97,7 +98,7 @@ class PortCore(ConnectingPort):
             self._loop = shared = loop.acquire()
             self.connections.open()
             self._listener = listener = Listener(shared, sock, self._on_introduced, self._on_refused)
-            shared.call_soon(self._check_outputs)
+            shared.call_soon(partial(self._check_outputs, shared, listener))
             note_open(self)
         try:
             listener.start()
@@ -258,15 +259,14 @@ class PortCore(ConnectingPort):
         """The number of messages that the port's outputs dropped, by reason; closed outputs included."""
         return self.connections.lost
 
-    def _check_outputs(self) -> None:
-        """Check idle outputs, and free unused memory of inputs; periodically, on the shared thread."""
-        shared = self._loop
-        if shared is not None:
+    def _check_outputs(self, shared: loop.PortLoop, listener: Listener) -> None:
+        """Check idle outputs, and free unused memory of inputs; periodically, until the listener is closed."""
+        if self._listener is listener:
             for output in self.connections.outputs:
                 output.check()
             for connection in self.connections.inputs:
                 connection.stream.free_unused(_KEPT_FOR)
-            shared.call_later(_CHECK_PERIOD, self._check_outputs)
+            shared.call_later(_CHECK_PERIOD, partial(self._check_outputs, shared, listener))
 
     def _on_refused(self, peer: str, error: WireError) -> None:
         self.counters.dropped["malformed"] += 1

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+import time
+from typing import Any
 
 import pytest
 
@@ -10,6 +12,7 @@ from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from tests.yarp_compat.ports.test_port import HELLO
 from yarp_compat.ports import loop
+from yarp_compat.ports import port as port_module
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.port import PortCore
@@ -140,3 +143,25 @@ def test_connection_closed_while_its_queue_becomes_empty_sends_a_farewell(
     finally:
         loop.release(shared)
     assert sent == [True]
+
+
+def test_port_that_is_opened_again_is_not_checked_more_often(
+    make_port: MakePort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check, checked = PortCore._check_outputs, list[str]()
+
+    def count(port: PortCore, *arguments: Any) -> None:
+        checked.append(port.name)
+        check(port, *arguments)
+
+    monkeypatch.setattr(port_module, "_CHECK_PERIOD", 0.05)
+    monkeypatch.setattr(PortCore, "_check_outputs", count)
+    make_port("/another")  # keeps the shared thread
+    port = make_port("/r")
+    for _ in range(10):
+        port.close()
+        port.open()
+    time.sleep(0.2)
+    checked.clear()
+    time.sleep(0.5)
+    assert 0 < checked.count("/r") <= 2 * checked.count("/another")
