@@ -185,3 +185,13 @@ def test_root_files_refer_to_the_others() -> None:
     assert root_files(["a.yaml", "b.yml", "a.pgm"]) == ["a.yaml", "b.yml"]
     assert root_files(["maps_collection.ini", "a.map"]) == ["maps_collection.ini"]
     assert root_files(["locations.ini", "locations_extras.ini", "a.map"]) == ["locations.ini", "a.map"]
+
+
+def test_folders_and_hidden_files_of_a_zip_are_skipped() -> None:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        for number in range(map_files.MOST_FILES + 1):
+            archive.writestr(f"house/{number}/", b"")
+        for name in ("house/.DS_Store", "__MACOSX/house/._house.map", "house/house.map"):
+            archive.writestr(name, name)
+    assert unpacked({"a.zip": bytearray(packed.getvalue())}) == {"house.map": b"house/house.map"}

@@ -120,7 +120,7 @@ def data_of(value: Any) -> bytes:
 
 
 def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
-    """Return the files, including those in zips, without their folders; raises `VerbError`."""
+    """Return the files, including those in zips except hidden ones, without their folders; raises `VerbError`."""
     unpacked_: dict[str, bytes] = {}
     room = MOST_BYTES
     for name, data in files.items():
@@ -129,10 +129,9 @@ def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
             continue
         try:
             with zipfile.ZipFile(io.BytesIO(data)) as archive:
-                for info in archive.infolist()[: MOST_FILES + 1]:
+                shown = [info for info in archive.infolist() if not _is_hidden(info)]
+                for info in shown[: MOST_FILES + 1]:
                     inner = Path(info.filename).name
-                    if info.is_dir() or not inner:
-                        continue
                     with archive.open(info) as stream:
                         unpacked_[file_of(inner)] = stream.read(room + 1)
                     room -= len(unpacked_[inner])
@@ -143,6 +142,11 @@ def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
                 raise
             raise VerbError(f"cannot unpack {name}: {err}") from None
     return unpacked_
+
+
+def _is_hidden(info: zipfile.ZipInfo) -> bool:
+    """Return whether an entry is a folder or hidden; macOS adds a hidden file for each file."""
+    return info.is_dir() or Path(info.filename).name[:1] in ("", ".")
 
 
 def root_files(names: Iterable[str]) -> list[str]:
