@@ -27,7 +27,7 @@ class LatchedState:
         self._bytes = 0
 
     def add(self, arrival: RecordedMessage) -> None:
-        """Store a recorded message if its publisher is latched."""
+        """Store a message if its publisher is latched."""
         gid = arrival.gid
         if gid in self._plain:
             return

@@ -74,14 +74,13 @@ class FileSeries:
             file = file or self._next_file()
             if file is None:
                 arrival.counts.dropped["disk"] += 1
-                return
-            self._ensure_channel(file, arrival)
-            file.write(arrival, arrival.log_time)
+            else:
+                self._ensure_channel(file, arrival)
+                file.write(arrival, arrival.log_time)
         except OSError as err:
             arrival.counts.dropped["disk"] += 1
             self._failed(err)
-        else:
-            self._latched.add(arrival)
+        self._latched.add(arrival)  # also if it was dropped, so that the next file begins with it
 
     def open(self) -> Path | None:
         """Open a file unless one is open, and return its path; raises `OSError` if that fails, and retries later."""

@@ -316,6 +316,29 @@ def test_a_full_disk_stops_recording_until_space_is_free(
     assert read(Path(status.file)).texts("/said") == ["after"]
 
 
+def test_latched_message_that_arrives_while_the_disk_is_full_begins_the_next_file(
+    hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = [100 << 20]
+    monkeypatch.setattr(record_file, "room", lambda _: free[0])
+    monkeypatch.setattr(record_series, "room", lambda _: free[0])
+    monkeypatch.setattr(record_series, "RETRY_SECONDS", 0.1)
+    state = robot.publisher("/state", LATCHED)
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
+        recorded.recorder.begin()
+        until(state.matched, "the topic is subscribed")
+        state.put(robot.text("before"))
+        await_written(recorded, 1)
+        free[0] = 1 << 20
+        state.put(robot.text("last"))
+        until(lambda: recorded.recorder.status().error, "the recorder stops")
+        state.put(robot.text("current"))
+        until(lambda: recorded.recorder.status().dropped.get("disk") == 1, "the message is dropped")
+        free[0] = 100 << 20
+        until(lambda: not recorded.recorder.status().error, "the recorder continues")
+    assert read(tmp_path / "one_1.mcap").texts("/state") == ["current"]
+
+
 @pytest.mark.parametrize("seconds", [-40.0, -3600.0, 600.0])
 def test_new_file_begins_when_the_clock_is_set(
     hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float
