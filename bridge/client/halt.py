@@ -27,7 +27,7 @@ from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import CANCEL as CANCEL_TYPE
-from bridge.messages.actions import CANCEL_GOAL, part_name
+from bridge.messages.actions import CANCEL_GOAL, CancelCode, part_name
 from bridge.messages.velocities import VELOCITIES
 
 CANCEL = part_name("", CANCEL_GOAL)
@@ -38,6 +38,9 @@ DEFAULT_SECONDS = 2.0
 _PERIOD = 0.05
 _ANSWER_SECONDS = 5.0
 """Seconds to wait for the modules; the gateway answers only when the stop is confirmed."""
+
+_REPLY_SECONDS = 1.0
+"""Seconds to wait for the reply to a request to cancel goals, also beyond the requested time."""
 
 _ALL: dict[str, Any] = {"goal_info": {}}
 """A `CancelGoal` request without id and stamp: all goals (action_msgs/srv/CancelGoal)."""
@@ -94,7 +97,8 @@ class Stopped:
 def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> Stopped:
     """Publish zero for ``seconds``, and meanwhile cancel the goals of these actions.
 
-    If an action's server is not reachable yet, continue until it is reachable, for up to `WAIT_SECONDS`.
+    If an action's server is not reachable yet, continue until it is reachable, for up to `WAIT_SECONDS`; then until it
+    has replied, for up to `_REPLY_SECONDS`.
     """
     zeros = ZeroVelocities(client, types)
     cancels = [GoalCancellation(client, types, name) for name in names]
@@ -104,7 +108,8 @@ def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> 
         for cancel in cancels:
             cancel.attempt()
         elapsed = time.monotonic() - begin
-        if not (elapsed < seconds or (elapsed < WAIT_SECONDS and any(cancel.waits for cancel in cancels))):
+        waits = elapsed < WAIT_SECONDS and any(cancel.waits for cancel in cancels)
+        if elapsed >= seconds and not waits and not any(cancel.pending for cancel in cancels):
             break
         never.wait(_PERIOD)
     result = Stopped(zeros.listeners(), cancels, zeros.trouble(), zeros.published)
@@ -219,6 +224,7 @@ class GoalCancellation:
         self.name, self.found, self.error = name, 0, f"the server of {name}{CANCEL} does not accept calls from here"
         self._end: ServiceClient | None = None
         self.waits = False
+        self._asked: float | None = None  # when the request was sent, until its reply
         try:
             self._end = ServiceClient(client.hub, f"{name}{CANCEL}", CallCodec(types.registry, CANCEL_TYPE))
             self.waits = True
@@ -229,11 +235,16 @@ class GoalCancellation:
         """Send the request once, as soon as the server is reachable."""
         if self._end is None or not self.waits or not self._end.ready:
             return
-        self.waits, self.error = False, "it has not answered"
+        self.waits, self.error, self._asked = False, "it has not answered", time.monotonic()
         try:
             self._end.call(_ALL, self._on_reply)
         except Exception as err:  # of any kind; the rest must stop nevertheless
-            self.error = _reason(err)
+            self._asked, self.error = None, _reason(err)
+
+    @property
+    def pending(self) -> bool:
+        """Whether a reply may still arrive in time."""
+        return self._asked is not None and time.monotonic() < self._asked + _REPLY_SECONDS
 
     def close(self) -> None:
         """Close the client; a later answer is ignored."""
@@ -244,10 +255,13 @@ class GoalCancellation:
     def _on_reply(self, reply: dict[str, Any] | CallError) -> None:
         if self._end is None:
             return
+        self._asked = None
         if isinstance(reply, CallError):
             self.error = str(reply)
             return
         self.found, self.error = len(reply["goals_canceling"]), ""
+        if not self.found and reply["return_code"] == CancelCode.REJECTED:
+            self.error = "its server rejected the request, so its goals continue"
 
 
 class _Bases(threading.Thread):

@@ -284,7 +284,7 @@ class ActionServer:
         if not any(goal_id) and not until:
             wanted = self.active
         begun = [g for g in wanted if g.cancel_wanted or self._begin_cancel(g)]
-        code = CancelCode.NONE if begun else CancelCode.REJECTED
+        code = CancelCode.NONE if begun or not wanted else CancelCode.REJECTED  # as in rclcpp
         if any(goal_id) and not begun:
             code = (
                 CancelCode.UNKNOWN_GOAL_ID

@@ -14,7 +14,7 @@ from bridge.client.actions import CANCEL_AGAIN, ActionClient
 from bridge.client.services import ServiceClient
 from bridge.clock import RunClock, SystemClock
 from bridge.hub.endpoints.calls import CallError
-from bridge.messages.actions import GoalState
+from bridge.messages.actions import CancelCode, GoalState
 from bridge.messages.errors import ConversionError
 from bridge.modules.action_server import Goal
 from bridge.modules.host import ModuleNode
@@ -259,6 +259,23 @@ def test_a_cancel_request_applies_to_one_goal_or_to_all(pair: NodePair) -> None:
     until(lambda: all(g.cancel_wanted for g in served.goals), "the cancel request applies to all goals")
     pair.on(pair.server, lambda: [g.canceled() for g in served.goals])
     assert [sent.ended()[0] for sent in goals] == [GoalState.CANCELED] * 3
+
+
+def test_a_request_to_cancel_all_goals_succeeds_without_goals_and_fails_if_all_are_refused(pair: NodePair) -> None:
+    served = Served(pair)
+    client = pair.client.action_client("/lookup", LOOKUP)
+    cancel = pair.client.client(CANCEL_GOAL, "action_msgs/srv/CancelGoal")
+    until(lambda: client.ready and cancel.ready, "the action is available")
+    codes: list[Any] = []
+    cancel.call({}, codes.append)
+    until(lambda: codes, "the request has a reply")
+    served.may_cancel = False
+    sent = Sent(pair, client, "wait")
+    until(lambda: sent.goal.accepted, "the goal is accepted")
+    cancel.call({}, codes.append)
+    until(lambda: len(codes) == 2, "the second request has a reply")
+    assert [code["return_code"] for code in codes] == [CancelCode.NONE, CancelCode.REJECTED]
+    pair.on(pair.server, lambda: served.goals[0].abort())
 
 
 CANCEL_GOAL = "/lookup/_action/cancel_goal"

@@ -108,8 +108,17 @@ def test_halt_reports_what_does_not_stop(
         "topics": {"/cmd_vel": 1},
         "goals": {"/lookup": 0},
         "bases": {"base_control of robot1": False},
-        "errors": {"base_control of robot1": "RuntimeError"},
+        "errors": {
+            "base_control of robot1": "RuntimeError",
+            "/lookup": "its server rejected the request, so its goals continue",
+        },
     }
+
+
+def test_a_short_halt_waits_for_the_replies_of_action_servers(midspan: Midspan, robot: Robot) -> None:
+    done = midspan("halt", "--seconds", "0.01")
+    assert done.code == 0, done
+    assert "/lookup: 2 goals canceled" in done.out
 
 
 def test_halt_fails_without_velocity_topics(midspan: Midspan) -> None:
