@@ -134,9 +134,9 @@ class Parameters:
             for node in list(remaining):
                 on_read(node, None)
 
+        self._host.loop.after(NODE_SECONDS, give_up)  # first, so that an error below does not end all reading
         for node in nodes:
             self._read_node(node, partial(on_read, node))
-        self._host.loop.after(NODE_SECONDS, give_up)
         if not nodes:
             self._finish(done)
 

@@ -236,7 +236,7 @@ class _PortCall:
             result = err
         except ConversionError as err:
             result = CallError(f"malformed reply: {err}")
-        except (OSError, WireError) as err:
+        except (OSError, RuntimeError, WireError) as err:  # RuntimeError: the system is out of threads
             what = "cannot be reached" if fresh is None else "disappeared before it replied"
             result = CallError(f"the port {what}: {err}")
             if fresh is not None:
