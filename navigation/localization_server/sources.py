@@ -143,6 +143,7 @@ class AmclSource(FrameSource):
         self._grid: MapGrid2D | None = None
         self._due: tuple[MapGrid2D, Start | None] | None = None
         self._map_trouble = ""
+        self._has_map = True  # False after a call that failed or was refused
         self._send_after = -math.inf  # when the map may be sent, monotonic seconds
         self._set_map = node.client(section.set_map, "nav_msgs/srv/SetMap") if section.set_map else None
         node.subscription(section.amcl_pose, estimates.POSE_COVARIANCE, self._on_pose, LATCHED)
@@ -158,8 +159,13 @@ class AmclSource(FrameSource):
         if self._due is not None and time.monotonic() >= self._send_after:
             self._send_map()
         estimate = super().estimate()
+        if estimate.status is not LocalizationStatus.OK:
+            return estimate
+        if not self._has_map:
+            reason = f"amcl still has the previous map: {self._map_trouble}"
+            return replace(estimate, status=LocalizationStatus.NOT_YET, reason=reason)
         wide = math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
-        if estimate.status is LocalizationStatus.OK and wide > _WIDEST:
+        if wide > _WIDEST:
             reason = f"amcl's particles are spread over {wide:.1f} m (standard deviation)"
             return replace(estimate, status=LocalizationStatus.NOT_YET, reason=reason)
         return estimate
@@ -208,9 +214,10 @@ class AmclSource(FrameSource):
         if isinstance(reply, CallError):
             if sent[0] is self._grid:
                 self._due, self._send_after = sent, time.monotonic() + _AGAIN_SECONDS
-            self._map_trouble = f"{self._section.set_map}: {reply}"
+            self._has_map, self._map_trouble = False, f"{self._section.set_map}: {reply}"
         else:
-            self._map_trouble = "" if reply["success"] else f"{self._section.set_map} refused the map"
+            self._has_map = bool(reply["success"])
+            self._map_trouble = "" if self._has_map else f"{self._section.set_map} refused the map"
 
     def _on_pose(self, message: dict[str, Any]) -> None:
         covariance = plane_of(message["pose"]["covariance"])

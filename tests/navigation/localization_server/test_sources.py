@@ -114,6 +114,19 @@ def test_a_map_is_sent_to_amcl_again_after_a_failed_call(place: Place, robot: Ro
     until(lambda: status_of(place)["set_map"] == "done", "amcl has the map", 20)
 
 
+def test_a_pose_on_the_previous_map_is_not_reliable(place: Place, robot: Robot) -> None:
+    success = False
+    robot.node.server("/set_map", "nav_msgs/srv/SetMap", lambda _request, answer: answer({"success": success}))
+    robot.localized = Pose(1.0, 2.0, 0.5)
+    started(place, robot, source="amcl")
+    until(reports(place, OK), "amcl's frames arrive", 20)
+    use(place, "lab2", robot)
+    until(reports(place, "not_yet_localized", "the previous map: /set_map refused the map"), "amcl has another map", 20)
+    success = True
+    use(place, "lab3", robot)
+    until(reports(place, OK), "amcl has the map", 20)
+
+
 def test_the_pose_of_amcl_is_served(place: Place, robot: Robot) -> None:
     maps: list[dict[str, Any]] = []
 
