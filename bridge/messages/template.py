@@ -20,8 +20,8 @@ class MessageTemplate:
 
     Filling in a `nav_msgs/msg/Odometry` takes a tenth of the time of writing it field by field. Each path in
     ``changing`` leads to a number, or to a part in which all numbers change (``header.stamp``,
-    ``transforms[0].transform``). Raises `ConversionError` if a field is unknown, its value does not fit, or there is no
-    number at a path.
+    ``transforms[0].transform``). Raises `ConversionError` if a field is unknown, its value does not fit, or a path
+    leads to no number.
     """
 
     def __init__(self, schema: Schema, message: Mapping[str, Any], *changing: str) -> None:

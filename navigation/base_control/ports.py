@@ -189,7 +189,7 @@ class CommandInputs:
             self.stale += 1
 
     def last(self, target: CommandInput) -> Velocity | None:
-        """Return the last command of an input; None if there is none, or it has timed out."""
+        """Return the last command of an input; None before the first one, or if it has timed out."""
         last = target.last
         return last[0] if last is not None and self._now() <= last[2] else None
 

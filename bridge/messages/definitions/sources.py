@@ -309,7 +309,7 @@ def shipped_folder(folder: Path, world: World = World.ROS2) -> ShippedTypes:
 
 
 def _is_native(definition: Definition) -> bool:
-    """Whether the definition was written in the syntax of its own world; see `parse_definition`."""
+    """Whether the definition was written in the syntax of its world; see `parse_definition`."""
     return bool(definition.text or not (definition.fields or definition.constants))
 
 

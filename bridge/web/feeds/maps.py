@@ -85,7 +85,7 @@ class StoreFollower:
             self._timer = self._view = self._digest = self._map = None
 
     def client(self) -> StoreClient:
-        """Return the store on the hub; raises `StoreError` if there is none.
+        """Return the store on the hub; raises `StoreError` if it is missing.
 
         Do not call it on the module's thread, because it blocks.
         """
@@ -186,7 +186,7 @@ class MapFeed(TopicsFeed):
         super().__init__(host, "map")
         self._source, self._store, self._pictures = config.navigation.map, store, pictures
         self._drawing = SerialExecutor("midspan-web-map")
-        self._shown: MapGrid2D | None = None  # None while there is no map
+        self._shown: MapGrid2D | None = None  # None without a map
 
     @override
     def open(self) -> None:
@@ -226,7 +226,7 @@ class MapFeed(TopicsFeed):
     def _draw(self, grid: MapGrid2D, name: str) -> None:
         """Draw the images, on a separate thread because 16 million cells take a quarter of a second."""
         if grid is not self._shown:
-            return  # a newer one waits, or there is no map anymore
+            return  # a newer map waits, or the map was removed
         picture = self._pictures.put("occupancy", occupancy_picture(grid))
         tints = flags_picture(grid)
         flags = self._pictures.put("flags", tints) if tints is not None else None
