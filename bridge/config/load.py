@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,9 @@ def find(environ: Mapping[str, str] = os.environ) -> Path | None:
         return Path(named)
     home = Path(environ.get("XDG_CONFIG_HOME") or Path(environ.get("HOME") or Path.home()) / ".config")
     for file in (Path("midspan.yaml"), home / "midspan" / "midspan.yaml", Path("/etc/midspan/midspan.yaml")):
-        if file.is_file():
-            return file
+        with suppress(OSError):  # this user may not look into the folder, such as root's after runuser
+            if file.is_file():
+                return file
     return None
 
 
@@ -104,10 +106,23 @@ def _resolve_paths(value: Any, path: KeyPath, document: Document, missing: list[
         return items if any(new is not old for new, old in zip(items, value, strict=True)) else value
     if not isinstance(value, Path):
         return value
-    absolute = Path(os.path.abspath(document.file.parent / value.expanduser()))  # noqa: PTH100  keeps symbolic links
-    if path not in CREATED_PATHS and not absolute.exists():
-        missing.append(document.problem(path, f"no such file or folder: {absolute}"))
+    try:
+        expanded = value.expanduser()
+    except RuntimeError:
+        missing.append(document.problem(path, f"the home folder in {value} is unknown; write the whole path"))
+        return value
+    absolute = Path(os.path.abspath(document.file.parent / expanded))  # noqa: PTH100  keeps symbolic links
+    if path not in CREATED_PATHS and (reason := _unreadable(absolute)):
+        missing.append(document.problem(path, reason))
     return absolute
+
+
+def _unreadable(path: Path) -> str:
+    """Return why a file or folder is missing for this user, "" if it exists."""
+    try:
+        return "" if path.exists() else f"no such file or folder: {path}"
+    except OSError as err:  # for example in a folder of another user
+        return f"cannot read {path}: {err.strerror}"
 
 
 def _mapping_rule_problems(document: Document, config: Config) -> list[Problem]:

@@ -268,7 +268,7 @@ class Supervisor:
         self._notify.reloading()
         try:
             config = self._source.reload(self._config)
-        except (ConfigError, RuntimeError) as err:
+        except (ConfigError, OSError, RuntimeError) as err:
             logger.error("the new configuration is rejected, the running one is kept:\n%s", err)  # noqa: TRY400
             first, *more = str(err).splitlines()
             self._refused = f"{first} (and {len(more)} more)" if more else first

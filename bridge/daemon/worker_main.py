@@ -185,7 +185,7 @@ class WorkerLoop:
 
         try:
             config = self._load()
-        except ConfigError as err:
+        except (ConfigError, OSError, RuntimeError) as err:  # the state folder may be full or read-only by now
             logger.error("the new configuration is rejected, the running one is kept:\n%s", err)  # noqa: TRY400
             self._report(protocol.Reloaded())
             return None

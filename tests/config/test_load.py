@@ -350,6 +350,20 @@ def test_a_tilde_is_expanded_to_the_home_folder(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.parametrize(
+    ("path", "fault"),
+    [
+        (f"/{'a' * 300}", f"types.folders[0]: cannot read /{'a' * 300}: File name too long"),
+        (
+            "~no-such-user/msg",
+            "types.folders[0]: the home folder in ~no-such-user/msg is unknown; write the whole path",
+        ),
+    ],
+)
+def test_a_path_that_cannot_be_examined_is_a_problem_of_its_key(path: str, fault: str) -> None:
+    assert problems(f"types: {{folders: ['{path}']}}") == [f"midspan.yaml:1:19: {fault}"]
+
+
+@pytest.mark.parametrize(
     "rule",
     [
         {"topic": "/a/**", "rename": "/r1/**"},
@@ -380,7 +394,8 @@ def test_the_configuration_is_searched_from_the_variable_to_the_home_folder(
     assert find(environ) == Path("midspan.yaml")
     assert find({**environ, "MIDSPAN_CONFIG": "/else/where.yaml"}) == Path("/else/where.yaml")
     (work / "midspan.yaml").unlink()
-    assert find({**environ, "XDG_CONFIG_HOME": str(tmp_path / "xdg")}) in {None, Path("/etc/midspan/midspan.yaml")}
+    for folder in (str(tmp_path / "xdg"), f"/{'a' * 300}"):  # the second cannot be examined
+        assert find({**environ, "XDG_CONFIG_HOME": folder}) in {None, Path("/etc/midspan/midspan.yaml")}
 
 
 def test_a_worker_receives_the_same_configuration(tmp_path: Path) -> None:

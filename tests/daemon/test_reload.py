@@ -67,6 +67,7 @@ def test_only_the_worker_that_needs_a_restart_is_restarted(daemon: Daemon) -> No
         ("routing: {defaults: deny}\n", "midspan.yaml:3:11: routing.defaults: unknown key 'defaults'; did you mean"),
         ("routing: [\n", "midspan.yaml:4:1: not valid YAML"),
         ("hub: {domain: 999}\n", "midspan.yaml:3:15: hub.domain"),
+        (f"types: {{folders: [/{'a' * 300}]}}\n", "midspan.yaml:3:19: types.folders[0]: cannot read /aaa"),
         (
             "hub: {zenoh: {transport: {link: {tx: {leese: 9}}}}}\n",
             "hub.zenoh.transport.link.tx.leese: zenoh has no key",

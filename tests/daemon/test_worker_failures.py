@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon.control import Commands
-from bridge.daemon.protocol import Failed, Report
+from bridge.daemon.control import Commands, Hangup
+from bridge.daemon.protocol import Failed, Reloaded, Report, Stop
 from bridge.daemon.worker_main import RunEnd, WorkerLoop
 from bridge.hub import panics
 from bridge.hub.errors import HubConfigError, HubError
@@ -61,6 +61,32 @@ def test_a_plain_reason_is_reported(
     (record,) = caplog.records
     assert str(error) in record.message
     assert record.exc_info is None
+
+
+class IdleWorker(Worker):
+    """Does nothing; a reload is a failure of the test."""
+
+    def start(self, config: Config) -> None: ...
+
+    def reload(self, config: Config) -> bool:  # noqa: ARG002
+        pytest.fail("a configuration was applied")
+
+    def health(self) -> Health:
+        return Health("running", "idle")
+
+    def stop(self) -> None: ...
+
+
+@pytest.mark.parametrize("error", [RuntimeError("state folder /s: read-only"), OSError(36, "File name too long")])
+def test_a_worker_keeps_its_configuration_if_it_cannot_load_the_new_one(error: Exception) -> None:
+    def load() -> Config:
+        raise error
+
+    reports, commands = list[Report](), Commands()
+    for command in (Hangup(), Stop("the test ends")):
+        commands.put(command)
+    assert WorkerLoop(IdleWorker(), commands, reports.append, load=load).run(Config()) is RunEnd.STOPPED
+    assert Reloaded() in reports
 
 
 HANGING = """
