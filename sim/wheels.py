@@ -79,6 +79,10 @@ class VelocityDrive:
         """Cancel the command; the base brakes."""
         self._until = 0
 
+    def stand(self) -> None:
+        """Start again from rest, because something else holds the wheels."""
+        self._now = np.zeros(3)
+
     def wheels(self, now_ns: int, seconds: float) -> Floats:
         """Return wheel velocities (radians per second) for the next ``seconds``."""
         wanted = self._wanted if now_ns < self._until else np.zeros(3)
@@ -119,7 +123,11 @@ class WheelControls:
         commanded = self.board.next_velocities(seconds)
         if commanded is not None:
             wheels = commanded
-        return [0.0] * len(wheels) if self.stopped else wheels.tolist()
+        if self.stopped:
+            self.drive.stand()
+            return [0.0] * len(wheels)
+        velocities: list[float] = wheels.tolist()
+        return velocities
 
     def read(self, encoders: Encoders) -> None:
         """Store a reading of the encoders."""

@@ -195,6 +195,8 @@ def test_the_emergency_stop_holds_the_wheels() -> None:
     drive(sim, 1, 0.3)
     assert math.hypot(sim.base.pose().x - at.x, sim.base.pose().y - at.y) < 0.005
     sim.stop(on=False)
+    sim.run(1.0)
+    assert sim.base.pose().x < at.x + 0.005  # commands from before the release do not move it
     drive(sim, 1, 0.3)
     assert sim.base.pose().x > at.x + 0.05
 
