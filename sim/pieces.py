@@ -182,7 +182,7 @@ class Walker:
             return False
         left = self.person.speed * seconds
         x, y = self.x, self.y
-        while self._path and left > 0.0:
+        for _ in range(len(self._path)):  # at most one round, because the points may all be at one place
             goal = self._path[0]
             away = math.hypot(goal[0] - x, goal[1] - y)
             if away > left:
@@ -194,7 +194,7 @@ class Walker:
                 self._turning_back, self._rest, left = False, _REST, 0.0
             if self._loop:
                 self._path.append(goal)
-            if away == 0.0 and len(self._path) <= 1:
+            if left <= 0.0:
                 break
         before = math.hypot(self.x - robot[0], self.y - robot[1])
         after = math.hypot(x - robot[0], y - robot[1])

@@ -130,7 +130,7 @@ class Simulation:
     def ride(self, name: str) -> str:
         """Use a link whose end is near the robot, and return the new floor.
 
-        Raises `SimError` if the link is unknown, or neither end is near the robot.
+        Raises `SimError` if the link is unknown, neither end is near the robot, or the other end is occupied.
         """
         link = next((link for link in self.plan.links if link.name == name), None)
         if link is None:
@@ -149,9 +149,14 @@ class Simulation:
     def _enter(self, floor: str, at: BasePose) -> None:
         old = self.world
         old.release_base()
-        self.world = FloorWorld(self.plan.floors[floor], self.base, self.robot.lasers.height)
-        self.floor = floor
-        self.world.place(at)
+        world = FloorWorld(self.plan.floors[floor], self.base, self.robot.lasers.height)
+        try:
+            world.place(at)
+        except SimError:
+            world.release_base()
+            old.take_base()
+            raise
+        self.world, self.floor = world, floor
 
 
 _LINK_REACH = 1.0  # maximum distance from the end of a link, meters

@@ -276,6 +276,12 @@ class FloorWorld:
         self.window.clear()
         self._world.removeSkeleton(self.base.skeleton)
 
+    def take_base(self) -> None:
+        """Add the base again after `release_base`, where it is."""
+        self._world.addSkeleton(self.base.skeleton)
+        self._rests = False
+        self.update_near()
+
 
 def _crate(box: Box) -> Crate:
     piece = of_box(box)

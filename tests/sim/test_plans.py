@@ -13,11 +13,13 @@ from sim import pieces
 from sim.base import BasePose
 from sim.environment import SimError, ready
 from sim.pieces import Walker
-from sim.plan import Box, Floor, Person, load_plan, rectangles
+from sim.plan import Box, Floor, Link, Person, Plan, load_plan, rectangles
 from sim.section import SimSection
 from sim.simulation import Simulation
-from tests.peers.sim.floors import INSIDE, drive, simulation
+from tests.peers.sim.floors import INSIDE, ROOM, drive, simulation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+BOX = Box(name="crate", at=(0.0, 1.2, 0.0), size=(0.4, 0.4, 0.4), mass=5.0)
 
 
 @pytest.mark.parametrize("name", ready("plans"))
@@ -98,6 +100,14 @@ def test_a_blocked_person_turns_round_and_rests_and_follows_a_new_path_at_once()
     assert walk(2.0) == 0.0
 
 
+@pytest.mark.parametrize("path", [((0.0, 0.0), (0.0, 0.0)), ((1.0, 0.0), (1.0, 0.0)), ((0.1, 0.0), (0.1, 1e-9))])
+def test_a_person_whose_path_has_no_length_stands_at_its_place(path: tuple[tuple[float, float], ...]) -> None:
+    walker = Walker(Person(name="p", at=(0.0, 0.0), path=path, speed=1.0))
+    for _ in range(20):
+        walker.walk(0.1, (9.0, 0.0), 0.3)
+    assert walker.x == path[0][0]
+
+
 def test_things_are_added_and_removed() -> None:
     sim = simulation()
     sim.world.spawn(Box(at=(1, 0, 0), size=(0.4, 0.4, 0.4), mass=3), "crate")
@@ -135,6 +145,20 @@ def test_a_lift_moves_the_robot_to_the_other_floor_and_back() -> None:
     assert sim.ride("lift") == "ground"
     with pytest.raises(SimError, match="links: lift"):
         sim.ride("stairs")
+
+
+def test_the_robot_stays_on_its_floor_if_the_other_end_of_the_lift_is_occupied() -> None:
+    floors = {
+        "ground": Floor(walls=ROOM, locations={"lift": (1.0, 0.0, 0.0)}),
+        "upper": Floor(walls=ROOM, locations={"lift": (0.0, 1.0, 0.0)}, boxes=(BOX,)),
+    }
+    link = Link(name="lift", ends=("ground/lift", "upper/lift"))
+    sim = Simulation(SimSection(), Plan(name="house", floors=floors, links=(link,)))
+    with pytest.raises(SimError, match=r"the robot cannot stand at 0.00, 1.00: crate is there"):
+        sim.ride("lift")
+    assert sim.floor == "ground"
+    drive(sim, 12, 0.3)
+    assert 1.3 < sim.base.pose().x < INSIDE - 0.2  # it drives, and a wall of this floor stops it
 
 
 def test_errors_in_a_plan_are_reported_with_their_line(tmp_path: Path) -> None:
