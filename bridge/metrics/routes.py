@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 
 from bridge.metrics.families import Families
 from bridge.routing.counters import CARRY_BOUNDS, DROPS, LATENCY_BOUNDS
-from bridge.status import RouteStatus, StatusDocument
+from bridge.status import Histogram, RouteStatus, StatusDocument
 
 # the source time of messages from a side is unknown, so only the bridge's own time is reported for them
 _LATENCY = "midspan_route_latency_seconds", tuple(bound / 1e9 for bound in LATENCY_BOUNDS)
@@ -25,7 +28,7 @@ class RouteMetrics:
     def add(self, families: Families, document: StatusDocument) -> None:
         """Add the metrics of a side's routes."""
         side = document.worker
-        routes = {_key(route): route for route in document.routes}
+        routes = _by_key(document.routes)
         chosen = self._choose(side, routes)
         families.add("midspan_side_routes", len(routes), side)
         families.add("midspan_side_routes_untold", len(routes) - len(chosen), side)
@@ -42,6 +45,37 @@ class RouteMetrics:
 
 def _key(route: RouteStatus) -> Key:
     return route.direction, route.kind, route.hub_topic, route.type
+
+
+def _by_key(routes: Iterable[RouteStatus]) -> dict[Key, RouteStatus]:
+    """Return the routes by their labels; routes with the same labels count as one.
+
+    Several topics of a side may be one topic on the hub, and a topic has a route for each version of its type.
+    """
+    alike: dict[Key, list[RouteStatus]] = {}
+    for route in routes:
+        alike.setdefault(_key(route), []).append(route)
+    return {key: _sum(group) if len(group) > 1 else group[0] for key, group in alike.items()}
+
+
+_COUNTS = "messages", "bytes", "replies", "errors", "abandoned", "pending"
+
+
+def _sum(routes: Sequence[RouteStatus]) -> RouteStatus:
+    """Return the sum of the counters of several routes."""
+    values = {name: [getattr(route, name) for route in routes] for name in _COUNTS}
+    counts = {name: sum(value or 0 for value in known) for name, known in values.items() if any(known)}
+    drops, ways = Counter[str](), Counter[str]()
+    for route in routes:
+        drops.update(route.drops)
+        ways.update(route.ways)
+    times = {name: _sum_times([getattr(route, name) for route in routes]) for name in ("latency", "carry")}
+    return routes[0].model_copy(update={**counts, **times, "drops": dict(drops), "ways": dict(ways)})
+
+
+def _sum_times(histograms: Sequence[Histogram]) -> Histogram:
+    buckets = [sum(counts) for counts in zip_longest(*(h.buckets for h in histograms), fillvalue=0)]
+    return Histogram(buckets=buckets, seconds=sum(h.seconds for h in histograms))
 
 
 def _route(families: Families, route: RouteStatus, labels: Key) -> None:

@@ -73,6 +73,18 @@ def test_a_route_exports_counts_drops_and_times() -> None:
     assert buckets == {"0.00025": 0, "0.0005": 1, "0.05": 2}
 
 
+def test_topics_of_a_side_that_are_one_topic_on_the_hub_are_counted_together() -> None:
+    scrape = Scrape(side(route(), route(side_topic="/scan_front"), route("/other")))
+    assert scrape.value("midspan_side_routes", side="ros1") == 2
+    for name, count in (("messages_total", 6), ("lane_messages_total", 4), ("bytes_total", 600)):
+        assert scrape.value(f"midspan_route_{name}", topic="/scan") == count
+    assert scrape.value("midspan_route_drops_total", topic="/scan", reason="queue") == 2
+    assert scrape.value("midspan_route_carry_seconds_count", topic="/scan") == 4
+    calls = Scrape(side(service(), service()))
+    assert calls.value("midspan_route_calls_total", result="reply") == 2
+    assert calls.value("midspan_route_calls_pending") == 2
+
+
 def test_a_service_exports_calls() -> None:
     scrape = Scrape(side(service()))
     calls = {r: scrape.value("midspan_route_calls_total", result=r) for r in ("reply", "error", "abandoned")}
