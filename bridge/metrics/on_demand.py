@@ -11,6 +11,8 @@ from bridge.config.model import Config
 from bridge.metrics.section import MetricsSection
 from bridge.worker import Worker
 
+_END_SECONDS = 2.0
+
 
 class DiagnosticsOnDemand:
     """Publishes on a separate thread, which ends with the last subscriber."""
@@ -27,8 +29,11 @@ class DiagnosticsOnDemand:
             self.close()
         if self._thread is None and config.section(MetricsSection).diagnostics and self._worker.diagnostics_wanted():
             self._config = config
-            self._closing.clear()
-            self._thread = threading.Thread(target=self._run, args=(config,), name="midspan-diagnostics", daemon=True)
+            # a new event, because the previous thread may still be in a query
+            self._closing = threading.Event()
+            self._thread = threading.Thread(
+                target=self._run, args=(config, self._closing), name="midspan-diagnostics", daemon=True
+            )
             self._thread.start()
 
     def close(self) -> None:
@@ -36,9 +41,9 @@ class DiagnosticsOnDemand:
         thread, self._thread = self._thread, None
         if thread is not None:
             self._closing.set()
-            thread.join(2.0)
+            thread.join(_END_SECONDS)
 
-    def _run(self, config: Config) -> None:
+    def _run(self, config: Config, closing: threading.Event) -> None:
         from bridge.metrics.diagnostics import publish_while
 
-        publish_while(self._worker.diagnostics_wanted, self._closing, config, self._name)
+        publish_while(self._worker.diagnostics_wanted, closing, config, self._name)

@@ -21,7 +21,7 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
-from bridge.metrics import diagnostics
+from bridge.metrics import diagnostics, on_demand
 from bridge.metrics.diagnostics import publishing_worker
 from bridge.metrics.on_demand import DiagnosticsOnDemand
 from bridge.metrics.parts import Level, PartStatus, parts
@@ -151,6 +151,16 @@ class Side(Worker):
         """Do nothing."""
 
 
+class Wanting(Side):
+    """A side that always has a subscriber."""
+
+    def __init__(self) -> None:
+        """Have no node."""
+
+    def diagnostics_wanted(self) -> bool:
+        return True
+
+
 class PublishingSide:
     """The worker ``ros1`` on a hub; the test sets the status document of its daemon."""
 
@@ -189,6 +199,24 @@ def publishing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Publ
     side_ = PublishingSide(tmp_path, monkeypatch)
     yield side_
     side_.close()
+
+
+def test_a_publisher_that_is_slow_to_end_does_not_continue_beside_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    closings, end = list[threading.Event](), threading.Event()
+
+    def publish_slowly(_wanted: object, closing: threading.Event, _config: Config, _worker: str) -> None:
+        closings.append(closing)
+        end.wait(20)
+
+    monkeypatch.setattr(diagnostics, "publish_while", publish_slowly)
+    monkeypatch.setattr(on_demand, "_END_SECONDS", 0.0, raising=False)
+    publishing = DiagnosticsOnDemand(Wanting(), "ros1")
+    for number in (1, 2):
+        publishing.on_heartbeat(Config(name=f"robot{number}"))
+        until(lambda count=number: len(closings) == count, "the publisher starts")
+    assert [closing.is_set() for closing in closings] == [True, False]
+    end.set()
+    publishing.close()
 
 
 def test_publishes_only_with_subscribers_and_at_once_on_a_change(
