@@ -9,12 +9,15 @@ from typing import NamedTuple
 _NAME = re.compile(r"\w+://[^\s,;)]+|(?<![\w/.])/[\w/.~-]*[\w~]")
 """Names of topics, services, nodes and ports, and addresses; not types: ``std_msgs/String`` has no leading slash."""
 
+_PLACE = "\0"
+"""Stands for a name; unlike a glob such as ``/*``, it is in no text."""
+
 _SHOWN = 5
 
 
 def cause(text: str) -> str:
     """Return a text without the names in it: texts with the same result have the same cause."""
-    return _NAME.sub("/*", text)
+    return _NAME.sub(_PLACE, text)
 
 
 def grouped(texts: Iterable[str]) -> list[str]:

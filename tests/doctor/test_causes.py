@@ -61,3 +61,8 @@ def test_findings_of_one_cause_and_cure_are_merged() -> None:
         "/a is fine",
         "/b is fine",
     ]
+
+
+def test_a_glob_is_not_the_name_that_it_stands_for() -> None:
+    texts = ["the rule for /** denies it", "the rule for /camera* denies it", "the rule for /laser* denies it"]
+    assert grouped(texts) == [texts[0], f"{texts[1]} (the same for /laser)"]
