@@ -136,10 +136,13 @@ class JointDrive:
         others = tuple(joint for joint in self.moving if joint not in command.joints)
         if drives:  # even if the call fails, since a part of it may have arrived
             self.moving, self.until = others + command.joints, command.until
+        else:  # the change of the control mode has ended the velocities of the command's joints
+            self.moving = others
         if not board.call(command.method, command.joints, command.values)[0]:
             return Execution.REJECTED
-        if drives and _stop(board, others):
-            self.moving = tuple(j for j, value in zip(command.joints, command.values, strict=True) if value)
+        if _stop(board, others):
+            moves = zip(command.joints, command.values, strict=True) if drives else ()
+            self.moving = tuple(joint for joint, value in moves if value)
         return Execution.DONE
 
     def halt(self, board: Board, halt: Halt) -> bool:

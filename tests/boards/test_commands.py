@@ -89,6 +89,19 @@ def test_command_stops_the_other_joints_that_move(board: FakeBoard) -> None:
     assert drive.moving == ()
 
 
+def test_positions_end_the_velocities_of_all_joints(board: FakeBoard) -> None:
+    position = "positionMoveGroupRPC"
+    drive = JointDrive()
+    drive.execute(board, command(0, 1))
+    assert drive.execute(board, command(1, 2, method=position)) is Execution.DONE
+    assert board.calls[1:] == [(position, (1, 2), (1.0, 1.0)), (VELOCITY, (0,), (0.0,))]
+    assert drive.moving == (), "a later zero velocity would be for a joint that moves to a position"
+    drive.execute(board, command(0, 1))
+    board.fails.add(position)
+    assert drive.execute(board, command(1, method=position)) is Execution.REJECTED
+    assert drive.moving == (0,)
+
+
 def test_zero_velocity_and_positions_do_not_count_as_moving(board: FakeBoard) -> None:
     drive = JointDrive()
     drive.execute(board, command(0, value=0.0))
