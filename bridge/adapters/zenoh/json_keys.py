@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -19,8 +20,9 @@ import zenoh
 from typing_extensions import override
 
 from bridge.adapters.zenoh.edge import KeyEdge
+from bridge.adapters.zenoh.neighbors import ticks
 from bridge.adapters.zenoh.services import KeyCaller, KeyServer
-from bridge.adapters.zenoh.topics import Announcement, KeyPublisher, KeySubscription
+from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeyPublisher, KeySubscription, SourceOf
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect, DialectKey
 from bridge.hub.endpoints.calls import Call
@@ -101,17 +103,16 @@ class JsonKeysEdge(KeyEdge):
         """Subscribe to a key; if it is latched, also query programs and zenoh storages with a ``get``."""
         key = self._in[topic]
         name = str(key.key)
-        part = self.register(KeySubscription(self.context, name, qos, deliver, lambda _: name, Announcement()))
-        if key.latched and qos.latched:
-            self._query_latched(name, part)
+        if not (key.latched and qos.latched):
+            return self.register(KeySubscription(self.context, name, qos, deliver, lambda _: name, Announcement()))
+        part = self.register(LatchedKeySubscription(self.context, name, qos, deliver, lambda _: name, Announcement()))
+        self._query_latched(name, part)
         return part
 
-    def _query_latched(self, key: str, part: KeySubscription) -> None:
+    def _query_latched(self, key: str, part: LatchedKeySubscription) -> None:
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                source = part.native(reply.ok)
-                if source:
-                    part.accept(reply.ok, source)
+                part.on_stored(reply.ok)
 
         handler, remote = zenoh.handlers.Callback(on_reply, indirect=False), zenoh.Locality.REMOTE
         self.context.session.get(key, handler, timeout=_QUERY_SECONDS, allowed_destination=remote)
@@ -132,6 +133,39 @@ class JsonKeysEdge(KeyEdge):
         nothing = None if request.root.fields else b"{}"
         key = str(self._out[name].key)
         return self.register(KeyServer(self.context, key, name, call, Announcement(), nothing, _JSON))
+
+
+class LatchedKeySubscription(KeySubscription):
+    """A subscription to a latched key, whose programs and storages also reply with stored values.
+
+    A stored value never follows a newer one, since the hub retains the last. A published value is newer than a stored
+    one unless the time stamps show otherwise, and of two stored values the later reply counts unless they do.
+    """
+
+    def __init__(
+        self, context: KeyContext, key: str, qos: Qos, deliver: Deliver, source_of: SourceOf, announcement: Announcement
+    ) -> None:
+        self._order = threading.Lock()
+        self._published = False
+        self._newest = 0
+        super().__init__(context, key, qos, deliver, source_of, announcement)
+
+    @override
+    def accept(self, sample: zenoh.Sample, source: str) -> None:
+        with self._order:
+            self._published, self._newest = True, ticks(sample)
+            super().accept(sample, source)
+
+    def on_stored(self, sample: zenoh.Sample) -> None:
+        """Queue a stored value, unless it is older than the last one."""
+        source, stamp = self.native(sample), ticks(sample)
+        if not source:
+            return
+        with self._order:
+            is_older = stamp <= self._newest if stamp and self._newest else self._published
+            if not is_older:
+                self._newest = stamp
+                super().accept(sample, source)
 
 
 def text_to_cdr(registry: Registry, type_name: str) -> Callable[[bytes], bytes]:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import base64
 import json
+import threading
 from typing import Any
 
 import pytest
 import zenoh
 
-from bridge.adapters.zenoh.json_keys import cdr_to_text, text_to_cdr
+from bridge.adapters.zenoh import json_keys
+from bridge.adapters.zenoh.json_keys import LatchedKeySubscription, cdr_to_text, text_to_cdr
+from bridge.adapters.zenoh.topics import KeySubscription
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from tests.adapters.zenoh.conftest import Place, cross
@@ -107,6 +110,62 @@ def test_a_latched_key_is_queried_for_earlier_values(place: Place) -> None:
     subscription = place.far.subscribe("/mode", STRING, latched=True)
     assert place.far.wait(subscription, 1, 15) == [{"data": "kept"}]
     kept.undeclare()
+
+
+def test_a_stored_value_never_follows_a_newer_one(place: Place) -> None:
+    """A program may publish a newer value before the stored one arrives."""
+    program = place.json()
+
+    def answer(query: zenoh.Query) -> None:
+        program.session.put("mode", b'{"data": "new"}')
+        query.reply("mode", b'{"data": "old"}')
+
+    handler = zenoh.handlers.Callback(answer, indirect=True)
+    kept = program.session.declare_queryable("mode", handler)
+    subscription = place.far.subscribe("/mode", STRING, latched=True)
+    place.bridge(keys({"key": "mode", "direction": "in", "latched": True}))
+    assert place.far.wait(subscription, 1, 15)[0] == {"data": "new"}
+    program.session.put("mode", b'{"data": "newest"}')
+    received = until(lambda: ended(place.far.wait(subscription, 1, 0.1), "newest"), "the last value arrives")
+    assert received == [{"data": "new"}, {"data": "newest"}]
+    kept.undeclare()
+
+
+def ended(received: list[Any], last: str) -> list[Any]:
+    return received if received[-1] == {"data": last} else []
+
+
+Stored = tuple[str, bool, int]
+"""A value, whether it is stored, and its time stamp in seconds, 0 for none."""
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([("a", True, 2), ("b", True, 1)], ["a"]),
+        ([("a", True, 1), ("b", True, 2)], ["a", "b"]),
+        ([("a", True, 1), ("b", True, 0)], ["a", "b"]),
+        ([("a", False, 2), ("b", True, 1)], ["a"]),
+        ([("a", False, 2), ("b", True, 2)], ["a"]),
+        ([("a", False, 1), ("b", True, 2)], ["a", "b"]),
+        ([("a", False, 0), ("b", True, 2)], ["a"]),
+        ([("a", True, 2), ("b", False, 1)], ["a", "b"]),
+    ],
+)
+def test_time_stamps_order_stored_values(
+    values: list[Stored], expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part, received = LatchedKeySubscription.__new__(LatchedKeySubscription), list[str]()
+    part._order, part._published, part._newest = threading.Lock(), False, 0
+    monkeypatch.setattr(KeySubscription, "native", lambda _self, _sample: "source")
+    monkeypatch.setattr(KeySubscription, "accept", lambda _self, sample, _source: received.append(sample[0]))
+    monkeypatch.setattr(json_keys, "ticks", lambda sample: sample[2])
+    for value in values:
+        if value[1]:
+            part.on_stored(value)  # type: ignore[arg-type]
+        else:
+            part.accept(value, "source")  # type: ignore[arg-type]
+    assert received == expected
 
 
 def test_invalid_json_is_counted_and_does_not_stop_the_key(place: Place) -> None:
