@@ -181,14 +181,17 @@ class KeyPublisher:
 
 
 class SampleQueue:
-    """A bounded queue that drops its oldest messages; for commands (depth 1, volatile) it stores only the newest."""
+    """A bounded queue that drops its oldest messages; for commands (depth 1, volatile) it stores only the newest.
+
+    Messages are delivered in order and one at a time, also while the queue changes from ``small`` to ``bulk``.
+    """
 
     def __init__(self, deliver: Deliver, qos: Qos, context: KeyContext) -> None:
         self.lost = 0
         self._deliver, self._bulk = deliver, context.bulk
         self._depth = max(qos.depth, 1)
         self._priority = Priority.COMMAND if is_command(qos) else Priority.STATE if qos.latched else Priority.STREAM
-        self._lock = threading.Lock()
+        self._lock, self._delivering = threading.Lock(), threading.Lock()
         self._queue: deque[tuple[zenoh.ZBytes, str, int | None]] = deque()
         self._bytes = 0
         self._dispatcher = context.small
@@ -211,12 +214,13 @@ class SampleQueue:
         dispatcher.submit(self._priority, self._next)
 
     def _next(self) -> None:
-        with self._lock:
-            if not self._queue or self._closed:
-                return
-            payload, source, time_ns = self._queue.popleft()
-            self._bytes -= len(payload)
-        self._deliver(payload.to_bytes(), source, time_ns)
+        with self._delivering:
+            with self._lock:
+                if not self._queue or self._closed:
+                    return
+                payload, source, time_ns = self._queue.popleft()
+                self._bytes -= len(payload)
+            self._deliver(payload.to_bytes(), source, time_ns)
 
     def close(self) -> None:
         """Stop delivering, and drop queued messages."""
