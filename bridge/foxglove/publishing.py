@@ -218,6 +218,13 @@ class Publishing:
         advertised, messages = self._events.pop_published()
         if self._closed:
             return
+        for message in messages:  # the last messages of channels that close now
+            key = message.channel.client, message.channel.number
+            closing = self._channels.get(key)
+            if closing is None or closing.channel is not message.channel or closing.channel is advertised.get(key):
+                continue
+            if not isinstance(closing, ClientVelocity):  # velocities end with their channel
+                self._send(key, closing, message)
         for key, published in list(self._channels.items()):
             if advertised.get(key) is not published.channel:
                 self._close(key)

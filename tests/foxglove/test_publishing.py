@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from typing import Any
 
 import pytest
@@ -56,6 +57,25 @@ def test_json_and_cdr_reach_the_hub(driven: Desk, type_name: str) -> None:
         app.unadvertise(as_json)
         until(lambda: len(driven.far.publishers("/said")) == 1, "one publisher is withdrawn")
     until(lambda: not driven.far.publishers("/said"), "the other publisher ends with its client")
+
+
+def test_the_last_message_before_the_end_of_a_channel_is_published(driven: Desk) -> None:
+    subscription = driven.far.subscribe("/said", "std_msgs/String")
+    busy, go_on = threading.Event(), threading.Event()
+    with driven.app() as app:
+        number = app.advertise("/said", "std_msgs/msg/String", "json")
+        until(lambda: driven.far.publishers("/said"), "the topic is published")
+        app.publish(number, b'{"data": "first"}')
+        driven.far.wait(subscription, 1)
+        driven.live.host.loop.post(lambda: (busy.set(), go_on.wait(20.0)))
+        assert busy.wait(20.0)
+        app.publish(number, b'{"data": "last"}')
+        app.unadvertise(number)
+        events = driven.live._events
+        until(lambda: not any(c.topic == "/said" for c in [*events._advertised.values()]), "the channel has ended")
+        go_on.set()
+        assert driven.far.wait(subscription, 2) == [{"data": "first"}, {"data": "last"}]
+    until(lambda: not driven.far.publishers("/said"), "the publisher is withdrawn")
 
 
 def test_a_watching_client_publishes_nothing(desk: Desk) -> None:
