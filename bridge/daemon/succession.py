@@ -79,9 +79,13 @@ def succeed(acquire: Callable[[], T]) -> T:
     predecessor, _, report_pipe = os.environ.pop(_PREDECESSOR, "").partition(":")
     if not predecessor:
         return acquire()
-    os.write(int(report_pipe), b"%d" % os.getpid())
-    os.close(int(report_pipe))
-    os.kill(int(predecessor), signal.SIGTERM)
+    try:
+        os.write(int(report_pipe), b"%d" % os.getpid())
+        os.kill(int(predecessor), signal.SIGTERM)
+    except (BrokenPipeError, ProcessLookupError):
+        pass  # the predecessor has exited meanwhile
+    finally:
+        os.close(int(report_pipe))
     end = time.monotonic() + _SECONDS
     while True:
         try:
