@@ -33,7 +33,7 @@ class LatchedState:
             return
         key = arrival.counts.key, gid
         if key not in self._stored:
-            if len(self._unknown) >= MAX_UNKNOWN and self._graph.endpoint(gid) is None:
+            if len(self._unknown) >= MAX_UNKNOWN and not self._graph.zid_of(gid):
                 return
             self._stored[key] = deque(maxlen=1)
             self._unknown.add(key)
@@ -49,6 +49,8 @@ class LatchedState:
 
     def _look_up(self, key: tuple[TopicKey, bytes]) -> bool:
         """Return whether to store a publisher's message, because it is latched, or is not in the graph yet."""
+        if not self._graph.zid_of(key[1]):  # fast, since a publisher without a token calls this for each message
+            return True
         endpoint = self._graph.endpoint(key[1])
         if endpoint is None:
             return True

@@ -24,6 +24,9 @@ class Graph:
     def endpoint(self, gid: bytes) -> Any:
         return next((end for end in self.ends if end.gid == gid), None)
 
+    def zid_of(self, gid: bytes) -> str:
+        return "a" if any(end.gid == gid for end in self.ends) else ""
+
     def publishers(self) -> list[Any]:
         return self.ends
 
@@ -54,6 +57,19 @@ def test_a_message_may_arrive_before_its_publisher_is_in_the_graph(graph: Graph,
     state.add(message(2))
     assert stored(state) == [2]
     graph.ends.clear()
+    assert stored(state) == []
+
+
+def test_the_graph_is_not_searched_for_each_message_of_an_unknown_publisher(
+    graph: Graph, state: LatchedState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(latched, "MAX_UNKNOWN", 1)
+    searched: list[bytes] = []
+    monkeypatch.setattr(graph, "endpoint", searched.append)
+    for number in range(3):
+        state.add(message(number))
+        state.add(message(number, b"h" * 16))
+    assert searched == []
     assert stored(state) == []
 
 
