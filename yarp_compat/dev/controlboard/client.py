@@ -14,7 +14,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any, Self
 
 from yarp_compat.dev.client import ServiceClient
@@ -161,7 +161,7 @@ class JointState:
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
         self._lock = threading.Lock()
-        self._received: Received | None = None
+        self._received: tuple[Received, float] | None = None
         self._data: JointData | None = None
         self._stamp = Stamp()
         self._until = 0.0
@@ -169,15 +169,14 @@ class JointState:
     def store(self, received: Received) -> None:
         """Store a received state; `read` decodes it."""
         with self._lock:
-            self._received = received
-            self._until = time.monotonic() + self._timeout
+            self._received = received, time.monotonic()
 
     def read(self, name: str) -> tuple[Numbers, float] | None:
         """Return a quantity of all joints and the state's time in seconds; None if it is missing or too old."""
         with self._lock:
             received, self._received = self._received, None
             if received is not None:
-                self._read(received)
+                self._read(*received)
             if self._data is None or time.monotonic() > self._until:
                 return None
             numbers = self._data.values.get(name)
@@ -195,16 +194,18 @@ class JointState:
         with self._lock:
             return self._stamp
 
-    def _read(self, received: Received) -> None:
+    def _read(self, received: Received, arrived: float) -> None:
         stamp = Stamp()
         try:
             self._data = received.to(JointData)
-            stamp.from_text(received.envelope or "")
-        except WireError as error:
+        except WireError as error:  # the previous state remains, and expires
             log.warning("rejected a state from %s: %s", received.source, error)
+            return
+        with suppress(WireError):
+            stamp.from_text(received.envelope or "")
         if not stamp.isValid():
             stamp.update(time.time())
-        self._stamp = stamp
+        self._stamp, self._until = stamp, arrived + self._timeout
 
 
 class _StateReader(OpenPort):
@@ -212,6 +213,7 @@ class _StateReader(OpenPort):
         self, name: str, state: JointState, naming: Naming, on_state: Callable[[JointData, float], None] | None
     ) -> None:
         self._state, self._on_state = state, on_state
+        self._reported: JointData | None = None
         super().__init__(name, naming=naming, is_output=False)
 
     @override
@@ -219,5 +221,6 @@ class _StateReader(OpenPort):
         self._state.store(Received(message, self.core.profile))
         if self._on_state is not None:
             newest = self._state.newest()
-            if newest is not None:
+            if newest is not None and newest[0] is not self._reported:  # else the message was rejected
+                self._reported = newest[0]
                 self._on_state(*newest)
