@@ -78,6 +78,7 @@ class Parameters:
         else:
             values = {parameter.name: parameter.get_value() for parameter in wanted[:MOST_PARAMETERS]}
             _log.info("%s sets %s", visitor.who, ", ".join(values)[:500])
+            self._asked = time.monotonic()
             self._await(lambda done: self._host.loop.post(partial(self._set, values, done)), wait=True)
         known = self._known()
         return [
@@ -161,8 +162,13 @@ class Parameters:
 
         self._call(node, LIST, {"prefixes": [], "depth": 0}, on_names)
 
-    def _set(self, values: dict[str, Any], done: Future[None]) -> None:
-        """Set the parameters on each node, then read all its parameters."""
+    def _set(self, values: dict[str, Any], done: Future[None], *, is_read: bool = False) -> None:
+        """Set the parameters on each node, then read all its parameters; first read those that are not known yet."""
+        if not (is_read or values.keys() <= self._known().keys()):
+            read = Future[None]()
+            read.add_done_callback(lambda _: self._set(values, done, is_read=True))
+            self._refresh(read)
+            return
         by_node: dict[str, dict[str, ParameterValue]] = {}
         for full, value in values.items():
             node, name, before = self._find(full)

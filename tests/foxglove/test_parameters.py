@@ -162,6 +162,15 @@ def test_parameters_are_set_with_their_nodes_type(desk: Desk) -> None:
         assert update["parameters"] == [{"name": "/base.speed", "value": 3.0, "type": "float64"}]
 
 
+def test_a_client_may_set_a_parameter_that_nobody_has_read(desk: Desk) -> None:
+    desk.open_with(**DRIVE)
+    node = Node(desk, "/base", VALUES)
+    until(lambda: desk.live.host.node.hub.graph.servers("/base/list_parameters"), "the node is known")
+    with desk.app() as app:
+        app.send(op="setParameters", parameters=[{"name": "/base.count", "value": 5}], id="w")
+        app.until(lambda: node.values["count"].content == 5, "the parameter is set")
+
+
 @pytest.mark.parametrize(
     ("value", "kind", "wanted"),
     [(1, ParameterType.DOUBLE, 1.0), (1.0, ParameterType.INTEGER, 1), ([], ParameterType.BOOL_ARRAY, [])],
