@@ -180,6 +180,29 @@ def test_zips_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sorted(unpacked({"a.zip": bytearray(packed.getvalue())})) == ["a.pgm", "b.pgm"]
 
 
+def test_files_of_the_same_name_in_a_zip_are_refused() -> None:
+    def packed(second: bytes) -> dict[str, bytearray]:
+        file = io.BytesIO()
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.writestr("ground/map.yaml", b"image: map.pgm")
+            archive.writestr("upstairs/map.yaml", second)
+        return {"a.zip": bytearray(file.getvalue())}
+
+    with pytest.raises(VerbError, match=r"several files map\.yaml"):
+        unpacked(packed(b"image: other.pgm"))
+    assert unpacked(packed(b"image: map.pgm")) == {"map.yaml": b"image: map.pgm"}
+
+
+def test_a_damaged_zip_is_refused() -> None:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.map", b"text " * 100)
+    data = bytearray(file.getvalue())
+    data[30 + len("a.map")] = 0xFF  # the first compressed byte
+    with pytest.raises(VerbError, match=r"cannot unpack a\.zip"):
+        unpacked({"a.zip": data})
+
+
 def test_root_files_refer_to_the_others() -> None:
     assert root_files(["a.map", "a_grid.yaml", "a.pgm"]) == ["a.map"]
     assert root_files(["a.yaml", "b.yml", "a.pgm"]) == ["a.yaml", "b.yml"]

@@ -14,6 +14,7 @@ import tempfile
 import threading
 import time
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,9 @@ PART = 384 * 1024
 """Bytes of a downloaded part."""
 
 IDLE_SECONDS = 60.0
+_UNPACK_ERRORS = (
+    zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
+)  # fmt: skip
 _NAME = re.compile(r"[\w\- ().]{1,200}")
 
 
@@ -120,24 +124,28 @@ def data_of(value: Any) -> bytes:
 
 
 def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
-    """Return the files, including those in zips except hidden ones, without their folders; raises `VerbError`."""
-    unpacked_: dict[str, bytes] = {}
+    """Return the files, including those in zips except hidden ones, without their folders.
+
+    Raises `VerbError`, also if two files of different content have the same name, for example in two folders.
+    """
+    unpacked_ = {name: bytes(data) for name, data in files.items() if not name.lower().endswith(".zip")}
     room = MOST_BYTES
     for name, data in files.items():
         if not name.lower().endswith(".zip"):
-            unpacked_[name] = bytes(data)
             continue
         try:
             with zipfile.ZipFile(io.BytesIO(data)) as archive:
                 shown = [info for info in archive.infolist() if not _is_hidden(info)]
                 for info in shown[: MOST_FILES + 1]:
-                    inner = Path(info.filename).name
+                    inner = file_of(Path(info.filename).name)
                     with archive.open(info) as stream:
-                        unpacked_[file_of(inner)] = stream.read(room + 1)
-                    room -= len(unpacked_[inner])
+                        content = stream.read(room + 1)
+                    room -= len(content)
+                    if unpacked_.setdefault(inner, content) != content:
+                        raise VerbError(f"{name} has several files {inner}: import each map separately")
                     if room < 0 or len(unpacked_) > MOST_FILES:
                         raise VerbError(f"{name} has more than {MOST_FILES} files or {MOST_BYTES >> 20} MB")
-        except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as err:
+        except _UNPACK_ERRORS as err:
             if isinstance(err, VerbError):
                 raise
             raise VerbError(f"cannot unpack {name}: {err}") from None
