@@ -68,17 +68,24 @@ def rename_writes(values: Values, kind: ValueKind[Any], old: str, new: str) -> l
     return writes + (_move_writes(values, old, new) if kind is MAP else [])
 
 
+def moved(write: Write[Any], old: str, new: str) -> Write[Any]:
+    """Return a write of map ``old``, or of a place on it, for the map's name ``new``; other writes as they are."""
+    value: Any = write.value
+    if write.kind is MAP and write.name == old:
+        return Write(MAP, new, value)
+    if write.kind in (LOCATION, AREA, OBJECT) and value.map_id == old:
+        return Write(write.kind, write.name, replace(value, map_id=new))
+    if write.kind is PATH and any(point.map_id == old for point in value.waypoints):
+        points = [replace(point, map_id=new) if point.map_id == old else point for point in value.waypoints]
+        return Write(PATH, write.name, replace(value, waypoints=points))
+    return write
+
+
 def _move_writes(values: Values, old: str, new: str) -> list[Write[Any]]:
     """Return the writes that move the places of map ``old`` to ``new``, and choose ``new`` if ``old`` is current."""
-    writes: list[Write[Any]] = []
-    kinds: tuple[ValueKind[Any], ...] = (LOCATION, AREA, OBJECT)
-    for kind in kinds:
-        on_map = {name: value for name, value in values.all(kind).items() if value.map_id == old}
-        writes += [Write(kind, name, replace(value, map_id=new)) for name, value in on_map.items()]
-    for name, path in values.all(PATH).items():
-        if any(point.map_id == old for point in path.waypoints):
-            points = [replace(point, map_id=new) if point.map_id == old else point for point in path.waypoints]
-            writes.append(Write(PATH, name, replace(path, waypoints=points)))
+    kinds: tuple[ValueKind[Any], ...] = (LOCATION, AREA, OBJECT, PATH)
+    places = [Write(kind, name, value) for kind in kinds for name, value in values.all(kind).items()]
+    writes = [write for place in places if (write := moved(place, old, new)) is not place]
     if values.current_map() == old:
         writes.append(Write(CURRENT, THE_MAP, new))
     return writes

@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.stores.kinds import LOCATION, MAP
+from bridge.stores.kinds import LOCATION, MAP, PATH
 from bridge.stores.store import Store, Write
 from bridge.web.verbs import map_files
 from bridge.web.verbs.map_files import Transfers, root_files, unpacked
 from bridge.web.verbs.verbs import VerbError
 from tests.peers.browser.page import TestPage
 from tests.web.conftest import Desk
-from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.dev.places import Places
 
 
 def house(name: str = "house") -> MapGrid2D:
@@ -104,6 +105,19 @@ def test_an_exported_map_can_be_imported(page: TestPage, store: Store, monkeypat
     store.delete(MAP, "house")
     assert page.call("import_map", key=send(page, {"house.zip": files["house.zip"]}))["value"]["done"]
     assert store.get(MAP, "house") == house()
+
+
+def test_places_are_imported_with_a_map_of_another_name(page: TestPage, store: Store, tmp_path: Path) -> None:
+    places = Places(
+        locations={"desk": Map2DLocation("office", 1.0), "door": Map2DLocation("house", 2.0)},
+        paths={"round": Map2DPath([Map2DLocation("office", 1.0), Map2DLocation("house", 2.0)])},
+    )
+    files = {**written(tmp_path / "files", house("office"), ".map"), "places.ini": places.to_text().encode()}
+    assert page.call("import_map", key=send(page, files), name="floor")["value"]["done"]
+    locations, path = store.all(LOCATION), store.get(PATH, "round")
+    assert path is not None
+    assert {name: place.map_id for name, place in locations.items()} == {"desk": "floor", "door": "house"}
+    assert [point.map_id for point in path.waypoints] == ["floor", "house"]
 
 
 def test_a_map_is_renamed_with_its_places(page: TestPage, store: Store) -> None:

@@ -23,7 +23,7 @@ from bridge.client.store import StoreClient
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import CURRENT, MAP
 from bridge.stores.service import read_files
-from bridge.stores.store import THE_MAP, Write
+from bridge.stores.store import THE_MAP, Write, moved
 from bridge.web.verbs.verbs import PageVerb, VerbError, name_of, truth_of
 from yarp_compat.dev.mapfile import MapFileError
 from yarp_compat.file_names import forbidden
@@ -204,7 +204,8 @@ class MapFileVerbs:
         writes = self._read(key)
         maps = [write for write in writes if write.kind is MAP]
         if name and len(maps) == 1:
-            writes[writes.index(maps[0])] = maps[0] = Write(MAP, name, maps[0].value)
+            writes = [moved(write, maps[0].name, name) for write in writes]
+            maps = [write for write in writes if write.kind is MAP]
         store, taken = self._store(), set[tuple[str, str]]()
         keys = {(write.kind.name, write.name) for write in writes}
 
