@@ -66,8 +66,9 @@ class ExternalAccess:
 
     def reopen(self, config: Config) -> None:
         """Close the router, and open a router with this configuration."""
-        if self.router is not None:
-            self.close()
+        was_open = self.router is not None
+        self.close()
+        if was_open:
             time.sleep(_REOPEN_SECONDS)
         self.open(config)
 
