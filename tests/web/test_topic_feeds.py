@@ -119,6 +119,18 @@ def test_a_message_is_withdrawn_with_its_last_publisher(place: Surroundings) -> 
     assert '"bytes":4' in place.second(1)
 
 
+def test_a_closed_feed_keeps_no_message(place: Surroundings) -> None:
+    """A message may be in the shared memory of its sender, which has little of it."""
+    anything: Any = place
+    page: Watcher = place
+    feed = LengthFeed(anything, anything, "topic:/odom", "/odom")
+    feed.watch(page)
+    (callback,) = place.callbacks
+    callback(HubSample(zenoh.ZBytes(b"data"), 1, 1, b"1" * 16, "1"))
+    feed.unwatch(page)
+    assert feed._newest is None
+
+
 def test_the_reason_why_a_topic_cannot_be_subscribed_is_shown(place: Surroundings) -> None:
     place.refusal = "the session is closed"
     watch(place)

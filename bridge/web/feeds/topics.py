@@ -63,6 +63,7 @@ class NewestFeed(Feed):
         for timer in self._timers:
             timer.close()
         self._follower.close()
+        self._newest = None  # its payload may be in the sender's shared memory
 
     def _subscribe(self) -> None:
         all_publishers = self._host.node.hub.graph.publishers(self._topic)
