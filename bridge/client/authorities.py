@@ -26,7 +26,8 @@ class Authorities:
         known = self._known.get(gid)
         if known is not None:
             return known
-        endpoint = self._graph.endpoint(gid)
+        # a publisher that the graph never lists is searched for each message, so check first whether it is listed
+        endpoint = self._graph.endpoint(gid) if self._graph.zid_of(gid) else None
         if endpoint is None:
             return unlisted
         origin = endpoint.origin
