@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
-from threading import Lock
 
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
@@ -120,8 +120,9 @@ class RouteSubscription:
             del self._departed[next(iter(self._departed))]
 
     def request_returned(
-        self, allowed: Mapping[bytes, HubSource], publishing: Lock, remove: Callable[[Collection[bytes]], None]
-    ) -> None:
+        self, allowed: Mapping[bytes, HubSource], publishing: AbstractContextManager[object],
+        remove: Callable[[Collection[bytes]], None],
+    ) -> None:  # fmt: skip
         """Request the cached messages of departed publishers that are allowed again, although they were received once.
 
         ``remove`` removes the messages of such publishers that the route holds, because the publishers' caches contain

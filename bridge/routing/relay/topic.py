@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
+from contextlib import nullcontext
 from functools import partial
 from threading import Lock
 from typing import NamedTuple
@@ -84,15 +85,22 @@ class RelayedTopic(TopicAdmission):
             self._queue = BoundedQueue("midspan-relay", depth, QUEUE_BYTES, self._relay, self.crowded_out)
         sources = self._sources.updated(pair.publishers, (), (), self.latches)
         refused = HubSources(sources.allowed, pair.others, {}, sources.natives)
-        self._open_publishers(pair, refused)
+        before = self._sources.allowed
+        opened = self._open_publishers(pair, refused)
+        for gid in before:
+            if before[gid].latched and (gid in opened or gid not in sources.allowed):
+                self._subscription.depart(gid)
         self._sources = refused
         qos = combined_qos([end.qos for end in pair.publishers])
         if self._priority is Priority.COMMAND:
             qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
         self._subscription.request(qos)
+        # The subscription calls `_remove` while it holds its lock, which its receiving threads hold before `_lock`.
+        self._subscription.request_returned(sources.allowed, nullcontext(), self._remove)
         self._release()
 
-    def _open_publishers(self, pair: TopicPair, sources: HubSources) -> None:
+    def _open_publishers(self, pair: TopicPair, sources: HubSources) -> set[bytes]:
+        """Open and close publishers; return the GIDs of the latched sources for which one was opened."""
         wanted: dict[tuple[str, bytes], Qos] = {}
         for target in pair.subscriptions:
             for source in sources.allowed.values():
@@ -107,6 +115,7 @@ class RelayedTopic(TopicAdmission):
         self._publishers = kept | opened
         if ended:
             self._context.closing.submit(partial(_close, ended))
+        return {gid for _, gid in opened}
 
     def _volatile(self, qos: Qos) -> Qos:
         if self._priority is Priority.COMMAND:  # a history of all would wait for a congested link
@@ -140,6 +149,11 @@ class RelayedTopic(TopicAdmission):
                         self._unknown.put_back(waiting)
                     else:
                         self.counters.dropped("unknown")
+
+    def _remove(self, sources: Collection[bytes]) -> None:
+        """Remove the held messages of publishers whose caches will deliver them."""
+        with self._lock:
+            self._unknown.pop_matching(lambda waiting: waiting.source in sources)
 
     # -- messages ------------------------------------------------------------------------------------------------------
 

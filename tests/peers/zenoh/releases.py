@@ -176,7 +176,7 @@ class ReleasePublisher:
         self._lock = Lock()
         self._discovered: dict[bytes, str] = {}
         token = node.token("MP", topic)
-        self.gid, self._sequence = gid_of(token), 0
+        self.gid, self._sequence, self._token_key = gid_of(token), 0, token
         self._token = node.announce(token)
         self._declared(self.key)
         self._watch: Any = None
@@ -224,6 +224,14 @@ class ReleasePublisher:
         self._sequence += 1
         self._declared(self.key).put(payload, attachment=attachment(self._sequence, self.gid))
 
+    def vanish(self) -> None:
+        """Withdraw only the token, as if a link were lost; see `appear`."""
+        self._token.undeclare()
+
+    def appear(self) -> None:
+        """Declare the token again."""
+        self._token = self._node.announce(self._token_key)
+
     def close(self) -> None:
         """Withdraw the publisher and its cached samples."""
         self._token.undeclare()
@@ -262,7 +270,7 @@ class ReleaseClient:
     def __init__(self, node: ReleaseNode, service: Topic) -> None:
         self._node, self._key = node, node.key(service)
         token = node.token("SC", service)
-        self.gid, self._sequence = gid_of(token), 0
+        self.gid, self._sequence, self._token_key = gid_of(token), 0, token
         self._token = node.announce(token)
 
     def call(self, request: bytes, seconds: float = 30.0) -> list[bytes]:

@@ -241,6 +241,45 @@ def test_latched_messages_reach_late_joiners_until_their_publisher_leaves(relay:
     assert texts(third) == ["other"]
 
 
+def test_the_latched_messages_of_a_publisher_that_returns_reach_late_joiners(relay: Relays, node: Nodes) -> None:
+    """The relay keeps its subscription for the other publisher, and has received the message before."""
+    worker, topic, humble, jazzy = relay(), Topics(STRING, LATCHED), node(HUMBLE), node(JAZZY)
+    publisher, other = topic.publisher(humble), topic.publisher(humble)
+    publisher.put(text("map"))
+    other.put(text("other"))
+    first = topic.subscription(jazzy)
+    until(lambda: sorted(texts(first)) == ["map", "other"], "both messages are relayed")
+
+    def publishers() -> int:
+        (relayed,) = worker.relay.topics().values()
+        return len(relayed.pair.publishers)
+
+    publisher.vanish()
+    until(lambda: publishers() == 1, "the relay drops the publisher")
+    publisher.appear()
+    until(lambda: publishers() == 2, "the relay has the publisher again")
+    late = topic.subscription(node(KILTED))
+    until(lambda: sorted(texts(late)) == ["map", "other"], "both messages reach a late joiner", seconds=5.0)
+
+
+def test_latched_messages_reach_the_first_subscription_of_a_third_version_only_there(
+    relay: Relays, node: Nodes
+) -> None:
+    worker, topic = relay(), Topics(FEEDBACK, replace(LATCHED, depth=3))
+    nodes = [node(release) for release in (HUMBLE, JAZZY, LYRICAL)]
+    publisher, first = topic.publisher(nodes[0]), topic.subscription(nodes[1])
+    cdr = ReleaseTypes(nodes[0]).encode(FEEDBACK, {"feedback": {"number_of_recoveries": 3}})
+    for _ in range(5):
+        publisher.put(cdr)
+    until(lambda: len(first.samples) == 3, "the first version is relayed")
+    third = topic.subscription(nodes[2])
+    until(lambda: len(worker.relay.topics()) == 1 and len(third.samples) == 3, "the third receives", seconds=5.0)
+    publisher.put(cdr)
+    for subscription in (first, third):
+        until(lambda s=subscription: len(s.samples) >= 4, "a new message arrives")
+        assert [sample.sequence for sample in subscription.samples] == [3, 4, 5, 6]
+
+
 @pytest.mark.parametrize(("sender", "receiver"), [(HUMBLE, JAZZY), (JAZZY, HUMBLE)])
 def test_a_history_arrives_in_order_before_new_messages(
     relay: Relays, node: Nodes, sender: Release, receiver: Release
