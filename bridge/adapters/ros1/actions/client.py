@@ -280,6 +280,8 @@ class ActionlibClient:
         id_ = status.goal.id
         goal = self._goals.by_id(id_)
         if goal is not None and not goal.ours and goal.state.ended and goal.stamp != status.goal.stamp:
+            if goal.result is None:  # it counts as lost: a result that arrives now is the new goal's
+                self._end(goal, goal.state, self._empty)
             self._goals.remove(goal)
             goal = None
         ours = goal is not None and goal.lost and goal.ours

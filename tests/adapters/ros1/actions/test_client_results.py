@@ -3,8 +3,10 @@
 import pytest
 
 from bridge.adapters.ros1.actions import goal as goal_module
+from bridge.adapters.ros1.actions import states
 from bridge.adapters.ros1.actions.client import RESULT_SECONDS
 from bridge.adapters.ros1.actions.states import Ros1State
+from bridge.adapters.ros1.actions.wire import RosTime
 from bridge.messages.actions import GoalState
 from tests.peers.ros1.client_world import EMPTY, World, accepted, lost, reason, result, status, uuid
 
@@ -57,6 +59,21 @@ def test_feedback_accepts_the_goal_and_is_forwarded(world):
     world.client.feedback(status(1, Ros1State.ACTIVE), b"overtaken")
     assert world.feedbacks[1:] == [(uuid(1), b"overtaken")]
     assert world.states[-1] == {uuid(1): GoalState.SUCCEEDED}
+
+
+def test_the_missing_result_of_a_goal_does_not_end_a_new_goal_with_its_id(world):
+    native = states.uuid_of("/act", "/rviz-1")
+    world.report(("/rviz-1", Ros1State.SUCCEEDED))
+    first, second = [], []
+    world.client.get_result(native, first.append)
+    world.report(("/rviz-1", Ros1State.ACTIVE, RosTime(9, 0)))
+    assert result(first) == (GoalState.SUCCEEDED, EMPTY)
+    world.client.get_result(native, second.append)
+    world.advance(RESULT_SECONDS + 0.1)
+    world.report(("/rviz-1", Ros1State.PREEMPTING, RosTime(9, 0)))
+    assert world.states[-1] == {native: GoalState.CANCELING}
+    world.client.lost("its server left")
+    assert lost(second) == "lost sight of the goal: its server left"
 
 
 def test_a_result_is_returned_to_all_earlier_and_later_callers(world):
