@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 
@@ -135,12 +136,13 @@ class HubToSideRoute(TopicRoute):
         self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint], waiting: Sequence[HubEndpoint]
     ) -> None:
         before = self._sources.allowed
-        self._sources = self._sources.updated(allowed, refused, waiting, self.latches)
+        sources = self._sources.updated(allowed, refused, waiting, self.latches)
+        self._open_publishers(sources.allowed.values())  # before a message of a new source needs one
+        self._sources = sources
         for gid in before.keys() - self._sources.allowed.keys():
             if before[gid].latched and not self.static:
                 self._publishers.drop_source(gid)
                 self._subscription.depart(gid)
-        self._open_publishers(self._sources.allowed.values())
         if allowed and not self._subscription.paused:
             self._receive_from(allowed)
         self._subscription.request_returned(self._sources.allowed, self.queue.publishing, self._remove_held)
@@ -252,6 +254,9 @@ class HubToSideRoute(TopicRoute):
             if not self._lease.over:
                 self._context.wake()
         elif source is not None:
+            if self.held.unknown.holds(sample.gid):  # of a publisher that has just become known
+                for pending in self.held.unknown.pop_matching(lambda w: w.source == sample.gid):
+                    self._retry(pending, -math.inf)
             self._publish(sample, source)
             if latched and source.endpoint.gid not in self._sources.allowed:
                 self._publishers.drop_source(sample.gid)

@@ -83,8 +83,8 @@ class SideToHubRoute(TopicRoute):
     the life of the route; transforms that are not latched are published unchanged.
 
     ``pending`` holds messages until their publisher is known, or until the worker has the lease. The lock
-    ``_releasing`` is held while they are removed and published, so that a newer latched message, which another thread
-    delivers, is published after them.
+    ``_releasing`` is held while they are removed and published, so that a newer message, which another thread delivers,
+    is published after them.
     """
 
     direction = "in"
@@ -210,13 +210,15 @@ class SideToHubRoute(TopicRoute):
         """Handle a message from one of the side's publishers; the edge calls this method, on any thread."""
         publisher = self._sources.get(source)
         since = time.monotonic()
-        if publisher is None or publisher.latched or since > self._lease.until:
+        # pending first, because a release empties it while it holds the lock
+        held = self.pending or self._releasing.locked()
+        if publisher is None or publisher.latched or held or since > self._lease.until:
             self._deliver_rare(publisher, payload, source, time_ns)
         else:
             self._pass(publisher, source, payload, time_ns, since)
 
     def _deliver_rare(self, publisher: _SidePublisher | None, payload: bytes, source: str, time_ns: int | None) -> None:
-        """Handle a message that is latched, is from an unknown publisher, or arrives without the lease."""
+        """Handle a message that is latched, from an unknown publisher, without the lease, or newer than held ones."""
         counters = self.counters
         if self._lease.over:
             # a latched message arrives only once, and the route may continue
@@ -236,8 +238,7 @@ class SideToHubRoute(TopicRoute):
             self._context.wake()
         elif publisher is None:
             counters.dropped("held")
-        # pending first, because a release empties it while it holds the lock
-        elif publisher.latched and (self.pending or self._releasing.locked()):
+        elif self.pending or self._releasing.locked():
             with self._releasing:
                 self._release()
                 self._pass(publisher, source, payload, time_ns, time.monotonic())

@@ -106,17 +106,29 @@ def test_only_a_latched_message_of_an_unknown_publisher_outlasts_a_missing_lease
     to_hub.route.close()
 
 
-@pytest.mark.parametrize("standby", [False, True])
-def test_message_held_by_a_route_to_the_hub_is_published_before_newer_ones(*, standby: bool) -> None:
+@pytest.mark.parametrize(("standby", "qos"), [(False, LATCHED), (True, LATCHED), (False, Qos())])
+def test_message_held_by_a_route_to_the_hub_is_published_before_newer_ones(*, standby: bool, qos: Qos) -> None:
     to_hub = RouteToHub()
-    to_hub.update("this" if standby else "other")
+    to_hub.update("this" if standby else "other", qos=qos)
     if standby:
         to_hub.lease.end()
     to_hub.deliver("old")
     to_hub.lease.extend(math.inf)
     to_hub.during_conversion = newer = Newer(lambda: to_hub.deliver("new"))
-    to_hub.update("this")
+    to_hub.update("this", qos=qos)
     newer.join()
+    assert to_hub.hub.published == [line("old"), line("new")]
+    to_hub.route.close()
+
+
+def test_message_that_arrives_before_the_release_of_an_older_one_is_published_after_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    to_hub = RouteToHub()
+    to_hub.update("other", qos=Qos())
+    to_hub.deliver("old")
+    monkeypatch.setattr(to_hub.route, "_subscribe", lambda: to_hub.deliver("new"))
+    to_hub.update("this", qos=Qos())
     assert to_hub.hub.published == [line("old"), line("new")]
     to_hub.route.close()
 
@@ -162,6 +174,21 @@ def test_pending_message_does_not_replace_one_that_arrives_once_its_publisher_is
     assert latched.wakes == 2, "a check is due"
     latched.route.update([latched.other, latched.publisher], [])
     assert latched.network.retained() == [line("new")]
+
+
+def test_messages_of_a_new_volatile_publisher_reach_the_side_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One arrives before its publisher is known, one while the side's publisher opens, and one before the release."""
+    latched, received = LatchedRoute(monkeypatch), list[bytes]()
+    latched.network.read_from(TOPIC, STRING, Qos(), MadeBy.NATIVE, "/listener", lambda data, *_: received.append(data))
+    volatile = replace(latched.publisher, qos=Qos())
+    latched.route.update([latched.other], [])
+    latched.receive("first")
+    publishers = latched.route._publishers
+    advertise = publishers._advertise
+    monkeypatch.setattr(publishers, "_advertise", lambda qos: (latched.receive("second"), advertise(qos))[1])
+    monkeypatch.setattr(latched.route, "_follow_demand", lambda _: latched.receive("third"))
+    latched.route.update([latched.other, volatile], [])
+    assert received == [line("first"), line("second"), line("third")]
 
 
 def suspend(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
