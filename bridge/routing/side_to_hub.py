@@ -229,12 +229,11 @@ class SideToHubRoute(TopicRoute):
             else:
                 counters.dropped("standby")
         elif publisher is None and not self._is_blocked():
-            # The engine may not have seen the publisher yet: hold its newest message until the engine calls `update`.
+            # The engine may not have seen the publisher yet: hold its messages until the engine calls `update`.
             if self._priority is Priority.COMMAND:
                 counters.dropped("unknown")  # a command is never held
             else:
-                held = _Held(payload, time_ns, leased=True)
-                counters.dropped("unknown", self.pending.keep(source, held, len(payload), depth=1))
+                self.pending.add(source, _Held(payload, time_ns, leased=True), len(payload))
             self._context.wake()
         elif publisher is None:
             counters.dropped("held")

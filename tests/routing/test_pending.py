@@ -121,6 +121,19 @@ def test_message_held_by_a_route_to_the_hub_is_published_before_newer_ones(*, st
     to_hub.route.close()
 
 
+@pytest.mark.parametrize("qos", [replace(LATCHED, depth=3), Qos()])
+def test_all_messages_of_a_publisher_that_is_not_known_yet_reach_the_hub(qos: Qos) -> None:
+    """A latched publisher's history arrives at once, and only once."""
+    to_hub = RouteToHub()
+    to_hub.update("other", qos=qos)
+    for text in ("first", "second", "third"):
+        to_hub.deliver(text)
+    to_hub.update("other", "this", qos=qos)
+    assert to_hub.hub.published == [line("first"), line("second"), line("third")]
+    assert not to_hub.route.counters.drops["unknown"]
+    to_hub.route.close()
+
+
 def test_message_that_arrives_before_the_release_of_an_older_one_is_published_after_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
