@@ -46,6 +46,7 @@ class SidePublishers:
         self.latched: EdgePublisher | None = None
         self.volatile: EdgePublisher | None = None
         self.static: StaticTransforms | None = None
+        self._invented: dict[bytes, set[bytes]] = {}
 
     def open_latched(self, depth: int, *, transforms: bool = False) -> None:
         """Open the publisher for latched sources, if it is not open; ``transforms``: for static transforms."""
@@ -64,10 +65,16 @@ class SidePublishers:
         depth = min(max(depth, 1), 1000)
         return self._advertise(Qos(Reliability.RELIABLE, durability, depth=depth, lifespan_ns=lifespan_ns))
 
+    def add_invented(self, gid: bytes, invented: bytes) -> None:
+        """Note that a latched source publishes under an invented GID; see `HubSources.natives`."""
+        self._invented.setdefault(gid, set()).add(invented)
+
     def drop_source(self, gid: bytes) -> None:
         """Drop the messages that are retained for a source, except static transforms."""
+        invented = self._invented.pop(gid, ())
         if self.latched is not None and self.static is None:
-            self.latched.drop_source(gid.hex())
+            for name in (gid, *invented):
+                self.latched.drop_source(name.hex())
 
     @property
     def dropped(self) -> int:
@@ -302,6 +309,8 @@ class HubToSideRoute(TopicRoute):
             return
         try:
             data, name = sample.data(), sample.gid.hex()
+            if source.latched and sample.gid != source.endpoint.gid:
+                publishers.add_invented(source.endpoint.gid, sample.gid)
             if source.latched and publishers.static is not None:
                 data, name = publishers.static.merge(data), _STATIC
             if self.conversion.convert is not None:

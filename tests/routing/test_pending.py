@@ -29,6 +29,7 @@ from bridge.routing.side_to_hub import SideToHubRoute
 from bridge.routing.stall import StallDetector
 from tests.peers.fake import FakeEdge, FakeNetwork
 from tests.peers.hub.network import HubNetwork
+from tests.peers.zenoh.releases import JAZZY, ReleaseNode, ReleasePublisher, Topic
 from tests.routing.test_route import STRING, LatchedRoute, line
 from tests.support.wait import until
 
@@ -303,6 +304,25 @@ def test_messages_of_a_hub_publisher_that_returns_are_retained_again(hub_route: 
     route.update(endpoints, [])
     until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages are retained again")
     assert route.counters.messages == 3, "the other publisher's message is not repeated"
+
+
+def test_message_with_an_invented_gid_is_retained_again_when_its_publisher_returns() -> None:
+    with HubNetwork() as hubs, Hub.open(hubs.settings("here")) as hub:
+        hub_route = HubRoute(hub, hub)
+        route, network = hub_route.route, hub_route.network
+        node = ReleaseNode(hubs.endpoint, hubs.domain, "sdk", JAZZY)
+        publisher = ReleasePublisher(node, Topic(TOPIC, STRING, route.key.type_id, LATCHED))
+        publisher.gid = b"i" * 16
+        publisher.put(line("1"))
+        endpoints = until(lambda: hub.graph.publishers(TOPIC), "the publisher is discovered")
+        route.update(endpoints, [])
+        until(lambda: network.retained() == [line("1")], "the message is retained")
+        route.update([], endpoints)
+        assert network.retained() == []
+        route.update(endpoints, [])
+        until(lambda: network.retained() == [line("1")], "the message is retained again", seconds=5.0)
+        route.close()
+        node.close()
 
 
 def test_messages_published_during_an_absence_cross_once_and_in_order(hub_route: HubRoute) -> None:

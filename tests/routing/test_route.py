@@ -211,6 +211,16 @@ def test_message_of_a_publisher_that_leaves_during_its_conversion_is_not_retaine
     assert latched.network.retained() == []
 
 
+def test_message_with_an_invented_gid_is_retained_until_its_publisher_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As from zenoh-ros2-sdk, whose GIDs are not those of its tokens."""
+    latched = LatchedRoute(monkeypatch)
+    latched.route.update([latched.publisher, latched.other], [])
+    latched.route.queue.receive(HubSample(zenoh.ZBytes(line("map")), 0, 1, b"i" * 16, latched.publisher.zid))
+    assert latched.network.retained() == [line("map")]
+    latched.route.update([latched.other], [])
+    assert latched.network.retained() == []
+
+
 def test_stored_message_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPatch) -> None:
     latched = LatchedRoute(monkeypatch)
     latched.route.update([latched.other], [], [latched.publisher])

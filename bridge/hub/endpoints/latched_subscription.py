@@ -124,9 +124,10 @@ class LatchedHubSubscription(HubSubscription):
     def request_again(self, gid: bytes, zid: str, forget: Callable[[], None]) -> None:
         with self._lock:
             forget()
-            source = self.sources.pop(gid, None)
-            if source is not None:
-                self.sources.pop_all_held(source)
+            # a publisher that has sent nothing under its own GID may invent GIDs, as that of zenoh-ros2-sdk
+            invented = [g for g, source in self.sources.items() if source.zid == zid and not self._graph.zid_of(g)]
+            for departed in [gid] if gid in self.sources else invented:
+                self.sources.pop_all_held(self.sources.pop(departed))
         self._ask(zid)
 
     def on_query(self, zid: str) -> None:
