@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from bridge.adapters.ros1.actions import discovery, wire
+from bridge.adapters.ros1.actions.cancels import ANY
 from bridge.adapters.ros1.actions.client import ActionlibClient
 from bridge.adapters.ros1.actions.discovery import FoundServer
 from bridge.adapters.ros1.actions.frames import FrameGuard, empty
@@ -58,7 +59,7 @@ class ActionCaller(ActionTopics):
         begin = {
             ros2_action.SEND_GOAL: self._send_goal,
             ros2_action.GET_RESULT: self._client.get_result,
-            ros2_action.CANCEL_GOAL: self._client.cancel,
+            ros2_action.CANCEL_GOAL: self._cancel,
         }[part]
         opened = PartCaller(self._executor, begin, lambda: self._close_caller(opened))
         self._add_part(opened)
@@ -220,6 +221,22 @@ class ActionCaller(ActionTopics):
             done(_REJECTED)
             return nothing
         return self._client.send_goal(uuid + body, done)
+
+    def _cancel(self, request: bytes, done: Done) -> Abandon:
+        """Cancel goals; reject those that were postponed, because the server would still receive them later."""
+        try:
+            uuid, stamp = wire.read_cancel_request(request)
+        except ConversionError as err:
+            done(CallError(str(err)))
+            return nothing
+        postponed, self._postponed = self._postponed, []
+        for call in postponed:
+            if call[0][: wire.UUID_SIZE] != uuid and (uuid, stamp) != (ANY, wire.ZERO):
+                self._postponed.append(call)
+            elif not call[2].abandoned:
+                self._guard.report(self.name, "it was canceled before enough transforms had been received")
+                call[1](_REJECTED)
+        return self._client.cancel(request, done)
 
     def _retry_postponed(self) -> None:
         """Retry goals that were postponed because too few transforms had been received."""
