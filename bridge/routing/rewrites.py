@@ -47,9 +47,10 @@ class StaticTransforms:
             transforms = _transforms(cdr)
         except (ValueError, struct.error) as err:
             raise ValueError(f"not a {TF_TYPE}: {err}") from err
-        self._by_child.update((transform.child, transform) for transform in transforms)
-        if len(self._by_child) > MAX_FRAMES:
+        merged = self._by_child | {transform.child: transform for transform in transforms}
+        if len(merged) > MAX_FRAMES:  # later messages with known frames must still be merged
             raise ValueError(f"more than {MAX_FRAMES} static frames")
+        self._by_child = merged
         parts = bytearray(struct.pack("<I", len(self._by_child)))
         for transform in self._by_child.values():
             transform.write(parts)

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from bridge.routing import rewrites
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -34,6 +35,15 @@ def test_static_transforms_of_another_byte_order_merge() -> None:
     message: Any = STORE.deserialize_cdr(transforms("a", "bc", x=2.5), TF_TYPE)
     swapped = bytes(STORE.serialize_cdr(message, TF_TYPE, little_endian=False))
     assert StaticTransforms().merge(swapped) == transforms("a", "bc", x=2.5)
+
+
+def test_a_message_with_too_many_static_frames_does_not_affect_later_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rewrites, "MAX_FRAMES", 2)
+    merged = StaticTransforms()
+    merged.merge(transforms("a"))
+    with pytest.raises(ValueError, match="more than 2 static frames"):
+        merged.merge(transforms("b", "c"))
+    assert merged.merge(transforms("b")) == transforms("a", "b")
 
 
 @pytest.mark.parametrize(
