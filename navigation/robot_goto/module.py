@@ -231,6 +231,7 @@ class RobotGoto(PlannerModule):
         """Move with only the laser: radians, m/s, seconds. Raises `PlanError` if the robot must not drive."""
         self._check()
         self._goal.replace(self._server.begin())
+        self._began = self.now()
         self.driver.approach(direction, speed, seconds)
 
     @override

@@ -201,6 +201,17 @@ def test_clients_of_the_action_see_and_cancel_what_yarp_clients_request(place: G
         cancel_all()
 
 
+def test_the_feedback_of_an_approach_has_its_own_navigation_time(place: Goto) -> None:
+    topic, kind = f"{PLANNER}/navigate_to_pose/_action/feedback", "nav2_msgs/action/NavigateToPose_FeedbackMessage"
+    robot, messages = place.robot, list[dict[str, Any]]()
+    subscription = robot.loop.call(lambda: robot.node.subscription(topic, kind, messages.append))
+    place.module._began = place.module.now() - 1000.0  # the previous goal
+    place.host.loop.call(lambda: place.module.approach(0.0, 0.1, 5.0))
+    until(lambda: messages, "feedback is published", 20)
+    robot.loop.call(lambda: robot.node.release(subscription))
+    assert messages[0]["feedback"]["navigation_time"]["sec"] < 60
+
+
 def test_a_yarp_scan_is_stamped_on_reception(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     module, resume = place.module, threading.Event()
     stamps: list[int] = []
