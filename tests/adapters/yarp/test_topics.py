@@ -98,7 +98,7 @@ def test_route_connected_during_a_message_receives_it() -> None:
 def test_old_command_is_not_delivered(monkeypatch: pytest.MonkeyPatch, *, command: bool, expected: list[bytes]) -> None:
     """A velocity whose sender was unknown for too long must not move the robot later; other messages are delivered."""
     now = 100.0
-    monkeypatch.setattr(topics.time, "monotonic", lambda: now)
+    monkeypatch.setattr(topics, "time", SimpleNamespace(monotonic=lambda: now))
     input_port, delivered = make_port(Maker(MadeBy.NATIVE)), list[bytes]()
     input_port.on_message(message(b"1"))  # no route exists yet
     now += topics.COMMAND_HOLD_SECONDS + 0.1
