@@ -61,11 +61,18 @@ class Floor:
         self.node = HubNode(self.midspan.settings("stepper"))
         self._client: ServiceClient = self.node.on(lambda: self.node.node.client("/sim/step", "midspan_msgs/srv/Step"))
         until(lambda: self._client.ready, "the simulator is on the hub", SECONDS)
+        # the clock and its acknowledgements are lost until the modules and the simulator know each other
+        until(lambda: self._reply(patience=1.0)["success"], "the modules follow the steps", SECONDS)
 
     def step(self) -> None:
         """Advance the time by one step, and wait until all modules have finished it."""
+        reply = self._reply(SECONDS)
+        assert reply["success"], reply
+
+    def _reply(self, patience: float) -> Any:
+        """Return the reply to a step, for whose end the simulator waits at most this many seconds."""
         answered, replies = threading.Event(), list[Any]()
-        request = {"seconds": STEP, "wait_for": list(MODULES), "patience": SECONDS}
+        request = {"seconds": STEP, "wait_for": list(MODULES), "patience": patience}
 
         def on_reply(reply: Any) -> None:
             replies.append(reply)
@@ -73,7 +80,7 @@ class Floor:
 
         self.node.on(lambda: self._client.call(request, on_reply))
         assert answered.wait(2 * SECONDS)
-        assert replies[0]["success"], replies[0]
+        return replies[0]
 
     def close(self) -> None:
         self.node.close()
