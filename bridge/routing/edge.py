@@ -102,6 +102,11 @@ class Sighting:
     received: float
 
 
+def is_command(qos: Qos) -> bool:
+    """Return whether only the newest message counts, as for the engine's commands: volatile, with depth 1."""
+    return qos.depth == 1 and not qos.latched
+
+
 class EdgeListener(Protocol):
     """An edge's notifications to the engine; each call returns at once."""
 

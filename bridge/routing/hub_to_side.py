@@ -31,6 +31,9 @@ from bridge.status import RouteStatus
 PENDING_SECONDS = 2.0
 """Seconds for which a message from an unknown publisher is held."""
 
+MAX_INVENTED = 64
+"""Maximum number of GIDs that one latched source may invent."""
+
 _STATIC = "static transforms"
 
 
@@ -46,7 +49,7 @@ class SidePublishers:
         self.latched: EdgePublisher | None = None
         self.volatile: EdgePublisher | None = None
         self.static: StaticTransforms | None = None
-        self._invented: dict[bytes, set[bytes]] = {}
+        self._invented: dict[bytes, dict[bytes, None]] = {}
 
     def open_latched(self, depth: int, *, transforms: bool = False) -> None:
         """Open the publisher for latched sources, if it is not open; ``transforms``: for static transforms."""
@@ -66,8 +69,17 @@ class SidePublishers:
         return self._advertise(Qos(Reliability.RELIABLE, durability, depth=depth, lifespan_ns=lifespan_ns))
 
     def add_invented(self, gid: bytes, invented: bytes) -> None:
-        """Note that a latched source publishes under an invented GID; see `HubSources.natives`."""
-        self._invented.setdefault(gid, set()).add(invented)
+        """Note that a latched source publishes under an invented GID; see `HubSources.natives`.
+
+        Of a source with more than `MAX_INVENTED`, the messages of the first are dropped.
+        """
+        names = self._invented.setdefault(gid, {})
+        names[invented] = None
+        if len(names) > MAX_INVENTED:
+            first = next(iter(names))
+            del names[first]
+            if self.latched is not None and self.static is None:
+                self.latched.drop_source(first.hex())
 
     def drop_source(self, gid: bytes) -> None:
         """Drop the messages that are retained for a source, except static transforms."""

@@ -92,6 +92,9 @@ ENTRY = "zenoh"
 
 Kind = Literal["topic", "service", "action"]
 
+COMMAND_SECONDS = 0.5
+"""Age in seconds beyond which a command is dropped unless a rule sets another."""
+
 _MOST_DECIDED = 20_000
 """Maximum number of cached decisions."""
 
@@ -134,7 +137,7 @@ class RoutePolicy:
     rate: float | None = None
     priority: str = ""
     depth: int | None = None
-    timeout: float = 0.5
+    timeout: float = COMMAND_SECONDS
     stamped: bool | None = None
     qos: QosOverride = field(default_factory=QosOverride)
 

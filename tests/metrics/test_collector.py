@@ -126,7 +126,7 @@ def test_workers_are_reported_from_the_daemons_status() -> None:
     for name in ("cpu_seconds_total", "resident_memory_bytes", "open_fds"):
         assert scrape.value(f"midspan_worker_{name}", worker="ros1") > 0
         assert scrape.value(f"midspan_worker_{name}", worker="daemon") > 0
-        assert not scrape.values(f"midspan_worker_{name}", worker="ros2"), "there is no such process"
+        assert not scrape.values(f"midspan_worker_{name}", worker="ros2"), "the process is missing"
 
 
 def test_an_unreachable_daemon_is_reported_as_down() -> None:

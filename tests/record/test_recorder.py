@@ -279,6 +279,15 @@ def test_a_file_that_cannot_be_written_is_named_and_removed(tmp_path: Path, monk
     assert not list(tmp_path.iterdir())
 
 
+def simulated_room(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return the bytes that are free on the disk, in a list that the test changes."""
+    free = [100 << 20]
+    monkeypatch.setattr(record_file, "room", lambda _: free[0])
+    monkeypatch.setattr(record_series, "room", lambda _: free[0])
+    monkeypatch.setattr(record_series, "RETRY_SECONDS", 0.1)
+    return free
+
+
 def test_a_full_disk_stops_recording_until_space_is_free(
     hubs: QuickHub,
     robot: Robot,
@@ -286,10 +295,7 @@ def test_a_full_disk_stops_recording_until_space_is_free(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    free = [100 << 20]
-    monkeypatch.setattr(record_file, "room", lambda _: free[0])
-    monkeypatch.setattr(record_series, "room", lambda _: free[0])
-    monkeypatch.setattr(record_series, "RETRY_SECONDS", 0.1)
+    free = simulated_room(monkeypatch)
     chat = robot.publisher("/said")
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
         recorded.recorder.begin()
@@ -319,10 +325,7 @@ def test_a_full_disk_stops_recording_until_space_is_free(
 def test_latched_message_that_arrives_while_the_disk_is_full_begins_the_next_file(
     hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    free = [100 << 20]
-    monkeypatch.setattr(record_file, "room", lambda _: free[0])
-    monkeypatch.setattr(record_series, "room", lambda _: free[0])
-    monkeypatch.setattr(record_series, "RETRY_SECONDS", 0.1)
+    free = simulated_room(monkeypatch)
     state = robot.publisher("/state", LATCHED)
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
         recorded.recorder.begin()

@@ -24,7 +24,7 @@ from bridge.routing.counters import Counters
 from bridge.routing.decision import RouteKey
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import Endpoint, Kind, MadeBy
-from bridge.routing.hub_to_side import HubToSideRoute, SidePublishers
+from bridge.routing.hub_to_side import MAX_INVENTED, HubToSideRoute, SidePublishers
 from bridge.routing.limits import Priority
 from bridge.routing.peer_watch import Lease
 from bridge.routing.route import EngineContext
@@ -219,6 +219,18 @@ def test_message_with_an_invented_gid_is_retained_until_its_publisher_leaves(mon
     assert latched.network.retained() == [line("map")]
     latched.route.update([latched.other], [])
     assert latched.network.retained() == []
+
+
+def test_messages_with_many_invented_gids_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    latched = LatchedRoute(monkeypatch)
+    latched.route.update([latched.publisher], [])
+    for number in range(MAX_INVENTED + 2):
+        gid = number.to_bytes(16, "big")
+        latched.route.queue.receive(HubSample(zenoh.ZBytes(line(str(number))), number, 1, gid, latched.publisher.zid))
+    retained = latched.network.retained()
+    assert len(retained) <= MAX_INVENTED
+    assert line(str(MAX_INVENTED + 1)) in retained
+    assert line("0") not in retained
 
 
 def test_stored_message_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import SideType
 from bridge.messages.yarp.codec import has_header
-from bridge.routing.edge import Deliver
+from bridge.routing.edge import Deliver, is_command
 
 
 class RoutedTopics:
@@ -110,13 +110,13 @@ class RoutedTopics:
 
 
 class YarpSubscription:
-    """A subscription to one topic; ``is_command``: only its newest message counts, as for the engine's commands."""
+    """A subscription to one topic; ``is_command``: whether its messages are commands."""
 
     lost = 0
 
     def __init__(self, topics: RoutedTopics, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> None:
         self._topics = topics
-        self.is_command = qos.depth == 1 and not qos.latched
+        self.is_command = is_command(qos)
         self.topic, self.side_type, self.deliver = topic, side_type, deliver
 
     def close(self) -> None:

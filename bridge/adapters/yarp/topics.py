@@ -20,6 +20,7 @@ from bridge.messages.yarp.codec import Codec, stamp_of
 from bridge.messages.yarp.contents import Content
 from bridge.resources import LARGE_MESSAGES
 from bridge.routing.edge import Deliver, MadeBy
+from bridge.routing.rules import COMMAND_SECONDS
 from yarp_compat.ports.commands import CommandWriter
 from yarp_compat.ports.connections import AnyOutput
 from yarp_compat.ports.message import Payload, PortMessage
@@ -53,9 +54,6 @@ def on_system_clock(stamp_ns: int | None) -> int | None:
 
 HOLD_SECONDS = 2.0
 """Seconds for which the newest message of a new peer is held if it is not known yet who created the port."""
-
-COMMAND_HOLD_SECONDS = 0.5
-"""The same for commands: the age beyond which the engine drops a command, unless a rule sets another."""
 
 MAX_HELD = 64
 
@@ -127,7 +125,7 @@ class InputPort:
         self._deliver = deliver
 
     def _is_overdue(self, held: _Held, now: float) -> bool:
-        return now - held.since > (COMMAND_HOLD_SECONDS if self._is_command else HOLD_SECONDS)
+        return now - held.since > (COMMAND_SECONDS if self._is_command else HOLD_SECONDS)
 
     def waiting(self) -> set[str]:
         """Return the peers with held messages, even if they have left."""

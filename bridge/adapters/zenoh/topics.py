@@ -18,7 +18,7 @@ from bridge.hub.endpoints.calls import nothing
 from bridge.hub.wire.qos import Qos
 from bridge.hub.zenoh_compat import answer, source_infos, subscribe, undeclare
 from bridge.routing.dispatcher import Dispatcher
-from bridge.routing.edge import Deliver
+from bridge.routing.edge import Deliver, is_command
 from bridge.routing.limits import BULK, QUEUE_BYTES, Priority
 
 Withdraw = Callable[[], None]
@@ -70,11 +70,6 @@ class Announcement:
             withdraw, self._withdraw = self._withdraw, None
         if withdraw is not None:
             withdraw()
-
-
-def is_command(qos: Qos) -> bool:
-    """Return whether only the newest message counts, as for the engine's commands: volatile, with depth 1."""
-    return qos.depth == 1 and not qos.latched
 
 
 def priority(qos: Qos) -> zenoh.Priority:

@@ -12,6 +12,7 @@ import pytest
 from bridge.adapters.yarp import topics
 from bridge.adapters.yarp.topics import InputPort
 from bridge.routing.edge import MadeBy
+from bridge.routing.rules import COMMAND_SECONDS
 
 
 class Maker:
@@ -101,7 +102,7 @@ def test_old_command_is_not_delivered(monkeypatch: pytest.MonkeyPatch, *, comman
     monkeypatch.setattr(topics, "time", SimpleNamespace(monotonic=lambda: now))
     input_port, delivered = make_port(Maker(MadeBy.NATIVE)), list[bytes]()
     input_port.on_message(message(b"1"))  # no route exists yet
-    now += topics.COMMAND_HOLD_SECONDS + 0.1
+    now += COMMAND_SECONDS + 0.1
     input_port.deliver_to(lambda cdr, *_: delivered.append(cdr), command=command)
     input_port.release()
     assert delivered == expected
