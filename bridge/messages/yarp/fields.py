@@ -79,6 +79,8 @@ class FieldsCodec(Codec):
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """Convert a Bottle as `Codec` specifies; fields that the Bottle lacks get their defaults."""
         values = decode_arrays(bytes(payload), profile)
+        if isinstance(values, np.ndarray):  # a Bottle of integers only, or of floats only
+            values = values.tolist()
         if len(values) != len(self._entries):
             wanted = " ".join(entry.text for entry, _ in self._entries)
             raise ConversionError(

@@ -57,6 +57,18 @@ def test_constants_and_degrees_form_a_command_of_robot_goto() -> None:
         back(known, TWIST, [2, 0.0, 0.5, 90.0, 100.0])
 
 
+def test_a_bottle_of_integers_only_is_accepted() -> None:
+    """YARP sends ``0 0 0``, with which a person stops a robot, as a list of integers."""
+    known = codec(TWIST, "linear.x", "linear.y", "deg(angular.z)")
+    assert back(known, TWIST, [0, 0, 0]) == back(known, TWIST, [0.0, 0.0, 0.0])
+    assert back(known, TWIST, [1, 2, 180])["angular"]["z"] == pytest.approx(math.pi)
+    command = codec(TWIST, 3, "linear.x", "linear.y", "deg(angular.z)", 100.0)
+    assert back(command, TWIST, [3, 0, 0, 0, 100]) == back(known, TWIST, [0, 0, 0])
+    assert back(codec("std_msgs/msg/ColorRGBA", "r", "g"), "std_msgs/msg/ColorRGBA", [1, 0])["r"] == 1.0
+    assert back(codec("std_msgs/msg/Int64", "data"), "std_msgs/msg/Int64", [1 << 40]) == {"data": 1 << 40}
+    assert back(codec("std_msgs/msg/Bool", "data"), "std_msgs/msg/Bool", [1]) == {"data": True}
+
+
 def test_times_texts_arrays_and_elements_become_values_of_the_bottle() -> None:
     name = "sensor_msgs/msg/JointState"
     known = codec(name, "header.stamp", "name", "position", "velocity[1]", "'end'")
