@@ -10,6 +10,8 @@ from dataclasses import replace
 
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import FrameRefusal
+from bridge.tf.history import pose_flaw
+from bridge.tf.layout import DONE
 from bridge.tf.stamped import Stamped, read, write
 from bridge.transform_server.view import ANY, View, YarpClock
 from yarp_compat.dev.frametransform import FrameTransform
@@ -133,10 +135,14 @@ class Exchange:
         return next((refusal for refusal in refusals if refusal not in _HARMLESS), None)
 
     def _reset_frames(self, stamped: Iterable[Stamped]) -> None:
-        """Remove the histories of frames that become static, because each keeps the kind of its first transform."""
-        for transform in stamped:
-            if not self.view.is_static(transform.child_frame_id):
-                self.buffer.remove(transform.child_frame_id)
+        """Remove the histories of frames that become static, because each keeps the kind of its first transform.
+
+        The history of a frame whose new transform will be refused stays.
+        """
+        for parent, child, _, moved, turned in stamped:
+            valid = parent not in ("", child) and pose_flaw(*moved, *turned) == DONE
+            if valid and not self.view.is_static(child):
+                self.buffer.remove(child)
 
     def _to_stamped(self, transform: FrameTransform) -> Stamped:
         moved, turned = (

@@ -98,7 +98,8 @@ class View:
     @property
     def ours(self) -> int:
         """Number of frames that YARP programs set."""
-        return sum(entry.ours for entry in self._entries.values())
+        entries = list(self._entries.values())  # in one step, because the module's health is read without the lock
+        return sum(entry.ours for entry in entries)
 
     def is_static(self, child: str) -> bool:
         """Return whether a YARP program set this frame, as static."""

@@ -230,6 +230,19 @@ def test_invalid_input_is_an_error_and_the_rest_is_inserted(
     assert not rig.static
 
 
+@pytest.mark.parametrize(
+    "bad", [{"qW": 0.0}, {"tX": math.nan}, {"src_frame_id": ""}, {"src_frame_id": "lidar"}, {"src_frame_id": "/lidar"}]
+)
+@pytest.mark.parametrize("static", [False, True])
+def test_a_refused_static_transform_leaves_the_hubs_frame_unchanged(
+    rig: ExchangeRig, clock: StoppedClock, bad: dict[str, Any], static: bool
+) -> None:
+    rig.receive("base", "lidar", static=static, x=1.0)
+    whole = {"src_frame_id": "base", "dst_frame_id": "lidar", "timestamp": clock.system, "isStatic": 1, **bad}
+    assert rig.set(FrameTransform(**whole)) is not None
+    assert rig.buffer.lookup_transform("base", "lidar").translation == (1.0, 0.0, 0.0)
+
+
 def test_a_stamp_far_ahead_is_refused(rig: ExchangeRig, clock: StoppedClock) -> None:
     assert rig.set(frame("map", "base", clock.system + 1.5)) is None
     assert rig.set(frame("map", "base", clock.system + 5.0)) is FrameRefusal.FUTURE
@@ -291,6 +304,20 @@ def test_stamps_are_converted_to_a_simulations_clock(clock: StoppedClock, on_run
     assert list(rig.seen()) == ["lidar"]
     assert rig.set(frame("map", "base", 1.0)) is None
     assert sorted(rig.seen()) == ["base", "lidar"]
+
+
+def test_frames_are_counted_while_another_thread_sets_one(rig: ExchangeRig, clock: StoppedClock) -> None:
+    class Counted:
+        """A frame during whose count another frame is set, as by a thread of a YARP port."""
+
+        @property
+        def ours(self) -> bool:
+            rig.set(frame("map", "late", clock.system))
+            return True
+
+    rig.set(frame("map", "base", clock.system))
+    rig.view._entries["base"] = Counted()  # type: ignore[assignment]
+    assert rig.view.ours == 1
 
 
 def test_the_get_call_returns_all_frames(rig: ExchangeRig) -> None:
