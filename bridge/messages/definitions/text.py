@@ -36,6 +36,7 @@ MAX_DEPTH = 64  # maximum nesting depth of types
 MAX_ARRAY = 1 << 28  # longest fixed array or bound that is accepted
 _SEPARATOR = re.compile(r"^={20,}[ \t]*\n", re.MULTILINE)
 _LINE = re.compile(r"(\S+)\s+([A-Za-z_]\w*)\s*(.*)", re.DOTALL)
+_BEFORE_VALUE = re.compile(r"\s*\S+\s+[A-Za-z_]")  # the type and the first letter of the name
 _TYPE = re.compile(r"([A-Za-z][\w/]*)(?:<=(\d+))?(?:\[(?:(<=)?(\d+))?\])?(?P<empty>\[\])?")
 _QUOTED = re.compile(r""""(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'""")
 _FOREIGN_TO_ROS1 = re.compile(r"<=|wstring|builtin_interfaces/|/msg/")
@@ -236,12 +237,16 @@ def _strip_comment(line: str) -> str:
     """Return the line without its comment; a ``#`` within quotes belongs to the value."""
     if "#" not in line:
         return line.strip()
+    before = _BEFORE_VALUE.match(line)
+    equals = line.find("=")
+    first = before.end() if before is not None else len(line)
+    last = equals if equals >= 0 else len(line)
     quote = ""
     for index, char in enumerate(line):
         if quote:
             if char == quote:
                 quote = ""
-        elif char in "\"'" and _LINE.match(line[:index].strip()) and "=" not in line[:index]:
+        elif char in "\"'" and first <= index <= last:
             quote = char
         elif char == "#":
             return line[:index].strip()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import time
+
 import pytest
 
 from bridge.messages.definitions.hashes import md5_sum, rihs01
@@ -148,3 +151,18 @@ def test_overlong_lines_are_refused_at_once():
     with pytest.raises(MessageTypeError, match="longer than"):
         parse("string a " + "\"'" * 1_000_000, World.ROS2)
     assert parse("# " + "x" * 100_000 + "\nint8 a", World.ROS2).fields
+
+
+@pytest.mark.parametrize("text", ["a" + "'" * 19_000 + "#", "string A=" + "'" * 19_000 + "#"])
+def test_a_line_of_quotes_is_read_at_once(text: str) -> None:
+    """A publisher's definition must not stop the worker for seconds."""
+    began = time.thread_time()
+    with contextlib.suppress(MessageTypeError):
+        parse(text, World.ROS1)
+    assert time.thread_time() - began < 1.0
+
+
+def test_only_quotes_of_a_default_value_protect_a_number_sign() -> None:
+    definition = parse("string a 'x # y' # it's\nint8 b # it's b\nstring C='x' # y\nint8 D=5 # 'z'", World.ROS2)
+    assert [(field.name, field.default) for field in definition.fields] == [("a", "x # y"), ("b", None)]
+    assert [(constant.name, constant.text) for constant in definition.constants] == [("C", "'x'"), ("D", "5")]
