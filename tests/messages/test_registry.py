@@ -387,6 +387,20 @@ def test_definitions_are_found_in_prefixes_of_built_packages(tmp_path: Path):
     assert Registry(prefixes=[tmp_path]).ros2("built_msgs/msg/Thing").type_id.startswith("RIHS01_")
 
 
+@pytest.mark.parametrize("kind", ["wchar", "long double"])
+def test_a_type_of_idl_that_cannot_be_converted_is_named(tmp_path: Path, kind: str) -> None:
+    """Other errors than `MessageTypeError` would end the engine of a side."""
+    (tmp_path / "my_msgs").mkdir()
+    for name, field in {"Odd": f"{kind} a", "Holder": "Odd odd"}.items():
+        text = f"module my_msgs {{ module msg {{ struct {name} {{ {field}; }}; }}; }};"
+        (tmp_path / "my_msgs" / f"{name}.idl").write_text(text)
+    registry = Registry(folders=[tmp_path])
+    for name in ("Odd", "Holder"):
+        for use in (registry.ros2, registry.hub_check, registry.hub_to_ros1):
+            with pytest.raises(MessageTypeError, match=rf"my_msgs/msg/Odd has a field of IDL's type {kind}"):
+                use(f"my_msgs/msg/{name}")
+
+
 def test_registry_is_thread_safe():
     registry = Registry()
     names = ["std_msgs/String", "nav_msgs/Odometry", "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"] * 4

@@ -30,7 +30,16 @@ from bridge.messages.definitions.parts import (
     read_sections,
     with_generated_parts,
 )
-from bridge.messages.definitions.schema import Constant, Definition, Field, FieldType, Shape, World
+from bridge.messages.definitions.schema import (
+    PRIMITIVE_SIZES,
+    STRING_TYPES,
+    Constant,
+    Definition,
+    Field,
+    FieldType,
+    Shape,
+    World,
+)
 from bridge.messages.definitions.stores import read_store
 from bridge.messages.definitions.text import MAX_TEXT, parse_definition, parse_full, spell, split_parts
 from bridge.messages.errors import MessageTypeError
@@ -343,6 +352,7 @@ def _split(paths: str | None) -> list[Path]:
 _STORES = {World.ROS1: "ros1_noetic", World.ROS2: "ros2_jazzy"}
 _TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
 _IDL_BASES = {"octet": "byte", "boolean": "bool"}
+_IDL_SPELLED = {"float128": "long double"}  # in rosbags, and in IDL
 _BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # rosbags.interfaces.Nodetype
 
 
@@ -404,5 +414,10 @@ def _type(desc: Any, owner: str, world: World) -> FieldType:
         if world is World.ROS1 and content in _TIMES:
             return FieldType(_TIMES[content])
         return FieldType(spell(content, owner, world))
-    base, bound = content
-    return FieldType(_IDL_BASES.get(base, base), string_bound=bound)
+    base, bound = _IDL_BASES.get(content[0], content[0]), content[1]
+    if base not in PRIMITIVE_SIZES and base not in STRING_TYPES:
+        raise MessageTypeError(
+            f"{owner} has a field of IDL's type {_IDL_SPELLED.get(base, base)}, which Midspan cannot convert",
+            "leave the field out, or give it a type that .msg files have, too",
+        )
+    return FieldType(base, string_bound=bound)
