@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple, Self, TypeVar
 
 from bridge.hub.endpoints.variants import TypeVersions
@@ -16,6 +18,8 @@ from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 from bridge.routing.rules import RoutePolicy
 
 Converts = TypeVar("Converts", Conversion, ServiceConversion)
+
+_log = logging.getLogger(__name__)
 
 OWN_NETWORK = "it comes from this network"
 
@@ -95,12 +99,18 @@ class RouteDecision:
         self.barred, self.reason, self.cure = True, obstacle.reason, obstacle.cure
 
     def convert(self, make: Callable[[], Converts]) -> Converts | None:
-        """Create the route's conversion; if its type cannot be converted, refuse the route and return None."""
+        """Create the route's conversion; if its type cannot be converted, refuse the route and return None.
+
+        An unexpected exception, too, refuses only this route.
+        """
         try:
             return make()
         except MessageTypeError as err:
             self.refuse(str(err), err.cure)
-            return None
+        except Exception as err:
+            self.refuse(f"{self.type} cannot be converted: {type(err).__name__}: {err}", "")
+            _log_once(self.reason)
+        return None
 
     @property
     def kind(self) -> str:
@@ -131,6 +141,11 @@ class RouteDecision:
             "reason": why,
             "cure": cure,
         }
+
+
+@lru_cache(maxsize=256)  # the routes are checked again and again
+def _log_once(reason: str) -> None:
+    _log.exception("%s", reason)
 
 
 def native_groups(

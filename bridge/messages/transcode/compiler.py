@@ -259,7 +259,7 @@ class _Compiler:
     def _number(self, base: str, default: DefaultValue | None, at: FieldPath) -> bytes:
         try:
             return struct.pack("<" + STRUCT_FORMATS[base], default or 0)
-        except struct.error:
+        except (struct.error, OverflowError):
             msg = f"{self.target.name} cannot be created: the default {default!r} of {_name(at)} is not a {base}"
             raise MessageTypeError(msg) from None
 
