@@ -116,7 +116,8 @@ class MatchedPoses(PoseSource):
         self._host, self._section = host, section
         self.drawn = DrawnMap(mapper, host.background.submit)
         self._mount = Pose(0.0, 0.0, 0.0)
-        self._start: Pose | None = None
+        self._start: Pose | None = None  # the robot's pose that was set, until the next scan
+        self._begun: Pose | None = None  # the odometry frame's pose on a map that has no scans yet, if known
         self._localizer = ""  # the status of a localizer
         self._stamp_ns = 0  # the stamp of the last transform
         self._tf = host.node.publisher(TF, TF_TYPE, Qos(depth=100)) if section.publish_tf else None
@@ -139,11 +140,16 @@ class MatchedPoses(PoseSource):
         return self.drawn.scan(odometry._replace(stamp_ns=laser_scan.time_ns), scan)
 
     def _begin(self, odometry: Pose) -> None:
-        """Start at the pose that was set, or else at the odometry's pose, except on a loaded map."""
+        """Set the laser's pose before the first scan of a map: from the pose that was set, else from the odometry.
+
+        On a loaded map, the odometry alone does not show the pose. While mapping is stopped, the robot may drive on.
+        """
         start, self._start = self._start, None
         if start is not None:
-            self.drawn.locate(start @ self._mount)
-        elif self.drawn.slam.unsure is None and self._mapper.scans == 0:
+            self._begun = start @ self._mount @ odometry.inverse
+        if self._begun is not None:
+            self.drawn.locate(self._begun @ odometry)
+        elif self.drawn.slam.unsure is None:
             self.drawn.locate(odometry)
 
     @override
@@ -165,6 +171,7 @@ class MatchedPoses(PoseSource):
 
     @override
     def clear(self) -> None:
+        self._begun = self.drawn.slam.correction or self._begun
         self.drawn.clear()
 
     @override
@@ -175,6 +182,7 @@ class MatchedPoses(PoseSource):
                 " set modules.mapper2d.pose to tf, topic or port, and provide the pose, for example from a localizer"
             )
         self.drawn.load(grid, graph)
+        self._begun = None
 
     @override
     def save_graph(self, graph: Path) -> None:

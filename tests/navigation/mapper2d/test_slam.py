@@ -5,18 +5,25 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from bridge.messages.scan import LaserScan
+from bridge.modules.host import Host
 from navigation.algorithms.loops import LoopSearch
+from navigation.algorithms.slam import at_once
 from navigation.algorithms.submaps import Scan
 from navigation.mapper2d import graph_file
 from navigation.mapper2d.drawn import DrawnMap
 from navigation.mapper2d.mapper import Mapper
+from navigation.mapper2d.poses import Poses
 from navigation.mapper2d.section import Mapper2DSection
+from navigation.mapper2d.source import MatchedPoses
 from navigation.pose import Pose
 from tests.navigation.algorithms.scanned import Laser, Seen, corridor, drive
 from tests.peers.hub.modules import Place
@@ -93,6 +100,56 @@ def test_a_map_moves_with_the_robot_that_is_set_elsewhere(driven: list[Seen]) ->
     drawn.clear()
     assert drawn.slam.pose.distance(driven[29].truth) < 0.01
     assert not (drawn.mapper.grid().flags == MapFlag.WALL).any()
+
+
+class Recorded:
+    """The odometry of recorded scans, whose stamps are their indices."""
+
+    corrected = False
+
+    def __init__(self, driven: list[Seen]) -> None:
+        self._driven = driven
+
+    def mount(self, _frame: str) -> Pose:
+        return Pose(0.0, 0.0, 0.0)
+
+    def odometry(self, stamp: int) -> Pose:
+        return self._driven[stamp].odometry
+
+
+def matched(driven: list[Seen]) -> tuple[MatchedPoses, Callable[[int], object]]:
+    """Return a source of poses that matches recorded scans, and a function that adds the scan with an index."""
+    section = Mapper2DSection(width=14.0, height=10.0, farthest=8.0, publish_tf=False)
+    poses, host = Recorded(driven), SimpleNamespace(background=SimpleNamespace(submit=at_once, trouble=""))
+    source = MatchedPoses(cast("Host", host), section, Mapper(section), cast("Poses", poses))
+
+    def add(number: int) -> object:
+        scan = driven[number].scan
+        return source.add("laser", LaserScan(number, scan.first, scan.step, 0.05, scan.farthest, scan.ranges))
+
+    return source, add
+
+
+def test_a_pose_that_is_set_before_mapping_starts_moves_with_the_robot(driven: list[Seen]) -> None:
+    source, add = matched(driven)
+    source.locate(driven[0].truth)
+    source._mapper.mapping = False
+    for number in range(20):
+        add(number)
+    source._mapper.mapping = True
+    add(20)
+    assert source.drawn.slam.pose.distance(driven[20].truth) < 0.1
+
+
+def test_a_new_map_continues_at_the_pose_on_the_previous_one(driven: list[Seen]) -> None:
+    source, add = matched(driven)
+    source.locate(driven[0].truth)
+    for number in range(20):
+        add(number)
+    source.clear()
+    add(20)
+    assert source.drawn.slam.pose.distance(driven[20].truth) < 0.05
+    assert len(source.drawn.slam.submaps.views) == 1
 
 
 def test_scans_move_the_robot_but_not_the_map_while_mapping_is_stopped(driven: list[Seen]) -> None:
