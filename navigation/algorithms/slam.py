@@ -130,6 +130,11 @@ class Slam:
         return None if track is None or self.unsure is not None else self.pose @ track.odometry.inverse
 
     @property
+    def placed(self) -> Submaps:
+        """The submaps whose poses on the map are known: all, unless the trajectory has not joined a loaded map yet."""
+        return self.submaps if self.unsure is None else self.submaps.first(self._joined_from)
+
+    @property
     def full(self) -> bool:
         """Whether no further scans become part of the map."""
         return len(self.submaps.graph.poses) >= MOST_SUBMAPS

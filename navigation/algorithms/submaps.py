@@ -107,6 +107,17 @@ class Submaps:
         copy._surfels, copy._lock = self._surfels, self._lock
         return copy
 
+    def first(self, count: int) -> Submaps:
+        """Return the first submaps, with their views and the edges between them."""
+        part = Submaps()
+        part.graph.poses = self.graph.poses[:count]
+        part.graph.edges = [edge for edge in self.graph.edges if max(edge.first, edge.second) < count]
+        part.views_of = [[] for _ in part.graph.poses]
+        for view in self.views:
+            if view.submap < count:
+                part.add(view)
+        return part
+
     def begin(self, pose: Pose) -> int:
         """Add an empty submap at a pose on the map; return its index."""
         self.views_of.append([])

@@ -106,9 +106,9 @@ class DrawnMap:
 
     def finish(self) -> None:
         """Finish drawing the map with the current poses."""
-        if self._drawing is None and self._is_outdated():
-            self.draw_again()
-        while self._drawing is not None:
+        while self._drawing is not None or self._is_outdated():
+            if self._drawing is None:  # a drawing in progress may have begun with earlier poses
+                self.draw_again()
             self.work()
 
     def clear(self) -> None:
@@ -124,8 +124,8 @@ class DrawnMap:
             self.draw_again()
 
     def save(self, path: Path) -> None:
-        """Save the graph for `load`; raises `OSError`."""
-        graph_file.write(path, SavedGraph(self.slam.submaps, *self.mapper.painted))
+        """Save the graph for `load`, without scans whose place on a loaded map is unknown; raises `OSError`."""
+        graph_file.write(path, SavedGraph(self.slam.placed, *self.mapper.painted))
 
     def load(self, grid: MapGrid2D, path: Path) -> None:
         """Continue a map with its graph if both are valid; raises `OSError`, or `ValueError` with the reason."""

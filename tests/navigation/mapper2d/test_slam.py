@@ -18,6 +18,7 @@ from bridge.modules.host import Host
 from navigation.algorithms.loops import LoopSearch
 from navigation.algorithms.slam import at_once
 from navigation.algorithms.submaps import Scan
+from navigation.mapper2d import drawn as drawn_module
 from navigation.mapper2d import graph_file
 from navigation.mapper2d.drawn import DrawnMap
 from navigation.mapper2d.mapper import Mapper
@@ -89,6 +90,37 @@ def test_the_drawn_map_is_right_after_the_loop(driven: list[Seen], tmp_path: Pat
     assert far_off(grown) < 0.01
     assert (grown.flags == MapFlag.KEEP_OUT).sum() == 9
     assert len(again.slam.submaps.views) > len(drawn.slam.submaps.views)
+
+
+def test_scans_at_an_unknown_place_are_not_saved_with_a_loaded_map(driven: list[Seen], tmp_path: Path) -> None:
+    drawn, path = mapping(), tmp_path / "map.graph.npz"
+    drawn.locate(driven[0].truth)
+    draw(drawn, driven[:20])
+    drawn.save(path)
+    again = mapping()
+    again.load(drawn.mapper.grid(), path)
+    again.scan(driven[10].odometry, driven[10].scan)
+    assert again.slam.unsure is not None
+    again.save(path)
+    before, after = drawn.slam.submaps, graph_file.read(path).submaps
+    assert [pose[:3] for pose in after.graph.poses] == [pose[:3] for pose in before.graph.poses]
+    assert (len(after.views), len(after.graph.edges)) == (len(before.views), len(before.graph.edges))
+
+
+def test_a_map_whose_poses_change_while_it_is_drawn_is_drawn_again_for_saving(
+    driven: list[Seen], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    away = Pose(0.0, 0.3, 0.0)
+    drawn = mapping()
+    drawn.locate(away @ driven[0].truth)
+    draw(drawn, driven[:60])
+    monkeypatch.setattr(drawn_module, "_SLICE", len(drawn.slam.submaps.views) // 2)
+    drawn.draw_again()
+    drawn.work()
+    poses = drawn.slam.submaps.graph.poses
+    poses[:] = [away.inverse @ pose for pose in poses]  # as after a closed loop
+    drawn.finish()
+    assert far_off(drawn.mapper.grid()) < 0.02
 
 
 def test_a_map_moves_with_the_robot_that_is_set_elsewhere(driven: list[Seen]) -> None:
