@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from typing_extensions import override
 
@@ -44,19 +42,20 @@ class Mapper3D(Module):
         self._host, self._section = host, section
         self.space = Space(section)
         self._began = host.clock.elapsed_ns()
-        self._state_file, self._saved_clouds = host.folder / "map.ot", 0
+        self._state_file, self._refused = host.folder / "map.ot", False
         folder = MapsFolder(section.folder or host.folder / "maps")
         self._commands = SpaceCommands(
             self.space, self._grid, lambda: host.store, folder, section.map_name, mapping=section.mapping
         )
-        self._trouble = self._load()
-        self._layer_changed = self._map_changed = True
+        self._trouble, self._unsaved = self._load(), ""
+        # the changes of the map that are saved and published; -1 for none
+        self._saved, self._layer_shown, self._map_shown = self.space.changes, -1, -1
         self._floorless = ""
         self._poses = SensorPoses(host, section)
         self._layer = LayerPublisher(host, section) if section.layer.topic else None
         self._octomaps = OctomapServer(host, section, self.space) if section.octomap else None
         self._queue = Sources(host, section, self._poses, self._add).queue
-        host.yarp.respond(f"{section.prefix}/rpc", lambda values: host.loop.call(lambda: self._answer(values)))
+        host.yarp.respond(f"{section.prefix}/rpc", lambda values: host.loop.call(lambda: self._commands.answer(values)))
         self._commands.serve(host, self.name)
         host.on_jump(self._queue.clear)
         host.every(_BEAT, self._queue.work)
@@ -68,7 +67,6 @@ class Mapper3D(Module):
         if self._commands.mapping:
             now = (self._host.clock.elapsed_ns() - self._began) / 1e9
             self.space.add(reading.points, pose, reading.view, now)
-            self._layer_changed = self._map_changed = True
 
     def _load(self) -> str:
         """Continue the saved map, or else the map of the store; return why that failed, or ""."""
@@ -80,6 +78,7 @@ class Mapper3D(Module):
             elif section.load:
                 self._commands.load(section.load)
         except (OSError, WireError, StoreError, HubError, ValueError) as err:
+            self._refused = source == str(self._state_file)
             trouble = f"cannot continue the map: {source}: {err}"
             self._host.log.warning("%s", trouble)
             return trouble
@@ -105,23 +104,19 @@ class Mapper3D(Module):
         return layer
 
     def _publish_layer(self) -> None:
-        if self._layer is None or not self._layer_changed:
+        changes = self.space.changes
+        if self._layer is None or self._layer_shown == changes:
             return
         try:
             self._layer.publish(self._columns())
         except ValueError:  # try again: clouds are only used while the pose is known
             return
-        self._layer_changed = False
+        self._layer_shown = changes
 
     def _publish_map(self) -> None:
+        shown, self._map_shown = self._map_shown, self.space.changes
         if self._octomaps is not None:
-            self._octomaps.publish(changed=self._map_changed)
-        self._map_changed = False
-
-    def _answer(self, values: list[Any]) -> list[Any]:
-        answer = self._commands.answer(values)
-        self._layer_changed = self._map_changed = True
-        return answer
+            self._octomaps.publish(changed=shown != self._map_shown)
 
     @override
     def health(self) -> Health:
@@ -132,7 +127,7 @@ class Mapper3D(Module):
             topics = [*section.clouds, *(source.image for source in section.depth)]
             reason = f"no messages on {', '.join(topics)}" if topics else "no source: set clouds or depth"
             return Health("waiting", reason)
-        trouble = self._queue.trouble or self._trouble or self._floorless
+        trouble = self._queue.trouble or self._unsaved or self._trouble or self._floorless
         if trouble:
             return Health("waiting", trouble)
         voxels = self.space.voxels
@@ -150,7 +145,7 @@ class Mapper3D(Module):
             map=self._section.map_name, mapping=self._commands.mapping, clouds=space.clouds,
             blocks=space.voxels.count, megabytes=space.voxels.megabytes, full=space.voxels.full,
             forgotten=space.forgotten, given_up=space.given_up, dropped=queue.dropped,
-            trouble=queue.trouble or self._trouble,
+            trouble=queue.trouble or self._unsaved or self._trouble,
         )  # fmt: skip
 
     @override
@@ -158,13 +153,23 @@ class Mapper3D(Module):
         self._save_state()
 
     def _save_state(self) -> None:
-        """Save the map in the state folder, atomically, if the section asks for it and it has changed."""
-        if self._section.keep and self.space.clouds != self._saved_clouds:
-            self._saved_clouds = self.space.clouds
-            part = self._state_file.with_name("part.ot")
-            try:
-                Octomap.of(self.space.tree()).save(part)
-                part.replace(self._state_file)
-            except (OSError, WireError) as err:
-                self._trouble = f"cannot save the map: {err}"
-                self._host.log.warning("%s", self._trouble)
+        """Save the map in the state folder, atomically, if the section asks for it and it has changed.
+
+        A file that could not be loaded is kept as ``map.refused.ot``, unless there is such a file already.
+        """
+        changes = self.space.changes
+        if not self._section.keep or changes == self._saved:
+            return
+        part, refused = (self._state_file.with_name(name) for name in ("part.ot", "map.refused.ot"))
+        try:
+            Octomap.of(self.space.tree()).save(part)
+            if self._refused and not refused.exists():
+                self._state_file.replace(refused)
+            part.replace(self._state_file)
+        except (OSError, WireError) as err:
+            trouble = f"cannot save the map: {err}"
+            if trouble != self._unsaved:
+                self._host.log.warning("%s", trouble)
+            self._unsaved = trouble
+        else:
+            self._saved, self._refused, self._unsaved = changes, False, ""

@@ -86,6 +86,7 @@ class Space:
 
     Attributes:
         clouds: the number of added clouds.
+        changes: increases with each change of the map.
         forgotten: the number of forgotten voxels.
         given_up: the number of blocks that were dropped because memory was full.
     """
@@ -95,7 +96,7 @@ class Space:
         self.voxels = VoxelMap(settings.resolution, max(64, (settings.memory << 20) // BLOCK_BYTES))
         layer = settings.layer
         self._robot = RobotSize(layer.height, layer.width, layer.step, layer.margin, math.radians(layer.slope))
-        self.clouds = self.forgotten = self.given_up = 0
+        self.clouds = self.changes = self.forgotten = self.given_up = 0
         self._checked_at = -math.inf
 
     def add(self, points: NDArray[np.float32], pose: SensorPose, view: FieldOfView | None, now: float) -> None:
@@ -120,6 +121,7 @@ class Space:
             placed[:, axis] = along * shares + np.float32(pose.origin[axis])
         self.voxels.insert(placed, pose.origin, settings.farthest, now)
         self.clouds += 1
+        self.changes += 1
         if self.voxels.full and settings.when_full == "forget":
             self._drop_farthest(pose.origin)
         if settings.forget_after and not 0.0 <= now - self._checked_at < _FORGET_EVERY:
@@ -128,6 +130,7 @@ class Space:
 
     def clear(self) -> None:
         self.voxels.clear()
+        self.changes += 1
 
     def clear_box(self, low: Floats, high: Floats) -> None:
         """Free the known voxels whose centers are in a box (meters), like octomap_server's ``clear_bbx``."""
@@ -139,6 +142,7 @@ class Space:
             middles = corners[slot] + offsets
             values = self.voxels.values[slot]
             values[((middles >= low) & (middles <= high)).all(-1) & ~np.isnan(values)] = LEAST
+        self.changes += 1
 
     def layer(self, base: Place) -> LayerColumns:
         """Return the obstacles that the robot would touch; the floor is followed from the base's position (meters).
@@ -174,6 +178,7 @@ class Space:
         except ValueError as err:
             raise ValueError(f"{err} (modules.mapper3d.memory)") from None
         self.voxels = voxels
+        self.changes += 1
 
     def _drop_farthest(self, origin: Place) -> None:
         """Drop the blocks that are farthest from a sensor."""

@@ -285,6 +285,60 @@ def test_the_map_survives_a_restart(tmp_path_factory: pytest.TempPathFactory, mo
         assert "cannot save the map: data: more than 8 nodes" in place.answer("mapper3d")["trouble"]
 
 
+def test_a_map_that_is_reset_is_published_and_stays_empty_after_a_restart(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    with Place(tmp_path_factory.mktemp("reset")) as place:
+        place.worker.start(place.config(modules={"mapper3d": settings()}))
+        robot = Robot(place)
+        layers = place.far.subscribe("/mapper3d/layer", "nav_msgs/OccupancyGrid", latched=True, depth=1)
+
+        def obstacles() -> bool:
+            return 100 in place.far.wait(layers, 1)[-1]["data"]
+
+        def mapped() -> bool:
+            robot.publish_cloud(table())
+            return obstacles()
+
+        until(mapped, "the table is in the layer", 30)
+        stop_mapping(place)
+        running: Any = place.worker.running("mapper3d")
+        running.host.loop.call(running.module._save_state)
+        place.far.call("/octomap_server/reset", "std_srvs/Empty").result(20)
+        until(lambda: robot.stamp() and not obstacles(), "the layer is empty", 20)
+        place.worker.stop()
+        place.worker = place.keep(type(place.worker)())
+        place.worker.start(place.config(modules={"mapper3d": settings()}))
+        assert place.answer("mapper3d")["blocks"] == 0
+
+
+def test_a_saved_map_that_cannot_be_loaded_is_not_overwritten(tmp_path_factory: pytest.TempPathFactory) -> None:
+    with Place(tmp_path_factory.mktemp("refused")) as place:
+
+        def restart(**more: Any) -> str:
+            place.worker.stop()
+            place.worker = place.keep(type(place.worker)())
+            place.worker.start(place.config(modules={"mapper3d": settings(**more)}))
+            return str(place.answer("mapper3d")["trouble"])
+
+        def change_and_save() -> None:
+            running: Any = place.worker.running("mapper3d")
+            running.host.loop.call(running.module.space.clear)
+            running.host.loop.call(running.module._save_state)
+
+        place.worker.start(place.config(modules={"mapper3d": settings()}))
+        change_and_save()
+        (file,) = place.folder.rglob("mapper3d/map.ot")
+        assert "voxels have 0.05 m, Mapper3D's 0.1 m" in restart(resolution=0.1)
+        for _ in range(2):
+            change_and_save()
+            assert Octomap.load(file.with_name("map.refused.ot")).resolution == 0.05
+            assert Octomap.load(file).resolution == 0.1
+        assert "voxels have 0.1 m" in restart()
+        change_and_save()
+        assert Octomap.load(file.with_name("map.refused.ot")).resolution == 0.05
+
+
 def test_a_map_of_the_store_is_continued(tmp_path_factory: pytest.TempPathFactory) -> None:
     with Place(tmp_path_factory.mktemp("stored")) as place:
         place.worker.start(place.config())
