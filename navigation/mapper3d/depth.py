@@ -38,9 +38,14 @@ class Camera(NamedTuple):
 
 
 def read_camera(message: Mapping[str, Any]) -> Camera:
-    """Read a ``CameraInfo``; raises `CloudError` with the name of an invalid field."""
+    """Read a ``CameraInfo``; raises `CloudError` with the name of an invalid field.
+
+    ``p`` is the matrix of the rectified image, ``k`` that of the raw one (sensor_msgs, ``CameraInfo.msg``); some
+    drivers leave ``p`` empty.
+    """
     width, height = int(message["width"]), int(message["height"])
-    fx, _, cx, _, fy, cy = (float(value) for value in message["k"][:6])
+    p, k = ([float(value) for value in message[name]] for name in "pk")
+    fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if p[0] > 0.0 and p[5] > 0.0 else (k[0], k[2], k[4], k[5])
     if not 0 < width * height <= MOST_POINTS:
         raise CloudError(f"width, height: a camera must have 1 to {MOST_POINTS} pixels, not {width} x {height}")
     if not (all(map(math.isfinite, (fx, fy, cx, cy))) and fx > 0.0 and fy > 0.0):

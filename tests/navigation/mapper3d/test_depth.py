@@ -23,7 +23,8 @@ def image(depth=DEPTH, encoding="32FC1", kind="<f4", gap=0):
 
 
 def info(**more: Any) -> dict[str, Any]:
-    return {"width": 4, "height": 3, "k": [2.0, 0.0, 1.5, 0.0, 2.0, 1.0, 0.0, 0.0, 1.0], **more}
+    k = [2.0, 0.0, 1.5, 0.0, 2.0, 1.0, 0.0, 0.0, 1.0]
+    return {"width": 4, "height": 3, "k": k, "p": [0.0] * 12, **more}
 
 
 @pytest.mark.parametrize(
@@ -49,6 +50,8 @@ def test_a_camera_is_read_from_its_info():
     camera = read_camera(info())
     assert camera == CAMERA
     assert camera.view == (-1.0, 1.0, -0.75, 0.75)
+    rectified = [4.0, 0.0, 1.0, 0.0, 0.0, 3.0, 0.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+    assert read_camera(info(p=rectified)) == Camera(4, 3, 4.0, 3.0, 1.0, 0.5)
 
 
 @pytest.mark.parametrize(
