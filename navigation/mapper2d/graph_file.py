@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,7 +80,7 @@ def read(path: Path) -> SavedGraph:
         with np.load(path, allow_pickle=False) as loaded:
             arrays = {name: _array(loaded[name], *kind) for name, kind in _ARRAYS.items()}
         return _parse(arrays)
-    except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as err:
+    except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile, zlib.error) as err:
         raise ValueError(f"cannot read the graph of the map, {path.name}: {err}") from None
 
 

@@ -195,7 +195,7 @@ def test_scans_move_the_robot_but_not_the_map_while_mapping_is_stopped(driven: l
     assert drawn.slam.pose.distance(driven[39].truth) < 0.03
 
 
-@pytest.mark.parametrize("spoil", ["text", "nan", "owner", "beams"])
+@pytest.mark.parametrize("spoil", ["text", "nan", "owner", "beams", "deflated"])
 def test_an_invalid_file_is_refused(driven: list[Seen], tmp_path: Path, spoil: str) -> None:
     drawn = mapping()
     draw(drawn, driven[:3])
@@ -211,6 +211,11 @@ def test_an_invalid_file_is_refused(driven: list[Seen], tmp_path: Path, spoil: s
         arrays["beams"][0] += 1
     if spoil == "text":
         path.write_text("not an archive")
+    elif spoil == "deflated":
+        data = bytearray(path.read_bytes())
+        names, extras = data[26] + 256 * data[27], data[28] + 256 * data[29]
+        data[30 + names + extras] = 255  # an invalid block after the header of the first file
+        path.write_bytes(data)
     else:
         np.savez(path, **arrays)
     with pytest.raises(ValueError, match=r"cannot read the graph of the map, map\.graph\.npz"):
