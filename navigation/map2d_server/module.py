@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from typing_extensions import override
 
@@ -116,11 +116,16 @@ class Map2DServer(Module):
         self._refresh(changed)
 
     def _refresh(self, changed: Keys) -> None:
-        for show in (self._show_current, self._maps.update, self._maps3d.update):
-            try:
-                show(changed)
-            except (StoreError, ValueError) as error:
-                self._refuse(str(error))
+        self._try(self._show_current, changed)
+        for key in sorted(changed):  # one by one, so that a map that cannot be published does not keep others back
+            self._try(self._maps.update, {key})
+            self._try(self._maps3d.update, {key})
+
+    def _try(self, show: Callable[[Keys], object], changed: Keys) -> None:
+        try:
+            show(changed)
+        except (StoreError, ValueError) as error:
+            self._refuse(str(error))
 
     def _show_current(self, changed: Keys) -> None:
         map_changed = self._current.update(changed)

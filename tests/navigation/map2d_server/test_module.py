@@ -15,6 +15,7 @@ from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED
 from bridge.stores.kinds import AREA, BEHAVIOR, LOCATION, MAP, MAP3D
+from bridge.stores.store import Write
 from navigation.map2d_server.publishers import topic_of
 from navigation.maps.grid import from_grid
 from tests.navigation.map2d_server.served import GRID, Served, six_flags
@@ -31,6 +32,19 @@ from yarp_compat.sig.pointcloud import LAYOUTS, PointCloud, PointType
 from yarp_compat.sig.vec2d import Vec2D
 
 INFO, MARKERS = "nav2_msgs/CostmapFilterInfo", "visualization_msgs/MarkerArray"
+
+
+def test_a_map_that_cannot_be_published_does_not_keep_others_back(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("navigation.maps.grid.MAX_CELLS", 300)  # the rotated map needs more cells
+    rotated = MapGrid2D.of(six_flags().flags, name="attic", resolution=0.5, origin=(0.0, 0.0, 45.0))
+    office = served.latest("/maps/office", GRID)
+    loop = served.worker.running("map2d_server").host.loop
+    both = [Write(MAP, "attic", rotated), Write(MAP, "office", six_flags())]
+    loop.call(lambda: served.store.write(both))  # on the module's thread, which then handles both at once
+    until(office, "the other map is published", 20)
+    until(lambda: "aligned to yaw 0" in served.status("map2d_server")["last_refusal"], "the map is reported", 20)
 
 
 def test_a_yarp_clients_map_is_served_with_all_six_flags(served: Served) -> None:
