@@ -7,6 +7,7 @@ at that time. A trigger closes the newest file, and moves all files into a new f
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import os
 import time
@@ -14,6 +15,7 @@ from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
+from bridge.daemon.lock import Lock
 from bridge.record.file import WrittenFile
 from bridge.record.metadata import write_metadata
 from bridge.record.places import KeptFolder
@@ -41,6 +43,7 @@ class Ring:
         self._folder = place.folder / ".ring"
         self._segments: deque[WrittenFile] = deque()
         self._ready = False
+        self._lock: Lock | None = None
         self.segment_seconds = max(section.seconds / SEGMENTS, 0.5)
         self.segment_bytes = (section.size << 20) // SEGMENTS
 
@@ -50,8 +53,13 @@ class Ring:
         return sum(segment.bytes for segment in self._segments)
 
     def next(self) -> Path:
-        """Return the path of the next file; the files of a run that was killed are first moved away and saved."""
-        self._folder.mkdir(parents=True, exist_ok=True)
+        """Return the path of the next file; the files of a run that was killed are first moved away and saved.
+
+        Raises `OSError`, also if another recorder has its ring in this folder.
+        """
+        self._place.folder.mkdir(parents=True, exist_ok=True)
+        self._acquire()
+        self._folder.mkdir(exist_ok=True)
         if not self._ready:
             left = sorted(self._folder.glob("*.mcap"))
             if left:
@@ -62,6 +70,17 @@ class Ring:
                 _log.warning("moved the ring of a run that was killed to %s", folder)
             self._ready = True
         return self._folder / f"{time.time_ns()}.mcap"
+
+    def _acquire(self) -> None:
+        """Lock the folder; raises `OSError` if another recorder has locked it, which would lose its files."""
+        if self._lock is not None:
+            return
+        lock = Lock(self._folder.with_name(f"{self._folder.name}.lock"))
+        if not lock.try_lock():
+            lock.close()
+            problem = "another recorder has its ring in this folder; choose another folder"
+            raise OSError(errno.EBUSY, problem, str(self._place.folder))
+        self._lock = lock
 
     def on_closed(self, written: WrittenFile) -> None:
         """Add a file, and delete the oldest files if the ring is too long or too large."""
@@ -81,8 +100,14 @@ class Ring:
         while self._segments:
             with contextlib.suppress(OSError):
                 self._segments.popleft().path.unlink()
+        lock, self._lock = self._lock, None
+        if lock is None:
+            return
         with contextlib.suppress(OSError):
             self._folder.rmdir()
+        with contextlib.suppress(OSError):  # Windows refuses to delete an open file
+            lock.path.unlink()
+        lock.close()
 
     def keep(self) -> Path | None:
         """Move all files to a new folder, with metadata, and return it; None for an empty ring. Raises `OSError`."""

@@ -221,6 +221,21 @@ def test_the_ring_of_a_killed_run_is_kept(tmp_path: Path) -> None:
     assert not list((tmp_path / ".ring").iterdir())
 
 
+def test_two_recorders_do_not_share_the_folder_of_a_ring(tmp_path: Path) -> None:
+    section = RecordSection.model_validate({"ring": {"seconds": 5.0}})
+    first, second = (Ring(KeptFolder(tmp_path, section.keep), section.ring) for _ in range(2))
+    path = first.next()
+    path.touch()
+    with pytest.raises(OSError, match="another recorder has its ring in this folder"):
+        second.next()
+    assert path.exists(), "the second recorder moved it away"
+    path.unlink()
+    first.discard()
+    assert second.next().parent == tmp_path / ".ring"
+    second.discard()
+    assert not list(tmp_path.iterdir())
+
+
 def test_topics_that_are_not_bridged_are_requested_from_their_worker(hubs: QuickHub, tmp_path: Path) -> None:
     requests: list[str] = []
     decided = [("/arm/home", "private", "in"), ("/arm/out", "bridged", "in"), ("/leg/home", "denied", "in")]
