@@ -57,6 +57,7 @@ class FileSeries:
         self._graph, self._definitions = graph, definitions
         self._latched = LatchedState(graph)
         self._flushed = self._retry = 0.0
+        self._latched_bytes = 0
         self._last: RecordedMessage | None = None
         self.ring = ring = place if isinstance(place, Ring) else None
         self._most_bytes = ring.segment_bytes if ring else section.split.size << 20
@@ -150,9 +151,9 @@ class FileSeries:
 
     def _is_over(self, file: RecordFile) -> bool:
         age = time.monotonic() - file.opened
-        over = (self._most_bytes and file.bytes >= self._most_bytes) or (
-            self._most_seconds and age >= self._most_seconds
-        )
+        # the latched messages at the start leave at least half of the size to others; else each of these began a file
+        most_bytes = max(self._most_bytes, self._latched_bytes + self._most_bytes // 2)
+        over = (self._most_bytes and file.bytes >= most_bytes) or (self._most_seconds and age >= self._most_seconds)
         return file.full or bool(over)
 
     def _next_file(self) -> RecordFile | None:
@@ -173,6 +174,7 @@ class FileSeries:
         for kept in self._latched.all():
             self._ensure_channel(file, kept)
             file.write(kept, now, again=True)
+        self._latched_bytes = file.bytes
         if self.trouble:
             _log.warning("recording continues in %s", path)
         self.trouble = ""
