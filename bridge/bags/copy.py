@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
+from typing import TypeVar
 
 from bridge.bags.bag import Bag, BagError, BagMessage, BagTopic, Columns, Kind, in_columns
 from bridge.bags.conversion import FileTopics, TopicForm, to_hub, to_ros1
 from bridge.bags.known_types import misfits
 from bridge.bags.mcap_copy import McapCopy, Ros2Mcap
 from bridge.bags.mcap_reader import McapBag
+from bridge.bags.rows import Lists
 from bridge.bags.writers import COMPRESSIONS, BagWriter, check_compression, complete_file, open_writer
 from bridge.messages.definitions.schema import World
 from bridge.messages.errors import ConversionError
@@ -71,6 +73,7 @@ class CopyResult:
         damage: the damaged places that were skipped.
         renamed: new names of topics, by their names in the bag.
         undefined: topics whose messages were copied without a definition, which readers need to decode them.
+        left_out: texts that name topics of other encodings, which were not copied.
     """
 
     messages: int = 0
@@ -81,9 +84,12 @@ class CopyResult:
     damage: list[BagError] = field(default_factory=list)
     renamed: dict[str, str] = field(default_factory=dict)
     undefined: dict[str, UndefinedTopic] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
 
 Convert = Callable[[bytes], bytes]
+
+Block = TypeVar("Block")
 
 OnProgress = Callable[[int, int], None]
 """Receives the progress: messages and bytes so far."""
@@ -134,6 +140,7 @@ def convert(
         usual = compression or COMPRESSIONS[kind][0]
         columns = _columns(bag, list(forms), choice)
         _copy(bag, _writer(temporary, kind, usual), forms, columns, done, skip_bad=skip_bad, on_progress=on_progress)
+    done.left_out = bag.left_out
     return done
 
 
@@ -143,7 +150,8 @@ def cut(
 ) -> CopyResult:  # fmt: skip
     """Copy a part of a bag into the same format, without changing messages and types.
 
-    With ``mend``, damaged data is left out and listed in `CopyResult.damage`. Raises `BagError`.
+    Topics of other encodings are copied from a single MCAP file, unless the topics are chosen by name. With ``mend``,
+    damaged data is left out and listed in `CopyResult.damage`. Raises `BagError`.
     """
     done = CopyResult()
     if not mend:
@@ -156,23 +164,29 @@ def cut(
     if bag.kind == "mcap" and not isinstance(bag, McapBag) and any(t.world is World.ROS1 for t in forms):
         raise BagError(bag.path, "is a folder of ROS 1's MCAP", None, "cut or mend its files one by one")
     usual = bag.compression if bag.compression in COMPRESSIONS[bag.kind] else COMPRESSIONS[bag.kind][0]
+    packing = compression or usual
     columns = _columns(bag, list(forms), choice)
-    check_compression(target, bag.kind, compression or usual)
+    check_compression(target, bag.kind, packing)
     with complete_file(target, bag.kind) as temporary:
-        if isinstance(bag, McapBag):
-            copier = McapCopy(temporary, compression or usual, bag)
-            if not (mend or choice.names or choice.latched):
-                _copy_chunks(bag, copier, choice, compression or usual, done, on_progress)
-                return done
-        writer = copier if isinstance(bag, McapBag) else _writer(temporary, bag.kind, compression or usual)
-        _copy(
-            bag,
-            writer,
-            forms,
-            _without_damage(columns, done.damage) if mend else columns,
-            done,
-            on_progress=on_progress,
-        )
+        if isinstance(bag, McapBag) and choice.names is None:
+            copier = McapCopy(temporary, packing, bag)
+            if mend or choice.latched:
+                _copy_all(bag, copier, choice, done, on_progress, mend=mend)
+            else:
+                _copy_chunks(bag, copier, choice, packing, done, on_progress)
+        else:
+            writer = (
+                McapCopy(temporary, packing, bag) if isinstance(bag, McapBag) else _writer(temporary, bag.kind, packing)
+            )
+            _copy(
+                bag,
+                writer,
+                forms,
+                _without_damage(columns, done.damage) if mend else columns,
+                done,
+                on_progress=on_progress,
+            )
+            done.left_out = bag.left_out
     done.damage[:] = {str(err): err for err in done.damage}.values()  # a chunk may have been read twice
     return done
 
@@ -220,9 +234,36 @@ def _copy_chunks(
         raise
 
 
-def _without_damage(columns: Iterator[Columns], damage: list[BagError]) -> Iterator[Columns]:
+def _copy_all(
+    bag: McapBag, copier: McapCopy, choice: BagSelection, done: CopyResult, on_progress: OnProgress, *, mend: bool
+) -> None:
+    """Copy the messages of all channels, even those of other encodings."""
+    blocks = map(bag.lists, bag.blocks(bag.channels.keys(), choice.start_ns, choice.end_ns))
     try:
-        yield from columns
+        for number in bag.channels:
+            copier.add_number(number)
+        for block in chain(_latched_lists(bag, choice), _without_damage(blocks, done.damage) if mend else blocks):
+            copier.write(*block)
+            done.messages += len(block[3])
+            done.data += sum(map(len, block[3]))
+            on_progress(done.messages, done.data)
+        copier.finish()
+    except BaseException:
+        copier.abandon()
+        raise
+
+
+def _latched_lists(bag: McapBag, choice: BagSelection) -> Iterator[Lists]:
+    """Yield the latched messages from before the start, if they are wanted."""
+    if choice.latched and choice.start_ns is not None:
+        numbers = {topic: number for number, topic in bag.topic_of.items()}
+        for block in in_columns(_latched_before(bag, list(bag.topics), choice.start_ns)):
+            yield [numbers[topic] for topic in block.topics], [*block.times], [*block.publish_times], [*block.data]
+
+
+def _without_damage(blocks: Iterator[Block], damage: list[BagError]) -> Iterator[Block]:
+    try:
+        yield from blocks
     except BagError as err:
         damage.append(err)
 

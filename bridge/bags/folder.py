@@ -67,7 +67,8 @@ class FilesBag(Bag):
         self.unfinished = not damage and any(part.unfinished for part in self._parts)
         self.compression = "zstd" if packed else ",".join(sorted({part.compression for part in self._parts}))
         more = (f"{err.path.name} ({err.what})" for err in self._broken[1:])
-        self.left_out = (*dict.fromkeys(name for part in self._parts for name in part.left_out), *more)
+        self._unread = tuple(dict.fromkeys(name for part in self._parts for name in part.left_out))
+        self.left_out = (*self._unread, *more)
 
     def _join(self) -> None:
         joined: dict[tuple[Any, ...], list[BagTopic]] = {}
@@ -127,6 +128,7 @@ class FilesBag(Bag):
     def skip_damage(self, on_damage: Callable[[BagError], None]) -> None:
         """Skip damaged data, and report it. If a file cannot skip its damage, the rest of that file is left out."""
         self._on_damage = on_damage
+        self.left_out = self._unread  # the broken files are reported now
         for err in self._broken:
             on_damage(err)
         for part in self._parts:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from bridge.bags.bag import BagTopic, Columns
 
 ROW_BYTES = 40
 """Bytes of a row; the rows of small messages need more memory than the messages themselves."""
 
 _BLOCK = 1 << 20
 """Bytes of messages, with their rows, that are turned into objects at a time."""
+
+Lists = tuple[list[int], list[int], list[int], list[bytes]]
+"""Channels, times, publish times and data of messages."""
 
 
 class Rows(NamedTuple):
@@ -98,12 +99,7 @@ class Rows(NamedTuple):
         indexes = indexes[data[self.table[indexes, 3].astype(np.intp)] == start[0]]
         return [index for index in indexes.tolist() if self.data.startswith(start, int(self.table[index, 3]))]
 
-    def lists(self) -> tuple[list[int], list[int], list[int], list[bytes]]:
+    def lists(self) -> Lists:
         """Return channels, times, publish times and data."""
         numbers, times, publish_times = self.table[:, :3].T.tolist()
         return numbers, times, publish_times, self.messages()
-
-    def columns(self, topic_of: Mapping[int, BagTopic]) -> Columns:
-        """Return the messages with their topics."""
-        numbers, times, publish_times, data = self.lists()
-        return Columns(list(map(topic_of.__getitem__, numbers)), times, publish_times, data)

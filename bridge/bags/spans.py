@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from bridge.bags.bag import MAX_CHUNK, Bag, BagError, BagMessage, BagTopic, Columns, reading
 from bridge.bags.packed import ZSTD, unpacked_message
-from bridge.bags.rows import Rows
+from bridge.bags.rows import Lists, Rows
 from bridge.bags.split import new_table
 from bridge.messages.definitions.schema import World
 
@@ -68,6 +68,10 @@ class SpanBag(Bag):
         """Yield the messages in blocks; messages of overlapping pieces are sorted as far as `HELD` allows."""
         wanted = None if topics is None else set(topics)
         numbers = {number for number, topic in self.topic_of.items() if wanted is None or topic in wanted}
+        yield from map(self._columns, self.blocks(numbers, start_ns, end_ns))
+
+    def blocks(self, numbers: Collection[int], start_ns: int | None, end_ns: int | None) -> Iterator[Rows]:
+        """Yield the messages of some channels in blocks, sorted as in `columns`."""
         spans = [
             span
             for span in sorted(self._spans, key=lambda span: span.start)
@@ -82,8 +86,7 @@ class SpanBag(Bag):
             due = len(rows.table)
             if index + 1 < len(spans):
                 due = _due(rows, spans[index + 1].start)
-            for block in rows.select(slice(due)).blocks():
-                yield self._columns(block)
+            yield from rows.select(slice(due)).blocks()
             waiting = rows.select(slice(due, None)).compact() if due < len(rows.table) else None
 
     @override
@@ -94,16 +97,18 @@ class SpanBag(Bag):
             yield from map(BagMessage, *columns)
 
     def _columns(self, block: Rows) -> Columns:
-        """Return the messages of a block, and unpack ROS 2 messages that rosbag2 compressed one by one."""
-        columns = block.columns(self.topic_of)
-        packed = [index for index in block.that_start_with(ZSTD) if columns.topics[index].world is World.ROS2]
-        if not packed:
-            return columns
-        data = list(columns.data)
+        numbers, times, publish_times, data = self.lists(block)
+        return Columns(list(map(self.topic_of.__getitem__, numbers)), times, publish_times, data)
+
+    def lists(self, block: Rows) -> Lists:
+        """Return channels, times, publish times and data; ROS 2 messages that rosbag2 compressed are unpacked."""
+        numbers, times, publish_times, data = block.lists()
         with reading(self.path):
-            for index in packed:
-                data[index] = unpacked_message(data[index])
-        return columns._replace(data=data)
+            for index in block.that_start_with(ZSTD):
+                topic = self.topic_of.get(numbers[index])
+                if topic is not None and topic.world is World.ROS2:
+                    data[index] = unpacked_message(data[index])
+        return numbers, times, publish_times, data
 
     def _read_span(self, span: FileSpan) -> Rows:
         try:

@@ -320,3 +320,33 @@ def test_damage_in_a_file_of_a_folder_loses_only_its_chunk(tmp_path: Path) -> No
     assert [err.path.name for err in done.damage] == ["run_0.mcap"]
     assert done.messages == len(raw_of(tmp_path / "a.mcap"))
     assert 0 < len(whole) - done.messages < 20
+
+
+@pytest.mark.parametrize("way", ["mend", "latched", "topics"])
+def test_messages_of_other_encodings_are_copied_or_named(way: str, tmp_path: Path) -> None:
+    source, target = tmp_path / "mixed.mcap", tmp_path / "new.mcap"
+    with source.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "test")
+        known = writer.register_channel("/said", "cdr", writer.register_schema(STRING, "ros2msg", b"string data\n"))
+        other = writer.register_channel("/state", "json", writer.register_schema("state", "jsonschema", b"{}"))
+        for number in range(3):
+            writer.add_message(known, START + number, b"\0\1\0\0\2\0\0\0a\0", START)
+            writer.add_message(other, START + number, b"{}", START)
+        writer.finish()
+    if way == "mend":  # the file of a killed recorder
+        source.write_bytes(source.read_bytes()[:-40])
+    choice = {
+        "mend": BagSelection(),
+        "latched": BagSelection(start_ns=START + 1, latched=True),
+        "topics": BagSelection(NameFilter(["/said"])),
+    }[way]
+    with open_bag(source) as bag:
+        done = cut(bag, target, choice, mend=way == "mend")
+    with target.open("rb") as stream:
+        topics = [channel.topic for _, channel, _ in make_reader(stream).iter_messages()]
+    assert done.messages == len(topics)
+    if way == "topics":
+        assert (topics, done.left_out) == (["/said"] * 3, ("/state (json)",))
+    else:
+        assert (topics, done.left_out) == (["/said", "/state"] * (3 if way == "mend" else 2), ())

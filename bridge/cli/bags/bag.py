@@ -232,8 +232,7 @@ def _convert(args: argparse.Namespace) -> int:
             )  # fmt: skip
         if bag.trouble is not None:
             done.damage.append(bag.trouble)
-        left_out = bag.left_out
-    _report(args, done, time.monotonic() - started, left_out)
+    _report(args, done, time.monotonic() - started)
     return 0
 
 
@@ -285,7 +284,7 @@ def _progress(bag: Bag) -> Iterator[OnProgress]:
         yield on_progress
 
 
-def _report(args: argparse.Namespace, done: CopyResult, seconds: float, left_out: tuple[str, ...] = ()) -> None:
+def _report(args: argparse.Namespace, done: CopyResult, seconds: float) -> None:
     document = {
         "file": str(args.out),
         "messages": done.messages,
@@ -297,7 +296,7 @@ def _report(args: argparse.Namespace, done: CopyResult, seconds: float, left_out
         "undefined": {name: asdict(topic) for name, topic in done.undefined.items()},
         "fields_lost": {name: list(fields) for name, fields in done.lost.items()},
         "damage": [str(err) for err in done.damage],
-        "not_read": list(left_out),
+        "not_read": list(done.left_out),
     }
     if args.json:
         print_json(document)
@@ -305,7 +304,7 @@ def _report(args: argparse.Namespace, done: CopyResult, seconds: float, left_out
     print(f"{clean(args.out)}: {plural(done.messages, 'message')}, {size(done.data)}, {duration(seconds)}")
     for old, new in done.renamed.items():
         print(f"renamed: {clean(old)} is {clean(new)} in the new file")
-    for name in left_out:
+    for name in done.left_out:
         print(f"not read: {clean(name)}")
     for reason in done.unknown.values():
         print(f"left out: {clean(reason)}")
