@@ -19,6 +19,15 @@ def definition_among(answers: Iterable[WorkerAnswer], type_hash: str = "") -> st
         value = answer.value if isinstance(answer.value, dict) else {}
         definition = value.get("definition")
         fits = not type_hash or value.get("hash") == type_hash
-        if fits and isinstance(definition, str) and len(definition) <= MAX_DEFINITION:
+        if fits and isinstance(definition, str) and len(definition) <= MAX_DEFINITION and _is_unicode(definition):
             return definition
     return None
+
+
+def _is_unicode(text: str) -> bool:
+    """Return whether a text can be encoded; JSON may have half of a surrogate pair."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
