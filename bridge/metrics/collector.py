@@ -105,7 +105,8 @@ def _process(families: Families, worker: str, pid: int) -> None:
             times = process.cpu_times()
             families.add("midspan_worker_cpu_seconds_total", times.user + times.system, worker)
             families.add("midspan_worker_resident_memory_bytes", process.memory_info().rss, worker)
-            families.add("midspan_worker_open_fds", process.num_fds(), worker)
+            if hasattr(process, "num_fds"):  # not on Windows
+                families.add("midspan_worker_open_fds", process.num_fds(), worker)
 
 
 def _router(families: Families, router: RouterStatus) -> None:

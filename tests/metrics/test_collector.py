@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
+import psutil
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.metrics_core import Metric
@@ -127,6 +128,13 @@ def test_workers_are_reported_from_the_daemons_status() -> None:
         assert scrape.value(f"midspan_worker_{name}", worker="ros1") > 0
         assert scrape.value(f"midspan_worker_{name}", worker="daemon") > 0
         assert not scrape.values(f"midspan_worker_{name}", worker="ros2"), "the process is missing"
+
+
+def test_processes_are_measured_without_a_count_of_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(psutil.Process, "num_fds")  # as on Windows
+    scrape = Scrape(pid=os.getpid(), uptime=5.0, refused="", workers=[])
+    assert scrape.value("midspan_worker_resident_memory_bytes", worker="daemon") > 0
+    assert not scrape.values("midspan_worker_open_fds")
 
 
 def test_an_unreachable_daemon_is_reported_as_down() -> None:
