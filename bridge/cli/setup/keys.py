@@ -184,7 +184,7 @@ def _certificates(path: Path) -> list[Certificate]:
     from bridge.hub.security.certificates import read_certificate
 
     # decided by the suffix, because the default folder may be missing
-    files = [path] if path.suffix else sorted(path.glob("*.pem"))
+    files = [path] if path.suffix and not path.is_dir() else sorted(path.glob("*.pem"))
     return [read_certificate(file) for file in files]
 
 

@@ -47,6 +47,14 @@ def test_show_lists_the_certificates_that_make_created(tmp_path: Path, capsys: p
     assert "(authority)" in capsys.readouterr().out
 
 
+def test_show_accepts_a_folder_with_a_dot_in_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "keys.d"
+    assert run(folder, "make", "robot1") == 0
+    capsys.readouterr()
+    assert run(folder, "show") == 0
+    assert "robot1.pem" in capsys.readouterr().out
+
+
 def snippet(text: str) -> dict[str, Any]:
     """Return the section ``hub.open`` of the configuration that 'make' prints, after checking the configuration."""
     lines = text.partition("in its configuration:\n")[2].splitlines()
