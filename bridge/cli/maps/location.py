@@ -171,8 +171,10 @@ def _register_add(verbs: Any) -> None:
         "--dock", nargs="?", const="", metavar="TYPE", help="mark it as a dock of this type, for 'midspan dock'"
     )
     parser.add_argument("--replace", action="store_true", help="replace an existing location of this name")
-    parser.add_argument("--map-frame", default="map", metavar="FRAME", help="the map's frame, for --here")
-    parser.add_argument("--base-frame", default="base_link", metavar="FRAME", help="the robot's frame, for --here")
+    for option, whose, key in (("--map-frame", "map", "frame"), ("--base-frame", "robot", "base_frame")):
+        parser.add_argument(
+            option, metavar="FRAME", help=f"the {whose}'s frame, for --here (default: navigation.{key})"
+        )
 
 
 def _add(args: argparse.Namespace) -> int:
@@ -191,11 +193,16 @@ def _add(args: argparse.Namespace) -> int:
             raise CliError("no map is in use: name one with --map, or choose one with 'midspan map use NAME'")
         if not args.replace and args.name in stored.names(kinds.LOCATION):
             raise CliError(f"location {args.name!r} already exists; --replace replaces it")
-        x, y, theta = robot_pose(client, args.map_frame, args.base_frame) if args.here else (*args.pose, 0.0)[:3]
+        x, y, theta = _pose_here(client, args) if args.here else (*args.pose, 0.0)[:3]
         place = Map2DLocation(map_name, x, y, theta, description)
         stored.write([Write(kinds.LOCATION, args.name, place)])
     print(f"{clean(args.name)}: {x:.3f}, {y:.3f} m, {theta:.1f} degrees on {clean(map_name)}")
     return 0
+
+
+def _pose_here(client: Client, args: argparse.Namespace) -> tuple[float, float, float]:
+    navigation = client.config.navigation
+    return robot_pose(client, args.map_frame or navigation.frame, args.base_frame or navigation.base_frame)
 
 
 def robot_pose(client: Client, map_frame: str, base_frame: str) -> tuple[float, float, float]:

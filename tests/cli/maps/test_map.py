@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 
 from bridge.cli.maps import location
@@ -274,6 +275,19 @@ def test_unknown_robot_pose_is_not_stored(midspan: Midspan, store: Store, monkey
     done = midspan("location", "add", "a", "--here", "--map", "house", "--base-frame", "nobody")
     assert done.code == 1
     assert "nobody" in done.err
+    assert store.names(LOCATION) == []
+
+
+@pytest.mark.usefixtures("moving")
+def test_frames_of_the_robots_pose_are_those_of_the_configuration(
+    midspan: Midspan, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(location, "PATIENCE", 0.2)
+    config = yaml.safe_load(midspan.config.read_text(encoding="utf-8"))
+    config["navigation"] = {"base_frame": "mobile_base"}
+    midspan.config.write_text(yaml.safe_dump(config), encoding="utf-8")
+    done = midspan("location", "add", "a", "--here", "--map", "house")
+    assert (done.code, "mobile_base" in done.err) == (1, True), done
     assert store.names(LOCATION) == []
 
 
