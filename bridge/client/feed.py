@@ -45,12 +45,17 @@ class Arrival(NamedTuple):
 
 
 class TopicFeed:
-    """Receives one topic from the hub, or through a tap of a side's worker; without ``payloads`` only the arrivals."""
+    """Receives one topic from the hub, or through a tap of a side's worker; without ``payloads`` only the arrivals.
 
-    def __init__(self, client: Client, topic: str, side: str | None = None, *, payloads: bool = True) -> None:
+    ``option`` is the command's option that waits for the topic, for errors.
+    """
+
+    def __init__(
+        self, client: Client, topic: str, side: str | None = None, *, payloads: bool = True, option: str = "--timeout"
+    ) -> None:
         self.topic = absolute(topic)
         self.overrun = 0
-        self._client, self._side, self._payloads = client, side, payloads
+        self._client, self._side, self._payloads, self._option = client, side, payloads, option
         self._follower = TopicFollower(client.hub, self._on_sample)
         self._taps: set[str] = set()
         self._tap_due = 0.0
@@ -146,7 +151,7 @@ class TopicFeed:
         if not decisions:
             return unknown("topic", self.topic, all_topics(self._client))
         reasons = "; ".join(f"{side_name(d.worker)}: {d.decision}: {d.why}" for d in decisions)
-        return f"no messages of {self.topic} can be received now ({reasons}); wait for it with --timeout SECONDS"
+        return f"no messages of {self.topic} can be received now ({reasons}); wait for it with {self._option} SECONDS"
 
 
 class LatestMessage:

@@ -253,7 +253,7 @@ def _register_hz(subparsers: Any) -> None:
 def _hz(args: argparse.Namespace) -> int:
     """Measure until the count, the duration or Ctrl-C; the last figures are printed at the end."""
     with open_client(args, watches=True) as client:
-        feed = TopicFeed(client, args.topic, args.side, payloads=False)
+        feed = TopicFeed(client, args.topic, args.side, payloads=False, option="--duration")
         meter = _Meter(feed.topic, max(args.window, 2))
         try:
             feed.open(args.duration or 0.0)
