@@ -19,6 +19,7 @@ from bridge.cli.arguments import span
 from bridge.cli.daemon.record import megabytes
 from bridge.cli.main import main
 from bridge.hub.control import RECORDED
+from bridge.hub.errors import HubError
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.record import triggers
@@ -238,6 +239,25 @@ def test_halt_failed_goal_call_and_verb_keep_the_ring(
         "halt", "a goal failed: no way", "a call to /record/trigger", "midspan record --daemon trigger",
     ]  # fmt: skip
     assert "the ring is in" in capsys.readouterr().out
+
+
+def test_the_error_of_one_recorder_does_not_hide_the_other_recorders(
+    hubs: QuickHub, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_params: object) -> object:
+        raise HubError("split: the disk is full")
+
+    with (
+        Hub.open(hubs.settings("a", worker="record", daemon="robot1")) as first,
+        Hub.open(hubs.settings("b", worker="record", daemon="robot2")) as second,
+    ):
+        first.serve("record", fail)
+        second.serve("record", lambda _params: {"file": "/run.mcap"})
+        until(lambda: len(first.ask("record", {})) == 2, "both recorders answer")
+        assert main(["record", "--daemon", "split", "--config", str(file)]) == 1
+    shown = capsys.readouterr()
+    assert "robot2: closed /run.mcap" in shown.out
+    assert "the recorder of robot1: split: the disk is full" in shown.err
 
 
 def worker_status(robot: Robot) -> dict:  # type: ignore[type-arg]

@@ -150,7 +150,7 @@ def _command_daemon(client: CliClient, args: argparse.Namespace) -> int:
     replies: list[dict[str, str]] = []
     for answer in answers:
         if answer.error:
-            raise CliError(f"the recorder of {answer.daemon}: {answer.error}")
+            continue
         file = str(answer.value.get("file", "")) if isinstance(answer.value, dict) else ""
         replies.append({"daemon": answer.daemon, "done": args.daemon, "file": file})
         if not args.json:
@@ -158,8 +158,10 @@ def _command_daemon(client: CliClient, args: argparse.Namespace) -> int:
             print(
                 f"{clean(answer.daemon)}: {prefix} {clean(file)}" if file else f"{clean(answer.daemon)}: nothing to do"
             )
-    if args.json:
+    if args.json and replies:
         print_json(replies)
+    if failed := [f"the recorder of {answer.daemon}: {answer.error}" for answer in answers if answer.error]:
+        raise CliError("\n".join(failed))
     return 0
 
 
