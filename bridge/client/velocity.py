@@ -18,7 +18,7 @@ from bridge.hub.session import follow_clock
 from bridge.hub.wire.qos import Qos
 from bridge.messages.velocities import TWIST, TWIST_STAMPED, VELOCITIES
 
-_WATCHERS = re.compile(r"midspan_cli_\d+|foxglove|record|web")
+_WATCHERS = re.compile(r"midspan_cli_\d+|foxglove|record(_\d+)?|web")
 """Midspan's nodes that subscribe to whichever type is published, and drive no base."""
 
 

@@ -101,15 +101,16 @@ def test_nodes_that_accept_one_form_and_sides_count_as_subscribers(robot: Robot)
     robot.node("base_control", TWIST, TWIST_STAMPED)
     robot.node("foxglove", TWIST)
     robot.node("midspan_cli_7", TWIST)
-    until(robot.has({}, endpoints=4), "the subscribers are known")
+    robot.node("record_7", TWIST)  # midspan record
+    until(robot.has({}, endpoints=5), "the subscribers are known")
     robot.node("base", TWIST_STAMPED)
-    until(robot.has({TWIST_STAMPED: ["/base"]}, endpoints=5), "the subscribers are known")
+    until(robot.has({TWIST_STAMPED: ["/base"]}, endpoints=6), "the subscribers are known")
     side = robot.side("ros2", TWIST)
     # the subscription of a route, which exists with or without a base
     side.subscription(CMD_VEL, TWIST_STAMPED, ANY_HASH, Qos(), lambda _: None)
-    until(robot.has({TWIST: ["ros2"], TWIST_STAMPED: ["/base"]}, endpoints=6), "the subscribers are known")
+    until(robot.has({TWIST: ["ros2"], TWIST_STAMPED: ["/base"]}, endpoints=7), "the subscribers are known")
     side.close()
-    until(robot.has({TWIST_STAMPED: ["/base"]}, endpoints=5), "the subscribers are known")
+    until(robot.has({TWIST_STAMPED: ["/base"]}, endpoints=6), "the subscribers are known")
 
 
 def test_a_change_of_form_publishes_zero_in_the_old_form_first(robot: Robot) -> None:
