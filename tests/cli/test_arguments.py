@@ -51,6 +51,13 @@ def test_unknown_options_are_errors(capsys: pytest.CaptureFixture[str]) -> None:
         assert "unrecognized arguments" in capsys.readouterr().err
 
 
+def test_negative_times_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        values("topic", "pub", "/said", "std_msgs/String", "--settle", "-1")
+    assert ended.value.code == 2
+    assert "'-1' is not a time" in capsys.readouterr().err
+
+
 def test_after_two_dashes_nothing_is_an_option() -> None:
     assert values("record", "--", "--topics=/scan").topics == ["--topics=/scan"]
 

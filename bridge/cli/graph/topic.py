@@ -15,7 +15,7 @@ from typing import Any
 
 from typing_extensions import override
 
-from bridge.cli.arguments import add_verb, add_verbs, number_in, seconds
+from bridge.cli.arguments import add_verb, add_verbs, number_in, seconds, span
 from bridge.cli.client import open_client, warn_of_refusals
 from bridge.cli.graph import listing
 from bridge.cli.messages import message_text, yaml_fields
@@ -147,7 +147,7 @@ def _register_pub(verbs: Any) -> None:
         " Ctrl-C",
     )  # fmt: skip
     parser.add_argument(
-        "--settle", type=float, default=1.0, metavar="SECONDS", help="time for subscribers to connect first (default 1)"
+        "--settle", type=span, default=1.0, metavar="SECONDS", help="time for subscribers to connect first (default 1)"
     )
 
 
