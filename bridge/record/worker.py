@@ -69,7 +69,9 @@ class Recording:
         state = "waiting" if status.error else "running"
         error = {"error": f"recording stopped: {status.error}"} if status.error else {}
         head = self._head.fields(state, summary(status), recording=status, **error)
-        return WorkerStatus(**head, metrics=metrics(status)).document()
+        # a name of metrics for each process of `midspan record` would remain in Prometheus
+        exported = metrics(status) if self.host.name == VERB else {}
+        return WorkerStatus(**head, metrics=exported).document()
 
     @property
     def joined(self) -> bool:

@@ -23,11 +23,11 @@ from bridge.hub.errors import HubError
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.record import triggers
-from bridge.record.places import PREFIX
+from bridge.record.places import PREFIX, Files
 from bridge.record.worker import RecordWorker
 from tests.contract.hubside import HubSide
 from tests.peers.hub.quick import QuickHub
-from tests.peers.hub.recorded_robot import Robot, config, read
+from tests.peers.hub.recorded_robot import Robot, config, read, recording
 from tests.support.status_documents import check_document
 from tests.support.wait import until
 
@@ -258,6 +258,12 @@ def test_the_error_of_one_recorder_does_not_hide_the_other_recorders(
     shown = capsys.readouterr()
     assert "robot2: closed /run.mcap" in shown.out
     assert "the recorder of robot1: split: the disk is full" in shown.err
+
+
+def test_only_the_daemons_recorder_exports_metrics(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)):
+        answers = until(lambda: robot.hub.ask("status", {}, worker="recorder"), "the recorder answers")
+        assert answers[0].value.get("metrics", {}) == {}
 
 
 def worker_status(robot: Robot) -> dict:  # type: ignore[type-arg]
