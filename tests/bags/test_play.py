@@ -182,7 +182,10 @@ def test_the_option_commands_plays_commands_and_zero_ends_them(
     assert "commands are played, the robot may move: /cmd_vel" in out.err
 
 
-def test_latched_topics_stay_latched_but_velocities_do_not(player: Player, listener: Listener) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_latched_topics_stay_latched_but_velocities_do_not(
+    player: Player, listener: Listener, number: signal.Signals
+) -> None:
     program = player("--commands", "--rate", "0.05", "--loop")
     until(lambda: listener.received_on("/cmd_vel"), "a velocity is received", 20)
     ends = {end.topic: end for end in listener.hub.graph.publishers() if not end.own}
@@ -190,7 +193,7 @@ def test_latched_topics_stay_latched_but_velocities_do_not(player: Player, liste
     listener.on_message("/name", "std_msgs/msg/String", LATCHED)
     until(lambda: listener.texts("/name") == ["latched"], "a late subscriber gets latched messages", 5)
     begun = time.monotonic()
-    program.signal(signal.SIGINT)
+    program.signal(number)
     until(
         lambda: not [end for end in listener.hub.graph.publishers() if not end.own],
         "the player's publishers are gone",

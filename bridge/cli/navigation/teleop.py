@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 from bridge.cli.arguments import add_hub_arguments
 from bridge.cli.client import open_client, warn_of_refusals
+from bridge.cli.graph.goal import Interrupt, Interrupted
 from bridge.cli.keyboard import AVAILABLE, pressed, raw
 from bridge.cli.output import CliError
 from bridge.client.graph import absolute
@@ -98,13 +101,14 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive until Ctrl-C or ``x``."""
+    """Drive until Ctrl-C, ``x``, SIGTERM or SIGHUP."""
     if not (0.0 < args.speed <= MAX_SPEED and 0.0 < args.turn <= MAX_TURN):
         raise CliError(f"--speed is at most {MAX_SPEED:g} m/s and --turn at most {MAX_TURN:g} rad/s, both above 0")
     if not (AVAILABLE and sys.stdin.isatty()):
         raise CliError("teleop reads keys only from a POSIX terminal; 'midspan topic pub' publishes from scripts")
     topic = absolute(args.topic)
-    with open_client(args) as client:
+    code = 0
+    with open_client(args) as client, Interrupt() as interrupt:
         section, types = client.config.navigation, Types(client)
         form = VelocityForm(topic, _STAMPED.get(args.stamped, section.stamped), section.base_frame)
         publisher = open_velocity(client, types, form, _warn)
@@ -113,24 +117,25 @@ def run(args: argparse.Namespace) -> int:
         keys = Keys(args.speed, args.turn)
         try:
             with raw(sys.stdin.fileno()) as terminal:
-                _drive(keys, terminal, publisher)
-        except KeyboardInterrupt:
-            pass
+                _drive(keys, terminal, publisher, interrupt.check)
+        except Interrupted as err:
+            code = 0 if err.number == signal.SIGINT else err.code
         finally:
             publisher.publish()
             publisher.close()
             print()
-    return 0
+    return code
 
 
 def _warn(text: str) -> None:
     print(f"\nmidspan: warning: {clean(text)}", file=sys.stderr)
 
 
-def _drive(keys: Keys, terminal: int, publisher: VelocityPublisher) -> None:
+def _drive(keys: Keys, terminal: int, publisher: VelocityPublisher, check: Callable[[], None]) -> None:
     due = time.monotonic()
     idle = False
     while not keys.ended:
+        check()
         for key in pressed(terminal, max(0.0, due - time.monotonic())):
             keys.press(key, time.monotonic())
         if time.monotonic() < due:

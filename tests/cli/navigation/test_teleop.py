@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pty
+import signal
+import termios
 import threading
 import time
 from collections.abc import Iterator
@@ -17,7 +19,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
 from bridge.messages.registry import Registry
-from tests.cli.conftest import Midspan, Outcome
+from tests.cli.conftest import Midspan, Outcome, alongside
 from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 
@@ -149,6 +151,30 @@ def test_teleop_publishes_the_chosen_form(
     with driver.drive("--stamped", "true"):
         until(lambda: (driver.press(b"i"), (0.2, 0.0) in bases[TWIST_STAMPED].sent)[1], "the stamped base drives")
     assert bases[TWIST].sent == []
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, 0)])
+def test_a_signal_ends_the_velocity_and_restores_the_terminal(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any], monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals, code: int,
+) -> None:  # fmt: skip
+    base = Base(network, registry, TWIST)
+    closing.append(base)
+    primary, secondary = pty.openpty()
+
+    def drive_and_signal() -> None:
+        until(lambda: (os.write(primary, b"i"), (0.2, 0.0) in base.sent)[1], "the base drives")
+        os.kill(os.getpid(), number)
+
+    with os.fdopen(secondary) as terminal:
+        before = termios.tcgetattr(terminal)
+        monkeypatch.setattr("sys.stdin", terminal)
+        with alongside(drive_and_signal):
+            done = midspan("teleop")
+        assert termios.tcgetattr(terminal) == before
+    os.close(primary)
+    assert done.code == code
+    until(lambda: base.sent[-1] == (0.0, 0.0), "a zero velocity is sent at the end")
 
 
 def test_teleop_without_a_terminal_is_refused(midspan: Midspan) -> None:
