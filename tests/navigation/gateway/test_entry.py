@@ -146,6 +146,7 @@ def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
     """While the gateway finishes its goal, two servers have parts of one action."""
     held = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
+    until(lambda: held.sent.accepted, "the client has requested the result of the only server that has the action")
     with contextlib.closing(nav2(rig)) as other:
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         for number, status in enumerate((GoalState.SUCCEEDED, GoalState.CANCELED), 1):

@@ -13,15 +13,17 @@ from navigation.messages import pose_message
 from navigation.pose import Pose, wrapped
 from tests.peers.hub.modules import Place
 from tests.peers.sim.laboratory import Robot
+from tests.support.wait import until
 
 OK = "localized_ok"
 
 
 def started(place: Place, robot: Robot, **section: Any) -> None:
-    """Start the module, with the laboratory in the store."""
+    """Start the module with the laboratory in the store; return when the module uses that map."""
     config = place.config(modules={"localization_server": {"enabled": True, "period": 0.05, **section}}, store={})
     place.worker.start(config)
     use(place, robot.grid.name, robot)
+    until(lambda: status_of(place)["map"] == robot.grid.name, "the module uses the map", 20)
 
 
 def use(place: Place, name: str, robot: Robot) -> None:
