@@ -82,10 +82,13 @@ def _rules_of_poses(section: NavigationSection) -> Iterator[MadeRule]:
     """Yield the rules of the gateway's `NavigateThroughPoses`, next to ROS 2's entry point; ROS 1 has none."""
     door = section.doors.ros2
     name = through_poses(door) if door else ""
-    owners = (planner.name for planner in section.others.values() if planner.side == "ros2" and name in planner.motion)
-    owner = next(owners, "")
-    of = f"navigation ({owner} has {name} there itself)" if owner else "navigation.doors.ros2"
-    if owner or not name:
+    owner = next((p for p in section.others.values() if p.side in ("ros2", "zenoh") and name in p.motion), None)
+    if owner is not None and owner.side == "zenoh":
+        of = f"navigation ({owner.name} has {name} on the hub)"
+        yield _rule(of, kind="action", topic=name, to="ros2")
+    else:
+        of = f"navigation ({owner.name} has {name} there itself)" if owner else "navigation.doors.ros2"
+    if owner is not None or not name:
         yield _rule(of, kind="action", topic=THROUGH_POSES, to="ros2", deny=True)
     else:
         yield _rule(of, kind="action", topic=THROUGH_POSES, to="ros2", rename=name)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from bridge.config.sections.navigation import NavigationSection
+from bridge.config.sections.navigation import ACTION, NavigationSection
+from bridge.messages.actions import names
 from bridge.modules.host import Host
 from navigation.gateway.foreign import GoalMark
 from navigation.gateway.machine import StopState
@@ -34,6 +35,12 @@ class PlannerChoice:
     def pending(self) -> str:
         """The planner that takes over when the robot stands still; "" for none."""
         return "" if self._next is None else self._wanted(self._next)
+
+    @property
+    def has_action(self) -> bool:
+        """Whether the current planner, or one that takes over, serves the gateway's action itself."""
+        following = self._next is not None and self._next.has_action(self._wanted(self._next))
+        return following or self.section.has_action(self.link.planner)
 
     def choose(self, planner: str, *, driving: bool) -> None:
         """Select another planner; raises `RequestError` if it is unknown, or the current planner is driving."""
@@ -66,8 +73,16 @@ class PlannerChoice:
         same = planner == self.link.planner and section.others == self.section.others
         if not same and (driving or self._unreleased(stop)):  # only the link to the current planner can stop the robot
             return False
+        if not same and section.has_action(planner) and self._serves_action():  # it would be taken for the planner's
+            return False
         self.section, self._next = section, None
         return not same and self._link_to(planner)
+
+    def _serves_action(self) -> bool:
+        """Whether the gateway still serves a part of its action."""
+        graph, parts = self._host.node.hub.graph, names(ACTION)
+        servers = map(graph.servers, (parts.send_goal, parts.cancel_goal, parts.get_result))
+        return any(server.own for part in servers for server in part)
 
     def _wanted(self, section: NavigationSection) -> str:
         return self._chosen if self._chosen in section.choices else section.planner

@@ -21,9 +21,11 @@ _POLL_SECONDS = 0.2
 class NavigateAction:
     """Serves ``/navigate_to_pose`` unless another node does, such as Nav2 on rmw_zenoh: only one node executes a goal.
 
-    While another node announces the action, the gateway accepts no goals there; its active goals continue.
+    While another node announces the action, or the planner has it, the gateway accepts no goals there; its active goals
+    continue.
 
     Args:
+        planner_has_it: whether the planner itself serves the action, now or as soon as it is started.
         accept: see `bridge.modules.action_server.Accept`; cancel: the same for a cancellation.
         client_lost: called with a goal whose client is unreachable, and the reason.
     """
@@ -31,11 +33,13 @@ class NavigateAction:
     def __init__(
         self,
         host: Host,
+        planner_has_it: Callable[[], bool],
         accept: Callable[[Goal], bool],
         cancel: Callable[[Goal], bool],
         client_lost: Callable[[Goal, str], None],
     ) -> None:
-        self._host, self._accept, self._cancel, self._client_lost = host, accept, cancel, client_lost
+        self._host, self._planner_has_it = host, planner_has_it
+        self._accept, self._cancel, self._client_lost = accept, cancel, client_lost
         self._server: ActionServer | None = None
         self._watch: FarClients | None = None
         self.served_by = ""  # the node that serves the action instead; "" if the gateway does
@@ -45,6 +49,10 @@ class NavigateAction:
 
     def poll(self) -> None:
         """Leave the name to another node, or take it back."""
+        if self._planner_has_it():
+            self.served_by = self._seen = ""
+            self._step_aside()
+            return
         other = self._other_server()
         if other is None:
             if self.served_by:
@@ -60,6 +68,14 @@ class NavigateAction:
             self._host.log.warning("%s is served by %s: the gateway accepts no goals under that name", ACTION, node)
         self.served_by = node
         self._step_aside()
+
+    def planner_receives(self, topic: str) -> bool:
+        """Return whether a planner that has the action subscribes to this topic of the hub itself."""
+        if not self._planner_has_it():
+            return False
+        graph = self._host.node.hub.graph
+        servers = {server.zid for server in graph.servers(names(ACTION).send_goal)}
+        return any(not subscription.own and subscription.zid in servers for subscription in graph.subscriptions(topic))
 
     def _other_server(self) -> HubEndpoint | None:
         graph = self._host.node.hub.graph

@@ -100,6 +100,11 @@ class Gateway:
         return self._choice.pending
 
     @property
+    def planner_has_action(self) -> bool:
+        """Whether the planner, or one that takes over, serves the gateway's action itself."""
+        return self._choice.has_action
+
+    @property
     def driving(self) -> bool:
         """Whether there is a drive, or the planner has a goal from its own clients."""
         return self.execution.driving

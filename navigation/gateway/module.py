@@ -59,7 +59,9 @@ class GatewayModule(Module):
         self.gateway = Gateway(host, section, frames, self._on_status, self._hold)
         places = StoredPlaces(host, section.frame, lambda: self.gateway.planner == BETWEEN_MAPS)
         gateway = self.gateway
-        self._action = NavigateAction(host, gateway.accept_goal, gateway.cancel_goal, gateway.client_lost)
+        self._action = NavigateAction(
+            host, lambda: gateway.planner_has_action, gateway.accept_goal, gateway.cancel_goal, gateway.client_lost
+        )
         poses = host.node.action_server(THROUGH_POSES, THROUGH, gateway.accept_goal, gateway.cancel_goal)
         FarClients(host, poses, gateway.client_lost)
         host.node.subscription(GOAL_POSE, POSE, self._on_goal_pose, Qos(depth=1))
@@ -115,6 +117,8 @@ class GatewayModule(Module):
             self._commander.stop()
 
     def _on_goal_pose(self, message: dict[str, Any]) -> None:
+        if self._action.planner_receives(GOAL_POSE):  # it executes the goal, and the gateway follows its goal list
+            return
         try:
             self.gateway.execution.begin([target_of(message)], f"a publisher of {GOAL_POSE}")
         except TargetError as err:
@@ -196,5 +200,5 @@ class GatewayModule(Module):
 
 _BESIDE = (
     "its clients on the hub and on ROS 2 reach that node directly, and the gateway serves YARP and its other entry"
-    " points; stop that node, or name it as planner, so that the robot has one master"
+    " points; stop that node, or name it as planner (nav2_zenoh: Nav2 on rmw_zenoh), so that the robot has one master"
 )

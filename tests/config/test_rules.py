@@ -83,6 +83,8 @@ def test_ros_2_has_the_gateways_action_of_several_poses_beside_its_entry_point()
     closed = policy(rules("nav2"), "ros2")
     assert not closed.allowed
     assert "nav2 has /navigate_through_poses there itself" in closed.why
+    assert not policy(rules("nav2_zenoh"), "ros2").allowed
+    assert rules("nav2_zenoh").leave("zenoh", "ros2", "/navigate_through_poses", several, "action").allowed
 
 
 def test_planners_with_an_action_of_several_poses_are_known() -> None:
@@ -188,10 +190,6 @@ def test_goals_and_velocities_are_commands_under_each_of_their_names() -> None:
     ("section", "error"),
     [
         ({"planner": "moovebase"}, "no planner is named 'moovebase'"),
-        (
-            {"planners": [{"name": "x", "side": "zenoh", "action": "/navigate_to_pose"}]},
-            "the gateway itself serves /navigate_to_pose on the hub",
-        ),
         ({"planners": [{"name": "robot_goto", "side": "ros1", "action": "/x"}]}, "is the name of a built-in planner"),
         ({"planners": [{"name": "x", "side": "ros1", "action": "x"}]}, "begin it with a slash"),
         ({"planners": [{"name": "x", "side": "ros1", "action": "/x"}] * 2}, "two planners have the name x"),

@@ -112,14 +112,6 @@ class Planner(Section):
             raise ValueError(f"Midspan itself hosts {self.factory} on the hub; remove 'side' and 'action'")
         return self
 
-    @model_validator(mode="after")
-    def _differs_from_the_gateway(self) -> Planner:
-        if self.side == "zenoh" and self.action == ACTION:
-            raise ValueError(
-                f"the gateway itself serves {ACTION} on the hub; let the planner serve {planner_action(self.name)}"
-            )
-        return self
-
     @property
     def motion(self) -> tuple[str, ...]:
         """The other actions on its side that move the base."""
@@ -157,6 +149,7 @@ KNOWN = {
     "nav2": Planner(
         name="nav2", side="ros2", action="/navigate_to_pose", path="/plan", local_map="/local_costmap/costmap"
     ),
+    "nav2_zenoh": Planner(name="nav2_zenoh", action=ACTION, path="/plan", local_map="/local_costmap/costmap"),
 }
 """Planners that need no entry in ``planners``."""
 
@@ -182,11 +175,12 @@ class NavigationSection(Section):
 
     planner: str = setting(
         "",
-        "The planner: `robot_path_planner` or `robot_goto` (Midspan's modules), `move_base` (ROS 1), `nav2` (ROS 2),"
+        "The planner: `robot_path_planner` or `robot_goto` (Midspan's modules), `move_base` (ROS 1), `nav2` (ROS 2,"
+        " over DDS), `nav2_zenoh` (over rmw_zenoh),"
         ' one of `planners`, or a class of your own as `package.module:Class`; "": none, and the gateway does not run.',
     )
     planners: tuple[Planner, ...] = setting(
-        (), "Planners that are not part of Midspan, other than `move_base` and `nav2`."
+        (), "Planners that are not part of Midspan, other than `move_base`, `nav2` and `nav2_zenoh`."
     )
     localizer: PoseSourceName | None = setting(
         None, "The source of the robot's pose, as in `modules.localization_server.source`; empty: that key decides."
@@ -252,6 +246,10 @@ class NavigationSection(Section):
             return through_poses(planner_action(planner)) if planner == OURS[0] else ""
         name = through_poses(other.action)
         return name if name in other.motion else ""
+
+    def has_action(self, planner: str) -> bool:
+        """Return whether a planner on the hub serves the gateway's own action, so that the gateway cannot."""
+        return self.at(planner) == ACTION
 
     def at(self, planner: str) -> str:
         """Return a planner's action on the hub."""

@@ -238,7 +238,7 @@ def test_a_starting_gateway_names_another_server_once_that_is_known_not_to_be_a_
     host: Any = SimpleNamespace(loop=SimpleNamespace(every=lambda *_arguments: None), log=logging.getLogger("test"))
     other = endpoint(names(ACTION).send_goal, b"gid")
     monkeypatch.setattr(NavigateAction, "_other_server", lambda _action: other)
-    action = NavigateAction(host, lambda _goal: True, lambda _goal: True, lambda _goal, _reason: None)
+    action = NavigateAction(host, lambda: False, lambda _goal: True, lambda _goal: True, lambda _goal, _reason: None)
     assert action.served_by == ""
     action.poll()
     assert action.served_by == f"{other.namespace.rstrip('/')}/{other.node.lstrip('/')}"

@@ -110,6 +110,12 @@ class RmwActionServer:
         """Return whether a goal is still active."""
         return not self._statuses[goal].ended
 
+    def announce_subscription(self, topic: str, kind: str) -> None:
+        """Announce a subscription of the node; it receives nothing."""
+        number, type_hash = str(next(self._ids)), REGISTRY.ros2(kind).type_id
+        token = EndpointToken(self._owner, number, EndpointKind.SUBSCRIPTION, topic, kind, type_hash, Qos(depth=1))
+        self._tokens.append(self._declare(endpoint_key(token)))
+
     def close(self) -> None:
         """Leave the hub."""
         self._session.close()
