@@ -11,12 +11,14 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.hub.session import Hub
+from bridge.interfaces.folders import read_folders
 from bridge.messages.registry import Registry
 from tests.contract.fakeside import FakeSide
 from tests.contract.hubside import HubSide
 from tests.contract.ownside import OwnSide
 from tests.contract.plainside import PlainSide
 from tests.contract.rmwside import RmwSide
+from tests.contract.rmwzenohside import NODE, RmwZenohSide
 from tests.contract.ros1side import EmbeddedMasterSide, Ros1AnyOsSide, Ros1Side
 from tests.contract.ros2side import CycloneSide, KiltedSide, Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, OWN_FOLDER, PEER_FOLDERS, Bridge, Side
@@ -24,7 +26,9 @@ from tests.contract.yarpside import YarpSide
 from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
 from tests.peers.hub.network import HubNetwork
 from tests.peers.hub.quick import QuickHub
-from tests.peers.ros2.network import has_rmw_cyclonedds
+from tests.peers.peer import Peer
+from tests.peers.ros2.network import ROS2_PEER, has_rmw_cyclonedds, ros2_python
+from tests.peers.ros2.rmw_zenoh import has_rmw_zenoh, rmw_zenoh_environment
 from tests.support.lane import LANE
 from tests.support.missing import ROS1, lacking
 
@@ -44,6 +48,9 @@ if has_rmw_cyclonedds():  # the wheels do not include it; see docs/sides/ros2.md
     SIDES["ros2_cyclone"] = CycloneSide
 if ROS1 in lacking():
     SIDES["ros1_without_rospy"] = PlainSide
+
+RELEASES = [release for release in ("jazzy", "kilted") if has_rmw_zenoh(release)]
+"""Releases of ROS 2 that have rmw_zenoh_cpp here; their programs are further far ends."""
 
 
 @pytest.fixture
@@ -79,6 +86,8 @@ OF_ANY_VARIANT = ("test_rules.py", "test_bad_input.py", "test_best_available.py"
 def _is_shown_elsewhere(item: pytest.Item) -> bool:
     """Return whether a test is redundant on a variant of a side, because it also runs on the side itself."""
     side, name = _param(item, "side"), getattr(item, "originalname", "")
+    if _param(item, "far") and _param(item, "lane"):
+        return True  # a real node is not on a lane
     if side == "ros1_any_os" and _param(item, "lane"):
         return True  # it cannot have a lane, because it has no Unix sockets
     if side == "ros1_embedded_master" and item.path.name == "test_latching.py" and name not in BASIC:
@@ -98,7 +107,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.parent == folder and isinstance(item, pytest.Function) and hasattr(item, "callspec"):
             side, turn = _param(item, "side"), zlib.crc32(item.originalname.encode())
-            if side in APART or (side == "ros1_any_os" and item.originalname not in ANY_OS):
+            if side in APART or _param(item, "far") or (side == "ros1_any_os" and item.originalname not in ANY_OS):
                 item.add_marker(pytest.mark.thorough)
             for sides in IN_TURN:
                 if side in sides and side != sides[turn % len(sides)] and item.originalname not in BASIC:
@@ -122,7 +131,9 @@ def lane() -> bool:
 
 @pytest.hookimpl(trylast=True)  # otherwise the tests have other names in a complete run, which loads this file later
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run the tests of all sides without the lane, too."""
+    """Run the tests of all sides without the lane, too, and with each far end."""
+    if RELEASES and "far" in metafunc.fixturenames:
+        metafunc.parametrize("far", ["", *RELEASES], ids=["far", *(f"rmw_zenoh_{r}" for r in RELEASES)], indirect=True)
     if metafunc.definition.originalname in BASIC:
         metafunc.parametrize("lane", [LANE, False] if LANE else [False], ids=["lane", "zenoh"] if LANE else ["zenoh"])
 
@@ -133,12 +144,22 @@ def far(request: pytest.FixtureRequest, hubs: HubNetwork, tmp_path: Path, *, lan
     folder = tmp_path / "state" / "contract" / "lane"
     hub = Hub.open(hubs.settings("far", lane=folder if lane else None))
     registry = Registry(folders=PEER_FOLDERS)
-    on_lane = hasattr(request.node, "callspec") and request.node.callspec.params.get("lane", False)
-    end = HubSide(hub, registry) if on_lane else RmwSide(hub, registry, hubs.endpoint)
+    release = getattr(request, "param", "")
+    if release:
+        end: HubSide = RmwZenohSide(hub, registry, _rmw_zenoh_program(hubs, release))
+    elif hasattr(request.node, "callspec") and request.node.callspec.params.get("lane", False):
+        end = HubSide(hub, registry)
+    else:
+        end = RmwSide(hub, registry, hubs.endpoint)
     try:
         yield end
     finally:
         end.close()
+
+
+def _rmw_zenoh_program(hubs: HubNetwork, release: str) -> Peer:
+    env = rmw_zenoh_environment(hubs.endpoint, hubs.domain, read_folders(PEER_FOLDERS), release)
+    return Peer(ROS2_PEER, ros2_python(), env, NODE)
 
 
 @pytest.fixture

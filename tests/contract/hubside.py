@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
-from bridge.hub.endpoints.services import HubClient, HubServer
+from bridge.hub.endpoints.services import HubClient
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
@@ -19,7 +19,14 @@ from tests.support.wait import until
 
 
 class HubSide:
-    """Publishes and receives messages on the hub by their fields. Types are spelled ``package/Name``."""
+    """Publishes and receives messages on the hub by their fields. Types are spelled ``package/Name``.
+
+    ``tells_errors``: calls and servers report errors, and calls end when their server leaves.
+    ``hears_itself``: its subscriptions receive what its own publishers publish.
+    """
+
+    tells_errors: ClassVar[bool] = True
+    hears_itself: ClassVar[bool] = False
 
     def __init__(self, hub: Hub, registry: Registry) -> None:
         self.hub, self.registry = hub, registry
@@ -28,7 +35,7 @@ class HubSide:
         self._subscriptions: dict[int, Any] = {}
         self._changed = threading.Condition()
         self._next = 0
-        self.servers: dict[str, HubServer] = {}
+        self.servers: dict[str, Any] = {}
         self._clients: dict[str, HubClient] = {}
 
     def advertise(self, topic: str, type_: str, *, latched: bool = False, depth: int = 10) -> int:
@@ -133,14 +140,14 @@ class HubSide:
 
         return until(answers, "the worker reports its status")[0]
 
-    def serve(self, service: str, type_: str, **params: Any) -> Serving:
+    def serve(self, service: str, type_: str, **params: Any) -> Any:
         """Serve on the hub until the server, which is then in ``servers``, is closed."""
         name = service_name(type_)
         serving = Serving(self.registry, name, params)
         self.servers[service] = self.hub.server(service, name, self.registry.service_ros2(name).type_id, serving.call)
         return serving
 
-    def call(self, service: str, type_: str, **request: Any) -> Calling:
+    def call(self, service: str, type_: str, **request: Any) -> Any:
         """Call a service as soon as the hub has a server for it."""
         name = service_name(type_)
         client = self._clients.get(service)
