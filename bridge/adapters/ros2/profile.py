@@ -33,7 +33,7 @@ from xml.etree import ElementTree as ET
 from bridge.adapters.ros2 import own_profile, rcl
 from bridge.adapters.ros2.environment import STATIC_PEERS, SWITCHES, UNSET
 from bridge.adapters.ros2.graph import neighbors
-from bridge.adapters.ros2.graph.origins import new_prefix, participant_number, stored_prefixes
+from bridge.adapters.ros2.graph.origins import ALL_NUMBERS, new_prefix, participant_number, stored_prefixes
 from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
 from bridge.adapters.ros2.releases import current
 from bridge.config.model import Config
@@ -114,7 +114,8 @@ class FastDdsProfile:
         _add_texts(
             descriptor, transport_id="udp", type="UDPv4", sendBufferSize=_UDP_BUFFER, receiveBufferSize=_UDP_BUFFER
         )
-        _add_texts(descriptor, maxInitialPeersRange=str(PARTICIPANTS))
+        # a machine in `peers` may have another Midspan daemon, whose participant has a high number
+        _add_texts(descriptor, maxInitialPeersRange=str(ALL_NUMBERS if self.peers else PARTICIPANTS))
         if self.localhost_only:
             _add_texts(ET.SubElement(descriptor, "interfaceWhiteList"), address="127.0.0.1")
 

@@ -102,6 +102,8 @@ _MARK = b"MSPN"
 _FIRST_NUMBER, _NUMBERS = 32, 30
 """Other participants on a host count up from 0 and do not reach the first of these numbers. The ports of the last
 number are below 65536 even in domain 232, the highest; Fast DDS ends the process if they are not."""
+ALL_NUMBERS = _FIRST_NUMBER + _NUMBERS
+"""The numbers of all participants on a host, including Midspan's, are below this."""
 _RECENT = 8
 
 
