@@ -41,6 +41,10 @@ _BOOKS = 2 << 20
 """Bytes in ``/dev/shm`` for zenoh's book-keeping in each process (1.3 MB), and for a session's small files."""
 
 _LOCK_ON_FAULT = 1  # MLOCK_ONFAULT of Linux 4.4
+
+_SESSIONS = 16
+"""Number of sending sessions whose pools a receiver must be allowed to lock, more than a daemon's workers have."""
+
 _CHECK_SECONDS = 10.0
 """Seconds between two checks of the pool; two must agree, because zenoh may be creating the pool during one check."""
 
@@ -140,24 +144,30 @@ def _note(reason: str, level: int) -> None:
 
 
 def lock_trouble(size: int) -> str:
-    """Return why this process may not lock ``size`` bytes into RAM, and how to fix that, or ""."""
+    """Return why this process may not lock the pools of `_SESSIONS` sessions into RAM, and how to fix that, or "".
+
+    ``size`` is what one of them needs, in bytes.
+    """
     if sys.platform != "linux":
         return ""
     import resource
 
-    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    if limit == resource.RLIM_INFINITY or limit >= 16 * size:
+    limit, needed = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0], _SESSIONS * size
+    if limit == resource.RLIM_INFINITY or limit >= needed:
         return ""
-    libc = ctypes.CDLL(None, use_errno=True)
-    with contextlib.closing(mmap.mmap(-1, size)) as memory:
+    libc, refused = ctypes.CDLL(None, use_errno=True), True
+    with contextlib.suppress(OSError), contextlib.closing(mmap.mmap(-1, needed)) as memory:
         view = ctypes.c_char.from_buffer(memory)
-        # on fault: otherwise the system would provide all pages, which takes 20 ms
-        refused = libc.mlock2(ctypes.byref(view), ctypes.c_size_t(size), _LOCK_ON_FAULT)
+        # on fault: the system provides no pages, which would take 20 ms for each session
+        refused = bool(libc.mlock2(ctypes.byref(view), ctypes.c_size_t(needed), _LOCK_ON_FAULT))
         del view
     if not refused:
         return ""
     cure = "set LimitMEMLOCK=infinity in the systemd unit, or 'ulimit -l unlimited'"
-    return f"this user may lock {limit / 1e6:.1f} MB of memory, and a session needs {size / 1e6:.0f} MB; {cure}"
+    return (
+        f"this user may lock {limit / 1e6:.1f} MB of memory, and a process that receives from {_SESSIONS} sessions"
+        f" locks up to {needed / 1e6:.0f} MB; {cure}"
+    )
 
 
 def _books_trouble() -> str:

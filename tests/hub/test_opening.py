@@ -8,7 +8,6 @@ import logging
 import shutil
 import subprocess
 import sys
-from typing import Any
 
 import pytest
 import zenoh
@@ -115,15 +114,19 @@ def test_session_without_shared_memory_opens(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_limit_of_locked_memory_is_reported_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     import resource
 
-    monkeypatch.setattr(resource, "getrlimit", lambda _which: (8 << 20, 8 << 20))
+    limit = 8 << 20
+    monkeypatch.setattr(resource, "getrlimit", lambda _which: (limit, limit))
 
     class Libc:
-        def mlock2(self, *_: Any) -> int:
-            return -1
+        def mlock2(self, _address: object, size: ctypes.c_size_t, _flags: int) -> int:
+            return -1 if size.value > limit else 0
 
     monkeypatch.setattr(ctypes, "CDLL", lambda *_args, **_more: Libc())
-    assert "may lock 8.4 MB of memory, and a session needs 19 MB; set LimitMEMLOCK" in lock_trouble(18 << 20)
-    monkeypatch.setattr(resource, "getrlimit", lambda _which: (resource.RLIM_INFINITY,) * 2)
+    assert "may lock 8.4 MB of memory, and a process that receives from 16 sessions locks" in lock_trouble(18 << 20)
+    assert "locks up to 302 MB; set LimitMEMLOCK" in lock_trouble(18 << 20)
+    limit = 64 << 20  # only three pools
+    assert "may lock 67.1 MB" in lock_trouble(18 << 20)
+    limit = resource.RLIM_INFINITY
     assert lock_trouble(18 << 20) == ""
 
 
