@@ -19,6 +19,7 @@ from bridge.config.sections.hub import OpenSection
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.services import abandon_key
 from bridge.hub.graph.tokens import ADMIN_SPACE, MIDSPAN_SPACE
+from bridge.hub.wire.buffers import CPU_GROUP
 from bridge.hub.wire.keys import NO_HASH, dds_type_name, hash_chunk
 
 ANYBODY = "*"
@@ -73,7 +74,7 @@ def access_control(section: OpenSection, routing: RoutingSection, loopback: Sequ
     guest = [
         _rule("hear", "egress", _EVERYTHING, _SPACES),
         _rule("join", "ingress", _LISTENING, _SPACES),
-        _rule("say", "ingress", ("put", "reply"), (*harmless, control)),
+        _rule("say", "ingress", ("put", "reply"), (*harmless, *buffered_keys(harmless), control)),
         _rule("answer", "ingress", ("reply",), _ANSWERS),
         # a publisher that is queried for a latched command could reply on any key
         _rule("keep", "ingress", ("put", "declare_queryable"), [f"{key}/@adv/**" for key in harmless]),
@@ -105,6 +106,15 @@ def harmless_keys(commanding: Mapping[str, Iterable[str]]) -> list[str]:
         if EVERY not in parts:
             chunks += [f"{chunk}/{types[type_name]}" for chunk in not_beginning("", parts)]
     return [f"*/**/{chunk}/{end}" for end in _HASHES for chunk in chunks]
+
+
+def buffered_keys(keys: Iterable[str]) -> list[str]:
+    """Return the key expressions on which Lyrical's publishers send samples of types with buffers, for those of keys.
+
+    See `bridge.hub.wire.buffers`; releases without hashes have no buffers.
+    """
+    hashed = [key for key in keys if not key.endswith(hash_chunk(NO_HASH))]
+    return [f"{key}/{tail}" for key in hashed for tail in (CPU_GROUP, "_buf/*")]
 
 
 def not_ending(tail: str, endings: Iterable[str]) -> Iterator[str]:

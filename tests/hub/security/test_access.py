@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from bridge.config.rules import ALWAYS, EVERY, commands, untyped
 from bridge.config.sections.hub import OpenSection
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.security.access import access_control, harmless_keys, not_beginning
+from bridge.hub.security.access import access_control, buffered_keys, harmless_keys, not_beginning
+from bridge.hub.wire.buffers import group_key
 from bridge.hub.wire.keys import NO_HASH, dds_type_name, topic_key
 from bridge.messages.velocities import VELOCITIES
 
@@ -62,6 +63,9 @@ def test_allowed_keys_never_match_commands() -> None:
     ]
     for command in map(zenoh.KeyExpr, goals + others):
         assert not [allowed_key for allowed_key in KEYS if allowed_key.intersects(command)], command
+    buffered = [zenoh.KeyExpr(key) for key in buffered_keys(map(str, KEYS))]
+    for command in map(zenoh.KeyExpr, ["*/**/$*Goal_/RIHS01_$*", *others]):
+        assert not [key for key in buffered if key.intersects(command)], command
 
 
 @pytest.mark.parametrize(
@@ -86,6 +90,24 @@ def test_allowed_keys_never_match_commands() -> None:
 )
 def test_guests_may_not_publish_commands(topic: str, type_name: str, may: bool) -> None:
     assert allowed(topic, type_name) is may
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name", "may"),
+    [
+        ("/camera/image", "sensor_msgs/msg/Image", True),
+        ("/cmd_vel", "geometry_msgs/msg/Twist", False),
+        ("/arm_1/moves", "std_msgs/msg/Float64", False),
+    ],
+)
+def test_guests_of_lyrical_may_publish_messages_with_buffers(topic: str, type_name: str, may: bool) -> None:
+    section = OpenSection.model_validate({"listen": ["tls/0.0.0.0:7448"], "trusted": ["base"]})
+    rules = access_control(section, RULES, ["lo"])["rules"]
+    (say,) = [rule for rule in rules if rule["id"] == "say"]
+    key = topic_key(0, topic, type_name, HASH)
+    for buffered in (group_key(key), f"{key}/_buf/{'5e' * 16}"):
+        includes = [zenoh.KeyExpr(expression).includes(zenoh.KeyExpr(buffered)) for expression in say["key_exprs"]]
+        assert any(includes) is may
 
 
 WORD = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,20}", fullmatch=True)
