@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import pytest
 
+from bridge.adapters.ros2.dds.fast import FastDds
+from bridge.adapters.ros2.graph import spdp
+from bridge.adapters.ros2.graph.origins import new_prefix
 from bridge.adapters.ros2.profile import static_peers
+from bridge.config.model import Config
 from tests.adapters.ros2.test_new_interface import STRING, edge, machines
 from tests.peers.peer import on_machine
 from tests.peers.ros2.network import ROS2_PEER, ros2_environment, ros2_python
@@ -47,7 +52,10 @@ def gateway() -> Iterator[Machine]:
 def test_two_daemons_discover_each_other_without_multicast(
     machines: tuple[Machine, Machine], gateway: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise both would bridge the same nodes. The gateway does not forward multicast."""
+    """Otherwise both would bridge the same nodes. A killed daemon's successor disposes it on the other machine.
+
+    The gateway does not forward multicast.
+    """
     ros2_python()
     gateway.run("sh", "-c", "echo 1 > /proc/sys/net/ipv4/ip_forward")
     for machine, net in zip(machines, (77, 78), strict=True):
@@ -60,6 +68,26 @@ def test_two_daemons_discover_each_other_without_multicast(
         with edge(robot, tmp_path / "robot") as first:
             second.ask("announce", record="second")
             until(lambda: "second" in first.ask("sightings")["records"], "it discovers the other daemon", 20)
+            first.ask("advertise", topic="/mine")
+            until(lambda: "publisher /mine midspan" in second.ask("status")["endpoints"], "and the other way round", 20)
+            first.popen.kill()
+            first.popen.wait()
+        with edge(robot, tmp_path / "robot"):
+            until(
+                lambda: "publisher /mine midspan" not in second.ask("status")["endpoints"],
+                "disposed by its successor",
+                8,
+            )
+
+
+def test_static_peers_receive_the_disposal_of_a_predecessor(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[tuple[str, bytes]] = []
+    monkeypatch.setattr(spdp, "send_all", lambda *_arguments, **_more: None)
+    monkeypatch.setattr(spdp, "send_to", lambda peers, messages, _domain: sent.extend(product(peers, messages)))
+    dds, dead = FastDds(Config.model_validate({"ros2": {"domain": 1}})), new_prefix(b"\x01\x0f\x12\x34")
+    dds._peers = ("10.0.0.2",)
+    dds.refresh(new_prefix(b"\x01\x0f\x12\x34"), [dead], 0)
+    assert sent == [("10.0.0.2", spdp.disposal(dead))], "not the prompt, which names this machine's loopback"
 
 
 @pytest.mark.parametrize(("text", "peers"), [("", []), ("10.0.0.1", ["10.0.0.1"]), (" a ;b;;a", ["a", "b"])])

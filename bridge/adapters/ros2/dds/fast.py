@@ -42,6 +42,7 @@ class FastDds(Dds):
         self.types = TypeSupports()
         self._trouble = ""
         self._number = 0
+        self._peers: tuple[str, ...] = ()
 
     @override
     def join(self, state: Path, node: str) -> Joined:
@@ -50,7 +51,7 @@ class FastDds(Dds):
         self._trouble = "" if custom is None else own_profile.trouble(custom)
         if self._trouble:
             _log.warning("%s", self._trouble)
-        self._number = participant_number(profile.prefix)
+        self._number, self._peers = participant_number(profile.prefix), profile.peers
         participant = Participant(node, self._domain)
         if not security.is_enabled(os.environ):
             return Joined(participant, profile.prefix, profile.segment)
@@ -90,7 +91,9 @@ class FastDds(Dds):
     def refresh(self, prefix: bytes, dead: Sequence[bytes], also: int) -> None:
         pseudo = new_prefix(rcl.host_prefix())
         prompt = [spdp.announcement(pseudo, self._domain, self._number, also), spdp.disposal(pseudo)]
-        spdp.send_all([*map(spdp.disposal, dead), *prompt], self._domain, localhost_only=self._localhost_only)
+        disposals = [*map(spdp.disposal, dead)]
+        spdp.send_all([*disposals, *prompt], self._domain, localhost_only=self._localhost_only)
+        spdp.send_to(self._peers, disposals, self._domain)
 
     @override
     def clean(self, prefix: bytes, past: Iterable[bytes]) -> None:

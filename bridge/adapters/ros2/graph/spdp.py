@@ -19,6 +19,8 @@ import socket
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 
+from bridge.adapters.ros2.graph.origins import ALL_NUMBERS
+
 MULTICAST = "239.255.0.1"
 """The SPDP multicast address (DDSI-RTPS 2.5, 9.6.1.4.1)."""
 
@@ -102,6 +104,14 @@ def send_all(messages: Sequence[bytes], domain: int, *, localhost_only: bool) ->
                 _send_by(sender, interface, messages, domain)
         for number in range(PARTICIPANTS):
             _send(sender, messages, (_LOOPBACK, _unicast_port(domain, number)))
+
+
+def send_to(addresses: Iterable[str], messages: Sequence[bytes], domain: int) -> None:
+    """Send messages to all participants on other machines, which multicast may not reach."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for address in addresses:
+            for number in range(ALL_NUMBERS):
+                _send(sender, messages, (address, _unicast_port(domain, number)))
 
 
 def _message(prefix: bytes, flags: int, number: int, content: bytes) -> bytes:

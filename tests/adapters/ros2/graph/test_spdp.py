@@ -148,3 +148,11 @@ def test_a_failed_send_does_not_stop_the_others(monkeypatch: pytest.MonkeyPatch,
     assert sorted(set(groups(network))) == ["eth0", "lo"]
     unicast = {port for _, address, port in network.sent if address == "127.0.0.1"}
     assert unicast == {GROUP_PORT + 10 + 2 * number for number in range(spdp.PARTICIPANTS)}
+
+
+def test_all_participants_of_other_machines_receive_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also other daemons' participants, whose numbers are above 31."""
+    network = Network(monkeypatch, refuse="10.0.0.2")
+    spdp.send_to(["10.0.0.2", "10.0.0.3"], [b"one"], DOMAIN)
+    ports = [GROUP_PORT + 10 + 2 * number for number in range(62)]
+    assert network.sent == [("", address, port) for address in ("10.0.0.2", "10.0.0.3") for port in ports]
