@@ -143,7 +143,7 @@ def addresses(peers: Iterable[str]) -> Iterator[str]:
     for peer in peers:
         try:
             yield socket.gethostbyname(peer)
-        except OSError as err:
+        except (OSError, UnicodeError) as err:  # the latter for a name with an empty or too long part
             _log.warning(
                 "%s: %s is not a known machine (%s); correct it or add it to /etc/hosts", STATIC_PEERS, peer, err
             )

@@ -12,7 +12,7 @@ import pytest
 from bridge.adapters.ros2.dds.fast import FastDds
 from bridge.adapters.ros2.graph import spdp
 from bridge.adapters.ros2.graph.origins import new_prefix
-from bridge.adapters.ros2.profile import static_peers
+from bridge.adapters.ros2.profile import addresses, static_peers
 from bridge.config.model import Config
 from tests.adapters.ros2.test_new_interface import STRING, edge, machines
 from tests.peers.peer import on_machine
@@ -94,3 +94,8 @@ def test_static_peers_receive_the_disposal_of_a_predecessor(monkeypatch: pytest.
 def test_peers_are_separated_by_semicolons(text: str, peers: list[str]) -> None:
     assert static_peers({"ROS_STATIC_PEERS": text}) == peers
     assert static_peers({}) == []
+
+
+def test_unknown_peers_are_logged(caplog: pytest.LogCaptureFixture) -> None:
+    assert list(addresses(["planner..local", "127.0.0.1"])) == ["127.0.0.1"]
+    assert "ROS_STATIC_PEERS: planner..local is not a known machine" in caplog.text
