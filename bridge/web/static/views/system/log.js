@@ -37,15 +37,17 @@ export function logPart(socket) {
     if (busy) return;
     busy = true;
     const mine = round;
+    let failed = false;
     try {
       const found = await socket.call("log", { after: last, level: level.value, worker: worker.value, text: words });
       if (mine === round) take(found);
     } catch (error) {
+      failed = true; // the feed's next value tries again; without a connection, calls fail at once
       if (mine === round) write(empty, error.message);
     } finally {
       busy = false;
     }
-    if (mine !== round || last < wanted) read();
+    if (mine !== round || (!failed && last < wanted)) read();
   }
 
   function take({ last: newest, lines }) {

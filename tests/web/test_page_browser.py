@@ -1,0 +1,63 @@
+"""The page in a real Chromium, with a console that has no robot."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from selenium.webdriver import Chrome, ChromeOptions
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+
+from tests.support.missing import BROWSER, need
+from tests.support.wait import until
+from tests.web.conftest import Desk
+
+LINE = {"n": 1, "time": 0.0, "level": "info", "worker": "daemon", "text": "the first line"}
+OFFLINE = """
+window.dispatchEvent(new Event("offline"));
+const level = document.querySelector("#system select");
+level.value = "error";
+level.dispatchEvent(new Event("change"));
+"""
+
+
+@pytest.fixture(scope="module")
+def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
+    need(BROWSER)
+    options = ChromeOptions()
+    for argument in (
+        "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1280,800",
+        f"--user-data-dir={tmp_path_factory.mktemp('chrome')}", "--disable-background-networking",
+    ):  # fmt: skip
+        options.add_argument(argument)
+    options.binary_location = str(shutil.which("chromium"))
+    driver = Chrome(options, Service(shutil.which("chromedriver")))
+    driver.set_script_timeout(10)
+    driver.set_page_load_timeout(20)
+    yield driver
+    driver.quit()
+
+
+def text(chrome: Chrome, selector: str) -> str:
+    return chrome.find_element(By.CSS_SELECTOR, selector).text
+
+
+def test_the_log_can_be_filtered_without_a_connection(
+    desk: Desk, chrome: Chrome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page stays usable: it tries again with the feed's next value, not at once."""
+    lines = [LINE]
+
+    def ask_log(_config: Any, after: int) -> dict[str, Any]:
+        return {"last": lines[-1]["n"], "lines": [line for line in lines if line["n"] > after]}
+
+    monkeypatch.setattr("bridge.web.sources.log.ask_log", ask_log)
+    chrome.get(f"http://127.0.0.1:{desk.port}/#system/log")
+    until(lambda: "the first line" in text(chrome, "#system"), "the log is shown")
+    chrome.execute_script(OFFLINE)
+    assert "the first line" not in text(chrome, "#system")
+    lines.append({**LINE, "n": 2, "level": "error", "text": "the second line"})
+    until(lambda: "the second line" in text(chrome, "#system"), "the log is shown again")
