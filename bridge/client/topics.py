@@ -42,6 +42,7 @@ _LATCHED_DEPTH = 1000
 """The most samples that are requested from each latched publisher."""
 
 _MAX_SEEN = 4096
+_MAX_RANGES = 64
 _MAX_QUERIES = 10_000
 
 
@@ -110,7 +111,7 @@ class SubscribedTopic:
         self.key, self.trouble = key, ""
         self._hub, self._on_sample = hub, on_sample
         self._lock, self._renewing = Lock(), Lock()
-        self._seen: dict[bytes, tuple[int, int]] = {}
+        self._seen: dict[bytes, list[list[int]]] = {}  # ranges of sequence numbers, by publisher
         self._subscriptions: list[HubSubscription] = []
         self._latched = False
         self._closed = False
@@ -155,15 +156,11 @@ class SubscribedTopic:
             self._on_sample(sample)
 
     def _is_new(self, sample: HubSample) -> bool:
-        number = sample.sequence
         with self._lock:
-            first, last = self._seen.get(sample.gid, (number, number - 1))
-            if first <= number <= last:
-                return False
-            self._seen[sample.gid] = min(first, number), max(last, number)
+            is_new = _add(self._seen.setdefault(sample.gid, []), sample.sequence)
             if len(self._seen) > _MAX_SEEN:
                 del self._seen[next(iter(self._seen))]
-        return True
+        return is_new
 
     def close(self) -> None:
         """Unsubscribe. Safe to call twice."""
@@ -177,6 +174,25 @@ class SubscribedTopic:
             subscription.close()
             self._lost += subscription.lost
             self._refused += subscription.refused
+
+
+def _add(ranges: list[list[int]], number: int) -> bool:
+    """Add a number to ascending ranges (first and last number); return False if one of them contains it.
+
+    With more than `_MAX_RANGES`, the numbers between the two lowest ranges count as added.
+    """
+    at = len(ranges)
+    while at and ranges[at - 1][0] > number:
+        at -= 1
+    if at and number <= ranges[at - 1][1]:
+        return False
+    ranges.insert(at, [number, number])
+    for right in (at + 1, at):
+        if 0 < right < len(ranges) and ranges[right][0] == ranges[right - 1][1] + 1:
+            ranges[right - 1][1] = ranges.pop(right)[1]
+    if len(ranges) > _MAX_RANGES:
+        ranges[0][1] = ranges.pop(1)[1]
+    return True
 
 
 class TopicFollower:

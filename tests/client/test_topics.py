@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from bridge.client.topics import HubTopic, HubTopics, TopicFollower, TopicKey
+from bridge.client.topics import HubTopic, HubTopics, SubscribedTopic, TopicFollower, TopicKey
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.session import Hub
@@ -153,3 +153,24 @@ def test_a_follower_counts_the_lost_messages_of_closed_subscriptions() -> None:
     follower.close()
     assert not follower
     assert follower.lost == 3
+
+
+def test_stored_messages_that_follow_newer_ones_arrive_once() -> None:
+    """A latched publisher has sent 3, 4 and 7 when its stored messages arrive."""
+    received: list[int] = []
+    hub: Any = SimpleNamespace()
+    subscribed: Any = SubscribedTopic(hub, string_key("/both"), lambda sample: received.append(sample.sequence))
+    for number in (3, 4, 7, 1, 2, 3, 4, 5, 6, 7, 8):
+        subscribed._on_possible_duplicate(SimpleNamespace(gid=b"publisher", sequence=number))
+    assert received == [3, 4, 7, 1, 2, 5, 6, 8]
+
+
+def test_the_memory_of_received_messages_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.client.topics._MAX_RANGES", 3)
+    received: list[int] = []
+    hub: Any = SimpleNamespace()
+    subscribed: Any = SubscribedTopic(hub, string_key("/both"), lambda sample: received.append(sample.sequence))
+    for number in (2, 4, 6, 8, 3, 5, 9):  # the gap between the two oldest ranges is closed
+        subscribed._on_possible_duplicate(SimpleNamespace(gid=b"publisher", sequence=number))
+    assert received == [2, 4, 6, 8, 5, 9]
+    assert subscribed._seen == {b"publisher": [[2, 6], [8, 9]]}
