@@ -11,10 +11,19 @@ from selenium.webdriver import Chrome, ChromeOptions
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
+from bridge.stores.kinds import LOCATION
+from bridge.stores.store import Store, Write
+from tests.peers.browser.page import TestPage
 from tests.support.missing import BROWSER, need
 from tests.support.wait import until
 from tests.web.conftest import Desk
+from yarp_compat.dev.locations import Map2DLocation
 
+GRID = {
+    "header": {"frame_id": "map"},
+    "info": {"resolution": 0.5, "width": 4, "height": 2, "origin": {"orientation": {"w": 1.0}}},
+    "data": [0] * 8,
+}
 LINE = {"n": 1, "time": 0.0, "level": "info", "worker": "daemon", "text": "the first line"}
 OFFLINE = """
 window.dispatchEvent(new Event("offline"));
@@ -61,3 +70,18 @@ def test_the_log_can_be_filtered_without_a_connection(
     assert "the first line" not in text(chrome, "#system")
     lines.append({**LINE, "n": 2, "level": "error", "text": "the second line"})
     until(lambda: "the second line" in text(chrome, "#system"), "the log is shown again")
+
+
+@pytest.mark.parametrize("of", ["", "map"])
+def test_places_are_shown_on_the_map_of_a_topic(desk: Desk, store: Store, chrome: Chrome, of: str) -> None:
+    """Without a current map in the store, a place has no map, or the name of the frame; see `StoredPlaces.location`."""
+    desk.open_with(navigation={"planner": "nav2", "map": "/map"})
+    desk.far.publish(desk.far.advertise("/map", "nav_msgs/OccupancyGrid", latched=True, depth=1), GRID)
+    store.write([Write(LOCATION, "kitchen", Map2DLocation(of, 1.0, 0.5))])
+    chrome.get(f"http://127.0.0.1:{desk.port}/#drive")
+    with TestPage(desk.port) as page:
+        page.watch("map", "places")
+        page.value("map")
+        page.value("places", lambda value: value and value["locations"])
+    until(lambda: text(chrome, "#drive .hint") == "", "the map is shown", every=0.2)
+    until(lambda: text(chrome, ".send .places-list") == "kitchen", "the place is offered", every=0.2)

@@ -16,6 +16,12 @@ const AFTER = {
 const has = (places, kind, name) => Object.hasOwn(places?.[FEED[kind]] ?? {}, name);
 
 /**
+ * Whether a named object is on the current map (its name, "" if none is chosen), as the gateway decides: without a
+ * current map, every object is; the name of the frame stands for the current map.
+ */
+export const isHere = (socket, current, { map }) => !current || !map || map === current || map === socket.hello?.frame;
+
+/**
  * Save something under a name; if `places` already has the name, the operator decides whether to replace its owner.
  * Resolves to whether it was saved.
  */

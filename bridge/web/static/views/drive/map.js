@@ -8,6 +8,7 @@ import { Labels } from "./labels.js";
 import { layerMenu } from "./layers.js";
 import { drawRobotNames, drawRobots, seen } from "./robots.js";
 import { MapImages } from "./mapimages.js";
+import { isHere } from "../../lib/names.js";
 import * as scene from "./scene.js";
 import { Trail } from "./trail.js";
 import { Viewport } from "./viewport.js";
@@ -109,7 +110,7 @@ export class MapBlock {
   }
 
   layersChanged() {
-    const wanted = new Set(this.shown ? ["robot", "robots", "driving", "map"] : []);
+    const wanted = new Set(this.shown ? ["robot", "robots", "driving", "map", "maps"] : []);
     if (this.shown) for (const feed of this.layers.feeds()) wanted.add(feed);
     for (const [feed, end] of Object.entries(this.watches)) {
       if (wanted.has(feed)) continue;
@@ -305,10 +306,9 @@ export class MapBlock {
 
   tap(px, py) {
     let [x, y] = this.view.toMap(px, py);
-    const map = this.values.map?.name;
     const place = Object.entries(this.values.places?.locations ?? {}).find(([, each]) => {
       const [ex, ey] = this.view.to(each.x, each.y);
-      return each.map === map && Math.hypot(ex - px, ey - py) < NEAR;
+      return this.isHere(each) && Math.hypot(ex - px, ey - py) < NEAR;
     });
     if (place) ({ x, y } = place[1]);
     this.point = { x, y };
@@ -397,10 +397,13 @@ export class MapBlock {
     scene.drawScale(context, view, color, view.width < NARROW ? 76 : 16);
   }
 
+  isHere(each) {
+    return isHere(this.socket, this.values.maps?.current, each);
+  }
+
   /** Named objects on the current map whose layer is on. */
-  named({ places, map }) {
-    const here = (named, layer) => (this.layers.on(layer) ? Object.entries(named ?? {}) : [])
-      .filter(([, each]) => !map || each.map === map.name);
+  named({ places }) {
+    const here = (named, layer) => (this.layers.on(layer) ? Object.entries(named ?? {}) : []).filter(([, each]) => this.isHere(each));
     return {
       areas: here(places?.areas, "areas"), paths: here(places?.paths, "areas"), locations: here(places?.locations, "places"),
     };

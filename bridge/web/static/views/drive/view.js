@@ -4,7 +4,7 @@ import { button, el, mark, rows, write } from "../../lib/dom.js";
 import { editBar } from "./edit.js";
 import { degrees, meters, position } from "../../lib/format.js";
 import { MapBlock } from "./map.js";
-import { remove, rename } from "../../lib/names.js";
+import { isHere, remove, rename } from "../../lib/names.js";
 import { patrolBlock } from "./patrol.js";
 import { PointMenu } from "./pointmenu.js";
 import { goTo, goToPlace, goToTyped, keepPlace, robotIsAt } from "../../lib/poses.js";
@@ -69,7 +69,7 @@ export default function driveView(root, socket) {
   return {
     show() {
       ends = [socket.watch("driving", doing.take), socket.watch("driving", sending.takeDriving),
-        socket.watch("places", sending.takePlaces), socket.watch("map", sending.takeMap), socket.watch("patrol", sending.takePatrol),
+        socket.watch("places", sending.takePlaces), socket.watch("maps", sending.takeMaps), socket.watch("patrol", sending.takePatrol),
         socket.watch("patrol", doing.takePatrol)];
       map.show();
     },
@@ -129,7 +129,7 @@ function doingBlock(socket) {
 
 /** Places of the current map as goals, and the planner. */
 function sendBlock(socket) {
-  let [places, why, current] = [null, "", undefined];
+  let [places, why, current] = [null, "", ""];
   const list = el("ul", { class: "places-list drives" });
   const empty = el("p", { class: "empty" });
   const planner = el("select", { id: "planner", title: "Planner", on: {
@@ -142,7 +142,7 @@ function sendBlock(socket) {
     el("label", { class: "field row drives", for: "planner" }, el("span", { text: "Planner" }), planner));
   const show = () => {
     const names = Object.entries(places?.locations ?? {})
-      .filter(([, place]) => current === undefined || place.map === current).map(([name]) => name).sort();
+      .filter(([, place]) => isHere(socket, current, place)).map(([name]) => name).sort();
     write(empty, names.length ? "" : why || "No places on this map. To save one, press the map.");
     rows(list, names, (name) => name, (name) => el("li", {}, button(name, () => (patrol.picks ? patrol.pick(name) : goToPlace(socket, name)), { title: name })), () => {});
     write(title, patrol.picks ? "Patrol" : "Send to");
@@ -155,8 +155,8 @@ function sendBlock(socket) {
       [places, why] = [value, reason];
       show();
     },
-    takeMap(map) {
-      current = map?.name;
+    takeMaps(maps) {
+      current = maps?.current;
       show();
     },
     takeDriving(driving) {

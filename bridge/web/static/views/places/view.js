@@ -3,7 +3,7 @@
 import { button, el, mark, rows, write } from "../../lib/dom.js";
 import { degrees, meters } from "../../lib/format.js";
 import { mapsBlock } from "./mapslist.js";
-import { remove, rename } from "../../lib/names.js";
+import { isHere, remove, rename } from "../../lib/names.js";
 import { goToPlace } from "../../lib/poses.js";
 import { searchField, Table } from "../../lib/table.js";
 
@@ -29,7 +29,7 @@ export default function placesView(root, socket) {
 
   function show() {
     const named = (of) => Object.entries(places?.[of] ?? {}).map(([name, each]) => ({ name, of, ...each }));
-    const found = named("locations").sort((a, b) => (b.map === map) - (a.map === map) || (a.name < b.name ? -1 : 1));
+    const found = named("locations").sort((a, b) => isHere(socket, map, b) - isHere(socket, map, a) || (a.name < b.name ? -1 : 1));
     locations.fill(found, why || "No places. To save one, press the map.");
     write(number, String(found.length));
     const others = [...named("areas"), ...named("paths")];
@@ -77,7 +77,7 @@ function actions(socket, current, { name }) {
   return {
     element: el("div", { class: "buttons" }, go, show, ...changing.elements),
     update(place) {
-      const here = current() === undefined || place.map === current();
+      const here = isHere(socket, current(), place);
       mark(go, "disabled", socket.mayDrive && here ? null : "");
       mark(show, "href", here ? `#drive/${place.x},${place.y}` : null);
       mark(show, "aria-disabled", here ? null : "true");
@@ -101,7 +101,7 @@ function shapeActions(socket, current, { of, name }) {
   return {
     element: el("div", { class: "buttons" }, show, ...changing.elements),
     update({ map, points }) {
-      const here = (current() === undefined || map === current()) && points.length > 0;
+      const here = isHere(socket, current(), { map }) && points.length > 0;
       const middle = [0, 1].map((axis) => points.reduce((sum, point) => sum + point[axis], 0) / points.length);
       mark(show, "href", here ? `#drive/${middle.map((part) => part.toFixed(2))}` : null);
       mark(show, "aria-disabled", here ? null : "true");
