@@ -24,6 +24,7 @@ from bridge.web.serving import access
 from bridge.web.serving.access import COOKIE, Access, Grant, WrongTokens, stored_secret
 from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.serving.server import hosts
+from bridge.worker import WorkerFailedError
 from tests.peers.browser.page import TestPage
 from tests.support.wait import until
 from tests.web.conftest import Desk
@@ -410,3 +411,18 @@ def test_a_renewed_certificate_is_loaded(guarded: GuardedDesk) -> None:
         return number() != before
 
     until(is_renewed, "the console presents the new certificate")
+
+
+def test_a_new_authority_restarts_the_console(guarded: GuardedDesk, tmp_path: Path) -> None:
+    """A new authority excludes the machines that have certificates of the previous one."""
+    keys, new = guarded.keys, Authority(tmp_path / "new")
+    new.make()
+    new.issue("here", ["127.0.0.1"])
+    (new.folder / "ca.pem").replace(keys / "ca.pem")
+    for _ in range(2):  # a change is noticed by the second check
+        guarded.console.refresh_tls()  # the other files are still those of the previous authority
+    for name in ("here.pem", "here.key"):
+        (new.folder / name).replace(keys / name)
+    guarded.console.refresh_tls()
+    with pytest.raises(WorkerFailedError, match=r"the console has a new authority, .*ca\.pem: restarting"):
+        guarded.console.refresh_tls()

@@ -10,6 +10,7 @@ from bridge.hub.security.certificates import read_certificate, trouble
 from bridge.hub.security.external_router import key_files
 from bridge.hub.security.key_files import KeyWatch
 from bridge.web.section import WebSection
+from bridge.worker import WorkerFailedError
 
 _log = logging.getLogger("midspan.web")
 
@@ -38,10 +39,21 @@ class ServerTls:
         self.context.verify_mode = ssl.CERT_OPTIONAL
         self._load()
         self._watch = KeyWatch(self._files)
+        self._authority = self._files.ca.read_bytes()
 
     def refresh(self) -> None:
-        """Load the files if they were renewed; one thread calls this periodically."""
-        if self._watch.renewed():
+        """Load the files if they were renewed; one thread calls this periodically.
+
+        Raises `WorkerFailedError` for a new authority: the context would still trust the previous one, and clients with
+        its certificates would stay connected.
+        """
+        if not self._watch.renewed():
+            return
+        if reason := trouble(self._files):
+            _log.error("%s keeps its certificate, because the new one cannot be used: %s", self._what, reason)
+        elif self._files.ca.read_bytes() != self._authority:
+            raise WorkerFailedError(f"{self._what} has a new authority, {self._files.ca}: restarting")
+        else:
             self._load()
             _log.info("%s has loaded a new certificate", self._what)
 
