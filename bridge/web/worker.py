@@ -29,6 +29,7 @@ from bridge.web.feeds.frames import FrameFollower
 from bridge.web.feeds.map_pictures import Pictures
 from bridge.web.feeds.maps import StoreFollower
 from bridge.web.feeds.patrol import PatrolFeed
+from bridge.web.feeds.planner import PLANNER_SECONDS, PlannerFollower
 from bridge.web.feeds.robot import DrivingFeed
 from bridge.web.page import Page
 from bridge.web.section import WebSection
@@ -124,6 +125,7 @@ class Console:
         follower, self._store = FrameFollower(host, config), StoreFollower(host, config)
         driving, patrol_feed = DrivingFeed(host, config), PatrolFeed()
         self._driving, self._patrol = driving, Patrol(host, driving, patrol_feed.publish)
+        self._planner = PlannerFollower(host, client, driving, self._asking)
         parts = Parts(
             host, config, client, known, follower, self._store, driving, pictures, self._asking, self._decoding
         )
@@ -162,10 +164,15 @@ class Console:
         loop.call(lambda: self._driving.watch(self))  # always, because a page must not drive against a planner
         self.host.answer("status", self._status)
         loop.every(1.0, self.host.tick)
+        loop.every(PLANNER_SECONDS, self._follow_planner)
         self.server.start()
 
     def changed(self, name: str, n: int, text: str) -> None:
         """Do nothing: only `DrivingFeed.busy` is used."""
+
+    def _follow_planner(self) -> None:
+        if self.server.pages:
+            self._planner.refresh()
 
     def refresh_tls(self) -> None:
         """Load a renewed certificate."""

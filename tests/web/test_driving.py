@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from bridge.config.model import Config
+from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.actions import names, types
 from navigation.gateway.telemetry import PATH
@@ -150,3 +151,15 @@ def test_manual_driving_during_a_pause_makes_the_distance_unknown(planner: Plann
     page.send(op="hold", x=0.1, y=0.0, turn=0.0)
     page.value("driving", lambda value: value["distance"] is None)
     assert shown(page, "paused") == (None, STRAIGHT)
+
+
+def test_a_planner_that_another_client_chose_is_shown(desk: Desk, planner: Planner, page: TestPage) -> None:
+    """Also one that was chosen before a restart of the console."""
+    gateway = Hub.open(desk.hubs.settings("gateway", worker="gateway", daemon="here"))
+    gateway.serve("status", lambda _: {"planner": "robot_path_planner"})
+    planner.state(State.MOVING)
+    try:
+        page.value("driving", lambda value: value and value["planner"] == "robot_path_planner", "its planner is shown")
+        assert page.values["driving"]["value"]["state"] == "moving"
+    finally:
+        gateway.close()
