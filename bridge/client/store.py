@@ -43,6 +43,11 @@ class StoreClient:
             )
         _, self.daemon, self._zid = copies[0]
 
+    @property
+    def present(self) -> bool:
+        """Whether the replica is on the hub; after a restart of its daemon, it has another session."""
+        return bool(self._space.tokens(f"@sync/alive/{self._zid}/*"))
+
     def keys(self) -> set[tuple[str, str]]:
         """Return kind and name of every value."""
         return {(kind, name) for kind, name, _, _, size in self.digest() if size}

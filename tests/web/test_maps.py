@@ -105,7 +105,7 @@ def test_content_is_shown_again_after_an_unexpected_error(posted: Jobs, monkeypa
 
     host: Any = SimpleNamespace(loop=SimpleNamespace(post=posted.append, every=lambda *_: None))
     follower, page = StoreFollower(host, Config()), Page()
-    client: Any = SimpleNamespace(digest=digest, current_map=str, names=lambda _: [], all=lambda _: {})
+    client: Any = SimpleNamespace(present=True, digest=digest, current_map=str, names=lambda _: [], all=lambda _: {})
     monkeypatch.setattr(follower, "_client", client)
     monkeypatch.setattr(follower, "_executor", SimpleNamespace(submit=lambda job: job()))
     StoreFeed("places", follower, lambda view: view.places).watch(page)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from bridge.stores.kinds import AREA, BEHAVIOR, CURRENT, LOCATION, MAP, PATH
 from bridge.stores.store import Store, Write
 from tests.peers.browser.page import TestPage
+from tests.stores.parts import Shared
 from tests.web.conftest import Desk
 from yarp_compat.dev.extras import AreaBehavior
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
@@ -102,3 +104,15 @@ def test_invalid_calls_are_refused_with_a_reason(page: TestPage, verb: str, args
 def test_an_area_needs_a_map(page: TestPage, store: Store) -> None:
     store.clear(CURRENT)
     assert "no current map" in page.call("keep_area", name="a", points=SQUARE)["error"]
+
+
+def test_places_are_saved_after_a_restart_of_the_store(desk: Desk, tmp_path: Path) -> None:
+    """Also by a program that watches no feed of the store."""
+    pose = {"x": 1.0, "y": 0.0, "theta": 0.0}
+    with TestPage(desk.port) as page:
+        for number in range(2):
+            with Shared(tmp_path, "here", desk.hubs.endpoint) as shared:
+                assert page.call("keep_place", name=f"place_{number}", **pose) == {
+                    "op": "reply", "id": number + 1, "ok": True, "value": f"saved place_{number}",
+                }  # fmt: skip
+                assert shared.store.get(LOCATION, f"place_{number}") == Map2DLocation("", 1.0)

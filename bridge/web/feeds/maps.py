@@ -90,7 +90,7 @@ class StoreFollower:
         Do not call it on the module's thread, because it blocks.
         """
         with self._lock:
-            if self._client is None:
+            if self._client is None or not self._client.present:
                 self._space = self._space or self._host.node.hub.keyspace(prefix(self._config.hub.domain))
                 self._client = StoreClient(self._space, self._config.name)
             return self._client
