@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -213,7 +214,9 @@ def _parse(message: Any) -> dict[str, Any]:
         raise BadMessageError("messages must be JSON in text frames")
     try:
         message_ = _DECODER.decode(text)
-    except (ValueError, RecursionError) as err:
+        if _SURROGATE.search(text):  # half of a pair cannot be sent to a page again
+            json.dumps(message_, ensure_ascii=False).encode()
+    except (ValueError, RecursionError) as err:  # UnicodeEncodeError is a ValueError
         raise BadMessageError(f"not JSON: {str(err)[:200]}") from None
     if not isinstance(message_, dict):
         raise BadMessageError("a message must be a JSON object")
@@ -224,6 +227,7 @@ def _refused_number(word: str) -> float:
     raise ValueError(f"{word} is not a number in JSON")
 
 
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 _DECODER = json.JSONDecoder(parse_constant=_refused_number)
 
 

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from typing import Any, cast
 
+import pytest
 from starlette.websockets import WebSocketState
 
 from bridge.web import outbox, page
@@ -172,3 +173,10 @@ def test_feed_that_is_watched_again_is_sent_after_an_undrawn_value() -> None:
         return socket.texts[1:]  # without the greeting
 
     assert asyncio.run(serve()) == ["ignored", "newest"]
+
+
+def test_half_of_a_surrogate_pair_is_refused() -> None:
+    """JSON permits it, but no page that watches the feed could receive it: a patrol's places are sent to all pages."""
+    with pytest.raises(page.BadMessageError, match="surrogates not allowed"):
+        page._parse({"text": '{"op": "call", "id": 1, "verb": "patrol", "args": {"places": ["\\ud800", "b"]}}'})
+    assert page._parse({"text": '{"feed": "\\ud83d\\ude00 \\\\ud800"}'}) == {"feed": "\N{GRINNING FACE} \\ud800"}
