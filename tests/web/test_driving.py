@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from threading import Event
 from typing import Any
 
 import pytest
@@ -11,12 +12,14 @@ from bridge.config.model import Config
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.actions import names, types
+from bridge.web.verbs.robot import NAMED, TRIGGER, RobotVerbs
 from navigation.gateway.telemetry import PATH
 from navigation.messages import NAVIGATE
 from navigation.status import NO_GOAL, STATUS, PlannerStatus, State, status_message
 from tests.peers.browser.page import TestPage
 from tests.peers.hub.node import HubNode
 from tests.peers.navigation.gateway import pose
+from tests.support.wait import until
 from tests.web.conftest import Desk
 
 GOAL, OTHER = bytes([1] * 16), bytes([2] * 16)
@@ -163,3 +166,36 @@ def test_a_planner_that_another_client_chose_is_shown(desk: Desk, planner: Plann
         assert page.values["driving"]["value"]["state"] == "moving"
     finally:
         gateway.close()
+
+
+@pytest.mark.parametrize(
+    ("verb", "service", "args", "late"),
+    [("goto_place", "go_to", {"name": "hall"}, False), ("resume", "resume", {}, False), ("pause", "pause", {}, True)],
+)
+def test_only_a_stop_is_executed_after_the_page_was_told_that_it_failed(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, verb: str, service: str, args: dict[str, Any], late: bool
+) -> None:
+    monkeypatch.setattr("bridge.web.verbs.robot.ANSWER_SECONDS", 0.3)
+    monkeypatch.setattr(RobotVerbs._trigger, "__defaults__", (0.3,))
+    executed, busy, go_on = list[str](), Event(), Event()
+
+    def serve(_request: Any, answer: Any) -> None:
+        executed.append(verb)
+        answer({"success": True, "message": ""})
+
+    def hang() -> None:
+        busy.set()
+        go_on.wait()
+
+    with HubNode(desk.hubs.settings("gateway")) as gateway, TestPage(desk.port) as page:
+        server = gateway.on(lambda: gateway.node.server(f"/navigation/{service}", NAMED if args else TRIGGER, serve))
+        until(lambda: desk.console.host.node.hub.graph.servers(server.topic), "the service is known")
+        gateway.loop.post(hang)
+        assert busy.wait(10)
+        try:
+            assert "has not answered in 0.3 s" in page.call(verb, **args)["error"]
+            until(lambda: server.waiting == int(late), "the server has an abandoned request no longer")
+        finally:
+            go_on.set()
+        gateway.on(lambda: None)
+        assert executed == [verb] * late

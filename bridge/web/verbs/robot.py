@@ -15,7 +15,7 @@ from bridge.client.store import StoreClient
 from bridge.client.types import Types
 from bridge.config.model import Config
 from bridge.config.sections.navigation import ACTION
-from bridge.hub.endpoints.calls import CallError
+from bridge.hub.endpoints.calls import Abandon, CallError
 from bridge.hub.wire.qos import Qos
 from bridge.modules.endpoints import ModulePublisher
 from bridge.modules.host import Host
@@ -114,7 +114,7 @@ class RobotVerbs:
             raise VerbError(f"the gateway did not accept or reject the goal within {GOAL_SECONDS:g} s") from None
 
     def _trigger(self, name: str, seconds: float = ANSWER_SECONDS) -> str:
-        return self._ask(f"/navigation/{name}", TRIGGER, {}, seconds)
+        return self._ask(f"/navigation/{name}", TRIGGER, {}, seconds, late=name != "resume")
 
     def _pause(self, name: str) -> str:
         reply: str = self._host.loop.call(lambda: self._pause_or_resume(name))
@@ -131,19 +131,24 @@ class RobotVerbs:
         self._host.loop.post(lambda: self._on_planner(name))
         return reply
 
-    def _ask(self, name: str, type_name: str, request: dict[str, Any], seconds: float) -> str:
-        """Call a service that replies with ``success`` and ``message``; return the message."""
+    def _ask(self, name: str, type_name: str, request: dict[str, Any], seconds: float, *, late: bool = False) -> str:
+        """Call a service that replies with ``success`` and ``message``; return the message.
+
+        ``late``: whether the request remains valid after ``seconds``, as a stop does; the robot must not drive then.
+        """
         done: Future[dict[str, Any] | CallError] = Future()
 
-        def call() -> None:
+        def call() -> Abandon:
             client = self._clients.get(name) or self._host.node.client(name, type_name)
             self._clients[name] = client
-            client.call(request, done.set_result)
+            return client.call(request, done.set_result)
 
-        self._host.loop.call(call)
+        abandon: Abandon = self._host.loop.call(call)
         try:
             reply = done.result(seconds)
         except TimeoutError:
+            if not late:
+                abandon()
             raise VerbError(f"{name} has not answered in {seconds:g} s") from None
         if isinstance(reply, CallError):
             raise VerbError(f"{name}: {reply}")
