@@ -31,6 +31,28 @@ const level = document.querySelector("#system select");
 level.value = "error";
 level.dispatchEvent(new Event("change"));
 """
+UNDO = """
+const { PaintEditor } = await import("./views/drive/paint.js");
+const map = { name: "house", width: 4, height: 4, resolution: 1, origin: { x: 0, y: 0, theta: 0 } };
+const block = { values: { map }, view: {}, layers: { on: () => true }, redraw() {} };
+let open = true;
+const socket = { async call() {
+  if (!open) throw new Error("No connection");
+  return { undo: [[0, 0, 1, 0, 1]] };
+} };
+const editor = new PaintEditor(block, socket);
+const settled = () => new Promise((go) => setTimeout(go, 20));
+editor.paint({ points: [[0.5, 0.5]], radius: 0, flag: 1 });
+await settled();
+open = false;
+editor.undoButton.click();
+await settled();
+const failed = [editor.undos.length, editor.redos.length];
+open = true;
+editor.undoButton.click();
+await settled();
+return [...failed, editor.undos.length, editor.redos.length];
+"""
 
 
 @pytest.fixture(scope="module")
@@ -85,3 +107,8 @@ def test_places_are_shown_on_the_map_of_a_topic(desk: Desk, store: Store, chrome
         page.value("places", lambda value: value and value["locations"])
     until(lambda: text(chrome, "#drive .hint") == "", "the map is shown", every=0.2)
     until(lambda: text(chrome, ".send .places-list") == "kitchen", "the place is offered", every=0.2)
+
+
+def test_a_failed_undo_can_be_tried_again(desk: Desk, chrome: Chrome) -> None:
+    chrome.get(f"http://127.0.0.1:{desk.port}/#status")
+    assert chrome.execute_script(UNDO) == [1, 0, 0, 1]

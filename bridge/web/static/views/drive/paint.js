@@ -120,6 +120,7 @@ export class PaintEditor {
     this.change(newest.map, newest.runs, word).then((undo) => {
       if (undo?.length) this.keep(to, { map: newest.map, runs: undo });
       else if (undo) notify(`${word}: nothing to change, because others have painted over it.`);
+      else this.keep(from, newest); // it failed, and can be tried again
       this.changed();
     });
   }
