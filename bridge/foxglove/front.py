@@ -43,6 +43,7 @@ HEAD_SECONDS = 5.0
 """Time limit for each step of a handshake: TLS, the request's head, the SDK's response, and sending a refusal."""
 MOST_UNREAD = 8 << 20
 FULL_BUFFER_SECONDS = 20.0
+_KEEPALIVE = (("TCP_KEEPIDLE", 60), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 9))
 _STEP = 256 << 10  # maximum bytes that are forwarded at once
 _STOP_SECONDS = 1.5  # to wait for the thread's end
 _NOT_THE_APP = "this WebSocket is for the Foxglove app"
@@ -226,6 +227,7 @@ class Front:
             writer.transport.abort()
             return
         self._open.add(task)
+        keep_alive(writer.get_extra_info("socket"))
         address = str(writer.get_extra_info("peername")[0])
         try:
             async with asyncio.timeout(HEAD_SECONDS):
@@ -271,6 +273,15 @@ class Front:
             self._visitors.disconnected(visitor)
             if inner is not None:
                 inner.transport.abort()
+
+
+def keep_alive(sock: Any) -> None:
+    """Have the system end a connection if the client's machine has vanished, also if nothing is sent to the client."""
+    with contextlib.suppress(OSError):  # the connection has just ended
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEPALIVE:
+            if (option := getattr(socket, name, None)) is not None:  # some systems have other options
+                sock.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 async def _either(*jobs: Coroutine[Any, Any, None]) -> None:

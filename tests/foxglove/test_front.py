@@ -258,6 +258,17 @@ def test_a_client_that_reads_nothing_is_disconnected_and_does_not_delay_others(
         assert left[1] == secret
 
 
+def test_a_client_whose_machine_vanishes_is_noticed(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the SDK nor the app sends pings, and a client that watches nothing receives no data."""
+    accepted: list[Any] = []
+    keep_alive = front.keep_alive
+    monkeypatch.setattr(front, "keep_alive", lambda sock: (accepted.append(sock), keep_alive(sock)))
+    with desk.app() as app:
+        app.sync()
+        (sock,) = accepted
+        assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+
+
 def test_an_address_in_use_is_reported(desk: Desk) -> None:
     with pytest.raises(RuntimeError, match=r"cannot listen on 127\.0\.0\.1:\d+: .*; set foxglove\.listen"):
         desk.open(foxglove={"listen": f"127.0.0.1:{desk.live.front.port}"})
