@@ -145,11 +145,9 @@ class KeyNeighbors:
             if self._query_since is not None and now - self._query_since < _POLL_SECONDS:
                 return False
             self._query_since = now
-        self._session.liveliness().get(
-            f"{SPACE}/*/{self._suffix}",
-            zenoh.handlers.Callback(self._on_reply, lambda: self._on_query_done(now), indirect=False),
-            timeout=_POLL_SECONDS,
-        )
+        # on a thread of its own, because zenoh 1.10 calls the handler of this query while it holds the session's lock
+        handler = zenoh.handlers.Callback(self._on_reply, lambda: self._on_query_done(now), indirect=True)
+        self._session.liveliness().get(f"{SPACE}/*/{self._suffix}", handler, timeout=_POLL_SECONDS)
         return False
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
