@@ -44,7 +44,8 @@ def test_a_map_that_cannot_be_published_does_not_keep_others_back(
     both = [Write(MAP, "attic", rotated), Write(MAP, "office", six_flags())]
     loop.call(lambda: served.store.write(both))  # on the module's thread, which then handles both at once
     until(office, "the other map is published", 20)
-    until(lambda: "aligned to yaw 0" in served.status("map2d_server")["last_refusal"], "the map is reported", 20)
+    reported = lambda: "aligned to yaw 0" in (served.status("map2d_server") or {})["last_refusal"]  # noqa: E731
+    until(reported, "the map is reported", 20)
 
 
 def test_a_yarp_clients_map_is_served_with_all_six_flags(served: Served) -> None:

@@ -24,8 +24,8 @@ from bridge.messages.errors import ConversionError
 
 _log = logging.getLogger(__name__)
 
-RESULT_SECONDS = 2.0
-"""Time limit for a goal's result after the status list has reported the goal's end.
+RESULT_SECONDS = 5.0
+"""Time limit for a goal's result after the status list has reported the end; on a busy machine, rospy sends it late.
 
 Then the result counts as lost, and clients receive an empty one.
 """
