@@ -1,6 +1,6 @@
 """Real programs on rmw_zenoh_cpp, which join the hub by themselves, with programs of the other sides.
 
-The wheels lack rmw_zenoh_cpp, so that these tests run only where it was built; see docs/sides/hub.md.
+The wheels lack rmw_zenoh_cpp, so that these tests run only where it was built; see docs/sides/ros2.md.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ REPLY = {"success": True, "message": "lit"}
 SIDES = ["ros1", "ros2"]
 
 pytestmark = [
-    pytest.mark.skipif(not RELEASES, reason="rmw_zenoh_cpp is not installed (docs/sides/hub.md)"),
+    pytest.mark.skipif(not RELEASES, reason="rmw_zenoh_cpp is not installed (docs/sides/ros2.md)"),
     pytest.mark.thorough,
 ]
 

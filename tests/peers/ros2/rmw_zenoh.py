@@ -1,7 +1,7 @@
 """Real rclpy programs on rmw_zenoh_cpp, if the tests' ROS 2 has it.
 
 The wheels have only Fast DDS. ``librmw_zenoh_cpp.so`` in ``lib`` of Midspan's environment, or of Kilted's prefix, is
-used as that of a sourced ROS 2; see docs/develop/testing.md.
+used as that of a sourced ROS 2; see docs/sides/ros2.md.
 """
 
 from __future__ import annotations
