@@ -122,6 +122,8 @@ class Mesh:
                 self._compare()
             except zenoh.ZError:  # the session is closed
                 return
+            except HubError as err:  # the file of `hub.zenoh` is invalid at the moment
+                _log.debug("cannot compare links: %s", err)
             self._search()
 
     def _handle_events(self) -> None:

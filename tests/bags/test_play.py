@@ -132,10 +132,10 @@ def player(file: Path, bag: Path) -> Iterator[Player]:
     stop_all(started)
 
 
-def output_of(program: Process) -> str:
-    """Return a program's output after its successful exit."""
+def output_of(program: Process, code: int = 0) -> str:
+    """Return a program's output after its exit with this code."""
     until(lambda: program.popen.poll() is not None, "the program exits", 20)
-    assert program.popen.poll() == 0, program.output()
+    assert program.popen.poll() == code, program.output()
     return program.output()
 
 
@@ -182,9 +182,9 @@ def test_the_option_commands_plays_commands_and_zero_ends_them(
     assert "commands are played, the robot may move: /cmd_vel" in out.err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGHUP, 129)])
 def test_latched_topics_stay_latched_but_velocities_do_not(
-    player: Player, listener: Listener, number: signal.Signals
+    player: Player, listener: Listener, number: signal.Signals, code: int
 ) -> None:
     program = player("--commands", "--rate", "0.05", "--loop")
     until(lambda: listener.received_on("/cmd_vel"), "a velocity is received", 20)
@@ -199,7 +199,7 @@ def test_latched_topics_stay_latched_but_velocities_do_not(
         "the player's publishers are gone",
         5,
     )
-    output_of(program)
+    output_of(program, code)
     assert time.monotonic() - begun < 2.0
     assert listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0
 

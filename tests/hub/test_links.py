@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from bridge.hub import links
+from bridge.hub.errors import HubConfigError
 from bridge.hub.session import Hub
 from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
@@ -134,3 +135,20 @@ def test_session_may_close_before_its_mesh_thread_starts(hubs: QuickHub, monkeyp
     monkeypatch.setattr(links, "Thread", thread)
     Hub.open(hubs.settings("one")).close()
     assert [mesh_thread.is_alive() for mesh_thread in threads] == [False]
+
+
+def test_links_are_compared_again_after_an_error_of_the_settings(
+    hubs: QuickHub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file of ``hub.zenoh`` may be invalid for a moment."""
+    compared = threading.Event()
+    errors = [HubConfigError("hub.zenoh: not JSON5")]
+
+    def compare(_mesh: object) -> None:
+        if errors:
+            raise errors.pop()
+        compared.set()
+
+    monkeypatch.setattr(links.Mesh, "_compare", compare)
+    with Hub.open(hubs.settings("one")):
+        until(compared.is_set, "the links are compared again")

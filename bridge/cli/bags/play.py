@@ -107,7 +107,8 @@ def run(args: argparse.Namespace) -> int:
         with ExitStack() as stack:
             bags = _open_bags(args.files, stack)
             with open_client(args) as client, _signals() as ended:
-                return _play(args, client, bags, ended)
+                code = _play(args, client, bags, ended)
+                return code or (128 + ended.number if ended.number else 0)
     except BagError as err:
         raise CliError(str(err)) from None
 
@@ -124,14 +125,26 @@ def _open_bags(files: list[Path], stack: ExitStack) -> list[Bag]:
     return bags
 
 
+class _Ended(threading.Event):
+    """The end of the command: by ``number``, if it is SIGTERM or SIGHUP, or else by Ctrl-C or a key."""
+
+    number = 0
+
+
 @contextmanager
-def _signals() -> Iterator[threading.Event]:
+def _signals() -> Iterator[_Ended]:
     """Yield an event that Ctrl-C, SIGTERM and SIGHUP (a closed terminal) set; an ignored SIGHUP stays ignored."""
-    ended = threading.Event()
+    ended = _Ended()
+
+    def on_signal(number: int, _frame: object) -> None:
+        if number != signal.SIGINT:
+            ended.number = ended.number or number
+        ended.set()
+
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
-    before = {number: signal.signal(number, lambda *_: ended.set()) for number in numbers}
+    before = {number: signal.signal(number, on_signal) for number in numbers}
     try:
         yield ended
     finally:
