@@ -18,6 +18,7 @@ from tests.contract.side import PEER_FOLDERS
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.hub.actions import HubActions
 from tests.peers.peer import Peer
+from tests.peers.ros2 import kilted
 from tests.peers.ros2.network import ros2_python
 from tests.peers.ros2.rmw_zenoh import has_rmw_zenoh, rmw_zenoh_environment
 from tests.support.wait import until
@@ -204,3 +205,29 @@ def test_messages_cross_again_after_the_router_was_killed(place: Place) -> None:
             return len(place.programs[side].wait(s, before + 1, 0.5)) > before
 
         until(received, f"messages cross to {side} again", 60)
+
+
+THROUGH = "nav2_msgs/NavigateThroughPoses"
+
+
+@pytest.mark.skipif(len(RELEASES) < 2, reason="rmw_zenoh_cpp is not installed for two releases (docs/sides/ros2.md)")
+@pytest.mark.parametrize("server_release", ["jazzy", "kilted"])
+def test_goals_are_relayed_between_nodes_of_two_releases(deployment: Deployment, server_release: str) -> None:
+    """Kilted's version has its poses in a ``Goals``, so the nodes reach each other only by the relay."""
+    deployment.start()
+    programs = {}
+    for release in ("jazzy", "kilted"):
+        packages = kilted.nav2_actions() if release == "kilted" else {}
+        env = rmw_zenoh_environment(deployment.endpoint, 0, packages, release)
+        programs[release] = deployment.keep(Peer(PROGRAM, ros2_python(), env, f"node_{release}"))
+    server = programs[server_release]
+    client_release = "kilted" if server_release == "jazzy" else "jazzy"
+    client, poses = programs[client_release], [GOAL["pose"], GOAL["pose"]]
+    served = server.ask("act", action="/through", type=THROUGH, feedback=[{"distance_remaining": 2.5}])["id"]
+    goal = {"poses": {"goals": poses} if client_release == "kilted" else poses}
+    sent = client.ask("send_goal", action="/through", type=THROUGH, goal=goal, seconds=60)["id"]
+    state = client.ask("goal", id=sent, until={"accepted": True, "status": 4}, seconds=40)
+    assert (state["accepted"], state["status"]) == (True, 4), state
+    (received,) = server.ask("goals", id=served, count=1, seconds=20)["goals"]
+    goals = received["poses"]["goals"] if server_release == "kilted" else received["poses"]
+    assert [pose["pose"]["position"]["x"] for pose in goals] == [5.0, 5.0]
