@@ -79,6 +79,7 @@ class Mesh:
         config: returns a configuration for another session on the same hub.
         members: returns the zenoh ids of all sessions at this session's routers, None if no router answers.
         peers: returns the same, but only for sessions that are peers.
+        rejoin: has sessions join their router again; see `bridge.hub.rejoin`.
 
     Attributes:
         mended: number of missing links that were restored.
@@ -86,9 +87,11 @@ class Mesh:
     """
 
     def __init__(
-        self, session: zenoh.Session, config: Callable[[], zenoh.Config], members: Members, peers: Members
-    ) -> None:
+        self, session: zenoh.Session, config: Callable[[], zenoh.Config], members: Members, peers: Members,
+        rejoin: Callable[[Collection[str]], None],
+    ) -> None:  # fmt: skip
         self._session, self._config, self._members, self._peers = session, config, members, peers
+        self._rejoin = rejoin
         self._lost: dict[str, float] = {}
         self._unlinked: set[str] = set()  # according to the last comparison
         self._unreachable: frozenset[str] = frozenset()
@@ -196,14 +199,17 @@ class Mesh:
         router = self._router_lost_at
         due = {zid for zid, at in self._lost.items() if at < before or abs(at - router) < _TOGETHER_SECONDS}
         missing = due & members
-        if missing:
-            self._introduce(missing)
+        if missing and not self._introduce(missing):
+            self._rejoin(missing - self._linked_peers())
 
     def _linked_peers(self) -> set[str]:
         return {str(zid) for zid in self._session.info.peers_zid()}
 
-    def _introduce(self, missing: Collection[str]) -> None:
-        """Open another session, which makes the router announce all peers, until the missing sessions are linked."""
+    def _introduce(self, missing: Collection[str]) -> bool:
+        """Open another session, which makes the router announce all peers, until the missing sessions are linked.
+
+        Return whether they are.
+        """
         config = self._config()
         config.insert_json5("id", json.dumps(_MARK + secrets.token_hex(12)))
         config.insert_json5("listen/endpoints", json.dumps(LISTENERS))  # the user's may have fixed ports, in use here
@@ -214,7 +220,8 @@ class Mesh:
                 if self._linked_peers().issuperset(missing):
                     self.mended += len(missing)
                     _log.warning("restored the direct link to %s", ", ".join(missing))
-                    break
+                    return True
+            return False
         finally:
             session.close()  # type: ignore[no-untyped-call]
 

@@ -29,6 +29,7 @@ from bridge.hub.identity import ask_identity, identity, identity_key
 from bridge.hub.links import MEMBERS
 from bridge.hub.namesakes import Namesakes
 from bridge.hub.opening import open_session
+from bridge.hub.rejoin import REJOIN, Rejoins
 from bridge.hub.security.external_access import ExternalAccess
 from bridge.hub.security.external_router import check_closed
 from bridge.hub.security.zenoh_log import ZenohLog, captured
@@ -273,6 +274,7 @@ class RouterWorker(Worker):
                 "zid": zid, "members": _members(session), "peers": _members(session, peers=True), "machine": machine,
             },
         )  # fmt: skip
+        self._control.serve(REJOIN, Rejoins(session).answer)
         self._namesakes = Namesakes(session, hub.domain, config.name, own)
         head = StatusHead({"daemon": config.name, "worker": "router", "side": "router"})
         self._control.serve("status", lambda _params: self._status(head, config, session))

@@ -7,7 +7,7 @@ import itertools
 import json
 import logging
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import RLock
@@ -49,6 +49,7 @@ from bridge.hub.lane.folder import possible
 from bridge.hub.lane.lane import Lane
 from bridge.hub.links import MEMBERS, Mesh
 from bridge.hub.listeners import open_hub_session
+from bridge.hub.rejoin import REJOIN
 from bridge.hub.wire.keys import ANY_HASH, subscription_key, topic_key
 from bridge.hub.wire.qos import Qos, Reliability
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree, without_shared_memory
@@ -155,7 +156,9 @@ class HubSession:
         if settings.lane is not None and possible():
             self.lane = Lane(Path(settings.lane), self.zid, session, settings.domain, self.graph.renew)
             self.graph.watch(self.lane.graph_changed)
-        self.mesh = Mesh(session, lambda: without_shared_memory(_config(settings)), self._members, self._peers)
+        self.mesh = Mesh(
+            session, lambda: without_shared_memory(_config(settings)), self._members, self._peers, self._rejoin
+        )
         # a process that exits with an open session hangs in zenoh's threads
         atexit.register(self.close)
 
@@ -209,6 +212,10 @@ class HubSession:
     def _peers(self) -> set[str] | None:
         """Return which of the sessions of `_members` are peers."""
         return self._at_routers("peers")
+
+    def _rejoin(self, zids: Collection[str]) -> None:
+        """Have sessions join their router again."""
+        self.ask(REJOIN, {"sessions": sorted(zids)}, "*", "router", 1.0)
 
     def _at_routers(self, kind: str) -> set[str] | None:
         routers = {str(zid) for zid in self.zenoh.info.routers_zid()}

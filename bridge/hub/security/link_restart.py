@@ -100,7 +100,7 @@ class LinkRestarts:
                 del self._since[link]
             routers = {zid: self._lost[zid] for zid, *_ in overdue}
         for zid, here, there in overdue:
-            if _close_connection(here, there):
+            if close_connection(here, there):
                 _log_restart(routers[zid], there, now)
         for lost in routers.values():
             lost.pause = lost.pauses.pause(0.0)
@@ -130,7 +130,7 @@ def _log_restart(lost: _Lost, place: str, now: float) -> None:
     _log.warning("restarting the link to %s: zenoh restored it without the other machine's topics%s", place, again)
 
 
-def _close_connection(here: str, there: str) -> bool:
+def close_connection(here: str, there: str) -> bool:
     """Shut down the TCP connection between two locators of zenoh, and return whether it was open.
 
     Other protocols are not supported.

@@ -66,7 +66,7 @@ def test_the_pauses_between_restarts_double_while_the_token_stays_away(
     restarted: list[float] = []
     clock = SimpleNamespace(now=0.0)
     monkeypatch.setattr(link_restart, "time", SimpleNamespace(monotonic=lambda: clock.now))
-    monkeypatch.setattr(link_restart, "_close_connection", lambda *_: restarted.append(clock.now) or True)
+    monkeypatch.setattr(link_restart, "close_connection", lambda *_: restarted.append(clock.now) or True)
     with routers() as (here, other):
         restarts = LinkRestarts(here)
 

@@ -8,6 +8,7 @@ import zenoh
 
 from bridge.hub.control import Control
 from bridge.hub.links import MEMBERS
+from bridge.hub.rejoin import REJOIN, Rejoins
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, router_tree
 from tests.peers.hub.network import HubNetwork
 
@@ -30,6 +31,7 @@ class QuickHub(HubNetwork):
         session = zenoh.open(make_config(router_tree([self.endpoint], max_payload=MAX_PAYLOAD), None))
         self._session, self._control = session, Control(session, self.domain, "quick", "router")
         self._control.serve(MEMBERS, lambda _: self._members(session))
+        self._control.serve(REJOIN, Rejoins(session).answer)
 
     def _members(self, session: zenoh.Session) -> dict[str, Any]:
         if self.unanswered:

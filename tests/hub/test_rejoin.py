@@ -1,0 +1,74 @@
+"""Sessions whose addresses only the router knows are linked again with Midspan's sessions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zenoh
+
+from bridge.hub import rejoin
+from bridge.hub.rejoin import REJOIN, Rejoins
+from bridge.hub.security.link_restart import close_connection
+from bridge.hub.session import Hub
+from tests.peers.hub.quick import QuickHub
+from tests.peers.zenoh.rmw import CONFIG
+from tests.support.wait import until
+
+
+@pytest.fixture
+def hubs() -> Iterator[QuickHub]:
+    with QuickHub() as network:
+        yield network
+
+
+def node_of_rmw(hubs: QuickHub, zid: str) -> zenoh.Session:
+    """Open the session of an rmw_zenoh node with a given id."""
+    return zenoh.open(
+        zenoh.Config.from_json5(json.dumps({**CONFIG, "connect": {"endpoints": [hubs.endpoint]}, "id": zid}))
+    )
+
+
+def cut(node: zenoh.Session, zid: str) -> None:
+    """Cut the node's direct link to another session."""
+    ends = [(str(link.src), str(link.dst)) for link in node.info.links() if str(link.zid) == zid]
+    assert [close_connection(*each) for each in ends] == [True]
+
+
+@pytest.mark.parametrize("digit", ["1", "f"])
+def test_the_link_to_a_node_of_rmw_zenoh_is_restored_whichever_end_opens_it(hubs: QuickHub, digit: str) -> None:
+    """The session with the greater id opens the link. A node of rmw_zenoh sends its address to routers only."""
+    zid = digit * 32
+    with Hub.open(hubs.settings("one")) as hub, node_of_rmw(hubs, zid) as node:
+        until(lambda: zid in hub.neighbors(), "the sessions are linked")
+        before = hub.mesh.ended
+        cut(node, hub.zid)
+        until(lambda: hub.mesh.ended > before, "the link is lost")
+        until(lambda: zid in hub.neighbors(), "the sessions are linked again")
+
+
+def test_pauses_between_the_links_of_a_session_double(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, closed = [1000.0], list[str]()
+    monkeypatch.setattr(rejoin, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(rejoin, "close_connection", lambda _here, there: closed.append(there) or True)
+    links = [SimpleNamespace(zid=zid, src="tcp/127.0.0.1:1", dst=zid) for zid in ("aa", "bb")]
+    session: Any = SimpleNamespace(info=SimpleNamespace(links=lambda: links))
+    rejoins = Rejoins(session)
+    assert rejoins.answer({"sessions": ["aa", "cc"]}) == {"sessions": ["aa"]}
+    assert rejoins.answer({"sessions": ["aa", "bb"]}) == {"sessions": ["bb"]}
+    for seconds, expected in ((4.9, []), (0.2, ["aa"]), (9.8, []), (0.3, ["aa"])):
+        now[0] += seconds
+        assert rejoins.answer({"sessions": ["aa"]}) == {"sessions": expected}
+    now[0] += 1000.0
+    assert rejoins.answer({"sessions": ["aa"]}) == {"sessions": ["aa"]}
+    assert closed == ["aa", "bb", "aa", "aa", "aa"]
+
+
+@pytest.mark.parametrize("params", [{}, {"sessions": "aa"}, {"sessions": [1, None]}])
+def test_malformed_requests_close_no_link(hubs: QuickHub, params: dict[str, Any]) -> None:
+    with Hub.open(hubs.settings("one")) as hub:
+        (answer,) = hub.ask(REJOIN, params, "*", "router")
+        assert answer.value == {"sessions": []}
