@@ -42,20 +42,24 @@ def failure() -> str:
 def _check() -> bool:
     """Return whether all open sessions can declare; forget the closed ones.
 
-    ``Session.is_closed`` must not be called: zenoh-python 1.10 waits for the session's lock there without releasing the
-    interpreter's lock, and another thread may hold the session's lock while it waits for the interpreter's.
+    ``Session.is_closed`` must not be called for sound sessions: zenoh-python 1.10 waits for the session's lock there
+    without releasing the interpreter's, and another thread may hold the session's lock and wait for the interpreter's.
     """
     with _lock:
         sessions = list(_sessions)
-    sound = True
+    sound, closed = True, list[zenoh.Session]()
     for session in sessions:
         try:
             session.undeclare(session.declare_keyexpr(_KEY))
         except zenoh.ZError:
-            with _lock:
-                _sessions[:] = [other for other in _sessions if other is not session]
+            closed.append(session)
         except BaseException as err:
             if not is_panic(err):
                 raise
-            sound = False
+            if session.is_closed():
+                closed.append(session)
+            else:
+                sound = False
+    with _lock:
+        _sessions[:] = [session for session in _sessions if not any(session is other for other in closed)]
     return sound

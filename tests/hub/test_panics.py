@@ -25,10 +25,11 @@ class Declaring:
         self.declared = 0
 
     def is_closed(self) -> bool:
-        raise AssertionError("this call can block all threads for good")
+        assert self._error is not None, "this call can block all threads for good"
+        return self.closed
 
     def declare_keyexpr(self, key: str) -> str:
-        if self.closed:
+        if self.closed and self._error is None:
             raise zenoh.ZError("session closed")
         if self._error is not None:
             raise self._error
@@ -50,11 +51,14 @@ def watch(error: BaseException | None) -> Declaring:
     return session
 
 
-def test_a_poisoned_session_is_a_failure() -> None:
+def test_a_poisoned_session_is_a_failure_until_it_is_closed() -> None:
     sound = watch(None)
     assert panics.failure() == ""
-    watch(PanicException("called `Result::unwrap()` on an `Err` value: PoisonError { .. }"))
+    poisoned = watch(PanicException("called `Result::unwrap()` on an `Err` value: PoisonError { .. }"))
     assert panics.failure() == panics.FAILED
+    poisoned.closed = True
+    assert panics.failure() == ""
+    assert panics._sessions == [sound]
     assert sound.declared == 0
 
 
