@@ -50,7 +50,8 @@ def _check() -> bool:
     sound, closed = True, list[zenoh.Session]()
     for session in sessions:
         try:
-            session.undeclare(session.declare_keyexpr(_KEY))
+            key = session.declare_keyexpr(_KEY)
+            session.undeclare(key)
         except zenoh.ZError:
             closed.append(session)
         except BaseException as err:

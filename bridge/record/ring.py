@@ -14,12 +14,15 @@ import time
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bridge.daemon.lock import Lock
 from bridge.record.file import WrittenFile
 from bridge.record.metadata import write_metadata
 from bridge.record.places import KeptFolder
 from bridge.record.section import RingSection
+
+if TYPE_CHECKING:
+    from bridge.daemon.lock import Lock
 
 _log = logging.getLogger("midspan.record")
 
@@ -75,6 +78,8 @@ class Ring:
         """Lock the folder; raises `OSError` if another recorder has locked it, which would lose its files."""
         if self._lock is not None:
             return
+        from bridge.daemon.lock import Lock  # only for a ring; it needs fcntl, except on Windows
+
         lock = Lock(self._folder.with_name(f"{self._folder.name}.lock"))
         if not lock.try_lock():
             lock.close()

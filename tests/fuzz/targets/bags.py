@@ -40,7 +40,8 @@ def _bags() -> Subject:
                 mended = folder / f"mended.{bag.kind}"
                 mended.unlink(missing_ok=True)
                 saved = cut(bag, mended, mend=True).messages
-                assert saved == read if whole else saved >= read
+                # messages of other encodings are copied, but not read
+                assert saved == read if whole and not bag.left_out else saved >= read
 
     tokens = texts(
         "cdr", "ros1", "ros2msg", "zstd", "lz4", "bz2", "none", "op=", "conn=", "time=", "topic=", "index_pos=",
