@@ -59,6 +59,9 @@ _TOGETHER_SECONDS = 1.0
 
 _LONGEST_SECONDS = 4.0
 _INTRODUCTION_SECONDS = 2.0
+_HOPELESS_SECONDS = 10.0
+"""Seconds after which introductions alone will not restore a link, even on a busy machine."""
+
 _REMEMBERED_SECONDS = 60.0
 """Seconds for which a lost session is searched for, because it may return to the router."""
 
@@ -200,7 +203,10 @@ class Mesh:
         due = {zid for zid, at in self._lost.items() if at < before or abs(at - router) < _TOGETHER_SECONDS}
         missing = due & members
         if missing and not self._introduce(missing):
-            self._rejoin(missing - self._linked_peers())
+            before = time.monotonic() - _HOPELESS_SECONDS
+            hopeless = {zid for zid in missing - self._linked_peers() if self._lost.get(zid, before) < before}
+            if hopeless:
+                self._rejoin(hopeless)
 
     def _linked_peers(self) -> set[str]:
         return {str(zid) for zid in self._session.info.peers_zid()}

@@ -4,7 +4,8 @@ A session of rmw_zenoh sends its address to routers only. Of two sessions, the o
 direct link (``autoconnect_strategy``), and it learns the other's address from the router, once. So if a link ends whose
 greater end is a session of Midspan, no introduction (`bridge.hub.links`) restores it: it would last until the node is
 restarted. When the node's link to the router is closed, zenoh connects it again after about a second, and the router
-announces the node to all sessions. The node's other links are not affected.
+announces the node to all sessions. The node's other links are not affected, but its clients without a direct link, such
+as those on other machines, lose their calls. Midspan's own sessions keep their links: introductions restore theirs.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 import zenoh
 
 from bridge.concurrency import Backoff
+from bridge.hub.graph.tokens import MIDSPAN_SPACE
 from bridge.hub.security.link_restart import close_connection
 
 REJOIN = "rejoin"
@@ -25,6 +27,7 @@ REJOIN = "rejoin"
 _SECONDS, _LONGEST_SECONDS = 5.0, 300.0
 """Pauses between two closings of a session's link; they double, because a session may be unreachable for good."""
 
+_ANSWER_SECONDS = 0.5
 _MOST = 1000
 
 
@@ -50,8 +53,13 @@ class Rejoins:
         wanted = params.get("sessions")
         sessions = set(map(str, wanted[:_MOST])) if isinstance(wanted, list) else set()
         links = [(str(link.zid), str(link.src), str(link.dst)) for link in self._session.info.links()]
-        due = self._due(sessions & {zid for zid, *_ in links})
+        due = self._due({zid for zid in sessions & {zid for zid, *_ in links} if not self._is_midspan(zid)})
         return {"sessions": sorted({zid for zid, here, there in links if zid in due and close_connection(here, there)})}
+
+    def _is_midspan(self, zid: str) -> bool:
+        """Return whether a session announces a version of Midspan (`bridge.hub.graph.tokens.wire_key`)."""
+        tokens: Any = self._session.liveliness().get(f"{MIDSPAN_SPACE}/*/wire/{zid}/**", timeout=_ANSWER_SECONDS)
+        return bool(list(tokens))
 
     def _due(self, sessions: set[str]) -> set[str]:
         """Return the sessions whose links may be closed now, and count them as closed."""

@@ -81,11 +81,15 @@ class SidePublishers:
             if self.latched is not None and self.static is None:
                 self.latched.drop_source(first.hex())
 
-    def drop_source(self, gid: bytes) -> None:
-        """Drop the messages that are retained for a source, except static transforms."""
+    def drop_source(self, gid: bytes, sources: Collection[bytes] = ()) -> None:
+        """Drop the messages that are retained for a source, except static transforms.
+
+        ``sources`` are the GIDs of the other sources: a message that arrives before its publisher is known counts as
+        that of another source of the same session.
+        """
         invented = self._invented.pop(gid, ())
         if self.latched is not None and self.static is None:
-            for name in (gid, *invented):
+            for name in (gid, *(each for each in invented if each not in sources)):
                 self.latched.drop_source(name.hex())
 
     @property
@@ -160,7 +164,7 @@ class HubToSideRoute(TopicRoute):
         self._sources = sources
         for gid in before.keys() - self._sources.allowed.keys():
             if before[gid].latched and not self.static:
-                self._publishers.drop_source(gid)
+                self._publishers.drop_source(gid, sources.allowed)
                 self._subscription.depart(gid)
         if allowed and not self._subscription.paused:
             self._receive_from(allowed)

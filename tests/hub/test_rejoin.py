@@ -55,7 +55,8 @@ def test_pauses_between_the_links_of_a_session_double(monkeypatch: pytest.Monkey
     monkeypatch.setattr(rejoin, "time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(rejoin, "close_connection", lambda _here, there: closed.append(there) or True)
     links = [SimpleNamespace(zid=zid, src="tcp/127.0.0.1:1", dst=zid) for zid in ("aa", "bb")]
-    session: Any = SimpleNamespace(info=SimpleNamespace(links=lambda: links))
+    liveliness = SimpleNamespace(get=lambda _key, **_options: iter(()))
+    session: Any = SimpleNamespace(info=SimpleNamespace(links=lambda: links), liveliness=lambda: liveliness)
     rejoins = Rejoins(session)
     assert rejoins.answer({"sessions": ["aa", "cc"]}) == {"sessions": ["aa"]}
     assert rejoins.answer({"sessions": ["aa", "bb"]}) == {"sessions": ["bb"]}
@@ -67,8 +68,17 @@ def test_pauses_between_the_links_of_a_session_double(monkeypatch: pytest.Monkey
     assert closed == ["aa", "bb", "aa", "aa", "aa"]
 
 
+def test_sessions_of_midspan_keep_their_links(hubs: QuickHub) -> None:
+    """Clients on other machines would lose their goals."""
+    with Hub.open(hubs.settings("one")) as hub, node_of_rmw(hubs, "2" * 32):
+        rejoined = until(
+            lambda: hub.ask(REJOIN, {"sessions": [hub.zid, "2" * 32]}, "*", "router"), "the router answers"
+        )
+        assert [answer.value for answer in rejoined] == [{"sessions": ["2" * 32]}]
+
+
 @pytest.mark.parametrize("params", [{}, {"sessions": "aa"}, {"sessions": [1, None]}])
 def test_malformed_requests_close_no_link(hubs: QuickHub, params: dict[str, Any]) -> None:
     with Hub.open(hubs.settings("one")) as hub:
-        (answer,) = hub.ask(REJOIN, params, "*", "router")
+        (answer,) = until(lambda: hub.ask(REJOIN, params, "*", "router"), "the router answers")
         assert answer.value == {"sessions": []}

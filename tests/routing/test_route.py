@@ -233,6 +233,18 @@ def test_messages_with_many_invented_gids_are_bounded(monkeypatch: pytest.Monkey
     assert line("0") not in retained
 
 
+def test_a_message_before_its_publisher_is_known_stays_with_that_publisher(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until its token arrives, the message counts as that of another publisher of the same session."""
+    latched = LatchedRoute(monkeypatch)
+    second = replace(latched.publisher, gid=b"2" * 16)
+    latched.route.update([latched.publisher], [])
+    latched.receive("first")
+    latched.route.queue.receive(HubSample(zenoh.ZBytes(line("second")), 1, 1, second.gid, second.zid))
+    latched.route.update([latched.publisher, second], [])
+    latched.route.update([second], [])
+    assert latched.network.retained() == [line("second")]
+
+
 def test_stored_message_does_not_replace_a_newer_one(monkeypatch: pytest.MonkeyPatch) -> None:
     latched = LatchedRoute(monkeypatch)
     latched.route.update([latched.other], [], [latched.publisher])
