@@ -283,7 +283,7 @@ def test_each_loop_publishes_all_static_transforms_once(player: Player, listener
     program = player("--loop", "--rate", "5")
     until(lambda: listener.texts().count("said 5") >= 3, "the message arrives three times", 20)
     program.signal(signal.SIGTERM)
-    output_of(program)
+    output_of(program, 143)
     assert listener.texts()[:12] == [f"said {n}" for n in range(6)] * 2
     frames = listener.frames()
     assert all(item == {"laser", "camera"} for item in frames)
