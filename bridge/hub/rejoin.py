@@ -53,13 +53,16 @@ class Rejoins:
         wanted = params.get("sessions")
         sessions = set(map(str, wanted[:_MOST])) if isinstance(wanted, list) else set()
         links = [(str(link.zid), str(link.src), str(link.dst)) for link in self._session.info.links()]
-        due = self._due({zid for zid in sessions & {zid for zid, *_ in links} if not self._is_midspan(zid)})
+        due = self._due({zid for zid in sessions & {zid for zid, *_ in links} if self._is_foreign(zid)})
         return {"sessions": sorted({zid for zid, here, there in links if zid in due and close_connection(here, there)})}
 
-    def _is_midspan(self, zid: str) -> bool:
-        """Return whether a session announces a version of Midspan (`bridge.hub.graph.tokens.wire_key`)."""
-        tokens: Any = self._session.liveliness().get(f"{MIDSPAN_SPACE}/*/wire/{zid}/**", timeout=_ANSWER_SECONDS)
-        return bool(list(tokens))
+    def _is_foreign(self, zid: str) -> bool:
+        """Return whether a session is known as a ROS 2 node that does not announce a version of Midspan."""
+        return self._has_tokens(f"@ros2_lv/*/{zid}/**") and not self._has_tokens(f"{MIDSPAN_SPACE}/*/wire/{zid}/**")
+
+    def _has_tokens(self, keys: str) -> bool:
+        replies: Any = self._session.liveliness().get(keys, timeout=_ANSWER_SECONDS)
+        return any(reply.ok is not None for reply in list(replies))
 
     def _due(self, sessions: set[str]) -> set[str]:
         """Return the sessions whose links may be closed now, and count them as closed."""

@@ -11,6 +11,7 @@ import pytest
 import zenoh
 
 from bridge.hub import rejoin
+from bridge.hub.graph.tokens import NodeToken, node_key
 from bridge.hub.rejoin import REJOIN, Rejoins
 from bridge.hub.security.link_restart import close_connection
 from bridge.hub.session import Hub
@@ -43,11 +44,13 @@ def test_the_link_to_a_node_of_rmw_zenoh_is_restored_whichever_end_opens_it(hubs
     """The session with the greater id opens the link. A node of rmw_zenoh sends its address to routers only."""
     zid = digit * 32
     with Hub.open(hubs.settings("one")) as hub, node_of_rmw(hubs, zid) as node:
+        token = node.liveliness().declare_token(node_key(NodeToken(hubs.domain, zid, "0", "/", "controller_server")))
         until(lambda: zid in hub.neighbors(), "the sessions are linked")
         before = hub.mesh.ended
         cut(node, hub.zid)
         until(lambda: hub.mesh.ended > before, "the link is lost")
         until(lambda: zid in hub.neighbors(), "the sessions are linked again")
+        token.undeclare()
 
 
 def test_pauses_between_the_links_of_a_session_double(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,7 +58,8 @@ def test_pauses_between_the_links_of_a_session_double(monkeypatch: pytest.Monkey
     monkeypatch.setattr(rejoin, "time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(rejoin, "close_connection", lambda _here, there: closed.append(there) or True)
     links = [SimpleNamespace(zid=zid, src="tcp/127.0.0.1:1", dst=zid) for zid in ("aa", "bb")]
-    liveliness = SimpleNamespace(get=lambda _key, **_options: iter(()))
+    token = SimpleNamespace(ok=True)
+    liveliness = SimpleNamespace(get=lambda key, **_options: iter([token] if key.startswith("@ros2_lv/") else []))
     session: Any = SimpleNamespace(info=SimpleNamespace(links=lambda: links), liveliness=lambda: liveliness)
     rejoins = Rejoins(session)
     assert rejoins.answer({"sessions": ["aa", "cc"]}) == {"sessions": ["aa"]}
@@ -68,13 +72,20 @@ def test_pauses_between_the_links_of_a_session_double(monkeypatch: pytest.Monkey
     assert closed == ["aa", "bb", "aa", "aa", "aa"]
 
 
-def test_sessions_of_midspan_keep_their_links(hubs: QuickHub) -> None:
-    """Clients on other machines would lose their goals."""
-    with Hub.open(hubs.settings("one")) as hub, node_of_rmw(hubs, "2" * 32):
-        rejoined = until(
-            lambda: hub.ask(REJOIN, {"sessions": [hub.zid, "2" * 32]}, "*", "router"), "the router answers"
+def test_only_sessions_known_as_foreign_nodes_lose_their_links(hubs: QuickHub) -> None:
+    """Clients of Midspan's sessions on other machines would lose their goals."""
+    foreign, unknown = "2" * 32, "3" * 32
+    with Hub.open(hubs.settings("one")) as hub, node_of_rmw(hubs, foreign) as node, node_of_rmw(hubs, unknown):
+        token = node.liveliness().declare_token(
+            node_key(NodeToken(hubs.domain, foreign, "0", "/", "controller_server"))
         )
-        assert [answer.value for answer in rejoined] == [{"sessions": ["2" * 32]}]
+
+        def asked() -> list[str]:
+            answers = hub.ask(REJOIN, {"sessions": [hub.zid, foreign, unknown]}, "*", "router")
+            return [zid for answer in answers for zid in answer.value["sessions"]]
+
+        assert until(asked, "the node joins again") == [foreign]
+        token.undeclare()
 
 
 @pytest.mark.parametrize("params", [{}, {"sessions": "aa"}, {"sessions": [1, None]}])

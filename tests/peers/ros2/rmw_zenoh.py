@@ -1,7 +1,7 @@
-"""Real rclpy programs on rmw_zenoh_cpp, if the tests' ROS 2 has it.
+"""Real rclpy programs on rmw_zenoh_cpp, if ``librmw_zenoh_cpp.so`` is installed; see docs/sides/ros2.md.
 
-The wheels have only Fast DDS. ``librmw_zenoh_cpp.so`` in ``lib`` of Midspan's environment, or of Kilted's prefix, is
-used as that of a sourced ROS 2; see docs/sides/ros2.md.
+No wheel has this library. It belongs in the folder ``lib`` of `sys.prefix` for Jazzy, and in ``.cache/kilted/lib`` for
+Kilted.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LIBRARY = f"lib{RMW}.so"
 
 
 def has_rmw_zenoh(release: str = "jazzy") -> bool:
-    """Return whether the tests' ROS 2 of this release has rmw_zenoh_cpp."""
+    """Return whether rmw_zenoh_cpp is installed for this release."""
     return _library(release) is not None
 
 
@@ -35,7 +35,7 @@ def rmw_zenoh_environment(
 
     Args:
         router: zenoh endpoint of the router.
-        domain: the hub's domain.
+        domain: ROS domain, which is also the first part of keys on the hub.
         packages: further message packages of the program (their files' texts by path).
         release: the release of its ROS 2, ``jazzy`` or ``kilted``.
         overrides: further keys of the session's zenoh configuration.
