@@ -397,7 +397,7 @@ def test_a_type_of_idl_that_cannot_be_converted_is_named(tmp_path: Path, kind: s
     registry = Registry(folders=[tmp_path])
     for name in ("Odd", "Holder"):
         for use in (registry.ros2, registry.hub_check, registry.hub_to_ros1):
-            with pytest.raises(MessageTypeError, match=rf"my_msgs/msg/Odd has a field of IDL's type {kind}"):
+            with pytest.raises(MessageTypeError, match=rf"my_msgs/msg/Odd has a field with the IDL type {kind}"):
                 use(f"my_msgs/msg/{name}")
 
 

@@ -80,7 +80,7 @@ class DefinitionFolder:
         return (Path(folder) for folder in self._candidates(package, kind) if os.path.isdir(folder))  # noqa: PTH112
 
     def _candidates(self, package: str, kind: str) -> Iterator[str]:
-        """Yield where such folders may be, first those that are known without reading each ``package.xml``."""
+        """Yield possible paths of such folders, first those that are known without reading each ``package.xml``."""
         yield f"{self._path}/{package}/{kind}"  # text, because many lookups find nothing, and `Path` is slow
         if kind == "msg":
             yield f"{self._path}/{package}"
@@ -366,7 +366,7 @@ def find_in_store(name: str, world: World) -> Definition | None:
 
 
 def store_names(package: str, world: World) -> list[str]:
-    """Return the names of a package's types in the store."""
+    """Return the names of the types of a package in the store."""
     names = [key for key in _store(world) if key.startswith(f"{package}/")]
     return names if world is World.ROS2 else [key.replace("/msg/", "/", 1) for key in names]
 
@@ -417,7 +417,7 @@ def _type(desc: Any, owner: str, world: World) -> FieldType:
     base, bound = _IDL_BASES.get(content[0], content[0]), content[1]
     if base not in PRIMITIVE_SIZES and base not in STRING_TYPES:
         raise MessageTypeError(
-            f"{owner} has a field of IDL's type {_IDL_SPELLED.get(base, base)}, which Midspan cannot convert",
+            f"{owner} has a field with the IDL type {_IDL_SPELLED.get(base, base)}, which Midspan cannot convert",
             "leave the field out, or give it a type that .msg files have, too",
         )
     return FieldType(base, string_bound=bound)
