@@ -28,6 +28,8 @@ FLUSH_SECONDS = 0.5
 # syslog's numbers (sd-daemon(3)): err, warning, info, debug
 _PRIORITIES = {logging.ERROR: 3, logging.WARNING: 4, logging.INFO: 6, logging.DEBUG: 7}
 _PRIORITY = re.compile(r"<([0-7])>")
+_COLOR = re.compile(r"\x1b\[[0-9;]*m")
+_OF_RCUTILS = re.compile(r"\[(DEBUG|INFO)\] \[")
 
 
 class Style(Enum):
@@ -72,10 +74,16 @@ def priority(level: int) -> int:
 
 
 def split_priority(line: str) -> tuple[int, str]:
-    """Return level and text of a worker's line; a line without priority (from a library) counts as a warning."""
+    """Return level and text of a worker's line.
+
+    A line without priority is from a library. It loses its colors and counts as a warning, unless it has ROS 2's usual
+    format (rcutils, logging.c: ``[INFO] [time] [name]: text``).
+    """
     match = _PRIORITY.match(line)
     if match is None:
-        return logging.WARNING, line
+        line = _COLOR.sub("", line)
+        ros = _OF_RCUTILS.match(line)
+        return LEVELS[ros[1].lower()] if ros else logging.WARNING, line
     number = int(match[1])
     level = next((level for level, least in _PRIORITIES.items() if number <= least), logging.DEBUG)
     return level, line[match.end() :]

@@ -128,6 +128,13 @@ def test_pauses_double_up_to_a_limit_and_reset_after_a_long_run() -> None:
         ("<7>detail", logging.DEBUG, "detail"),
         ("a library's", logging.WARNING, "a library's"),
         ("<9>what", logging.WARNING, "<9>what"),
+        (
+            "[INFO] [1796.5] [rcl]: Found security directory: /k",
+            logging.INFO,
+            "[INFO] [1796.5] [rcl]: Found security directory: /k",
+        ),
+        ("[WARN] [1796.5] [rcl]: odd", logging.WARNING, "[WARN] [1796.5] [rcl]: odd"),
+        ("\x1b[37;1m2026 \x1b[31;1m[SECURITY Error]\x1b[m", logging.WARNING, "2026 [SECURITY Error]"),
     ],
 )
 def test_a_log_lines_priority_is_split_off(line: str, level: int, text: str) -> None:

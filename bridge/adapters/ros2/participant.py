@@ -6,11 +6,10 @@ used here, on which rclpy's classes are built (``rclpy.impl.implementation_singl
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from rclpy.context import Context
@@ -21,10 +20,10 @@ from rclpy.qos import QoSProfile
 from bridge.adapters.ros2 import security
 from bridge.adapters.ros2.environment import FAST_DDS, RMW
 from bridge.adapters.ros2.graph.marks import ENCLAVE, PRESENCE, Marks, NodeMarks, PresenceMarks
+from bridge.adapters.ros2.refusals import Refusals
 from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.rmw import RmwSubscription
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
-from bridge.messages.errors import MessageTypeError
 
 _rclpy: Any = rclpy_implementation
 
@@ -32,22 +31,10 @@ _DISCOVERY = "ros_discovery_info"
 """The DDS topic on which every ROS participant announces its nodes: its writers are the participants."""
 
 
-@contextlib.contextmanager
-def _explaining_errors(topic: str, message_class: Any) -> Iterator[None]:
-    """Add the topic and type to rcl's error, which mentions only types and allocators."""
-    try:
-        yield
-    except (_rclpy.RCLError, ValueError) as err:
-        raise MessageTypeError(
-            f"ROS 2 does not accept {topic} as {message_class.type_name}: {err}",
-            security.refusal(os.environ) or "rename it by a rule, unless it recovers by itself within seconds",
-        ) from err
-
-
 class Participant:
     """A node without default endpoints; endpoints can be created and destroyed from any thread.
 
-    Raises `RuntimeError` if rclpy uses another middleware than ``rmw``.
+    Raises `RuntimeError` if rclpy uses another middleware than ``rmw``, or if DDS Security rejects the enclave.
 
     Attributes:
         marks: who created the endpoints on the network.
@@ -60,13 +47,19 @@ class Participant:
 
     def __init__(self, name: str, domain: int) -> None:
         self._lock = threading.Lock()
+        self._refusals = Refusals()
         self._context = Context()
         # a secured domain, which only a participant on Fast DDS joins, has its own enclaves
         arguments = [] if security.is_enabled(os.environ) else ["--ros-args", "--enclave", ENCLAVE]
         self._context.init(args=arguments, initialize_logging=False, domain_id=domain)
         self._check_rmw()
-        self._node = _rclpy.Node(name, "", self._context.handle, [], False, False, *current().node_arguments)
         secured = security.is_enabled(os.environ)
+        try:
+            self._node = _rclpy.Node(name, "", self._context.handle, [], False, False, *current().node_arguments)
+        except _rclpy.RCLError as err:
+            if not secured:
+                raise
+            raise RuntimeError(security.rejection(os.environ, domain)) from err
         self.marks = PresenceMarks(self._announced) if secured else NodeMarks(self._enclaves)
 
     def _check_rmw(self) -> None:
@@ -116,12 +109,12 @@ class Participant:
 
     def make_writer(self, message_class: Any, topic: str, qos: Qos) -> Any:
         """Create a DDS writer; its ``pointer`` is ``rcl_publisher_t *``."""
-        with self._lock, _explaining_errors(topic, message_class):
+        with self._lock, self._refusals.explained("publisher", topic, message_class.type_name):
             return _rclpy.Publisher(self._node, message_class, topic, to_rclpy(qos))
 
     def make_reader(self, message_class: Any, topic: str, qos: Qos) -> Any:
         """Create a DDS reader; its ``pointer`` is ``rcl_subscription_t *``."""
-        with self._lock, _explaining_errors(topic, message_class):
+        with self._lock, self._refusals.explained("subscription", topic, message_class.type_name):
             return _rclpy.Subscription(self._node, message_class, topic, to_rclpy(qos))
 
     def service_topics(self) -> list[tuple[str, str]]:
@@ -136,7 +129,7 @@ class Participant:
 
     def make_client(self, service_class: Any, service: str, qos: Qos) -> Any:
         """Create a client; its ``pointer`` is ``rcl_client_t *``."""
-        with self._lock, _explaining_errors(service, service_class):
+        with self._lock, self._refusals.explained("client", service, service_class.type_name):
             return _rclpy.Client(self._node, service_class, service, to_rclpy(qos))
 
     def make_raw_reader(self, support: int, dds_topic: str) -> RmwSubscription:
@@ -146,7 +139,7 @@ class Participant:
 
     def make_server(self, service_class: Any, service: str, qos: Qos) -> Any:
         """Create a server; its ``pointer`` is ``rcl_service_t *``."""
-        with self._lock, _explaining_errors(service, service_class):
+        with self._lock, self._refusals.explained("server", service, service_class.type_name):
             return _rclpy.Service(self._node, service_class, service, to_rclpy(qos))
 
     def make_guard_condition(self) -> Any:

@@ -88,34 +88,51 @@ DOMAIN = """MIME-Version: 1.0\n\n<?xml version="1.0"?>
 <dds><domain_access_rules><domain_rule><domains>{domains}</domains></domain_rule></domain_access_rules></dds>\n---"""
 GRANT = """MIME-Version: 1.0\n\n<?xml version="1.0"?>
 <dds xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"><permissions><grant name="/midspan">
-<subject_name>CN=/midspan</subject_name>
-<validity><not_before>2020-01-01T00:00:00</not_before><not_after>{until}</not_after></validity>
+<subject_name>CN={subject}</subject_name>
+<validity><not_before>{since}</not_before><not_after>{until}</not_after></validity>
 <allow_rule><domains>{domains}</domains></allow_rule></grant></permissions></dds>\n---"""
 
 
 class Keystore:
-    """A keystore with the enclave /midspan, as 'ros2 security' makes it; its signatures are left out."""
+    """A keystore with the enclave /midspan, as 'ros2 security' makes it; its documents are not signed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.enclave = folder / "enclaves/midspan"
         self.enclave.mkdir(parents=True)
-        for name in ("identity_ca.cert", "permissions_ca.cert", "cert"):
-            self.certificate(name, days=10)
-        (self.enclave / "key.pem").write_text("private")
+        self.authority = ec.generate_private_key(ec.SECP256R1())
+        self.certificate("identity_ca.cert", days=10)
+        self.certificate("permissions_ca.cert", days=10)
+        self.certificate("cert", days=10)
         self.rules()
 
-    def certificate(self, name: str, days: int) -> None:
-        key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
-        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "/midspan")])
-        builder = x509.CertificateBuilder(subject, subject, key.public_key(), x509.random_serial_number())
-        builder = builder.not_valid_before(now - timedelta(days=30)).not_valid_after(now + timedelta(days=days))
-        pem = builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
-        (self.enclave / f"{name}.pem").write_bytes(pem)
+    def certificate(self, name: str, days: int, subject: str = "/midspan", since: int = -30) -> None:
+        """Write a certificate; the file of the enclave's own, and its key, replace earlier ones."""
+        is_own, now = name == "cert", datetime.now(UTC)
+        key = ec.generate_private_key(ec.SECP256R1()) if is_own else self.authority
+        names = [
+            x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+            for name in (subject if is_own else "sros2CA", "sros2CA")
+        ]
+        builder = x509.CertificateBuilder(names[1], names[0], key.public_key(), x509.random_serial_number())
+        builder = builder.not_valid_before(now + timedelta(days=since)).not_valid_after(now + timedelta(days=days))
+        signed = builder.sign(self.authority, hashes.SHA256())
+        (self.enclave / f"{name}.pem").write_bytes(signed.public_bytes(serialization.Encoding.PEM))
+        if is_own:
+            self.key(key)
 
-    def rules(self, governance: str = "<id>0</id>", permissions: str = "<id>0</id>", until: str = "2100-01-01") -> None:
+    def key(self, key: ec.EllipticCurvePrivateKey) -> None:
+        pem = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        (self.enclave / "key.pem").write_bytes(key.private_bytes(*pem))
+
+    def rules(
+        self, governance: str = "<id>0</id>", permissions: str = "<id>0</id>", until: str = "2100-01-01",
+        since: str = "2020-01-01", subject: str = "/midspan",
+    ) -> None:  # fmt: skip
+        times = {"since": f"{since}T00:00:00", "until": f"{until}T00:00:00"}
         (self.enclave / "governance.p7s").write_text(DOMAIN.format(domains=governance))
-        (self.enclave / "permissions.p7s").write_text(GRANT.format(domains=permissions, until=f"{until}T00:00:00"))
+        grant = GRANT.format(domains=permissions, subject=subject, **times)
+        (self.enclave / "permissions.p7s").write_text(grant)
 
     def trouble(self, domain: int = 0) -> str:
         return security.trouble(ON | {"ROS_SECURITY_KEYSTORE": str(self.folder)}, domain, wheels=False)
@@ -154,6 +171,52 @@ def test_an_expired_certificate_is_reported(keystore: Keystore) -> None:
 def test_expired_permissions_are_reported(keystore: Keystore) -> None:
     keystore.rules(until="2021-05-06")
     assert "permissions.p7s have expired on 2021-05-06" in keystore.trouble()
+
+
+def test_permissions_that_are_not_valid_yet_are_reported(keystore: Keystore) -> None:
+    keystore.rules(since="2099-05-06")
+    assert "permissions.p7s are valid only from 2099-05-06: is this machine's clock right" in keystore.trouble()
+
+
+def test_grants_of_other_enclaves_are_ignored(keystore: Keystore) -> None:
+    file = keystore.enclave / "permissions.p7s"
+    own = file.read_text()
+    keystore.rules(until="2021-05-06", permissions="<id>9</id>", subject="/camera")
+    other = file.read_text()
+    both = own.replace("<grant", other[other.index("<grant") : other.index("</permissions>")] + "<grant", 1)
+    file.write_text(both)
+    assert keystore.trouble() == ""
+
+
+def test_files_of_different_enclaves_are_reported(keystore: Keystore) -> None:
+    """Fast DDS would only log "Participant is not allowed with its own permissions file"."""
+    folder = keystore.enclave
+    again = f"; remove the folder, then 'ROS_DOMAIN_ID=0 ros2 security create_enclave {keystore.folder} /midspan'"
+    keystore.rules(subject="/camera")
+    names = "is for CN=/camera, but the certificate beside it for CN=/midspan"
+    assert keystore.trouble() == f"{folder / 'permissions.p7s'} {names}{again}"
+    keystore.certificate("cert", days=3, subject="/camera")
+    assert keystore.trouble() == ""
+    keystore.key(keystore.authority)
+    assert keystore.trouble() == f"{folder / 'key.pem'} is not the private key of the certificate beside it{again}"
+    keystore.certificate("cert", days=3, subject="/camera")
+    keystore.authority = ec.generate_private_key(ec.SECP256R1())
+    keystore.certificate("identity_ca.cert", days=10)
+    issued = f"the authority in {folder / 'identity_ca.cert.pem'} did not issue {folder / 'cert.pem'}"
+    assert keystore.trouble() == f"{issued}{again}"
+
+
+def test_an_invalid_private_key_is_reported(keystore: Keystore) -> None:
+    (keystore.enclave / "key.pem").write_text("private")
+    reason = keystore.trouble()
+    assert reason.startswith(f"{keystore.enclave / 'key.pem'} is not a private key in PEM format without a password")
+    assert "; remove it, then 'ROS_DOMAIN_ID=0 ros2 security create_enclave" in reason
+
+
+def test_a_rejection_that_is_only_logged_names_the_cure(keystore: Keystore) -> None:
+    reason = security.rejection(ON | {"ROS_SECURITY_KEYSTORE": str(keystore.folder)}, 7)
+    assert f"DDS Security rejects the files in {keystore.enclave}; the log names the reason" in reason
+    assert reason.endswith(f"then 'ROS_DOMAIN_ID=7 ros2 security create_enclave {keystore.folder} /midspan'")
 
 
 @pytest.mark.parametrize("file", ["governance", "permissions"])

@@ -24,6 +24,7 @@ from bridge.adapters.ros2.services.port import ClientPort, ServerPort
 from bridge.adapters.ros2.types import TypeSupports
 from bridge.config.model import Config
 from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.errors import MessageTypeError
 from bridge.routing.edge import Endpoint, Obstacle
 
 _STRING = ("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")
@@ -59,8 +60,16 @@ class FastDds(Dds):
         return Joined(participant, self._prefix_in_use(participant), profile.segment)
 
     def _prefix_in_use(self, participant: Participant) -> bytes:
-        """Return the participant's GUID prefix as DDS reports it, by means of a writer of the presence topic."""
-        writer = participant.make_writer(self.types.message_class(*_STRING), PRESENCE, _LATCHED)
+        """Return the participant's GUID prefix as DDS reports it, by means of a writer of the presence topic.
+
+        Raises `RuntimeError` if the enclave's permissions do not allow this topic.
+        """
+        try:
+            writer = participant.make_writer(self.types.message_class(*_STRING), PRESENCE, _LATCHED)
+        except MessageTypeError as err:
+            raise RuntimeError(
+                f"DDS Security does not allow {PRESENCE}, by which Midspan daemons recognize each other; {err.cure}"
+            ) from err
         gid = rmw.publisher_gid(int(writer.pointer))
         participant.destroy(writer)
         return gid[:PREFIX_BYTES]

@@ -42,5 +42,8 @@ def read_graph(config: Config, state: Path, seconds: float) -> dict[str, Any]:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory(prefix="midspan-look-") as folder:
-        document = read_graph(Config.model_validate_json(sys.stdin.buffer.read()), Path(folder), SECONDS)
+        try:
+            document = read_graph(Config.model_validate_json(sys.stdin.buffer.read()), Path(folder), SECONDS)
+        except RuntimeError as err:
+            sys.exit(str(err))
     print(json.dumps(document))  # noqa: T201  the result
