@@ -46,7 +46,7 @@ def check(folder: Path, domain: int) -> None:
     subjects = {grant.findtext("subject_name", "").strip() for grant in grants}
     if subject and subject not in subjects:
         names = ", ".join(sorted(subjects))
-        raise EnclaveError(f"{permissions} is for {names}, but the certificate beside it for {subject}", folder)
+        raise EnclaveError(f"{permissions} is for {names}, but {folder / 'cert.pem'} for {subject}", folder)
     own = [grant for grant in grants if not subject or grant.findtext("subject_name", "").strip() == subject]
     for grant in own:
         _check_validity(permissions, grant)
@@ -129,7 +129,7 @@ def _check_key(file: Path, content: bytes, certificate: Certificate) -> None:
     except (ValueError, TypeError, UnsupportedAlgorithm) as err:
         raise EnclaveError(f"{file} is not a private key in PEM format without a password: {err}", file) from None
     if key.public_key() != certificate.public_key():
-        raise EnclaveError(f"{file} is not the private key of the certificate beside it", file.parent)
+        raise EnclaveError(f"{file} is not the private key of {file.parent / 'cert.pem'}", file.parent)
 
 
 def _document(file: Path) -> ET.Element:

@@ -37,7 +37,7 @@ class Refusals:
     def explained(self, kind: str, name: str, type_name: str) -> Iterator[None]:
         """Raise `MessageTypeError` for rcl's error, which mentions only types and allocators.
 
-        ``kind`` tells endpoints of one topic or service apart. A remembered refusal is raised at once.
+        ``kind`` distinguishes the endpoints of one topic or service. A remembered refusal is raised at once.
         """
         key = kind, name, type_name
         at, reason = self._remembered.get(key, (0.0, ""))

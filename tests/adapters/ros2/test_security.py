@@ -193,12 +193,12 @@ def test_files_of_different_enclaves_are_reported(keystore: Keystore) -> None:
     folder = keystore.enclave
     again = f"; remove the folder, then 'ROS_DOMAIN_ID=0 ros2 security create_enclave {keystore.folder} /midspan'"
     keystore.rules(subject="/camera")
-    names = "is for CN=/camera, but the certificate beside it for CN=/midspan"
+    names = f"is for CN=/camera, but {folder / 'cert.pem'} for CN=/midspan"
     assert keystore.trouble() == f"{folder / 'permissions.p7s'} {names}{again}"
     keystore.certificate("cert", days=3, subject="/camera")
     assert keystore.trouble() == ""
     keystore.key(keystore.authority)
-    assert keystore.trouble() == f"{folder / 'key.pem'} is not the private key of the certificate beside it{again}"
+    assert keystore.trouble() == f"{folder / 'key.pem'} is not the private key of {folder / 'cert.pem'}{again}"
     keystore.certificate("cert", days=3, subject="/camera")
     keystore.authority = ec.generate_private_key(ec.SECP256R1())
     keystore.certificate("identity_ca.cert", days=10)
