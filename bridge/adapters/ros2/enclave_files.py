@@ -107,16 +107,24 @@ def _check_identity(folder: Path, contents: Mapping[str, bytes]) -> str:
     if "key" in contents:
         _check_key(folder / "key.pem", contents["key"], certificate)
     if "identity_ca.cert" in contents:
-        from cryptography.exceptions import InvalidSignature
-
-        try:
-            certificate.verify_directly_issued_by(x509.load_pem_x509_certificate(contents["identity_ca.cert"]))
-        except (ValueError, TypeError, InvalidSignature):
-            text = f"the authority in {folder / 'identity_ca.cert.pem'} did not issue {file}"
-            raise EnclaveError(text, folder) from None
+        authorities = x509.load_pem_x509_certificates(contents["identity_ca.cert"])
+        if not any(_is_issued_by(certificate, authority) for authority in authorities):
+            raise EnclaveError(f"the authority in {folder / 'identity_ca.cert.pem'} did not issue {file}", folder)
     names = [attribute for rdn in certificate.subject.rdns for attribute in rdn]
     is_common_name = len(names) == 1 and names[0].oid == x509.NameOID.COMMON_NAME
     return f"CN={names[0].value!s}" if is_common_name else ""
+
+
+def _is_issued_by(certificate: Certificate, authority: Certificate) -> bool:
+    from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except UnsupportedAlgorithm:  # it cannot be checked here
+        return True
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
 
 
 def _check_key(file: Path, content: bytes, certificate: Certificate) -> None:

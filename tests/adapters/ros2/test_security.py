@@ -206,6 +206,15 @@ def test_files_of_different_enclaves_are_reported(keystore: Keystore) -> None:
     assert keystore.trouble() == f"{issued}{again}"
 
 
+def test_an_authority_may_be_one_of_several(keystore: Keystore) -> None:
+    file, others = keystore.enclave / "identity_ca.cert.pem", keystore.enclave / "permissions_ca.cert.pem"
+    own = file.read_bytes()
+    keystore.authority = ec.generate_private_key(ec.SECP256R1())
+    keystore.certificate("permissions_ca.cert", days=10)
+    file.write_bytes(others.read_bytes() + own)
+    assert keystore.trouble() == ""
+
+
 def test_an_invalid_private_key_is_reported(keystore: Keystore) -> None:
     (keystore.enclave / "key.pem").write_text("private")
     reason = keystore.trouble()
