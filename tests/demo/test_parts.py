@@ -191,7 +191,8 @@ def test_shared_memory_of_others_is_preserved() -> None:
     assert not any(leftovers.is_own(name, ports) for name in others)
 
 
-HOLDS = "import sys; held = [open(name, 'rb') for name in sys.argv[1:]]; print('held', flush=True); sys.stdin.read()"
+HOLDS = "import sys; held = [open(name, 'ab') for name in sys.argv[1:]]; print('held', flush=True); sys.stdin.read()"
+"""A program that creates files and holds them. Sessions of other tests remove such files that nothing holds."""
 
 
 def test_an_unlocked_port_of_a_killed_participant_is_removed(tmp_path: Path) -> None:
@@ -202,16 +203,12 @@ def test_an_unlocked_port_of_a_killed_participant_is_removed(tmp_path: Path) -> 
     command = [sys.executable, "-c", HOLDS, str(mine), str(others)]
     environ = os.environ | {sandbox.MARK: str(tmp_path)}
     try:
-        for file in (mine, others, lock):
-            file.touch()
-        with (
-            lock.open() as held,
-            subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environ) as participant,
-        ):
+        with lock.open("w") as held:
             fcntl.flock(held, fcntl.LOCK_EX)
-            assert participant.stdout is not None
-            assert participant.stdout.readline() == b"held\n"
-            leftovers.erase(tmp_path, range(0))
+            with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environ) as participant:
+                assert participant.stdout is not None
+                assert participant.stdout.readline() == b"held\n"
+                leftovers.erase(tmp_path, range(0))
         assert (mine.exists(), others.exists(), lock.exists()) == (False, True, True)
         assert not mine.with_name(f"{mine.name}_el").exists()
     finally:
@@ -224,7 +221,6 @@ def test_shared_memory_is_removed_although_the_demo_itself_still_uses_it(tmp_pat
     file = Path("/dev/shm", f"{70_000 + os.getpid()}.zenoh")
     memory = leftovers.SharedMemory(tmp_path, range(0))
     try:
-        file.touch()
         with subprocess.Popen(
             [sys.executable, "-c", HOLDS, str(file)],
             stdin=subprocess.PIPE,
@@ -236,7 +232,8 @@ def test_shared_memory_is_removed_although_the_demo_itself_still_uses_it(tmp_pat
             memory.note()
             memory.remove()
             assert file.exists(), "the worker still uses it"
-        with file.open("rb"):
+            own = file.open("rb")
+        with own:
             memory.remove()
         assert not file.exists()
     finally:

@@ -31,6 +31,10 @@ def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
     machines = Machines(make_keys(tmp_path_factory.mktemp("keys")))
     with machines.network:
         machines.network.start_router()
+        with Hub.open(machines.network.settings("robot")) as robot, machines.hub("friend") as other:
+            service, type_name = next(iter(QUESTIONS.items()))
+            # zenoh computes the routes between new routers after 0.1 s; calls before that reach no server
+            until(lambda: called(robot, other, service, type_name)[1], "the routers have routes to each other")
         yield machines
 
 
