@@ -293,6 +293,8 @@ class Execution:
             self._find_again(drive)
         elif drive.state is DriveState.JUDGING:
             self._judge(drive)
+        elif drive.sent is not None and drive.sent is drive.followed:
+            self._link.ask_again(drive.sent)
 
     def _find_again(self, drive: ClientDrive) -> None:
         """Follow the goal again if the planner still has it; otherwise send it again."""

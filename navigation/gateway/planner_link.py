@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -24,6 +25,12 @@ _KEPT_IDS = 16
 and replaced goals that may not have ended."""
 
 
+ASK_SECONDS = 5.0
+"""After a silence of this length, the result of a followed goal is requested again."""
+
+_LONGEST_ASK = 60.0
+
+
 class PlannerLink:
     """Sends goals to a planner, and calls ``changed`` when it reports something. Used on the module's thread."""
 
@@ -43,6 +50,7 @@ class PlannerLink:
         self._through = ActionClient(host.node, through, THROUGH) if through else None
         self._through_goals = next((action for action in self._motion if action.action == through), None)
         self._through_ids = deque[bytes](maxlen=_KEPT_IDS)  # ids of goals of several poses
+        self._asked_at, self._ask_pause = 0.0, ASK_SECONDS
         self.foreign_goals = ForeignGoals(mark, f"the planner {planner} has disappeared")
         self.telemetry = Telemetry(host, section, planner, changed)
         self.lifecycle = LifecycleNodes(host, other.lifecycle_nodes if other is not None else (), changed)
@@ -156,8 +164,23 @@ class PlannerLink:
     def follow(self, sent: SentGoal) -> None:
         """Ask again for the result of a goal that the planner still has, unless it is already awaited."""
         if not sent.active:
-            through = self._through
-            (through if through is not None and sent.id in self._through_ids else self._client).follow(sent)
+            self._client_of(sent).follow(sent)
+            self._asked_at, self._ask_pause = time.monotonic(), ASK_SECONDS
+
+    def ask_again(self, sent: SentGoal) -> None:
+        """Repeat the request for the result of a followed goal while the planner is silent, in growing intervals.
+
+        Call this regularly. A server on DDS that has just started loses its reply if it has not discovered the
+        client's reader within 0.1 s (rmw_fastrtps, rmw_response.cpp), so the client would wait for ever.
+        """
+        now = time.monotonic()
+        if sent.active and self.telemetry.silent > ASK_SECONDS and now > self._asked_at + self._ask_pause:
+            self._client_of(sent).ask_result(sent)
+            self._asked_at, self._ask_pause = now, min(2 * self._ask_pause, _LONGEST_ASK)
+
+    def _client_of(self, sent: SentGoal) -> ActionClient:
+        through = self._through
+        return through if through is not None and sent.id in self._through_ids else self._client
 
     def end(self, sent: SentGoal) -> None:
         """Cancel a goal, now or as soon as possible, and repeat that until the planner's list shows its end."""

@@ -13,7 +13,9 @@ from bridge.messages.actions import PARTS, GoalState
 from bridge.modules.action_server import Goal
 from navigation.gateway import execution as execution_module
 from navigation.gateway import gateway as gateway_module
+from navigation.gateway import planner_link
 from navigation.gateway.machine import DriveState
+from navigation.gateway.telemetry import Telemetry
 from navigation.status import Fault, State
 from tests.peers.hub.calls import Calling
 from tests.peers.hub.node import HubNode
@@ -402,6 +404,23 @@ def test_a_goal_that_only_the_list_of_a_killed_planner_has_is_sent_again(robot: 
     robot.goal(2)
     planner.end(GoalState.SUCCEEDED)
     assert client_goal.end() == ("SUCCEEDED", "")
+
+
+def test_a_lost_reply_of_a_restarted_planner_is_requested_again(robot: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The new bt_navigator does not know the goal, but has not discovered the reader of its reply yet."""
+    monkeypatch.setattr(planner_link, "ASK_SECONDS", 0.2)
+    monkeypatch.setattr(Telemetry, "silent", 10.0)
+    rig, planner = robot.rig, robot.planner
+    client_goal = robot.drive()
+    planner.tell()
+    until(lambda: rig.gateway.link.state.reported, "the gateway has the planner's goal list")
+    planner.forget()
+    planner.loses = 1
+    planner.answer(GoalState.UNKNOWN)
+    robot.goal(2)
+    planner.end(GoalState.SUCCEEDED)
+    assert client_goal.end() == ("SUCCEEDED", "")
+    assert planner.loses == 0
 
 
 def test_a_goal_is_not_sent_again_before_all_parts_are_back(robot: Scene) -> None:

@@ -34,6 +34,7 @@ class RmwActionServer:
         rejects: whether the server rejects goals.
         cancels: whether the server ends goals that a client requests to cancel.
         lists: whether the goal list is published when the server is declared, as Midspan's servers do and rcl's do not.
+        loses: number of following requests for a result whose reply is lost, as by a server that has just started.
     """
 
     def __init__(
@@ -41,7 +42,8 @@ class RmwActionServer:
     ) -> None:
         self._session = rmw_session(router)
         self._domain, self._action = domain, action
-        self.cancels, self.lists, self.rejects = cancels, lists, False
+        self.cancels, self.lists, self.rejects, self.loses = cancels, lists, False, 0
+        self._lost: list[zenoh.Query] = []
         self._ids = itertools.count(1)
         self._owner = NodeToken(domain, str(self._session.zid()), "0", "/", node)
         self._tokens = [self._declare(node_key(self._owner))]
@@ -170,7 +172,10 @@ class RmwActionServer:
     def _result(self, query: zenoh.Query, request: dict[str, Any]) -> None:
         goal = bytes(request["goal_id"]["uuid"])
         status = self._statuses.get(goal, GoalState.UNKNOWN)
-        if status is not GoalState.UNKNOWN and not status.ended:
+        if self.loses:
+            self.loses -= 1
+            self._lost.append(query)
+        elif status is not GoalState.UNKNOWN and not status.ended:
             self._waiting[goal] = query
         else:
             self._answer_result(query, status, 0, "")
