@@ -213,8 +213,7 @@ class Execution:
         self._unpause()
         if drive.goal is not None:
             drive.goal.begin_cancel()  # its client sees CANCELING until the end
-        if drive.released and not drive.begun:
-            # the action's server reports the cancellation first
+        if drive.released and not drive.begun:  # the action's server reports the cancellation first
             self._host.loop.post(lambda: self.finish(drive, GoalState.CANCELED, Fault.OTHER, reason))
             return
         self.cancel(drive)
@@ -303,9 +302,8 @@ class Execution:
             self._give_up_waiting(drive)
         elif time.monotonic() > drive.due and (link.state.reported or link.presence.machine.age > SETTLING_SECONDS):
             if link.lists(sent) is not None and not drive.forgotten:
-                drive.followed = sent
                 link.follow(sent)
-                drive.due = time.monotonic() + RETRY_SECONDS
+                drive.followed, drive.due = sent, time.monotonic() + RETRY_SECONDS
                 drive.machine.on(DriveEvent.RESUMED_CONTACT)
             else:
                 drive.released = link.state.reported and not drive.forgotten  # a forgotten goal may still be executed
