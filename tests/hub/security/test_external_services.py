@@ -33,7 +33,7 @@ def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
         machines.network.start_router()
         with Hub.open(machines.network.settings("robot")) as robot, machines.hub("friend") as other:
             service, type_name = next(iter(QUESTIONS.items()))
-            # zenoh computes the routes between new routers after 0.1 s; calls before that reach no server
+            # a call within about 30 ms of the routers' start may reach no server
             until(lambda: called(robot, other, service, type_name)[1], "the routers have routes to each other")
         yield machines
 
