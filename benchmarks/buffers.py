@@ -24,10 +24,12 @@ from bridge.hub.session import Hub, HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from tests.peers.hub.network import HubNetwork
-from tests.peers.zenoh.releases import LYRICAL, ReleaseNode, ReleasePublisher, ReleaseSubscription, Topic
+from tests.peers.zenoh.releases import LYRICAL, Received, ReleaseNode, ReleasePublisher, ReleaseSubscription, Topic
+from tests.support.wait import until
 
 IMAGE = "sensor_msgs/msg/Image"
 BYTES = 1_000_000
+FIRST, LAST = b"\0\1\0\0first", b"\0\1\0\0the last one"
 SECONDS = 30.0
 
 
@@ -55,11 +57,14 @@ def subscribe(kind: str, settings: HubSettings, answers: Connection) -> None:
 
 
 class _Sizes:
+    """In place of a subscription's list of messages: sends their sizes."""
+
     def __init__(self, answers: Connection) -> None:
         self._answers = answers
 
-    def append(self, sample: object) -> None:
-        self._answers.send(len(sample.payload))  # type: ignore[attr-defined]
+    def append(self, sample: Received) -> None:
+        """Send the size of a message."""
+        self._answers.send(len(sample.payload))
 
 
 def processor_time(hubs: HubNetwork, kinds: Sequence[str], images: int) -> float:
@@ -78,7 +83,7 @@ def processor_time(hubs: HubNetwork, kinds: Sequence[str], images: int) -> float
         node = ReleaseNode(hubs.endpoint, hubs.domain, "camera", LYRICAL)
         stack.callback(node.close)
         publisher, payload = ReleasePublisher(node, image_topic()), b"\0\1\0\0" + bytes(BYTES)
-        _until_received(publisher, ends)
+        _connect(node, publisher, ends)
         began = time.process_time()
         for _ in range(images):
             publisher.put(payload)
@@ -89,19 +94,19 @@ def processor_time(hubs: HubNetwork, kinds: Sequence[str], images: int) -> float
         return (time.process_time() - began) / images * 1000
 
 
-def _until_received(publisher: ReleasePublisher, ends: Sequence[Connection]) -> None:
-    """Publish until each subscription receives, and then until all of these images have arrived."""
-    deadline, waiting = time.monotonic() + SECONDS, set(range(len(ends)))
-    while waiting:
-        if time.monotonic() > deadline:
-            raise SystemExit("no subscription was discovered")
-        publisher.put(b"\0\1\0\0first")
-        time.sleep(0.2)
-        waiting -= {number for number in waiting if ends[number].poll()}
-    time.sleep(2.0)  # direct links replace those over the router
+def _connect(node: ReleaseNode, publisher: ReleasePublisher, ends: Sequence[Connection]) -> None:
+    """Publish until each subscription receives over a direct link, and until all of these messages have arrived."""
+    until(lambda: len(list(node.session.info.peers_zid())) >= len(ends), "the sessions are linked")
+
+    def received() -> bool:
+        publisher.put(FIRST)
+        return all(end.poll() for end in ends)
+
+    until(received, "messages arrive", every=0.1)
+    publisher.put(LAST)
     for end in ends:
-        while end.poll():
-            end.recv()
+        while end.recv() != len(LAST):
+            pass
 
 
 def measure(images: int, rounds: int) -> list[Row]:

@@ -203,8 +203,8 @@ class Mesh:
         due = {zid for zid, at in self._lost.items() if at < before or abs(at - router) < _TOGETHER_SECONDS}
         missing = due & members
         if missing and not self._introduce(missing):
-            before = time.monotonic() - _HOPELESS_SECONDS
-            hopeless = {zid for zid in missing - self._linked_peers() if self._lost.get(zid, before) < before}
+            long_ago = time.monotonic() - _HOPELESS_SECONDS
+            hopeless = {zid for zid in missing - self._linked_peers() if self._lost.get(zid, long_ago) < long_ago}
             if hopeless:
                 self._rejoin(hopeless)
 

@@ -24,11 +24,8 @@ _KEPT_IDS = 16
 """Maximum number of stored ids of goals with several poses, whose states are in another action's list: the current goal
 and replaced goals that may not have ended."""
 
-
 ASK_SECONDS = 5.0
-"""After a silence of this length, the result of a followed goal is requested again."""
-
-_LONGEST_ASK = 60.0
+"""The result of a followed goal is requested again if the planner publishes nothing for this time after a request."""
 
 
 class PlannerLink:
@@ -168,15 +165,17 @@ class PlannerLink:
             self._asked_at, self._ask_pause = time.monotonic(), ASK_SECONDS
 
     def ask_again(self, sent: SentGoal) -> None:
-        """Repeat the request for the result of a followed goal while the planner is silent, in growing intervals.
+        """Repeat the request for the result of a followed goal while the planner publishes nothing.
 
         Call this regularly. A server on DDS that has just started loses its reply if it has not discovered the
-        client's reader within 0.1 s (rmw_fastrtps, rmw_response.cpp), so the client would wait for ever.
+        client's reader within 0.1 s (rmw_fastrtps, rmw_response.cpp), and the client would wait forever. The pauses
+        double, so that few requests are pending at a planner that never publishes anything.
         """
         now = time.monotonic()
-        if sent.active and self.telemetry.silent > ASK_SECONDS and now > self._asked_at + self._ask_pause:
+        waited = now > self._asked_at + self._ask_pause
+        if waited and sent.active and not self.telemetry.published_since(self._asked_at):
             self._client_of(sent).ask_result(sent)
-            self._asked_at, self._ask_pause = now, min(2 * self._ask_pause, _LONGEST_ASK)
+            self._asked_at, self._ask_pause = now, 2 * self._ask_pause
 
     def _client_of(self, sent: SentGoal) -> ActionClient:
         through = self._through

@@ -54,6 +54,10 @@ class Telemetry:
         """Seconds since the planner's last message about the goal; 0 for a planner that only publishes changes."""
         return time.monotonic() - self._beat_at if self._beats else 0.0
 
+    def published_since(self, at: float) -> bool:
+        """Return whether the planner has published anything since a time (monotonic seconds)."""
+        return self._beat_at > at
+
     def begin(self) -> None:
         """Start a new goal."""
         self.path, self._beats = None, 0

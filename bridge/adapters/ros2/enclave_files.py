@@ -7,7 +7,7 @@ checked; the signatures of the governance and the permissions are not.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 GOVERNANCE, _PERMISSIONS = "governance.p7s", "permissions.p7s"
 AUTHORITIES = ("identity_ca.cert.pem", "permissions_ca.cert.pem")
-_CERTIFICATES = ("identity_ca.cert", "cert", "permissions_ca.cert")
+_CERTIFICATES, _KEY = ("identity_ca.cert", "cert", "permissions_ca.cert"), "key"
 _LARGEST = 1 << 20
 _XML = re.compile(rb"<dds\b.*?</dds>", re.DOTALL)
 
@@ -33,21 +33,18 @@ class EnclaveError(Exception):
 
 def check(folder: Path, domain: int) -> None:
     """Raise `EnclaveError` or `OSError` if the files of an enclave do not allow to join a domain now."""
-    contents: dict[str, bytes] = {}
-    for name in (*_CERTIFICATES, "key"):
-        if not (folder / f"{name}.p11").is_file():  # a PKCS #11 URI, whose token is not checked
-            contents[name] = _read(folder / f"{name}.pem")
-            if name in _CERTIFICATES:
-                _check_certificate(folder / f"{name}.pem", contents[name])
-    subject = _check_identity(folder, contents)
+    # .p11: a PKCS #11 URI, whose token is not checked
+    files = [folder / f"{name}.pem" for name in (*_CERTIFICATES, _KEY) if not (folder / f"{name}.p11").is_file()]
+    contents = {file.stem: _read(file) for file in files}
+    certificates = {file.stem: _certificates(file, contents[file.stem]) for file in files if file.stem != _KEY}
+    subject = _check_identity(folder, certificates, contents.get(_KEY))
     governance, permissions = folder / GOVERNANCE, folder / _PERMISSIONS
     _check_domain(governance, _document(governance).findall(".//domain_rule"), domain)
     grants = _document(permissions).findall(".//grant")
-    subjects = {grant.findtext("subject_name", "").strip() for grant in grants}
-    if subject and subject not in subjects:
-        names = ", ".join(sorted(subjects))
-        raise EnclaveError(f"{permissions} is for {names}, but {folder / 'cert.pem'} for {subject}", folder)
     own = [grant for grant in grants if not subject or grant.findtext("subject_name", "").strip() == subject]
+    if subject and not own:
+        text = f"{permissions} has no grant for {subject}, the subject of {folder / 'cert.pem'}"
+        raise EnclaveError(text, folder)
     for grant in own:
         _check_validity(permissions, grant)
     _check_domain(permissions, [rule for grant in own for rule in grant.findall("allow_rule")], domain)
@@ -77,41 +74,42 @@ def _read(file: Path) -> bytes:
         return stream.read(_LARGEST)
 
 
-def _check_certificate(file: Path, content: bytes) -> None:
+def _certificates(file: Path, content: bytes) -> list[Certificate]:
+    """Return the certificates in a file, of which the first must be valid now."""
     from cryptography import x509  # only a secured domain needs it
 
     try:
-        certificate = x509.load_pem_x509_certificate(content)
+        certificates = x509.load_pem_x509_certificates(content)
     except ValueError:
         raise EnclaveError(f"{file} is not a certificate in PEM format", file) from None
-    now = datetime.now(UTC)
-    if certificate.not_valid_after_utc < now:
-        raise EnclaveError(f"the certificate {file} has expired on {certificate.not_valid_after_utc:%Y-%m-%d}", file)
-    if certificate.not_valid_before_utc > now:
-        since = f"{certificate.not_valid_before_utc:%Y-%m-%d}"
-        raise EnclaveError(f"the certificate {file} is valid only from {since}: is this machine's clock right", file)
+    now, until, since = datetime.now(UTC), certificates[0].not_valid_after_utc, certificates[0].not_valid_before_utc
+    if until < now:
+        raise EnclaveError(f"the certificate {file} has expired on {until:%Y-%m-%d}", file)
+    if since > now:
+        text = f"the certificate {file} is valid only from {since:%Y-%m-%d}: is this machine's clock right"
+        raise EnclaveError(text, file)
+    return certificates
 
 
-def _check_identity(folder: Path, contents: Mapping[str, bytes]) -> str:
+def _check_identity(folder: Path, certificates: Mapping[str, Sequence[Certificate]], key: bytes | None) -> str:
     """Raise `EnclaveError` if the enclave's key or authority does not fit its certificate.
 
     Returns the certificate's subject as the permissions name it, or "" if it has another form than the subjects of
     ``ros2 security``, which consist of one common name.
     """
-    if "cert" not in contents:
+    if "cert" not in certificates:
         return ""
-    from cryptography import x509
+    from cryptography.x509 import NameOID
 
-    file = folder / "cert.pem"
-    certificate = x509.load_pem_x509_certificate(contents["cert"])
-    if "key" in contents:
-        _check_key(folder / "key.pem", contents["key"], certificate)
-    if "identity_ca.cert" in contents:
-        authorities = x509.load_pem_x509_certificates(contents["identity_ca.cert"])
-        if not any(_is_issued_by(certificate, authority) for authority in authorities):
-            raise EnclaveError(f"the authority in {folder / 'identity_ca.cert.pem'} did not issue {file}", folder)
+    certificate = certificates["cert"][0]
+    if key is not None:
+        _check_key(folder / "key.pem", key, certificate)
+    authorities = certificates.get("identity_ca.cert")
+    if authorities is not None and not any(_is_issued_by(certificate, authority) for authority in authorities):
+        text = f"the authority in {folder / 'identity_ca.cert.pem'} did not issue {folder / 'cert.pem'}"
+        raise EnclaveError(text, folder)
     names = [attribute for rdn in certificate.subject.rdns for attribute in rdn]
-    is_common_name = len(names) == 1 and names[0].oid == x509.NameOID.COMMON_NAME
+    is_common_name = len(names) == 1 and names[0].oid == NameOID.COMMON_NAME
     return f"CN={names[0].value!s}" if is_common_name else ""
 
 

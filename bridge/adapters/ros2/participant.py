@@ -34,7 +34,7 @@ _DISCOVERY = "ros_discovery_info"
 class Participant:
     """A node without default endpoints; endpoints can be created and destroyed from any thread.
 
-    Raises `RuntimeError` if rclpy uses another middleware than ``rmw``, or if DDS Security rejects the enclave.
+    Raises `RuntimeError` if rclpy uses another middleware than ``rmw``, or does not join a secured domain.
 
     Attributes:
         marks: who created the endpoints on the network.
@@ -49,11 +49,11 @@ class Participant:
         self._lock = threading.Lock()
         self._refusals = Refusals()
         self._context = Context()
+        secured = security.is_enabled(os.environ)
         # a secured domain, which only a participant on Fast DDS joins, has its own enclaves
-        arguments = [] if security.is_enabled(os.environ) else ["--ros-args", "--enclave", ENCLAVE]
+        arguments = [] if secured else ["--ros-args", "--enclave", ENCLAVE]
         self._context.init(args=arguments, initialize_logging=False, domain_id=domain)
         self._check_rmw()
-        secured = security.is_enabled(os.environ)
         try:
             self._node = _rclpy.Node(name, "", self._context.handle, [], False, False, *current().node_arguments)
         except _rclpy.RCLError as err:

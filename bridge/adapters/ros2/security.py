@@ -37,7 +37,8 @@ def refusal(environ: Mapping[str, str]) -> str:
 def rejection(environ: Mapping[str, str], domain: int) -> str:
     """Return what to do if DDS does not create a participant with an enclave, for a reason that it only logs."""
     return (
-        f"DDS Security rejects the files in {_folder(environ)}; the log names the reason in the lines with SECURITY."
+        f"DDS did not join the secured domain, probably because it rejects the files in {_folder(environ)}; the log"
+        " names the reason in the lines with SECURITY."
         f" To replace the files, remove the folder, then {_creation(environ, domain)}"
     )
 

@@ -74,7 +74,7 @@ def test_a_rejected_participant_names_the_cure(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, check=False)
     reason = done.stderr.strip().splitlines()[-1]
-    assert f"DDS Security rejects the files in {tmp_path}/enclaves/midspan; the log names the reason" in reason
+    assert f"it rejects the files in {tmp_path}/enclaves/midspan; the log names the reason" in reason
 
 
 @pytest.mark.usefixtures("secured")

@@ -106,7 +106,7 @@ class Keystore:
         self.certificate("cert", days=10)
         self.rules()
 
-    def certificate(self, name: str, days: int, subject: str = "/midspan", since: int = -30) -> None:
+    def certificate(self, name: str, days: int, subject: str = "/midspan") -> None:
         """Write a certificate; the file of the enclave's own, and its key, replace earlier ones."""
         is_own, now = name == "cert", datetime.now(UTC)
         key = ec.generate_private_key(ec.SECP256R1()) if is_own else self.authority
@@ -115,7 +115,7 @@ class Keystore:
             for name in (subject if is_own else "sros2CA", "sros2CA")
         ]
         builder = x509.CertificateBuilder(names[1], names[0], key.public_key(), x509.random_serial_number())
-        builder = builder.not_valid_before(now + timedelta(days=since)).not_valid_after(now + timedelta(days=days))
+        builder = builder.not_valid_before(now + timedelta(days=-30)).not_valid_after(now + timedelta(days=days))
         signed = builder.sign(self.authority, hashes.SHA256())
         (self.enclave / f"{name}.pem").write_bytes(signed.public_bytes(serialization.Encoding.PEM))
         if is_own:
@@ -193,8 +193,8 @@ def test_files_of_different_enclaves_are_reported(keystore: Keystore) -> None:
     folder = keystore.enclave
     again = f"; remove the folder, then 'ROS_DOMAIN_ID=0 ros2 security create_enclave {keystore.folder} /midspan'"
     keystore.rules(subject="/camera")
-    names = f"is for CN=/camera, but {folder / 'cert.pem'} for CN=/midspan"
-    assert keystore.trouble() == f"{folder / 'permissions.p7s'} {names}{again}"
+    reason = f"has no grant for CN=/midspan, the subject of {folder / 'cert.pem'}"
+    assert keystore.trouble() == f"{folder / 'permissions.p7s'} {reason}{again}"
     keystore.certificate("cert", days=3, subject="/camera")
     assert keystore.trouble() == ""
     keystore.key(keystore.authority)
@@ -224,7 +224,7 @@ def test_an_invalid_private_key_is_reported(keystore: Keystore) -> None:
 
 def test_a_rejection_that_is_only_logged_names_the_cure(keystore: Keystore) -> None:
     reason = security.rejection(ON | {"ROS_SECURITY_KEYSTORE": str(keystore.folder)}, 7)
-    assert f"DDS Security rejects the files in {keystore.enclave}; the log names the reason" in reason
+    assert f"it rejects the files in {keystore.enclave}; the log names the reason" in reason
     assert reason.endswith(f"then 'ROS_DOMAIN_ID=7 ros2 security create_enclave {keystore.folder} /midspan'")
 
 

@@ -15,7 +15,6 @@ from navigation.gateway import execution as execution_module
 from navigation.gateway import gateway as gateway_module
 from navigation.gateway import planner_link
 from navigation.gateway.machine import DriveState
-from navigation.gateway.telemetry import Telemetry
 from navigation.status import Fault, State
 from tests.peers.hub.calls import Calling
 from tests.peers.hub.node import HubNode
@@ -409,7 +408,6 @@ def test_a_goal_that_only_the_list_of_a_killed_planner_has_is_sent_again(robot: 
 def test_a_lost_reply_of_a_restarted_planner_is_requested_again(robot: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """The new bt_navigator does not know the goal, but has not discovered the reader of its reply yet."""
     monkeypatch.setattr(planner_link, "ASK_SECONDS", 0.2)
-    monkeypatch.setattr(Telemetry, "silent", 10.0)
     rig, planner = robot.rig, robot.planner
     client_goal = robot.drive()
     planner.tell()
