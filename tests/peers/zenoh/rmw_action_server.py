@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable
+from threading import Lock
 from typing import Any
 
 import zenoh
@@ -44,6 +45,7 @@ class RmwActionServer:
         self._domain, self._action = domain, action
         self.cancels, self.lists, self.rejects, self.loses = cancels, lists, False, 0
         self._lost: list[zenoh.Query] = []
+        self._lock = Lock()
         self._ids = itertools.count(1)
         self._owner = NodeToken(domain, str(self._session.zid()), "0", "/", node)
         self._tokens = [self._declare(node_key(self._owner))]
@@ -90,9 +92,10 @@ class RmwActionServer:
     def answer(self, status: GoalState, code: int = 0, why: str = "") -> None:
         """Reply with the last goal's result, without publishing the list; `GoalState.UNKNOWN` for a lost goal."""
         goal = self.goals[-1]
-        if status.ended:
-            self._statuses[goal] = status
-        query = self._waiting.pop(goal, None)
+        with self._lock:
+            if status.ended:
+                self._statuses[goal] = status
+            query = self._waiting.pop(goal, None)
         if query is not None:
             self._answer_result(query, status, code, why)
 
@@ -171,14 +174,16 @@ class RmwActionServer:
 
     def _result(self, query: zenoh.Query, request: dict[str, Any]) -> None:
         goal = bytes(request["goal_id"]["uuid"])
-        status = self._statuses.get(goal, GoalState.UNKNOWN)
-        if self.loses:
-            self.loses -= 1
-            self._lost.append(query)
-        elif status is not GoalState.UNKNOWN and not status.ended:
-            self._waiting[goal] = query
-        else:
-            self._answer_result(query, status, 0, "")
+        with self._lock:  # the goal may be ending on the test's thread
+            status = self._statuses.get(goal, GoalState.UNKNOWN)
+            if self.loses:
+                self.loses -= 1
+                self._lost.append(query)
+                return
+            if status is not GoalState.UNKNOWN and not status.ended:
+                self._waiting[goal] = query
+                return
+        self._answer_result(query, status, 0, "")
 
     def _answer_result(self, query: zenoh.Query, status: GoalState, code: int, why: str) -> None:
         result = {"error_code": code, "error_msg": why}
@@ -195,9 +200,10 @@ class RmwActionServer:
         """End a goal as canceled; zeros stand for all goals."""
         for goal in [goal for goal, status in self._statuses.items() if not status.ended]:
             if goal == wanted or not any(wanted):
-                self._statuses[goal] = GoalState.CANCELED
+                with self._lock:
+                    self._statuses[goal] = GoalState.CANCELED
+                    waiting = self._waiting.pop(goal, None)
                 self.tell()
-                waiting = self._waiting.pop(goal, None)
                 if waiting is not None:
                     self._answer_result(waiting, GoalState.CANCELED, 0, "")
 
