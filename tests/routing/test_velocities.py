@@ -15,6 +15,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import ConversionError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
+from bridge.routing.decision import RouteDecision
 from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from bridge.routing.velocities import unstamped, with_stamp
@@ -54,6 +55,10 @@ class Side:
     def program(self, type_name: str) -> HubPublisher:
         """Advertise velocities on the hub."""
         return self.far.publisher(CMD_VEL, type_name, REGISTRY.ros2(type_name).type_id, Qos(depth=1))
+
+    def refused(self) -> list[RouteDecision]:
+        """Return what the last check refused; a check creates its routes before it stores its decisions."""
+        return [decision for decision in self.engine.decisions() if decision.refused]
 
     def announced(self, *velocities: tuple[str, str]) -> Callable[[], bool]:
         """Return a function that returns whether exactly these are announced."""
@@ -156,7 +161,7 @@ def test_a_rule_converts_velocities_to_a_side(side: Side, stamped: bool, form: s
     other = side.program({TWIST: STAMPED, STAMPED: TWIST}[type_name])
     until(lambda: len(side.engine.routes()) == 2, "programs with both types can drive")
     assert {e.type for e in side.network.endpoints() if e.topic == CMD_VEL} == {form}, "the side has only one type"
-    assert not [decision for decision in side.engine.decisions() if decision.refused]
+    until(lambda: not side.refused(), "the check that created the second route refuses nothing")
     other.close()
     until(side.announced((CMD_VEL, form)), "programs on the hub follow the base")
 
@@ -189,7 +194,7 @@ def test_a_side_gets_the_velocity_type_that_its_nodes_subscribe_to(side: Side) -
     stamped = side.program(STAMPED)
     until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's type replaces it")
     until(lambda: (stamped.put(WITH_STAMP), side.received)[1], "the stamped velocity arrives")
-    (refused,) = [decision for decision in side.engine.decisions() if decision.refused]
+    (refused,) = until(side.refused, "the check that created the route has ended")
     assert (refused.type, refused.cure) == (TWIST, "convert it with a rule: 'to: ros1', 'stamped: true'")
     assert f"nodes on the side subscribe to {CMD_VEL} as {STAMPED}" in refused.reason
     stamped.close()
@@ -207,9 +212,7 @@ def test_a_velocity_type_without_a_subscriber_on_the_side_has_no_route(side: Sid
     """On ROS 1, this form would become the topic's type, and the base's type would no longer be known."""
     side.base(CMD_VEL, STAMPED)
     side.program(TWIST)
-    until(
-        lambda: [decision for decision in side.engine.decisions() if decision.refused], "the program's type is refused"
-    )
+    until(side.refused, "the program's type is refused")
     assert side.engine.routes() == []
     side.program(STAMPED)
     until(lambda: [route.hub_type for route in side.engine.routes()] == [STAMPED], "the base's type has a route")

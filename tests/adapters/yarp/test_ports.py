@@ -77,7 +77,7 @@ def test_port_that_writes_to_a_topics_port_is_a_publisher(place: Place) -> None:
     writer = place.port("/talker")
     writer.write_to("/midspan/chat:i")
     until(lambda: writer.write(["hello"]) or {"data": "hello"} in place.far.wait(subscription, 1, 0.2), "a message", 10)
-    assert place.far.explain("/chat")
+    until(lambda: place.far.explain("/chat"), "explain reports the route", 10)
     writer.stop()
     place.far.drop(out)
 
