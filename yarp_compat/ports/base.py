@@ -83,13 +83,13 @@ class PortBase(ABC):
 
     def deliver(self, incoming: PortMessage) -> None:
         """Pass a message to the owner; raises `ConnectionAbortedError`, and sends no reply, if the port is closed."""
-        if self._loop is None:
-            raise ConnectionAbortedError(f"port {self.name} is closed")
+        self._check_open()
         counters = self.counters
         counters.received += 1
         if self.on_message is None:
             counters.dropped["no reader"] += 1
         elif self._interrupted:
+            self._check_open()  # a port that begins to close in the meantime also interrupts itself
             counters.dropped["interrupted"] += 1
         else:
             try:
@@ -98,6 +98,10 @@ class PortBase(ABC):
                 counters.dropped["failed"] += 1
                 incoming.give_up()
                 _log.exception("port %s: callback failed on a message from %s", self.name, incoming.peer.route.source)
+
+    def _check_open(self) -> None:
+        if self._loop is None:
+            raise ConnectionAbortedError(f"port {self.name} is closed")
 
     def refused(self, route: ConnectionRoute, error: WireError) -> None:
         """Count and log a malformed or too large message, which ends the connection."""

@@ -90,8 +90,9 @@ class Connections:
             removed = [i for i in self.inputs if i is connection]
             if not removed:
                 return
-            self.inputs = [i for i in self.inputs if i is not connection]
+            # in this order, so that a port that closes finds the connection in at least one of the lists
             self.leaving = [*self.leaving, *removed]
+            self.inputs = [i for i in self.inputs if i is not connection]
         self._notify(connection.route, incoming=True, up=False, address=connection.address)
 
     def ended(self, connection: MessagePeer) -> None:
