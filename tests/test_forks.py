@@ -170,6 +170,15 @@ def test_a_forked_program_shows_its_command(start: Start) -> None:
     assert [word for word in psutil.Process(program.pid).cmdline() if word] == program.args
 
 
+def sockets(pid: int) -> set[str]:
+    """Return the sockets of a running process, which may close some of its files meanwhile."""
+    held = set()
+    for file in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):
+            held.add(file.readlink().name)
+    return {name for name in held if name.startswith("socket:")}
+
+
 def test_a_forked_daemon_forks_its_workers(tmp_path: Path) -> None:
     daemon = MidspanDaemon(tmp_path, "forks")
     daemon.configure(**{side: {"enabled": False} for side in ("ros1", "ros2", "yarp", "zenoh")})
@@ -183,11 +192,7 @@ def test_a_forked_daemon_forks_its_workers(tmp_path: Path) -> None:
         words = router.cmdline()
         assert words[1:8] == ["-P", "-m", "bridge.cli.child", "worker", "router", "--supervised", "--control"]
         assert words[-1] == "", "the rest of the fork server's own command is overwritten"
-        held = [Path(f"/proc/{pid}/fd").iterdir() for pid in (process.pid, router.pid)]
-        inodes = [
-            {file.readlink().name for file in files if file.readlink().name.startswith("socket:")} for files in held
-        ]
-        assert inodes[0] & inodes[1] == set(), "the worker has no socket of the daemon"
+        assert not sockets(process.pid) & sockets(router.pid), "the worker has no socket of the daemon"
         router.kill()
         until(lambda: "router killed by SIGKILL" in process.output(), "the daemon reports the router's end")
     end_router(tmp_path / "state")

@@ -111,7 +111,7 @@ def test_steps_wait_for_the_acknowledgements_of_participants(place: Place, monke
         20,
     )
     assert waiting.result()["reply"]["success"]
-    assert far.wait(subscriptions["/clock"], 1)[-1]["clock"]["sec"] >= 1
+    until(lambda: far.wait(subscriptions["/clock"], 1)[-1]["clock"]["sec"] >= 1, "/clock has the time of the step")
     assert not place.answer("sim")["warnings"], "the simulator, which publishes the time, does not report it as missing"
     assert place.named("fail", "encoders_silent")["success"]
     end = place.step(0.2)["stamp"]
@@ -240,8 +240,13 @@ def test_depth_pictures_are_computed_only_for_subscribers(place: Place, monkeypa
         "all topics arrive",
         20,
     )
-    depth, info, cloud = (far.wait(end, 1)[-1] for end in subscriptions.values())
-    assert depth["header"] == info["header"] == cloud["header"]
+
+    def of_one_step() -> list[dict[str, Any]]:
+        """Return the newest messages, once the messages of the last step have arrived on all topics."""
+        newest = [far.wait(end, 1)[-1] for end in subscriptions.values()]
+        return newest if newest[0]["header"] == newest[1]["header"] == newest[2]["header"] else []
+
+    depth, info, cloud = until(of_one_step, "the messages of one step have the same header")
     assert len(taken) == len(set(taken))  # the image and the points share one rendering
     assert (depth["width"], depth["height"], info["k"][2]) == (32, 16, 15.5)
     assert cloud["row_step"] == 32 * 12

@@ -59,8 +59,9 @@ class Robot(HubNode):
         now = time.time_ns()
         if "odometry" not in self.silent:
             self._tf.publish_cdr(write([stamped("odom", "base_link", self.odometry, now)]))
-        if self.localized is not None:
-            self._tf.publish_cdr(write([stamped("map", "odom", self.localized, now + 100_000_000)]))
+        localized = self.localized  # a test may set it meanwhile
+        if localized is not None:
+            self._tf.publish_cdr(write([stamped("map", "odom", localized, now + 100_000_000)]))
         if "scan" not in self.silent:
             scan = messages.scan(now, self._sim.scan, "laser", 20.0)
             # because of the laser's mounting, the beams run clockwise and start at the back

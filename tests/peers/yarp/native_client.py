@@ -46,7 +46,9 @@ class NativeClient:
             link = socket.create_connection((contact.host, contact.port), self._seconds)
             name = self.name.encode() + b"\0"
             link.sendall(bytes.fromhex("5941e41e00005250") + len(name).to_bytes(4, "little") + name)
-            link.recv(8, socket.MSG_WAITALL)
+            if len(link.recv(8, socket.MSG_WAITALL)) < 8:  # the port is closing (``TcpCarrier::expectReplyToHeader``)
+                link.close()
+                return False
             with self._lock:
                 self._drop()
                 self._link, self._target = link, target

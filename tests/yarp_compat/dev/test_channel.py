@@ -94,7 +94,7 @@ def test_a_release_is_forgotten_with_its_connection(make_port: MakePort) -> None
         assert client.add_output("/server/rpc")[0]
         places = Places(PortChannel(client, timeout=10))
         assert places.clear_RPC() == OK
-        assert server.generations.explain() == []
+        until(lambda: server.generations.explain() == [], "the end of the previous connection is handled")
         assert places.introduce() is not None
         assert len(server.generations.explain()) == 1
         assert client.remove_output("/server/rpc")

@@ -183,7 +183,7 @@ def test_a_closed_port_is_not_registered_again(server: NameServer) -> None:
     port.open()
     assert any(t.name == "yarp names" for t in threading.enumerate())
     port.close()
-    assert not any(t.name == "yarp names" for t in threading.enumerate())
+    until(lambda: not any(t.name == "yarp names" for t in threading.enumerate()), "the keeper's thread has ended")
     assert server.registry.find("/p") is None
 
 
@@ -243,6 +243,7 @@ def test_lost_ports_register_again_and_closed_ones_do_not(server: NameServer) ->
         others.unregister(port.name)
     for port in ports:
         port.close()
+    until(lambda: not any(t.name == "yarp names" for t in threading.enumerate()), "the keeper's last check has ended")
     assert others.list() == [server.contact]
 
 

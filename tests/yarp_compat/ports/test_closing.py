@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from typing import Any
 
 import pytest
@@ -79,11 +78,13 @@ def test_port_opened_while_another_thread_closes_it_is_open_afterwards(
     port, client = PortCore("/port", naming=naming), make_port("/client")
     port.open()
     close, closing, opener = port.connections.close, threading.Event(), threading.Thread(target=port.open)
+    closed_again = threading.Event()
 
     def slowly() -> None:
         closing.set()
         opener.start()
         opener.join(0.3)  # the opening thread is waiting
+        assert closed_again.wait(20)
         close()
 
     monkeypatch.setattr(port.connections, "close", slowly)
@@ -91,6 +92,7 @@ def test_port_opened_while_another_thread_closes_it_is_open_afterwards(
     closer.start()
     assert closing.wait(20)
     port.close()  # the other thread is already closing the port
+    closed_again.set()
     for thread in (closer, opener):
         thread.join(20)
     monkeypatch.undo()
@@ -161,7 +163,7 @@ def test_port_that_is_opened_again_is_not_checked_more_often(
     for _ in range(10):
         port.close()
         port.open()
-    time.sleep(0.2)
-    checked.clear()
-    time.sleep(0.5)
+    for _ in range(2):  # the first time until the checks of the closed ports, which were due earlier, have run
+        checked.clear()
+        until(lambda: checked.count("/another") >= 5, "the other port is checked")
     assert 0 < checked.count("/r") <= 2 * checked.count("/another")

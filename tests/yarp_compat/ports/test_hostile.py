@@ -211,8 +211,8 @@ def test_introduced_peers_that_are_silent_have_no_thread(make_port: MakePort, mo
 
 
 def test_introductions_have_a_time_limit(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(listener, "PATIENCE", 0.2)
     works = Works(make_port)
+    monkeypatch.setattr(listener, "PATIENCE", 0.2)
     assert receive_all(call(works.port, TCP)) == b""
     works.check()
 
@@ -296,13 +296,14 @@ def test_a_thousand_connections_leak_nothing(make_port: MakePort) -> None:
 
     for carrier in ("tcp", "fast_tcp", "udp", "text", "text_ack", "local"):
         cycle(carrier)
-    until(lambda: not reader.inputs(), "the first connections are closed")
+    until(lambda: not reader.inputs() and not reader.connections.leaving, "the first connections have ended")
     # may include those of the first connections, which are still ending
     files, threads = process.num_fds(), threading.active_count()
     got.clear()
     for i in range(1000):
         cycle(("tcp", "fast_tcp", "text_ack", "local")[i % 4])
     until(lambda: not reader.inputs() and not writer.outputs(), "all connections are closed")
+    until(lambda: not reader.connections.leaving, "all connections have delivered their messages")
     until(lambda: process.num_fds() <= files and threading.active_count() <= threads, "nothing is leaked", 20)
     assert len(got) == 1000
 

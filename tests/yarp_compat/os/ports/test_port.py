@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import socket
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 import yarp_compat as yarp
+from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.os.runtime import RUNTIME
 from yarp_compat.pythonic import Client
@@ -322,8 +322,7 @@ def test_renamed_port_of_every_kind_receives_under_its_new_name(monkeypatch: pyt
 
 
 def test_environment_can_set_a_ports_number(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        number = free.getsockname()[1]
+    number = free_port()
     monkeypatch.setenv("YARP_PORTNUMBER_camera", str(number))
     monkeypatch.setenv("YARP_RENAME_camera", "/eye")
     port = opened(name="/camera")
@@ -340,21 +339,22 @@ def test_port_reports_itself_and_its_connections() -> None:
         def report(self, info: yarp.PortInfo) -> None:
             messages.append(info.message)
 
-    reader, writer = connected()
-    reader.getReport(Report())
-    assert messages[0].startswith("This is /r at tcp://127.0.0.1:")
-    assert messages[1:] == ["There is an input connection from /w to /r using tcp"]
     coming: list[tuple[bool, bool, str]] = []
 
     class Events(yarp.PortReport):
         def report(self, info: yarp.PortInfo) -> None:
             coming.append((info.incoming, info.created, info.sourceName))
 
-    events = Events()
+    reader, writer, events = opened(name="/r"), opened(name="/w"), Events()
     reader.setReporter(events)
+    assert writer.addOutput("/r")
+    until(lambda: coming == [(True, True, "/w")], "the new connection is reported")
+    reader.getReport(Report())
+    assert messages[0].startswith("This is /r at tcp://127.0.0.1:")
+    assert messages[1:] == ["There is an input connection from /w to /r using tcp"]
     writer.close()
-    until(lambda: coming, "the connection ends")
-    assert coming == [(True, False, "/w")]
+    until(lambda: len(coming) == 2, "the end of the connection is reported")
+    assert coming[1] == (True, False, "/w")
 
 
 def test_port_listens_at_the_given_address() -> None:
