@@ -126,21 +126,33 @@ def test_a_job_that_hangs_does_not_delay_closing_the_pool() -> None:
 
 def test_a_call_requested_twice_with_once_runs_once() -> None:
     calls, executed = DelayedCalls("delayed"), list[str]()
+    begun, go_on = threading.Semaphore(0), threading.Semaphore(0)
 
     def once() -> None:
         executed.append("once")
 
+    def hold() -> None:
+        begun.release()
+        assert go_on.acquire(timeout=40)
+
     try:
+        calls.after(0.0, hold)  # no other call is due before all are requested
         calls.after(0.3, lambda: executed.append("last"))
         calls.after(0.05, once, once=True)
         calls.after(0.1, once, once=True)
         calls.after(0.0, lambda: 1 // 0)  # the failure does not stop later calls
+        go_on.release()
         until(lambda: "last" in executed, "all calls have run")
         assert executed == ["once", "last"]
         calls.after(0.0, once, once=True)
         until(lambda: executed[-1] == "once", "the call may be requested again")
-        calls.after(0.05, lambda: executed.append("never"))
+        assert begun.acquire(timeout=40)
+        calls.after(0.0, hold)
+        assert begun.acquire(timeout=40)
+        calls.after(0.0, lambda: executed.append("never"))  # is due, and waits for the call that runs
+        calls.close(0.0)
     finally:
+        go_on.release(2)
         calls.close()
     calls.after(0.0, lambda: executed.append("never"))
     assert "never" not in executed
@@ -184,3 +196,4 @@ def test_without_threads_a_job_is_canceled_or_waits_for_a_running_one() -> None:
         assert not waiting.cancelled()
         gate.set()
         assert (running.result(20)[1], waiting.result(20)) == (True, 2)
+        pool.close(20)

@@ -173,8 +173,9 @@ def test_yarp_envelopes_are_a_period_apart(place: Place) -> None:
         place.worker.start(place.config(plan="hall", yarp="/cer"))
         until(lambda: names.query("/cer/odometry:o"), "the port is registered", 20)
         stamps_ns: list[int] = []
-        with Reader("/test/odometry:i", naming=names) as reader:
-            connections.connect(names, "/cer/odometry:o", "/test/odometry:i")
+        # strict and without acknowledgments, so that no message of a burst replaces another
+        with Reader("/test/odometry:i", strict=True, naming=names) as reader:
+            connections.connect(names, "/cer/odometry:o", "/test/odometry:i", "fast_tcp")
             reader.read()
             hold_up(place)
             while len(stamps_ns) < 60:

@@ -6,6 +6,7 @@ import random
 import struct
 import sys
 import threading
+import time
 from typing import Any
 
 import pytest
@@ -104,10 +105,9 @@ def test_large_messages_are_converted_while_other_threads_run():
     try:
         sys.setswitchinterval(100.0)  # so that this thread keeps the GIL unless `convert` releases it
         go.set()
-        for _ in range(200):
+        end = time.monotonic() + 40  # without pauses, which would release the GIL, too
+        while not ran.is_set() and time.monotonic() < end:
             convert(message)
-            if ran.is_set():
-                break
         assert ran.is_set()
     finally:
         sys.setswitchinterval(before)

@@ -19,6 +19,7 @@ from tests.yarp_compat.dev.release_clients import (
     settled,
 )
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
+from yarp_compat.dev import release_trial
 from yarp_compat.dev.release_trial import ReleaseTrials
 from yarp_compat.dev.returnvalue import OK
 from yarp_compat.dev.server import Server
@@ -31,6 +32,12 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Vocab
 
 __all__ = ["connect", "loads", "make_port", "naming"]
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a trial wait for its reply on a busy machine, because a second trial would send another request."""
+    monkeypatch.setattr(release_trial, "_PATIENCE", 60.0)
 
 
 def test_a_map_client_over_tcp_counts_as_older_than_3_10(connect: Callable[..., Client]) -> None:

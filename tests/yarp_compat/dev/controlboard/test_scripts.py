@@ -43,6 +43,7 @@ def driver(request: pytest.FixtureRequest, joints: Joints) -> Iterator[yarp.Poly
     options.put("device", "remote_controlboard")
     options.put("remote", "/robot/arm")
     options.put("local", "/script/arm")
+    options.put("timeout", 60.0)  # a busy machine may delay the states
     device = yarp.PolyDriver(options)
     assert device.isValid()
     yield device

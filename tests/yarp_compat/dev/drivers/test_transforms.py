@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 import yarp_compat as yarp
-from tests.support.wait import until
 from tests.yarp_compat.os.conftest import local
+from yarp_compat.dev.frametransform_client import LIFETIME
 from yarp_compat.dev.frametransform_local import LocalTransforms
 from yarp_compat.dev.returnvalue import ReturnCode
 
@@ -31,8 +31,10 @@ def at(x: float) -> yarp.Matrix:
     return matrix
 
 
-def test_local_transforms_are_stored_and_expire(frames: LocalTransforms) -> None:
-    matrix = yarp.Matrix()
+def test_local_transforms_are_stored_and_expire(frames: LocalTransforms, monkeypatch: pytest.MonkeyPatch) -> None:
+    matrix, time = yarp.Matrix(), [100.0]
+    for module in ("iframetransform", "frametransform_local"):
+        monkeypatch.setattr(f"yarp_compat.dev.{module}.now", lambda: time[0])
     assert frames.setTransformStatic("base", "map", at(1.0))
     assert frames.setTransformStatic("laser", "base", at(0.5))
     assert frames.getTransform("laser", "map", matrix)
@@ -41,7 +43,8 @@ def test_local_transforms_are_stored_and_expire(frames: LocalTransforms) -> None
     assert frames.setTransform("arm", "base", at(0.75)), "a newer transform replaces an older one"
     assert frames.getTransform("arm", "base", matrix)
     assert matrix[0, 3] == 0.75
-    until(lambda: not frames.frameExists("arm"), "the transform expires")
+    time[0] += LIFETIME + 0.01
+    assert not frames.frameExists("arm"), "the transform has expired"
     assert frames.frameExists("laser"), "static transforms do not expire"
     assert not frames.waitForTransform("arm", "map", 0.02)
     assert frames.waitForTransform("laser", "map", 0.02)
