@@ -162,6 +162,8 @@ def test_callback_may_fail_and_close_the_port(caplog: pytest.LogCaptureFixture) 
     send(writer, 0, strict=True)
     send(writer, 1, strict=True)
     until(reader.isClosed, "the callback closes the port")
+    # the next test must not share this port's thread
+    until(lambda: all(t.name != "yarp callback /r" for t in threading.enumerate()), "the port has closed")
     assert calls == [0, 1]
     assert "a callback failed" in caplog.text
 
