@@ -228,14 +228,14 @@ def test_a_closed_subscription_stops_delivering(edge: RunningEdge, peer: Callabl
     until(delivered, "both subscriptions deliver messages")
     subscription.close()
     subscription.close()
-    count, others = len(closed), len(inbox.messages)
+    others = len(inbox.messages)
 
     def more() -> bool:
         native.publish(publisher, {"data": "b"})
         return len(inbox.messages) > others + 3
 
     until(more, "the other subscription still delivers messages")
-    assert len(closed) == count
+    assert {text(payload) for payload in closed} == {"a"}, "a delivery may have been in progress"
 
 
 def test_an_invalid_topic_name_is_refused_with_a_clear_error(edge: RunningEdge) -> None:

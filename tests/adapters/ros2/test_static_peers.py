@@ -72,7 +72,8 @@ def test_two_daemons_discover_each_other_without_multicast(
             until(lambda: "publisher /mine midspan" in second.ask("status")["endpoints"], "and the other way round", 20)
             first.popen.kill()
             first.popen.wait()
-        with edge(robot, tmp_path / "robot"):
+        with edge(robot, tmp_path / "robot") as successor:
+            successor.ask("status")  # it has started
             until(
                 lambda: "publisher /mine midspan" not in second.ask("status")["endpoints"],
                 "disposed by its successor",

@@ -31,7 +31,7 @@ def test_messages_without_a_stamp_get_the_time_of_a_yarp_simulator(place: Place)
         {"port": "/clock", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock", "direction": "in"},
         {"topic": "/place", "type": "geometry_msgs/msg/TwistStamped", "as": "natural"},
     ]
-    place.bridge(*rules, clock={"source": "sim"})
+    simulated = place.bridge(*rules, clock={"source": "sim"}).bridge._engine.edge.clock
     clock, robot = place.port("/clock"), place.port("/robot:o")
     times, velocities = (
         place.far.subscribe("/clock", CLOCK),
@@ -39,6 +39,7 @@ def test_messages_without_a_stamp_get_the_time_of_a_yarp_simulator(place: Place)
     )
     until(lambda: (clock.write([1000, 5]), place.far.wait(times, 1, 0.2))[1], "the hub receives the time")
     assert place.far.wait(times, 1)[-1] == {"clock": {"sec": 1000, "nanosec": 5}}
+    until(lambda: simulated.now_ns() == 1_000_000_000_005, "the bridge has the time, which it first publishes")
     robot.write_to("/midspan/place:i")
     until(lambda: (robot.write([0.5, 0.0, 10.0]), place.far.wait(velocities, 1, 0.2))[1], "a velocity is bridged")
     assert place.far.wait(velocities, 1)[-1]["header"]["stamp"] == {"sec": 1000, "nanosec": 5}

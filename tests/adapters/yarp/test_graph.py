@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
+from bridge.adapters.yarp import graph as graph_module
 from bridge.adapters.yarp.graph import KnownPort, NodePort, YarpGraph
 from bridge.messages.registry import Registry
 from tests.peers.yarp.programs import Names
+from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.os.ports.nested import LATCHED
 from yarp_compat.ports.port import PortCore
@@ -52,7 +53,10 @@ def test_publisher_announces_latching_at_the_first_update(
     assert update(YarpGraph(Registry()), names).latched is latched
 
 
-def test_latching_can_be_set_at_the_name_server_later(names: Names, port: PortCore) -> None:
+def test_latching_can_be_set_at_the_name_server_later(
+    names: Names, port: PortCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graph_module, "_ANNOUNCE_SECONDS", 60.0)
     port.open()
     graph = YarpGraph(Registry())
     assert not update(graph, names).latched
@@ -60,10 +64,11 @@ def test_latching_can_be_set_at_the_name_server_later(names: Names, port: PortCo
     assert update(graph, names).latched
 
 
-def test_registered_publisher_that_does_not_listen_yet_is_not_present(names: Names) -> None:
-    graph = YarpGraph(Registry())
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        number = taken.getsockname()[1]
+def test_registered_publisher_that_does_not_listen_yet_is_not_present(
+    names: Names, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graph_module, "_ANNOUNCE_SECONDS", 60.0)
+    graph, number = YarpGraph(Registry()), free_port()
     names.client.register(PORT, "127.0.0.1", number)
     update(graph, names)
     assert not graph.is_present(PORT)

@@ -147,8 +147,15 @@ def test_yarps_classes_read_and_write_natural_topics(place: Place, profile: Prof
         value = values[name] = classes[name].from_bytes(bytes(reader.messages()[0].payload), profile)
         subscription = place.far.subscribe(f"/{name}_in", types[name])
         writer.write_to(f"/midspan/{name}_in:i")
-        writer.write(value.to_bytes(profile), _envelope(1))
-        back = until(lambda s=subscription: place.far.wait(s, 1, 0.2), f"{name} is bridged")[0]
+        payload = value.to_bytes(profile)
+
+        def crossed(
+            writer: YarpPort = writer, payload: bytes = payload, subscription: int = subscription
+        ) -> list[dict[str, Any]]:  # the bridge may not know the subscription yet
+            writer.write(payload, _envelope(1))
+            return place.far.wait(subscription, 1, 0.2)
+
+        back = until(crossed, f"{name} is bridged")[0]
         known = {k: v for k, v in message.items() if k not in ("header", "angle_increment", "data")}
         assert near(back, known), name
         if name != "numbers":

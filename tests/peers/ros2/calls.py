@@ -119,13 +119,14 @@ class Acting(Record):
         )
 
     async def execute(self, handle: Any) -> Any:
+        wait = self.waits.setdefault(bytes(handle.goal_id.uuid), Future())  # before `release` may end the goals
         self.add(self.plain(handle.request))
         if self.period:
             threading.Thread(target=self.work, args=(handle,), daemon=True).start()
         else:
             self.work(handle)
         if self.held or self.period:
-            await self.waits.setdefault(bytes(handle.goal_id.uuid), Future())
+            await wait
         if handle.is_cancel_requested:
             handle.canceled()
         elif self.outcome == "abort":

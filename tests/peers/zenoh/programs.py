@@ -254,7 +254,7 @@ class Ros2ddsBridge(Program):
     def tokens(self, topic: str, letters: str = "MP") -> list[str]:
         """Return the tokens of other bridges for a topic."""
         part = f"/@ros2_lv/{letters}/{self.key(topic).replace('/', '§')}/"
-        return sorted(t for t in self._tokens if part in t and self.zid not in t)
+        return sorted(t for t in self.all_tokens() if part in t and self.zid not in t)
 
     def graph(self) -> dict[str, Any]:
         graph: dict[str, Any] = {"publishers": {}, "subscriptions": {}}
@@ -395,7 +395,7 @@ class Ros1Bridge(Program):
     def beacons(self) -> list[str]:
         """Return the keys of all beacons received from other sessions in the last three periods."""
         now = time.monotonic()
-        return sorted(key for key, received_at in self._beacons.items() if now - received_at < 3 * self._period)
+        return sorted(key for key, received_at in self._beacons.copy().items() if now - received_at < 3 * self._period)
 
     def graph(self) -> dict[str, Any]:
         graph: dict[str, Any] = {"publishers": {}, "subscriptions": {}}

@@ -45,7 +45,7 @@ class RmwActionServer:
         self._domain, self._action = domain, action
         self.cancels, self.lists, self.rejects, self.loses = cancels, lists, False, 0
         self._lost: list[zenoh.Query] = []
-        self._lock = Lock()
+        self._lock, self._listing = Lock(), Lock()
         self._ids = itertools.count(1)
         self._owner = NodeToken(domain, str(self._session.zid()), "0", "/", node)
         self._tokens = [self._declare(node_key(self._owner))]
@@ -77,9 +77,10 @@ class RmwActionServer:
     def close_part(self, part: str) -> None:
         """Close one of ``send_goal``, ``get_result``, ``cancel_goal``, ``feedback`` and ``status``."""
         if part == "get_result":
-            for query in self._waiting.values():
+            with self._lock:
+                waiting, self._waiting = self._waiting, {}
+            for query in waiting.values():
                 query.drop()
-            self._waiting.clear()
         for declared in self._parts.pop(part):
             declared.close() if isinstance(declared, RmwPublisher) else declared.undeclare()
 
@@ -198,7 +199,7 @@ class RmwActionServer:
 
     def cancel(self, wanted: bytes = bytes(16)) -> None:
         """End a goal as canceled; zeros stand for all goals."""
-        for goal in [goal for goal, status in self._statuses.items() if not status.ended]:
+        for goal in [goal for goal, status in self._statuses.copy().items() if not status.ended]:
             if goal == wanted or not any(wanted):
                 with self._lock:
                     self._statuses[goal] = GoalState.CANCELED
@@ -208,10 +209,11 @@ class RmwActionServer:
                     self._answer_result(waiting, GoalState.CANCELED, 0, "")
 
     def tell(self) -> None:
-        """Publish the goal list."""
-        entries = [
-            {"goal_info": {"goal_id": {"uuid": list(goal)}}, "status": int(status)}
-            for goal, status in self._statuses.items()
-        ]
-        if "status" in self._parts:
-            self._status.put(MessageWriter(REGISTRY.schema(STATUSES)).message({"status_list": entries}))
+        """Publish the goal list; on the test's thread, or on zenoh's for a request."""
+        with self._listing:  # lists are published in order, each with its own number
+            entries = [
+                {"goal_info": {"goal_id": {"uuid": list(goal)}}, "status": int(status)}
+                for goal, status in self._statuses.copy().items()
+            ]
+            if "status" in self._parts:
+                self._status.put(MessageWriter(REGISTRY.schema(STATUSES)).message({"status_list": entries}))

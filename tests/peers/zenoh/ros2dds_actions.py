@@ -26,6 +26,7 @@ class Acting:
         self._thread: threading.Thread | None = None
         self._server.send_goal.reply = {"accepted": self._outcome != "reject"}
         if self._outcome != "reject":
+            self._server.send_goal.held = True  # until the reply to a cancel request names the goal
             self._thread = threading.Thread(target=self._run, daemon=True)
             self._thread.start()
 
@@ -33,6 +34,7 @@ class Acting:
         if not self._server.send_goal.requests(1, self._seconds):
             return
         self._server.cancel_goal.reply = {"goals_canceling": [{"goal_id": self._server.goal()["goal_id"]}]}
+        self._server.send_goal.release()
         until(lambda: self._server.feedback.matching_status.matching, "a client matches", self._seconds)  # type: ignore[attr-defined]
         self._server.report(EXECUTING)
         if not self._held:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import time
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from types import SimpleNamespace
@@ -16,7 +15,6 @@ from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.concurrency import DelayedCalls
 from bridge.hub.wire.qos import Qos
 from bridge.routing.edge import Endpoint, Kind, MadeBy
-from tests.support.wait import until
 
 PREFIX = bytes.fromhex("010f010203040506070800ff")
 WRITER = PREFIX + b"\0\0\x12\x03"
@@ -96,14 +94,12 @@ def test_a_heartbeat_is_sent_even_if_its_thread_did_not_run_in_time(monkeypatch:
     assert sent == [spdp.heartbeats({WRITER: 2})]
 
 
-def test_readers_of_one_writer_are_prepared_together(later: DelayedCalls, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readers_of_one_writer_are_prepared_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """A reader of a participant that has settled does not end the heartbeats for one that has just been discovered."""
-    monkeypatch.setattr(heartbeats, "_SETTLE_SECONDS", 0.3)
-    settled = b"\1\x10" + READER[2:4] + bytes(12)
-    beats = Heartbeats(lambda _: None, later)
+    clock, settled = Clock(monkeypatch), b"\1\x10" + READER[2:4] + bytes(12)
+    beats = Heartbeats(lambda _: None, cast("DelayedCalls", clock))
     beats.prepare(WRITER[:-1] + b"\2", 0, [settled])
-    end = time.monotonic() + 0.3
-    until(lambda: time.monotonic() > end, "the first participant has settled")
+    clock.now += heartbeats._SETTLE_SECONDS
     late = beats.prepare(WRITER, 1, [READER])
     assert beats.prepare(WRITER, 4, [settled]) == late
     assert beats._pending[WRITER].last == 1

@@ -69,7 +69,8 @@ def test_services_cross_between_domains(domains: Domains) -> None:
 def test_actions_cross_between_domains(domains: Domains) -> None:
     far, near = domains.far, domains.near
     feedback = [{"distance_remaining": 1.0}]
-    acting = far.ask("act", action="/d/drive", type=ACTION, held=True, feedback=feedback)["id"]
+    repeated = {"times": 100, "period": 0.1}  # the first may precede the match of the client's reader
+    acting = far.ask("act", action="/d/drive", type=ACTION, held=True, feedback=feedback, **repeated)["id"]
     doomed = domains.peer("doomed", ROS_DOMAIN_ID=domains.far_domain)
     doomed.ask("act", action="/d/doomed", type=ACTION, held=True)
 
@@ -78,7 +79,7 @@ def test_actions_cross_between_domains(domains: Domains) -> None:
 
     def goal(number: int, **until: Any) -> None:
         result = near.ask("goal", id=number, until=until, seconds=SECONDS)
-        assert {k: len(result[k]) if k == "feedback" else result[k] for k in until} == until
+        assert {k: min(len(result[k]), until[k]) if k == "feedback" else result[k] for k in until} == until
 
     first, second, third = send("/d/drive"), send("/d/drive"), send("/d/doomed")
     for number in (first, second):
