@@ -299,11 +299,11 @@ def test_a_node_with_graph_messages_of_humble_is_found_by_its_endpoints(shared: 
 
 def test_doctor_names_the_nodes(shared: Deployment) -> None:
     native, service = cyclone(shared), Service(Registry(), SET_BOOL)
-    native.serve("/lamp", TYPE, service.response())
-    until_explained(shared, "/lamp", "bridged")
+    native.serve("/named", TYPE, service.response())
+    until_explained(shared, "/named", "bridged")
     shared.ros2().advertise("/of_fast_dds", "std_msgs/String")
     until(lambda: shows(shared, "Cyclone DDS 11.0.1 (", "Fast DDS 2 (Iron or Jazzy): "), "status names both", 40)
-    explained = shared.command("explain", "/lamp").stdout
+    explained = shared.command("explain", "/named").stdout
     assert "    served by a node with an unknown name on Cyclone DDS 11.0.1 (" in explained, explained
     findings = json.loads(shared.command("doctor", "--json", seconds=60).stdout)
     named = [finding["seen"] for finding in findings if finding["check"] == "ros2-releases"]

@@ -116,7 +116,7 @@ def test_a_chain_of_frames_from_three_sides_is_the_same_on_all(deployment: Deplo
                 until(lambda c=client: (publish(), c.canTransform("lens", "map"))[1], "YARP has the chain", 60, 0.1)
                 publish()
                 np.testing.assert_allclose(client.pose("lens", "map", timeout=20), want, atol=1e-9)
-                assert {"beacon", "bumper"} <= set(client)
+                until(lambda c=client: {"beacon", "bumper"} <= set(c), "YARP has all mounted frames", 60, 0.1)
 
 
 def chain(x: float) -> np.ndarray:

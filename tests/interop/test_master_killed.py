@@ -103,7 +103,7 @@ def test_the_goal_of_a_ros_1_client_continues_and_is_canceled(
     program.drives_on(goal)
     running.master.start()
     until(
-        lambda: running.worker("ros1")["network"] == running.master.call("getParam", "/run_id"),
+        lambda: running.worker("ros1").get("network") == running.master.call("getParam", "/run_id"),
         "the worker joins the new master",
         SECONDS,
     )

@@ -124,6 +124,7 @@ def test_a_rospy_program_steps_and_resumes_on_the_bags_time(site: Deployment, ba
     with play(site, bag, "--clock", "--paused", "--topics", "/scan"):
         for service in (STEP, PAUSE):
             rospy.ask("await_service", service=service, seconds=30)
+        until(lambda: rospy.ask("connections", id=scans)["count"], "rospy is connected to the publisher of scans", 20)
         for count in (1, 2):
             call = rospy.ask("call", service=STEP, type="std_srvs/Trigger", request={})["id"]
             assert rospy.ask("result", id=call, seconds=20)["reply"]["success"]
