@@ -112,7 +112,8 @@ def test_denied_static_transforms_disappear_on_both_networks(side: Side, far: Hu
     until(lambda: peer.graph()["publishers"].get("/out/tf_static"), "the transforms are published on the side", 15)
     far.drop(outwards)
     until(lambda: far.route("/out/tf_static", "out")["sources"] == 0, "the broadcaster has left", 15, every=0.1)
-    assert peer.graph()["publishers"].get("/out/tf_static")
+    # a program of zenoh's ros1 dialect forgets a topic whose beacons are late
+    until(lambda: peer.graph()["publishers"].get("/out/tf_static"), "the transforms are still published")
     bridge.reload(config(rules=[{"topic": "/*/tf_static", "deny": True}]))
     far.until_unpublished("/in/tf_static")
     until(lambda: not peer.graph()["publishers"].get("/out/tf_static"), "no publisher is left on the side", 15)
