@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from bridge.config.model import Config
 from tests.contract.hubside import HubSide
 from tests.contract.side import Side
@@ -31,13 +33,15 @@ def test_rules_deny_rename_and_limit_topics(side: Side, far: HubSide, config) ->
     peer.publish(secret, {"data": "hidden"})
     far.publish_until(peer, local, {"data": "pose"}, lambda: far.wait(at_robot, 1, 0.2))
     probes = far.publish_until(peer, fast, {"data": "probe"}, lambda: far.wait(at_fast, 1, 0.2))
+    begun = time.monotonic()
     before = until(lambda: _count(far, "/fast_stream", 1), "the probe is counted", 10, every=0.1)
     for n in range(20):
         peer.publish(fast, {"data": str(n)})
     route = until(
         lambda: _count(far, "/fast_stream", _seen(before) + 20), "all fast messages are counted", 10, every=0.1
     )
-    assert route["drops"]["rate"] - before["drops"]["rate"] >= 15
+    # a busy machine may publish slowly; after a silence, a message passes up to 0.1 s earlier
+    assert route["messages"] - before["messages"] <= 2 + 5.0 * (time.monotonic() - begun)
     # probes before the received one are counted if they preceded the match with the hub's subscription
     until(
         lambda: 0 <= far.route("/fast_stream", "in")["messages"] - len(far.wait(at_fast, 0)) < probes,
@@ -108,7 +112,8 @@ def test_denied_static_transforms_disappear_on_both_networks(side: Side, far: Hu
     until(lambda: peer.graph()["publishers"].get("/out/tf_static"), "the transforms are published on the side", 15)
     far.drop(outwards)
     until(lambda: far.route("/out/tf_static", "out")["sources"] == 0, "the broadcaster has left", 15, every=0.1)
-    assert peer.graph()["publishers"].get("/out/tf_static")
+    # a program of zenoh's ros1 dialect forgets a topic whose beacons are late
+    until(lambda: peer.graph()["publishers"].get("/out/tf_static"), "the transforms are still published")
     bridge.reload(config(rules=[{"topic": "/*/tf_static", "deny": True}]))
     far.until_unpublished("/in/tf_static")
     until(lambda: not peer.graph()["publishers"].get("/out/tf_static"), "no publisher is left on the side", 15)

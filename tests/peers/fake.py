@@ -27,10 +27,14 @@ class Writer:
 
 @dataclass(eq=False)
 class Reader:
-    """A subscription on the fake network."""
+    """A subscription on the fake network.
+
+    ``delivering`` is held during each delivery, so that a message cannot overtake the retained ones, which are older.
+    """
 
     endpoint: Endpoint
     deliver: Deliver
+    delivering: threading.RLock = field(default_factory=threading.RLock)
 
 
 @dataclass(eq=False)
@@ -89,16 +93,17 @@ class FakeNetwork:
 
     def read_from(self, topic: str, type_: str, qos: Qos, made_by: MadeBy, node: str, deliver: Deliver) -> Reader:
         reader = Reader(Endpoint(f"r{next(self._ids)}", Kind.SUBSCRIPTION, topic, type_, qos, made_by, node), deliver)
-        with self._lock:
-            self._readers.append(reader)
-            past = [
-                (payload, w.endpoint.id)
-                for w in self._writers
-                if w.endpoint.topic == topic and w.endpoint.qos.latched and qos.latched
-                for payload in w.retained.values()
-            ]
-        for payload, source in past:
-            deliver(payload, source, None)
+        with reader.delivering:
+            with self._lock:
+                self._readers.append(reader)
+                past = [
+                    (payload, w.endpoint.id)
+                    for w in self._writers
+                    if w.endpoint.topic == topic and w.endpoint.qos.latched and qos.latched
+                    for payload in w.retained.values()
+                ]
+            for payload, source in past:
+                deliver(payload, source, None)
         self._changed()
         return reader
 
@@ -108,7 +113,13 @@ class FakeNetwork:
                 writer.retained[source] = payload
             readers = [r for r in self._readers if r.endpoint.topic == writer.endpoint.topic]
         for reader in readers:
-            reader.deliver(payload, writer.endpoint.id, None)
+            with reader.delivering:
+                reader.deliver(payload, writer.endpoint.id, None)
+
+    def drop_source(self, writer: Writer, source: str) -> None:
+        """Drop the message that a writer retains for a source."""
+        with self._lock:
+            writer.retained.pop(source, None)
 
     def has_subscribers(self, topic: str) -> bool:
         with self._lock:
@@ -173,7 +184,7 @@ class _Publisher:
         self.network.write(self.writer, payload, source)
 
     def drop_source(self, source: str) -> None:
-        self.writer.retained.pop(source, None)
+        self.network.drop_source(self.writer, source)
 
     def close(self) -> None:
         self.network.remove(self.writer)

@@ -176,7 +176,8 @@ def test_a_rule_converts_velocities_to_the_hub(side: Side, stamped: bool, form: 
     writer = side.network.write_on(CMD_VEL, type_name, Qos(), MadeBy.NATIVE, "/joystick")
     until(lambda: (side.network.write(writer, MESSAGES[type_name]), received)[1], "the velocity arrives on the hub")
     assert decoded(form, received[-1]) == MOTION
-    assert {publisher.type_name for publisher in side.far.graph.publishers(CMD_VEL)} == {form}
+    publishers = until(lambda: side.far.graph.publishers(CMD_VEL), "the publisher is seen")
+    assert {publisher.type_name for publisher in publishers} == {form}
 
 
 def test_a_base_whose_velocities_a_rule_converts_is_not_announced(side: Side) -> None:

@@ -160,7 +160,7 @@ def test_a_server_that_closes_ends_its_calls(network: HubNetwork) -> None:
         until(lambda: serving.held, "the request has arrived")
         serving.server.close()
         assert called.wait() == "the server of /do left before it answered"
-        assert serving.abandoned == [b"go"]
+        until(lambda: serving.abandoned == [b"go"], "the server is notified, which waits until its `_call` returns")
         serving.held[0][1](b"too late")
         until(lambda: not caller.ready, "the server's end is seen")
         assert call(caller)[0].wait(0) == "no server of /do is on the hub"

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.sinks import Matching
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.lane.inlet import Inlet, LaneReader
@@ -211,13 +212,14 @@ def test_subscription_that_is_closed_while_it_joins_a_lane_leaves_it(
     publisher, join = advertise(writer, "/t"), Inlet.join
 
     def close_then_join(inlet: Inlet, joining: LaneReader) -> None:
-        subscription(subscriber).close()
+        assert isinstance(joining, LaneSubscription)
+        joining.close()
         join(inlet, joining)
         joined.set()
 
     joined = threading.Event()
     monkeypatch.setattr(Inlet, "join", close_then_join)
-    subscriber = Subscriber(reader, "/t")
+    Subscriber(reader, "/t")
     assert joined.wait(20.0)
     until(lambda: not publisher.matched(), "the publisher is no longer matched", 5.0)
 

@@ -207,7 +207,8 @@ def server(answer: bytes | None) -> Iterator[str]:
 def test_a_program_that_is_not_zenoh_is_reported(
     keys: Path, answer: bytes | None, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bridge.hub.security.handshake._HANDSHAKE_SECONDS", 0.3)
+    if answer is None:  # an answer may take longer on a busy machine
+        monkeypatch.setattr("bridge.hub.security.handshake._HANDSHAKE_SECONDS", 0.3)
     with server(answer) as endpoint:
         result = attempted(endpoint, identity(keys / "a", "operator1"))
     assert not result.reason.state.good

@@ -28,8 +28,8 @@ class Acting(Record):
     def _on_goal(self, goal: Goal) -> bool:
         if self._outcome == "reject":
             return False
+        self._loop.post(lambda: self._run(goal))  # before `add`, after which a test may release the goal
         self.add(goal)
-        self._loop.post(lambda: self._run(goal))
         return True
 
     def _run(self, goal: Goal) -> None:

@@ -174,7 +174,9 @@ def test_a_server_of_midspan_is_called_directly_and_once(relay: Relays, node: No
 
     other.hub.server("/do", SET_BOOL, hash_in("jazzy", SET_BOOL), answer)
     until_services(worker, 0)
-    (reply,) = calls.call(ReleaseTypes(jazzy).encode(SET_BOOL, {"data": True}, "Request"))
+    request = ReleaseTypes(jazzy).encode(SET_BOOL, {"data": True}, "Request")
+    # the worker and the client's node see the server independently of each other
+    (reply,) = until(lambda: calls.call(request), "the client's node sees the server")
     assert ReleaseTypes(jazzy).decode(SET_BOOL, reply, "Response")["message"] == "Midspan"
     assert (len(requests), native.requests) == (1, [])
 
