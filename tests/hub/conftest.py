@@ -12,7 +12,7 @@ from tests.peers.hub.network import HubNetwork
 @pytest.fixture(scope="module")
 def shared_network() -> Iterator[HubNetwork]:
     """One router for the tests of a module."""
-    with HubNetwork(every_domain=True) as network:
+    with HubNetwork() as network:
         yield network
 
 

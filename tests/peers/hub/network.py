@@ -27,8 +27,6 @@ RMW_PEER = Path(__file__).parents[1] / "zenoh" / "rmw_peer.py"
 RMW_PROGRAM = Path(__file__).parents[1] / "zenoh" / "rmw_node.py"
 SDK_PROGRAM = Path(__file__).parents[1] / "zenoh" / "sdk_peer.py"
 ROOT = Path(__file__).parents[3]
-EVERY_DOMAIN = "--every-domain"
-"""An option of `ROUTER_PROGRAM`."""
 
 
 class HubNetwork:
@@ -42,8 +40,6 @@ class HubNetwork:
         run: whether the router runs from the start.
         external: the configuration's ``hub.open``.
         routing: the configuration's ``routing``.
-        every_domain: whether the router helps the sessions of all domains to restore their links, for tests that share
-            the router, but not the domain.
     """
 
     def __init__(
@@ -56,10 +52,8 @@ class HubNetwork:
         run: bool = True,
         external: dict[str, Any] | None = None,
         routing: dict[str, Any] | None = None,
-        every_domain: bool = False,
     ) -> None:
         self.external = external or {}
-        self._options = [EVERY_DOMAIN] if every_domain else []
         self._routing = routing or {}
         self.domain = domain
         self.port = free_port()
@@ -85,9 +79,9 @@ class HubNetwork:
         hub = self.config(router=True, open=self.external)
         over = self._router_zenoh
         hub["router_zenoh"] = str(over) if isinstance(over, Path) else over
-        config = json.dumps({"name": "test", "hub": hub, "routing": self._routing})
         router = self._router = Process(
-            [sys.executable, ROUTER_PROGRAM, config, *self._options], {"PYTHONPATH": str(ROOT)}
+            [sys.executable, ROUTER_PROGRAM, json.dumps({"name": "test", "hub": hub, "routing": self._routing})],
+            {"PYTHONPATH": str(ROOT)},
         )
         until(lambda: "listening" in router.output() or router.popen.poll() is not None, "the router listens")
         assert router.popen.poll() is None, router.output()

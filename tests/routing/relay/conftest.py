@@ -49,7 +49,7 @@ Relays = Callable[..., Relay]
 
 @pytest.fixture(scope="module")
 def shared_network() -> Iterator[HubNetwork]:
-    with HubNetwork(every_domain=True) as network:
+    with HubNetwork() as network:
         yield network
 
 
