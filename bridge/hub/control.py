@@ -35,6 +35,8 @@ RECORDED = {"recorded": True}
 WHO = {"who": True}
 """Parameters of any verb that request only the identity of the worker's daemon."""
 
+EVERY_DOMAIN = "*"
+
 _MAX_PENDING = 64
 _MAX_QUESTION = 1 << 20
 _MAX_ANSWERS = 1000
@@ -58,10 +60,18 @@ class WorkerAnswer:
 
 
 class Control:
-    """Answers the queries to one worker. Handlers run on separate threads, never on zenoh's threads."""
+    """Answers the queries to one worker. Handlers run on separate threads, never on zenoh's threads.
+
+    With `EVERY_DOMAIN` it answers the queries of all domains.
+    """
 
     def __init__(
-        self, session: zenoh.Session, domain: int, daemon: str, worker: str, identity: DaemonIdentity | None = None
+        self,
+        session: zenoh.Session,
+        domain: int | str,
+        daemon: str,
+        worker: str,
+        identity: DaemonIdentity | None = None,
     ) -> None:
         self._session = session
         self._envelope: dict[str, Any] = {"wire": WIRE}

@@ -53,8 +53,9 @@ class Namesakes:
     def _others(self) -> set[str]:
         """Return the machines of other routers with this daemon name, and the places of namesakes at this router."""
         own = str(self._session.zid())
-        answers = ask(self._session, self._domain, MEMBERS, {}, self._daemon, "router", _ANSWER_SECONDS)
-        values = [answer.value for answer in answers if isinstance(answer.value, dict)]
+        asked = ask(self._session, self._domain, MEMBERS, {}, self._daemon, "router", _ANSWER_SECONDS)
+        answers = [answer for answer in asked if self._is_here(answer.value)]
+        values = [answer.value for answer in answers]
         machines = {str(value.get("zid")): str(value.get("machine", "")) for value in values}
         others = {f"{machine or 'a machine'} (router {zid[:8]})" for zid, machine in machines.items() if zid != own}
         routers = _routers(answers).get(self._daemon, {})
@@ -62,6 +63,10 @@ class Namesakes:
         workers = ask(self._session, self._domain, "status", WHO, self._daemon, "*", _WHO_SECONDS)
         local = {worker.identity for worker in workers if worker.identity and worker.session not in theirs}
         return others | {identity.place for identity in local if self._own and identity.instance != self._own.instance}
+
+    def _is_here(self, value: object) -> bool:
+        """Return whether a router's answer is from this domain; routers answer the queries of all domains."""
+        return isinstance(value, dict) and value.get("domain", self._domain) == self._domain
 
 
 def namesake_warning(others: str, daemon: str) -> str:

@@ -22,7 +22,7 @@ from typing_extensions import override
 from bridge.config.model import Config
 from bridge.config.rules import commands
 from bridge.config.sections.section import is_loopback
-from bridge.hub.control import Control
+from bridge.hub.control import EVERY_DOMAIN, Control
 from bridge.hub.daemons import identity_of
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.identity import ask_identity, identity, identity_key
@@ -150,7 +150,7 @@ class RouterWorker(Worker):
         self._config: Config | None = None
         self._external = ExternalAccess(zenoh_log)
         self._session: zenoh.Session | None = None
-        self._control: Control | None = None
+        self._controls: list[Control] = []
         self._namesakes: Namesakes | None = None
         self._watch: zenoh.Session | None = None  # connected to the other router, in standby
         self._other = ""
@@ -213,9 +213,9 @@ class RouterWorker(Worker):
         """Close the router; its peers keep their direct links."""
         self._external.close()
         self._close_watch()
-        control, self._control = self._control, None
+        controls, self._controls = self._controls, []
         session, self._session = self._session, None
-        if control is not None:
+        for control in controls:
             control.close()
         if session is not None:
             session.close()  # type: ignore[no-untyped-call]
@@ -258,7 +258,10 @@ class RouterWorker(Worker):
         self._close_watch()
         self._session = session
         own = identity_of(config)
-        self._control = Control(session, hub.domain, config.name, "router", own)
+        control = Control(session, hub.domain, config.name, "router", own)
+        # daemons of other domains may use this router, and their sessions restore lost links with its help
+        links = Control(session, EVERY_DOMAIN, config.name, "router", own)
+        self._controls = [control, links]
         answer = identity(config.name, os.getpid())
         key = identity_key(str(session.zid()))
 
@@ -268,16 +271,17 @@ class RouterWorker(Worker):
 
         session.declare_queryable(key, zenoh.handlers.Callback(identify, indirect=False))
         zid, machine = str(session.zid()), socket.gethostname()
-        self._control.serve(
+        links.serve(
             MEMBERS,
             lambda _params: {
                 "zid": zid, "members": _members(session), "peers": _members(session, peers=True), "machine": machine,
+                "domain": hub.domain,
             },
         )  # fmt: skip
-        self._control.serve(REJOIN, Rejoins(session).answer)
+        links.serve(REJOIN, Rejoins(session).answer)
         self._namesakes = Namesakes(session, hub.domain, config.name, own)
         head = StatusHead({"daemon": config.name, "worker": "router", "side": "router"})
-        self._control.serve("status", lambda _params: self._status(head, config, session))
+        control.serve("status", lambda _params: self._status(head, config, session))
 
     def _status(self, head: StatusHead, config: Config, session: zenoh.Session) -> dict[str, Any]:
         members = _members(session)

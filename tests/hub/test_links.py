@@ -15,6 +15,7 @@ import pytest
 from bridge.hub import links
 from bridge.hub.errors import HubConfigError
 from bridge.hub.session import Hub
+from tests.peers.hub.network import HubNetwork
 from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 
@@ -49,6 +50,18 @@ def test_single_lost_link_is_restored(hubs: QuickHub) -> None:
         )
         until(lambda: first.mesh.mended + second.mesh.mended, "one session reports the restored link")
         until(lambda: first.ask("say", {"word": "again"}, worker="two") and received, "messages arrive")
+
+
+def test_link_in_another_domain_than_the_routers_is_restored() -> None:
+    with HubNetwork() as hubs:
+        hubs.domain = 7
+        with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
+            until(
+                lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "the sessions are linked"
+            )
+            cut(int(hubs.endpoint.rpartition(":")[2]))
+            until(lambda: first.mesh.mended + second.mesh.mended, "one session has restored the link")
+            until(lambda: second.zid in first.neighbors(), "the sessions are linked again")
 
 
 def test_missing_link_is_established(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:

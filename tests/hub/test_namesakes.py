@@ -29,12 +29,14 @@ def distinct(answers: list[WorkerAnswer], own_session: str) -> list[WorkerAnswer
 class Machine:
     """A router, and a worker ``ros1`` that answers ``status``."""
 
-    def __init__(self, name: str, number: int, **opened: list[str]) -> None:
+    def __init__(self, name: str, number: int, domain: int = 0, **opened: list[str]) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        hub = {"listen": self.endpoint, "open": {**opened, "insecure": True}}
+        hub = {"listen": self.endpoint, "domain": domain, "open": {**opened, "insecure": True}}
         self.router = RouterWorker()
         self.router.start(Config.model_validate({"name": name, "hub": hub}))
-        self.hub = Hub.open(HubSettings(router=self.endpoint, node="midspan_ros1", worker="ros1", daemon=name))
+        self.hub = Hub.open(
+            HubSettings(router=self.endpoint, node="midspan_ros1", worker="ros1", daemon=name, domain=domain)
+        )
         self.hub.serve("status", lambda _params: {"number": number})
 
     def answers(self) -> list[WorkerAnswer]:
@@ -97,6 +99,18 @@ def test_machines_with_different_names_are_not_reported(stack: ExitStack) -> Non
     assert (first.warning(), second.warning()) == ("", "")
     answers = first.answers()
     assert distinct(answers, first.hub.zid) == answers
+
+
+def test_machines_with_the_same_name_in_different_domains_are_not_reported(stack: ExitStack) -> None:
+    place = f"tcp/127.0.0.1:{free_port()}"
+    first = Machine("robot1", 1, listen=[place])
+    stack.callback(first.close)
+    second = Machine("robot1", 2, domain=1, connect=[place])
+    stack.callback(second.close)
+    other = Machine("robot1", 3, domain=1, connect=[place])
+    stack.callback(other.close)
+    until(second.warning, "the machines of one domain have joined")
+    assert first.warning() == ""
 
 
 def test_third_machine_distinguishes_both() -> None:
