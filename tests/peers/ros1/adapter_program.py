@@ -235,6 +235,7 @@ def main() -> None:
     try:
         serve(program, answers)
     finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # would end the clean-up, and leave registrations behind
         program.edge.stop()
 
 
