@@ -108,9 +108,7 @@ def test_a_client_and_the_hub_receive_each_others_frames(place: ServedPlace) -> 
     place.publish("elsewhere", "base")
     children = {"frame": "base", "parents": ["elsewhere", "map"], "sources": ["/far"]}
     until(lambda: (place.status("transform_server") or {}).get("conflicts") == [children], "both parents are reported")
-    status = place.status("transform_server")
-    assert status is not None
-    assert status["refused"] == {}
+    assert place.answer("transform_server")["refused"] == {}
 
 
 def laser_point(client: TransformClient) -> list[float] | None:
@@ -155,13 +153,11 @@ def test_frames_expire_in_simulated_time(place: ServedPlace) -> None:
 
 def test_lifetimes_change_at_run_time_and_the_prefix_with_a_restart(place: ServedPlace) -> None:
     with place.to_open() as frames:
-        before = place.status("transform_server")
+        before = place.answer("transform_server")
         assert place.worker.reload(place.served(yarp_frame_lifetime=600.0))
         assert frames.send([transform_of("base", "map", LASER, time.time() - 60.0)])
         until(lambda: "base" in frames, "the frame is shown although it is old")
-        after = place.status("transform_server")
-        assert before is not None
-        assert after is not None
+        after = place.answer("transform_server")
         assert after["zid"] == before["zid"], "the configuration is applied without a restart"
     assert place.worker.reload(place.served(prefix="/robot"))
     with place.to_open(server="/robot", name="/gui") as frames:

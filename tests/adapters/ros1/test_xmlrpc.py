@@ -12,6 +12,7 @@ import threading
 import xmlrpc.client
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -42,10 +43,10 @@ MANY = 500
 class Served:
     """A server whose method ``wait`` blocks until it is released."""
 
-    def __init__(self, quick: tuple[str, ...] = ()) -> None:
+    def __init__(self, quick: tuple[str, ...] = (), limits: Limits = LIMITS) -> None:
         self.large = 0
         self.release = threading.Event()
-        self.waiting = threading.Event()
+        self.waiting = threading.Semaphore(0)
         self.server = XmlRpcServer(
             {
                 "large": self._large,
@@ -54,7 +55,7 @@ class Served:
                 "wait": self._wait,
                 "fail": self._fail,
             },
-            limits=LIMITS,
+            limits=limits,
             quick=quick,
         )
         self.server.start()
@@ -65,7 +66,7 @@ class Served:
         return "x" * 100_000
 
     def _wait(self) -> int:
-        self.waiting.set()
+        self.waiting.release()
         return int(self.release.wait(30))
 
     def _fail(self, code: int) -> int:
@@ -82,8 +83,9 @@ class Served:
 
 
 @pytest.fixture
-def served() -> Iterator[Served]:
-    served = Served()
+def served(request: pytest.FixtureRequest) -> Iterator[Served]:
+    """A server, with other limits if the test has them as a parameter."""
+    served = Served(limits=getattr(request, "param", LIMITS))
     yield served
     served.release.set()
     served.server.close()
@@ -302,6 +304,8 @@ def test_an_idle_connection_does_not_expire(served: Served, proxy: xmlrpc.client
     assert proxy.add(1, 2) == 3
 
 
+# on a busy machine, the first clients may be silent for more than a second until all are connected
+@pytest.mark.parametrize("served", [replace(LIMITS, seconds=60.0)], ids=["patient"], indirect=True)
 def test_500_clients_at_once_are_served_by_three_threads(served: Served):
     threads = threading.active_count()
     socks = [served.connect() for _ in range(MANY)]
@@ -356,7 +360,7 @@ def test_many_large_half_requests_do_not_prevent_others(served: Served):
 def test_a_method_that_blocks_does_not_delay_others(served: Served, proxy: xmlrpc.client.ServerProxy):
     with ThreadPoolExecutor(1) as pool, xmlrpc.client.ServerProxy(served.uri) as other:
         waiting = pool.submit(other.wait)
-        assert served.waiting.wait(20)
+        assert served.waiting.acquire(timeout=20)
         assert proxy.add(1, 2) == 3
         served.release.set()
         assert waiting.result(20) == 1
@@ -433,7 +437,7 @@ def test_quick_calls_are_answered_while_all_threads_are_busy():
     try:
         with ThreadPoolExecutor(5) as pool:
             waiting = [pool.submit(served.post, xmlrpc.client.dumps((), "wait").encode()) for _ in range(2)]
-            until(lambda: served.server.connections == 2 and served.waiting.is_set(), "both threads make a call")
+            assert all(served.waiting.acquire(timeout=20) for _ in range(2)), "both threads make a call"
             assert xmlrpc.client.loads(served.post(echo)) == (("x",), None)
             assert xmlrpc.client.loads(served.post(echo.replace(b"\n", b""))) == (("x",), None)
             others = [pool.submit(served.post, body) for body in (ADD, large)]

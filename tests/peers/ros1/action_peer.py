@@ -275,6 +275,7 @@ def main():
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     rospy.init_node(sys.argv[1], disable_signals=True)
     serve(Peer(), answers)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # would end the clean-up, and leave registrations behind
     shut_down()
 
 

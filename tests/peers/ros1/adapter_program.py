@@ -136,6 +136,10 @@ class Program(Commands):
         infos = self.edge._book.bus_info()
         return {kind: [info[4] for info in infos if info[2] == kind[0]] for kind in ("in", "out")}
 
+    def held(self, topic: str) -> dict[str, Any]:
+        """Return how many connections of probes to publishers of a topic are held for a subscription."""
+        return {"count": sum(peer.topic == topic for peer in list(self.edge._topics.prober._held))}
+
     def forget(self, id: int, source: str) -> dict[str, Any]:
         self.parts[id].drop_source(source)
         return {}
@@ -231,6 +235,7 @@ def main() -> None:
     try:
         serve(program, answers)
     finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # would end the clean-up, and leave registrations behind
         program.edge.stop()
 
 

@@ -6,6 +6,7 @@ import uuid
 from pathlib import Path
 
 from bridge.adapters.ros1.actions import wire
+from bridge.adapters.ros1.actions.discovery import FROM_SERVER
 from bridge.adapters.ros1.actions.wire import ZERO, GoalInfo
 from bridge.messages.actions import CancelCode, GoalState
 from tests.peers.peer import Peer
@@ -54,6 +55,11 @@ class HubClient:
 
     def part(self, part):
         return f"{self.name}/_action/{part}"
+
+    def until_connected(self):
+        """Wait until the edge receives all topics of the server; a list of goals may arrive earlier than that."""
+        wanted = {f"{self.name}/{part}" for part in FROM_SERVER}
+        until(lambda: wanted <= set(self.edge.ask("connections")["in"]), "the server's topics are connected", SECONDS)
 
     def begin(self, part, request):
         self.number += 1

@@ -247,6 +247,7 @@ def main():
     try:
         serve(Peer(), answers)
     finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # would end the clean-up, and leave registrations behind
         shut_down()
 
 

@@ -55,6 +55,7 @@ class MirroredNode:
         self._agreed: _Values = {}  # the values that both sides had at the last comparison
         self._unknown: frozenset[str] = frozenset()
         self._problems: dict[str, str] = {}  # problems of the last comparison, by the name in ROS 1
+        self._found: dict[str, str] = {}  # those of the comparison under way, which calls the master meanwhile
         self._rejected: dict[str, str] = {}  # why the node did not accept the last value, by the name in ROS 1
 
     @property
@@ -155,7 +156,7 @@ class MirroredNode:
         paths = [self._names.rest(name) or "" for name in names]
         node = {path: value for path, value in zip(paths, values, strict=True) if value != NOT_SET}
         ros1 = dict(flatten(self._store.watch([self.rule.ros1])[self.rule.ros1]))
-        self._problems = {}
+        self._found = {}
         shown = self._representable(node)
         foreign = frozenset(key for key in self._store.copies if not self.covers(key))
         leaves = {self._names.ros1(path) for path in ros1}
@@ -169,6 +170,7 @@ class MirroredNode:
         changes = self._compare(shown, ros1, writes)
         unset = self._unset(node, {path: value for path, value in ros1.items() if self._names.ros1(path) not in writes})
         self._report_unknown(ros1)
+        self._problems = self._found
         for key in self._store.copy(writes, foreign | copies):
             self._problems[key] = "ROS 1's master rejects it"
         if unset:
@@ -184,18 +186,18 @@ class MirroredNode:
             key = self._names.ros1(path)
             above = next((outer for outer in _outer(path) if outer in shown), None)
             if above is not None:
-                self._problems[key] = (
+                self._found[key] = (
                     f"not copied, since {self._names.ros1(above)} has a value and ROS 1 does not allow names below it;"
                     " choose between them with 'names' in routing.parameters"
                 )
                 continue
             if path.count("/") >= MAX_DEPTH:
-                self._problems[key] = f"not copied, since its name has more than {MAX_DEPTH} parts"
+                self._found[key] = f"not copied, since its name has more than {MAX_DEPTH} parts"
                 continue
             try:
                 to_ros1(value)
             except UnrepresentableError as err:
-                self._problems[key] = str(err)
+                self._found[key] = str(err)
             else:
                 shown[path] = value
         return shown
@@ -211,7 +213,7 @@ class MirroredNode:
             return shown
         taken = self._store.taken(old)
         obstacles = {path: reason for path, key in new.items() if (reason := taken.obstacle(key))}
-        self._problems |= {new[path]: f"not copied, since {reason}" for path, reason in obstacles.items()}
+        self._found |= {new[path]: f"not copied, since {reason}" for path, reason in obstacles.items()}
         return {path: value for path, value in shown.items() if path not in obstacles}
 
     def _compare(self, shown: _Values, ros1: Mapping[str, Any], writes: dict[str, Any]) -> _Values:
@@ -246,7 +248,7 @@ class MirroredNode:
         if self.rule.write:
             return unset
         reason = f"{self.rule.node} has not set it, and does not get ROS 1's value: {_READ_ONLY}"
-        self._problems |= {self._names.ros1(path): reason for path in unset}
+        self._found |= {self._names.ros1(path): reason for path in unset}
         return {}
 
     def _report_unknown(self, ros1: Mapping[str, Any]) -> None:
@@ -258,14 +260,14 @@ class MirroredNode:
         for path in unknown:
             name = self._names.ros2(path)
             if name in self._unshared:
-                self._problems[self._names.ros1(path)] = (
+                self._found[self._names.ros1(path)] = (
                     f"set in ROS 1, but not on {self.rule.node}: only names of letters, digits and underscores are"
                     " shared"
                 )
                 continue
             similar = get_close_matches(name, known, n=1)
             hint = f" (similar: {similar[0]})" if similar else ""
-            self._problems[self._names.ros1(path)] = (
+            self._found[self._names.ros1(path)] = (
                 f"set in ROS 1, but {self.rule.node} has no parameter {name}{hint}; delete it in ROS 1, or exclude it"
                 " with 'names' in routing.parameters"
             )

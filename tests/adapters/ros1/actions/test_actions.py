@@ -2,7 +2,6 @@
 
 import signal
 import struct
-import time
 
 import pytest
 
@@ -10,7 +9,6 @@ from bridge.adapters.ros1.actions import states, wire
 from bridge.adapters.ros1.actions.client import LOST
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO
-from bridge.adapters.ros1.graph.probe import HOLD_SECONDS
 from bridge.messages.actions import CancelCode, GoalState
 from tests.peers.ros1.adapter import edge_on
 from tests.peers.ros1.hub_actions import PARTS, SECONDS, TYPES, HubClient, new_uuid, peer_on
@@ -155,6 +153,7 @@ def test_goals_of_native_clients_are_listed_followed_and_canceled(master, edge, 
     client = peer.ask("client", name="/other")["id"]
     assert peer.ask("wait_for_server", id=client)["there"]
     hub = HubClient(edge, "/other")
+    hub.until_connected()  # a result that is published earlier is lost
     peer.ask("send", id=client, numbers=[54])
     (outcome,) = peer.ask("outcomes", id=client, numbers=[54], state="ACTIVE")["outcomes"]
     goal = states.uuid_of("/other", outcome["id"])
@@ -239,14 +238,15 @@ def test_a_returning_server_is_discovered_by_its_connection(tmp_path):
             peer.ask("server", name="/returns")
             hub = HubClient(edge, "/returns")
             peer.signal(signal.SIGKILL)
-        parts = {"topic": "/returns/_action/send_goal", "made_by": "native"}
-        until(lambda: not edge.endpoints(**parts), "the server's exit is noticed", SECONDS)
+        topic = "/returns/_action/send_goal"
+        until(lambda: not edge.endpoints(topic=topic, made_by="native"), "the server's exit is noticed", SECONDS)
+        known = {e["id"] for e in edge.endpoints(topic=topic)}  # the master still lists the killed server
         hub.close()
         edge.ask("set_period", every=3600.0)
         with peer_on(master, "returns") as peer:
             peer.ask("server", name="/returns")
-            until(lambda: edge.endpoints(**parts), "the server is discovered", SECONDS)
-            edge.ask("set_period", every=0.1)  # a connection that fails is retried when the master is read
+            until(lambda: {e["id"] for e in edge.endpoints(topic=topic)} - known, "the server is discovered", SECONDS)
+            edge.ask("set_period", every=0.1)  # a probe or connection that fails is repeated when the master is read
             again = HubClient(edge, "/returns")
             goal, sent = again.send(10)
             assert again.accepted(sent), edge.output()[-3000:]
@@ -260,7 +260,8 @@ def test_a_result_that_was_lost_has_the_state_of_the_list(master, edge, servers,
     server = peer.ask("server", name="/lost")["id"]
     client = native.ask("client", name="/lost")["id"]
     assert native.ask("wait_for_server", id=client)["there"]
-    time.sleep(HOLD_SECONDS + 1.5)  # until then, the probe's connection would receive the result
+    until(lambda: edge.endpoints(topic="/lost/_action/get_result", made_by="native"), "the server is probed", SECONDS)
+    until(lambda: not edge.ask("held", topic="/lost/result")["count"], "no probe would receive the result", SECONDS)
     goal = new_uuid()
     native.ask("raw_goal", id=client, number=14, goal=states.text_of(goal))
     peer.ask("goals", id=server)
@@ -342,6 +343,7 @@ def test_goals_of_a_killed_worker_are_followed_by_the_next_one(tmp_path):
         with edge_on(master, tmp_path) as second:
             hub = HubClient(second, "/kept")
             hub.until_state(goal, GoalState.EXECUTING)
+            hub.until_connected()  # a result that is published earlier is lost
             call = hub.ask(goal)
             peer.ask("finish", id=server, goal=states.text_of(goal))
             assert hub.result(call) == (GoalState.SUCCEEDED, 14)

@@ -180,8 +180,9 @@ def holding():
     prober.close()
 
 
-def test_a_publisher_that_waits_for_a_subscriber_writes_to_the_probe(holding):
+def test_a_publisher_that_waits_for_a_subscriber_writes_to_the_probe(holding, monkeypatch):
     """A real port of YARP 3.9.1 counts the probe as an output, and sends its first message only there."""
+    monkeypatch.setattr("bridge.adapters.ros1.graph.probe.HOLD_SECONDS", 60.0)
     port = YarpPort()
     port.type = "std_msgs/String"
     with publisher(port) as uri:

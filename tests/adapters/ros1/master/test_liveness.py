@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -111,16 +113,25 @@ def test_an_unreachable_node_is_removed_later(checked: Checked, monkeypatch: pyt
 
 
 def test_a_node_that_answers_again_stays(checked: Checked, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(liveness, "UNREACHABLE_SECONDS", 1.0)
+    ahead = [0.0]
+    monkeypatch.setattr(liveness, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + sum(ahead)))
     node = FakeNode()
     checked.nodes = {"/node": node.api}
+
+    def failures() -> int:
+        failed = checked.liveness._failures.get(("/node", node.api))
+        return 0 if failed is None else failed.count
+
     checked.liveness.start({})
+    until(lambda: checked.alive, "the node has responded")
     for _ in range(3):
         node.answers.clear()
-        checked.wait_for_rounds(15)
+        until(lambda: failures() >= 3, "several checks have failed")
+        ahead.append(0.6 * liveness.UNREACHABLE_SECONDS)
+        before = failures()
+        until(lambda before=before: failures() > before + 1, "the node is still silent")  # type: ignore[misc]
         node.answers.set()
-        before = len(node.calls)
-        until(lambda before=before: len(node.calls) > before, "the node responds")  # type: ignore[misc]
+        until(lambda: not failures(), "the node responds")
     assert checked.dead == []
     node.close()
 
@@ -141,6 +152,7 @@ def test_a_node_that_this_machine_never_reached_stays(
 def test_a_new_node_is_checked_before_the_next_round(checked: Checked, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(liveness, "_PERIODS", (3600.0, 3600.0))
     monkeypatch.setattr(liveness, "_HASTY_PERIOD", 0.02)
+    monkeypatch.setattr(liveness, "_TIMEOUT", 20.0)  # a check that fails would be repeated only in an hour
     checked.liveness = checked.create(3600.0)
     checked.liveness.start({})
     checked.wait_for_rounds(3)

@@ -154,7 +154,6 @@ def test_a_slow_call_does_not_delay_others(bench):
 
 def test_a_server_that_is_too_busy_to_connect_keeps_its_pending_calls(bench, monkeypatch):
     """For example a rospy server whose handler computes in an extension and holds the interpreter lock."""
-    monkeypatch.setattr(caller_module, "_CONNECT_SECONDS", 0.3)
     go_on, server = threading.Event(), Server(echo)
 
     def serve(sock) -> None:
@@ -171,6 +170,7 @@ def test_a_server_that_is_too_busy_to_connect_keeps_its_pending_calls(bench, mon
     with tcp_server(serve) as address:
         bench.toward(address)
         bench.warm()
+        monkeypatch.setattr(caller_module, "_CONNECT_SECONDS", 0.3)
         long = bench.call(b"long")
         assert "sends no connection header in time" in bench.call().error()
         assert not bench.doubts, "the route to the server would be closed"

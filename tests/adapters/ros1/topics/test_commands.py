@@ -17,7 +17,8 @@ from yarp_compat.in_flight import unacknowledged
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux shows what is unacknowledged")
 
 TWIST = "geometry_msgs/Twist"
-LIFESPAN = 0.1
+LIFESPAN, LONG = 0.1, 40.0
+"""Seconds: commands have the longer time until a test waits until they are late, because it may be suspended."""
 
 
 def velocity(number: float) -> bytes:
@@ -27,7 +28,7 @@ def velocity(number: float) -> bytes:
 class Driver:
     """A subscriber whose system accepts a few commands, while the program reads none until `read`."""
 
-    def __init__(self, type_name: str = TWIST, lifespan: float = LIFESPAN) -> None:
+    def __init__(self, type_name: str = TWIST, lifespan: float = LONG) -> None:
         with socket.socket() as listener:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
             listener.bind(("127.0.0.1", 0))
@@ -50,6 +51,7 @@ class Driver:
         assert self.outlet.dropped == 0
 
     def until_late(self) -> None:
+        self.outlet._lifespan = LIFESPAN
         until(lambda: not self.outlet.check() and self.outlet._in_flight, "a command is late")
 
     def until_acknowledged(self) -> None:
@@ -114,7 +116,7 @@ def test_a_silent_commanders_late_command_is_followed_by_one_stop(driver: Driver
 
 
 def test_a_command_does_not_wait_for_one_that_is_sent_in_part() -> None:
-    driver = Driver("sensor_msgs/Joy", lifespan=40.0)
+    driver = Driver("sensor_msgs/Joy")
     assert driver.outlet.send(bytes(16_000_000), "a", 1), "more than the buffers of both systems hold"
     assert driver.outlet.busy
     driver.send()
