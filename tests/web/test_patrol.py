@@ -291,7 +291,10 @@ def test_a_patrol_is_paused_and_resumed(page: TestPage, gateway: FakeGateway, wh
     gateway.goal_xs(2)
 
 
-def test_manual_driving_is_refused_during_a_patrol(page: TestPage, gateway: FakeGateway) -> None:
+def test_manual_driving_is_refused_during_a_patrol(
+    page: TestPage, gateway: FakeGateway, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bridge.web.verbs.hold.HOLD_SECONDS", 60.0)  # otherwise a busy console may ignore a late hold
     begin(page, "a", "b", wait=60.0)
     gateway.goal_x(1)
     gateway.reach()
