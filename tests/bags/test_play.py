@@ -150,7 +150,7 @@ def test_a_bag_is_played_with_its_times_and_without_commands(
     until(lambda: len(listener.received_on("/said")) == 6, "all messages are received", 5)
     assert listener.texts() == [f"said {n}" for n in range(6)]
     times = [at for topic, _, at in listener.messages if topic == "/said"]
-    assert times[-1] - times[0] > 0.4
+    assert times[-1] - times[0] > 0.2, "not all at once; on a busy machine, the first of 0.5 s may be late"
     assert listener.frames() == [{"laser", "camera"}]
     assert listener.received_on("/cmd_vel") == []
     out = capsys.readouterr()
