@@ -66,7 +66,7 @@ class WorkerRun:
         self.failure = ""
         self.reloading = self.running = self.killed = False
         self._movement = Movement(self.started)
-        self._is_late = False
+        self._late_at: float | None = None
 
     def on_busy(self, busy: Busy) -> None:
         """Handle a report of the current step."""
@@ -76,7 +76,7 @@ class WorkerRun:
         """Handle a heartbeat."""
         self.beat_at = time.monotonic()
         self._movement.move(self.beat_at)
-        self._is_late = False
+        self._late_at = None
 
     @property
     def still(self) -> float:
@@ -93,15 +93,18 @@ class WorkerRun:
         self._movement.moved += seconds
 
     def progress(self, limit: float) -> Progress:
-        """Return the progress of the process; ``limit`` is the longest time without progress, in seconds."""
+        """Return the progress of the process; ``limit`` is the longest time without progress, in seconds.
+
+        It is `Progress.LATE` before it is `Progress.HUNG`, even if this is not called for longer than `_STACK_SECONDS`.
+        """
         if self._movement.computed() > ENDLESS * limit:
             return Progress.ENDLESS
-        still = self.still
-        if still > limit + _STACK_SECONDS:
-            return Progress.HUNG
-        if still > limit and not self._is_late:
-            self._is_late = True
+        now, still = time.monotonic(), self.still
+        if still > limit and self._late_at is None:
+            self._late_at = now
             return Progress.LATE
+        if self._late_at is not None and still > limit + _STACK_SECONDS and now > self._late_at + _STACK_SECONDS:
+            return Progress.HUNG
         return Progress.NORMAL
 
 

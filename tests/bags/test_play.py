@@ -31,6 +31,7 @@ from tests.contract.hubside import HubSide
 from tests.peers.hub.quick import QuickHub
 from tests.peers.peer import stop_all
 from tests.support.process import Process
+from tests.support.processor_share import ProcessorShare
 from tests.support.wait import until
 
 TEXT, TWIST, TF = "std_msgs/String", "geometry_msgs/Twist", "tf2_msgs/TFMessage"
@@ -65,8 +66,11 @@ class Listener:
         self.messages: list[tuple[str, Any, float]] = []
 
     def on_message(self, topic: str, type_name: str, qos: Qos | None = None) -> None:
+        to_json(REGISTRY, type_name, from_json(REGISTRY, type_name, {}))  # the first use of a type takes long
+
         def arrived(sample: HubSample) -> None:
-            self.messages.append((topic, to_json(REGISTRY, type_name, sample.data()), time.monotonic()))
+            at = time.monotonic()
+            self.messages.append((topic, to_json(REGISTRY, type_name, sample.data()), at))
 
         self.hub.subscription(topic, type_name, "*", qos or Qos(depth=100), arrived)
 
@@ -146,7 +150,7 @@ def test_a_bag_is_played_with_its_times_and_without_commands(
     until(lambda: len(listener.received_on("/said")) == 6, "all messages are received", 5)
     assert listener.texts() == [f"said {n}" for n in range(6)]
     times = [at for topic, _, at in listener.messages if topic == "/said"]
-    assert times[-1] - times[0] > 0.4
+    assert times[-1] - times[0] > 0.2, "not all at once; on a busy machine, the first of 0.5 s may be late"
     assert listener.frames() == [{"laser", "camera"}]
     assert listener.received_on("/cmd_vel") == []
     out = capsys.readouterr()
@@ -192,7 +196,7 @@ def test_latched_topics_stay_latched_but_velocities_do_not(
     assert {name for name, end in ends.items() if end.qos.latched} == {"/name", "/tf_static"}
     listener.on_message("/name", "std_msgs/msg/String", LATCHED)
     until(lambda: listener.texts("/name") == ["latched"], "a late subscriber gets latched messages", 5)
-    begun = time.monotonic()
+    share, begun = ProcessorShare(), time.monotonic()
     program.signal(number)
     until(
         lambda: not [end for end in listener.hub.graph.publishers() if not end.own],
@@ -200,7 +204,7 @@ def test_latched_topics_stay_latched_but_velocities_do_not(
         5,
     )
     output_of(program, code)
-    assert time.monotonic() - begun < 2.0
+    assert time.monotonic() - begun < 2.0 / share.least()
     assert listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0
 
 
@@ -213,7 +217,8 @@ def test_a_halt_pauses_a_player_of_commands(player: Player, listener: Listener) 
     at, count = listener.received_on("/clock")[-1], len(listener.received_on("/clock"))
     until(lambda: len(listener.received_on("/clock")) > count + 5, "the clock is published again", 5)
     assert listener.received_on("/clock")[-1] == at
-    assert [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")] == [0.5, 0.0]
+    *velocities, last = (twist["linear"]["x"] for twist in listener.received_on("/cmd_vel"))
+    assert (set(velocities), last) == ({0.5}, 0.0)  # on a busy machine, several are played before the halt
     program.signal(signal.SIGINT)
     output_of(program)
 
@@ -268,8 +273,8 @@ def test_services_pause_and_step_while_the_clock_is_stopped(player: Player, list
     assert listener.texts() == ["said 1"]
     caller.call(PAUSE, "std_srvs/SetBool", data=False)
     assert "played 5 messages" in output_of(program)
-    assert listener.texts() == [f"said {n}" for n in range(1, 6)]
-    assert listener.received_on("/clock")[-1]["clock"] == clock(0.5)
+    until(lambda: listener.texts() == [f"said {n}" for n in range(1, 6)], "all messages arrive", 5)
+    until(lambda: listener.received_on("/clock")[-1]["clock"] == clock(0.5), "/clock has the last message's time", 5)
     times = [message["clock"]["sec"] * NS + message["clock"]["nanosec"] for message in listener.received_on("/clock")]
     assert times == sorted(times)
 

@@ -124,7 +124,7 @@ def test_closing_ends_a_waiting_thread(tmp_path: Path) -> None:
     server = ControlServer(tmp_path / "socket", "daemon", lambda _: None)
     (accepting,) = (thread for thread in threading.enumerate() if thread.name == "control")
     server.close()
-    assert not accepting.is_alive()
+    until(lambda: not accepting.is_alive(), "the thread ends")
 
 
 # -- other users of the machine, who can connect to the port -----------------------------------------------------------

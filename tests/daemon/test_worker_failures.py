@@ -90,7 +90,7 @@ def test_a_worker_keeps_its_configuration_if_it_cannot_load_the_new_one(error: E
 
 
 HANGING = """
-import sys, threading
+import os, threading
 from bridge.config.model import Config
 from bridge.daemon import worker_main
 from bridge.daemon.control import Commands
@@ -110,8 +110,14 @@ class Hanging(Worker):
     def health(self): return Health("running", "1 route")
     def stop(self):
         print("stopping", flush=True)
+        stopping.set()
         threading.Event().wait()
 
+def exit_after_stopping(code):  # on a busy machine, the time may be over before the worker is told to stop
+    stopping.wait()
+    exit_now(code)
+
+stopping, exit_now, os._exit = threading.Event(), os._exit, exit_after_stopping
 worker_main._CHECK_INTERVAL, worker_main._FAILED_SECONDS = 1, 0.2
 worker_main.WorkerLoop(Hanging(), Commands(), lambda report: print(report, flush=True)).run(Config())
 """

@@ -64,10 +64,10 @@ def test_failed_calls_are_reported(driven: Desk, codec: CallCodec, monkeypatch: 
     serving = driven.far.serve("/light", "std_srvs/SetBool", held=True)
     with driven.app() as app:
         assert "has not answered in 0.3 s" in failure(app, app.call("/light", codec.request({"data": True})))
+        monkeypatch.setattr(services, "CALL_SECONDS", 30.0)
         assert "CallRefusedError" in failure(app, app.call("/light", b"\0\1\0"))
         assert "Unsupported encoding" in failure(app, app.call("/light", b"{}", "json"))
         until(lambda: serving.abandoned == 1, "the service's server is notified of the abandoned call")
-        monkeypatch.setattr(services, "CALL_SECONDS", 30.0)
         calls = [app.call("/light", codec.request({"data": True})) for _ in range(services.MOST_CALLS)]
         assert len(serving.requests(1 + services.MOST_CALLS)) == 1 + services.MOST_CALLS
         assert "16 calls are pending" in failure(app, app.call("/light", codec.request({"data": True})))

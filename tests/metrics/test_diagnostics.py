@@ -233,17 +233,20 @@ def test_publishes_only_with_subscribers_and_at_once_on_a_change(
     assert named["midspan here: side ros1"]["hardware_id"] == "here"
     assert {pair["key"]: pair["value"] for pair in named["midspan here: worker ros1"]["values"]}["restarts"] == "1"
     assert first["header"]["stamp"]["sec"] > 1e9
-    monkeypatch.setattr(diagnostics, "PERIOD", 60.0)
     count = len(publishing.far.wait(subscription, 1, 0.0))
-    assert len(publishing.far.wait(subscription, count + 1, 10.0)) == count + 1, (
-        "the message that was already due arrives"
-    )
+    monkeypatch.setattr(diagnostics, "PERIOD", 60.0)
+    assert len(publishing.far.wait(subscription, count + 1, 10.0)) > count, "the message that was already due arrives"
     publishing.daemon_document = {
         "pid": 1,
         "workers": [worker_document("ros1"), worker_document("ros2", "restarting", None, "signal 9")],
     }
-    last = publishing.far.wait(subscription, count + 2, 10.0)[-1]
-    assert {s["name"]: s["level"] for s in last["status"]}["midspan here: worker ros2"] == Level.ERROR
+
+    def is_reported() -> bool:
+        """Return whether the newest message has the change; one of before may still be on its way."""
+        last = publishing.far.wait(subscription, 1, 0.0)[-1]
+        return {s["name"]: s["level"] for s in last["status"]}.get("midspan here: worker ros2") == Level.ERROR
+
+    until(is_reported, "the change is published before the period is over", 9)
 
 
 def test_publishes_for_a_sides_subscriber_and_yields_to_the_metrics_worker(publishing: PublishingSide) -> None:
@@ -284,16 +287,16 @@ def test_ros_subscribers_receive_all_parts_without_console_and_metrics(tmp_path:
 
         parts = {f"worker {name}" for name in ("router", "ros1", "ros2", "modules")}
         parts |= {"daemon", "side ros1", "side ros2", "module gateway", "module store"}
+        # the modules' worker may start after the sides, and its modules are listed from the beginning
+        final = {"side ros1": 0, "worker ros2": 0, "module store": 0, "module gateway": 1}  # it waits for its planner
         for program, subscription in (*subscribers, (native, at_hub)):
-            shown = until(
-                lambda p=program, h=subscription: parts <= (now := levels(p, h)).keys() and now,
-                "the message has all parts",
+            until(
+                lambda p=program, h=subscription: (
+                    parts <= (now := levels(p, h)).keys() and final.items() <= now.items()
+                ),
+                "the message has all parts with their levels",
                 30,
             )
-            assert {part: shown[part] for part in ("side ros1", "worker ros2", "module store")} == {
-                "side ros1": 0, "worker ros2": 0, "module store": 0,
-            }  # fmt: skip
-            assert shown["module gateway"] == 1, "the gateway waits for its planner"
         assert publishing_worker(ask_daemon(load(deployment.file))) == "ros1"
         program, subscription = subscribers[1]
 

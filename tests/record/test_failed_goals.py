@@ -27,6 +27,9 @@ def test_each_rejected_or_aborted_goal_keeps_the_ring(tmp_path: Path, monkeypatc
                 lambda: len(graph.subscriptions("/navigation/status")) > subscribers,
                 "the gateway's status is subscribed",
             )
+            # the trigger may be subscribed before the recorder, and an empty ring is not kept
+            recorder = lambda: rig.client.node.hub.ask("status", {}, worker="record")  # noqa: E731
+            until(lambda: any(answer.value["recording"]["messages"] for answer in recorder()), "the ring has a message")
 
             def kept_reasons() -> list[str]:
                 folders = sorted((tmp_path / "robot1" / "recordings").glob(f"{PREFIX}*/metadata.yaml"))

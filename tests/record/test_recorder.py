@@ -323,7 +323,7 @@ def test_a_full_disk_stops_recording_until_space_is_free(
         status = recorded.recorder.status()
         assert status.state == "blocked"
         assert "only 1 MB are free" in status.error
-        assert "it continues in a new file when there is space" in caplog.text
+        until(lambda: "it continues in a new file when there is space" in caplog.text, "the error is logged")
         until(lambda: read(tmp_path / "one.mcap").whole, "the file is closed")
         assert read(tmp_path / "one.mcap").texts("/said") == ["before", "last"]
         chat.put(robot.text("lost"))

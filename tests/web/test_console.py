@@ -215,7 +215,10 @@ def test_a_slow_page_gets_only_the_newest_value(desk: Desk) -> None:
         for page in (slow, quick):
             page.watch("frames")
         first = slow.until(lambda: slow.values.get("frames"), "a first value arrives")
-        quick.until(lambda: quick.counts.get("frames", 0) >= 3, "a page that acknowledges values gets further ones")
+        quick.until(
+            lambda: quick.values.get("frames", first)["n"] > first["n"] + 1,
+            "a page that acknowledges values gets further ones",
+        )
         while slow.read():
             pass
         assert slow.counts["frames"] == 1

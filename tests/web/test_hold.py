@@ -38,6 +38,12 @@ class Base:
         return bool(self.received) and self.received[-1][1:] == (0.0, 0.0)
 
 
+@pytest.fixture
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Extend the time after which a hold ends, and a late one is ignored: on a busy machine, 0.3 s pass unnoticed."""
+    monkeypatch.setattr("bridge.web.verbs.hold.HOLD_SECONDS", 60.0)
+
+
 def hold(page: TestPage, base: Base, seconds: float = 0.0, x: float = 0.1) -> None:
     """Hold a direction until the base drives, and for ``seconds`` afterwards."""
     end = time.monotonic() + 30
@@ -55,7 +61,8 @@ def test_a_hold_drives_while_it_is_repeated(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base, 0.6, x=5.0)
-        assert base.received[-1][1] == 0.3, "the configuration limits the velocity"
+        # on a busy machine, zeros may be between the velocities
+        assert {x for _, x, _ in base.received} - {0.0} == {0.3}, "the configuration limits the velocity"
         page.send(op="release")
         until(base.stands, "the base stands after the release")
         count = len(base.received)
@@ -97,6 +104,7 @@ def test_a_page_that_closes_stops_the_base(desk: Desk, how: str) -> None:
         until(base.stands, "the base stands")
 
 
+@pytest.mark.usefixtures("patience")
 def test_a_hold_is_refused_without_a_velocity_topic(desk: Desk) -> None:
     desk.open_with(navigation={"planner": "nav2", "velocity": ""})
     with TestPage(desk.port) as page:
@@ -106,6 +114,7 @@ def test_a_hold_is_refused_without_a_velocity_topic(desk: Desk) -> None:
         assert page.call("ping")["ok"]
 
 
+@pytest.mark.usefixtures("patience")
 def test_one_page_drives_at_a_time(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as first, TestPage(desk.port) as other:
@@ -121,6 +130,7 @@ def test_one_page_drives_at_a_time(desk: Desk) -> None:
         assert all(x >= 0.0 for _, x, _ in base.received)
 
 
+@pytest.mark.usefixtures("patience")
 def test_a_hold_is_refused_while_a_planner_drives(desk: Desk) -> None:
     base = Base(desk)
     status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)

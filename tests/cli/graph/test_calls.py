@@ -188,7 +188,14 @@ def test_an_ignored_hangup_stays_ignored(midspan: Midspan, robot: Robot) -> None
 
 
 def send_and_signal(midspan: Midspan, robot: Robot, *numbers: signal.Signals) -> Outcome:
-    """Send a goal, and these signals to this process once the server has it."""
+    """Send a goal, and these signals to this process once the server has it.
+
+    A signal that is sent after the command, because the thread was delayed, does nothing.
+    """
+    before = {number: signal.getsignal(number) for number in set(numbers)}
+    for number in before:
+        if before[number] != signal.SIG_IGN:
+            signal.signal(number, lambda *_: None)
 
     def send() -> None:
         until(lambda: robot.goals, "the server has the goal")
@@ -199,6 +206,8 @@ def send_and_signal(midspan: Midspan, robot: Robot, *numbers: signal.Signals) ->
     thread.start()
     outcome = midspan("action", "send", "/lookup", "{target_frame: slow}")
     thread.join()
+    for number, handler in before.items():
+        signal.signal(number, handler)
     return outcome
 
 

@@ -311,6 +311,8 @@ def test_status_reports_a_missing_planner(rig: Rig, midspan: Midspan) -> None:
         assert "its module does not run" in midspan("nav", "status", "--json").json()["waits"]
     finally:
         rig.ask("choose_planner", name="robot_goto")
+        # the gateway looks for it at its next poll; without it, the next test's stop would end that test's goals
+        until(lambda: rig.gateway.link.reachable, "the gateway finds the planner")
     assert midspan("nav", "status", "--json").json()["waits"] == ""
 
 

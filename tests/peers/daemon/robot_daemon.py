@@ -64,10 +64,11 @@ class RobotDaemon(MidspanDaemon):
     def kill(self) -> int:
         """Kill only the daemon, and wait until its workers have exited; return the process ID of its router."""
         assert self.daemon is not None
-        router, modules = self.worker("router")["pid"], self.worker("modules").get("pid", 0)
+        # a report is empty if the daemon does not respond within a second
+        router, modules = (self.until_phase(worker, "running")["pid"] for worker in ("router", "modules"))
         os.kill(self.daemon.pid, signal.SIGKILL)
         self.daemon.popen.wait(20)
-        until(lambda: not modules or not psutil.pid_exists(modules), "the other workers have exited", 20)
+        until(lambda: not psutil.pid_exists(modules), "the other workers have exited", 20)
         return int(router)
 
     def close(self) -> None:
