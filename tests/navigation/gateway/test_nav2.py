@@ -506,8 +506,11 @@ def test_other_codes_of_nav2_abort_the_goal_with_a_reason(robot: Scene, code: in
 
 
 @pytest.mark.parametrize("first", ["list", "result"])
-def test_a_goal_that_nav2s_own_client_preempts_is_canceled(robot: Scene, first: str) -> None:
+def test_a_goal_that_nav2s_own_client_preempts_is_canceled(
+    robot: Scene, monkeypatch: pytest.MonkeyPatch, first: str
+) -> None:
     """Nav2 aborts the goal without a code; Nav2's goal list shows the reason, shortly before or after the result."""
+    monkeypatch.setattr(execution_module, "JUDGING_SECONDS", LONG)
     rig, planner = robot.rig, robot.planner
     client_goal = robot.drive()
     planner.set(b"a foreign goal..")

@@ -10,7 +10,7 @@ import pytest
 from bridge.config.sections.navigation import THROUGH_POSES
 from navigation.messages import THROUGH
 from navigation.status import State
-from tests.peers.navigation.gateway import SECONDS, ClientGoal, Planner, Rig, pose
+from tests.peers.navigation.gateway import SECONDS, ClientGoal, Planner, Rig, patient, pose
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs
@@ -40,7 +40,7 @@ class PassingPlanner(Planner):
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("several"), planners=[PASSING]) as started:
+    with patient(), Rig(tmp_path_factory.mktemp("several"), planners=[PASSING]) as started:
         started.planners["passing"] = PassingPlanner(started.hubs.settings("passing"), "passing")
         yield started
 

@@ -18,6 +18,7 @@ from bridge.messages.values import MessageWriter
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from navigation.gateway import execution, goal_list, stop
+from navigation.gateway import gateway as gateway_module
 from navigation.gateway.module import GatewayModule
 from navigation.status import Fault, State
 from tests.peers.hub.node import REGISTRY
@@ -100,7 +101,8 @@ class SlowPlanner(Planner):
         return super()._accept(goal)
 
 
-def test_a_stop_without_the_planner_is_unconfirmed_until_it_is_back(rig: Rig) -> None:
+def test_a_stop_without_the_planner_is_unconfirmed_until_it_is_back(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(execution, "GIVE_UP_SECONDS", 600.0)  # two replies take 5 s, and a busy planner is back late
     holds, velocities = (
         record(rig, "/navigation/hold", "std_msgs/msg/Bool"),
         record(rig, "/cmd_vel", "geometry_msgs/msg/Twist"),
@@ -314,6 +316,7 @@ def test_a_stop_right_after_a_start_waits_for_the_planners_goal_list(
     rig.planner.on(goal.canceled)
     rig.state(State.IDLE)
     odometry.speed = 0.0
+    monkeypatch.setattr(gateway_module, "ANSWER_SECONDS", 60.0)  # the start counts, too
     restart(rig)
     until(lambda: answers, "the stop is answered", 20)
     assert answers == [""], "nothing drives, so the stop is confirmed"

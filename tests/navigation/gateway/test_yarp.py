@@ -15,7 +15,7 @@ from navigation.maps.grid import to_grid
 from navigation.messages import NAVIGATE
 from navigation.status import State
 from tests.peers.hub.node import HubNode
-from tests.peers.navigation.gateway import LATCHED, ClientGoal, Rig, pose
+from tests.peers.navigation.gateway import LATCHED, ClientGoal, Rig, patient, pose
 from tests.peers.zenoh.release_actions import ReleaseActionServer
 from tests.peers.zenoh.releases import LYRICAL, ReleaseNode
 from tests.support.wait import until
@@ -37,7 +37,7 @@ TF = "tf2_msgs/msg/TFMessage"
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     lyrical = {"name": "lyrical", "side": "zenoh", "action": "/planner/lyrical/navigate_to_pose"}
-    with Rig(tmp_path_factory.mktemp("gateway"), planners=[lyrical]) as rig:
+    with patient(), Rig(tmp_path_factory.mktemp("gateway"), planners=[lyrical]) as rig:
         store = rig.worker.store
         store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 3, name="house"))
         store.use_map("house")

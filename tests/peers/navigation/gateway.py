@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from bridge.client.actions import SentGoal
 from bridge.clock import SYSTEM
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.modules.action_server import Goal
+from navigation.gateway import gateway as gateway_module
+from navigation.gateway import stop
 from navigation.messages import NAVIGATE
 from navigation.status import STATUS, PlannerStatus, State, status_message
 from tests.peers.hub.modules import Place
@@ -21,6 +25,16 @@ from yarp_compat.naming.server import NameServer
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 SECONDS = 20.0
+
+
+@contextmanager
+def patient() -> Iterator[None]:
+    """Let the gateway wait longer for a confirmation before it reports that a stop or pause is not confirmed.
+
+    For tests in which each stop is confirmed, which takes a stalled machine longer than `stop.ANSWER_SECONDS`.
+    """
+    with patch.object(gateway_module, "ANSWER_SECONDS", 15.0), patch.object(stop, "ANSWER_SECONDS", 15.0):
+        yield
 
 
 def pose(x: float, y: float = 0.0, yaw: float = 0.0, frame: str = "map") -> dict[str, Any]:
