@@ -96,10 +96,11 @@ def controller(request: pytest.FixtureRequest, robot: Scene) -> Iterator[Control
 def test_odometry_from_before_the_goal_of_another_client_does_not_show_that_the_base_stands(robot: Scene) -> None:
     robot.stands()
     robot.rig.state(State.IDLE)
+    begin = len(robot.rig.statuses)
     server = Controller(robot.rig, "/spin")
     try:
         robot.planner.tell()  # bt_navigator has no goal
-        assert robot.rig.state(State.MOVING, "/spin moves the base")
+        robot.rig.status_since(begin, State.MOVING, "/spin moves the base")  # until odometry covers 0.4 s
         robot.rig.state(State.IDLE)
     finally:
         server.end()
@@ -460,7 +461,8 @@ def test_a_goal_that_fails_without_a_transform_is_sent_again_within_the_patience
     client_goal = robot.drive()
     begin = len(rig.statuses)
     planner.end(GoalState.ABORTED, code)
-    status = rig.state(State.MOVING, f"{PLANNER}: a transform is missing or too old (Nav2 {code}); trying again")
+    reason = f"{PLANNER}: a transform is missing or too old (Nav2 {code}); trying again"
+    status = rig.status_since(begin, State.MOVING, reason)
     assert status["error_code"] == Fault.OTHER
     robot.goal(2)
     assert not client_goal.ended

@@ -183,6 +183,19 @@ class Rig(Place):
             raise
         return status
 
+    def status_since(self, begin: int, state: State, reason: str) -> dict[str, Any]:
+        """Wait for a status with this state and reason that only lasts for a moment, and return it.
+
+        Unlike `state`, this finds a status that another one has replaced; ``begin`` is the index of the first one.
+        """
+
+        def matching() -> dict[str, Any] | None:
+            statuses = self.statuses[begin:]
+            return next((s for s in statuses if s["state"] == state.value and reason in s["reason"]), None)
+
+        status: dict[str, Any] = until(matching, f"a status {state.value} {reason}", SECONDS)
+        return status
+
     def ask(self, service: str, **request: Any) -> dict[str, Any]:
         """Call one of the gateway's services."""
         kind = {"choose_planner": "midspan_msgs/Named", "go_to": "midspan_msgs/Named",
