@@ -123,6 +123,8 @@ def test_a_goal_of_the_other_action_is_sent_when_the_previous_goal_has_ended(rig
     second = ClientGoal(rig.client, pose(9.0))
     assert first.end()[0] == "CANCELED"
     assert xs(passing.until(2)) == [9.0]
+    listed = lambda: rig.gateway.drive.sent and rig.gateway.link.lists(rig.gateway.drive.sent)  # noqa: E731
+    until(listed, "the gateway has the list with the goal", SECONDS)
     third = send(rig)
     assert second.end()[0] == "CANCELED"
     passing.reach(passing.until(3))

@@ -206,8 +206,9 @@ class Rig(Place):
     def fresh(self) -> None:
         """Stop the robot and clear all goals."""
         until(lambda: self.ask("stop") and not self.gateway.driving, "no goal is active", SECONDS)
-        current = self.gateway.state()[0].value  # without this wait, a test could match a status of the previous test
-        until(lambda: self.statuses and self.statuses[-1]["state"] == current, "the client has the status", SECONDS)
+        # without this wait, a test could match a status of the previous test; the state may change while waiting
+        current = lambda: self.gateway.state().state.value  # noqa: E731
+        until(lambda: self.statuses and self.statuses[-1]["state"] == current(), "the client has the status", SECONDS)
         for planner in self.planners.values():
             planner.goals.clear()
 
