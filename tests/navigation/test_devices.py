@@ -12,7 +12,7 @@ import yarp_compat as yarp
 from bridge.hub.wire.qos import Qos
 from bridge.stores.kinds import MAP
 from navigation.status import State
-from tests.peers.navigation.gateway import Rig
+from tests.peers.navigation.gateway import Rig, patient
 from tests.peers.yarp.network import network_of
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DLocation
@@ -40,7 +40,7 @@ class Served(Rig):
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with Served(tmp_path_factory.mktemp("devices")) as rig, network_of(rig.names):
+    with patient(), Served(tmp_path_factory.mktemp("devices")) as rig, network_of(rig.names):
         store = rig.worker.store
         store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 3, name="house"))
         store.use_map("house")

@@ -12,7 +12,7 @@ from bridge.messages.actions import GoalState, names
 from navigation.gateway.telemetry import POSE
 from navigation.messages import THROUGH
 from navigation.status import State
-from tests.peers.navigation.gateway import ClientGoal, Rig, pose
+from tests.peers.navigation.gateway import ClientGoal, Rig, patient, pose
 from tests.peers.zenoh.rmw_action_server import RmwActionServer
 from tests.support.wait import until
 
@@ -21,7 +21,7 @@ PARTS = names(ACTION)
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("hub_planner"), planner="nav2_zenoh") as started:
+    with patient(), Rig(tmp_path_factory.mktemp("hub_planner"), planner="nav2_zenoh") as started:
         yield started
 
 

@@ -64,7 +64,7 @@ def test_states_are_followed_until_the_node_leaves(network: HubNetwork, polling:
         polling.until({"/a": "inactive"})
         state["label"] = "active"
         polling.until({})
-        assert polling.changes == 3
+        until(lambda: polling.changes == 3, "each change is reported", 20)
         state["label"] = "inactive"
         polling.until({"/a": "inactive"})
     polling.until({})

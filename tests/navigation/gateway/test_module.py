@@ -11,7 +11,7 @@ import pytest
 from bridge.stores.kinds import AREA, LOCATION, MAP
 from navigation.gateway import choice, execution
 from navigation.status import Fault, State
-from tests.peers.navigation.gateway import ClientGoal, Rig, pose
+from tests.peers.navigation.gateway import ClientGoal, Rig, patient, pose
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
@@ -23,7 +23,7 @@ MINE = {"name": "mine", "side": "zenoh", "action": "/planner/mine/navigate_to_po
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("gateway"), planners=[MINE]) as started:
+    with patient(), Rig(tmp_path_factory.mktemp("gateway"), planners=[MINE]) as started:
         yield started
 
 

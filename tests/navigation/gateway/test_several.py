@@ -10,7 +10,7 @@ import pytest
 from bridge.config.sections.navigation import THROUGH_POSES
 from navigation.messages import THROUGH
 from navigation.status import State
-from tests.peers.navigation.gateway import SECONDS, ClientGoal, Planner, Rig, pose
+from tests.peers.navigation.gateway import SECONDS, ClientGoal, Planner, Rig, patient, pose
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs
@@ -40,7 +40,7 @@ class PassingPlanner(Planner):
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with Rig(tmp_path_factory.mktemp("several"), planners=[PASSING]) as started:
+    with patient(), Rig(tmp_path_factory.mktemp("several"), planners=[PASSING]) as started:
         started.planners["passing"] = PassingPlanner(started.hubs.settings("passing"), "passing")
         yield started
 
@@ -123,6 +123,8 @@ def test_a_goal_of_the_other_action_is_sent_when_the_previous_goal_has_ended(rig
     second = ClientGoal(rig.client, pose(9.0))
     assert first.end()[0] == "CANCELED"
     assert xs(passing.until(2)) == [9.0]
+    listed = lambda: rig.gateway.drive.sent and rig.gateway.link.lists(rig.gateway.drive.sent)  # noqa: E731
+    until(listed, "the gateway has the list with the goal", SECONDS)
     third = send(rig)
     assert second.end()[0] == "CANCELED"
     passing.reach(passing.until(3))

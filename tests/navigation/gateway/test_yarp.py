@@ -15,7 +15,7 @@ from navigation.maps.grid import to_grid
 from navigation.messages import NAVIGATE
 from navigation.status import State
 from tests.peers.hub.node import HubNode
-from tests.peers.navigation.gateway import LATCHED, ClientGoal, Rig, pose
+from tests.peers.navigation.gateway import LATCHED, ClientGoal, Rig, patient, pose
 from tests.peers.zenoh.release_actions import ReleaseActionServer
 from tests.peers.zenoh.releases import LYRICAL, ReleaseNode
 from tests.support.wait import until
@@ -37,7 +37,7 @@ TF = "tf2_msgs/msg/TFMessage"
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     lyrical = {"name": "lyrical", "side": "zenoh", "action": "/planner/lyrical/navigate_to_pose"}
-    with Rig(tmp_path_factory.mktemp("gateway"), planners=[lyrical]) as rig:
+    with patient(), Rig(tmp_path_factory.mktemp("gateway"), planners=[lyrical]) as rig:
         store = rig.worker.store
         store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 3, name="house"))
         store.use_map("house")
@@ -211,9 +211,14 @@ def base(rig: Rig) -> Iterator[HubNode]:
 def test_velocities_have_the_form_of_the_base(base: HubNode, yarp: INavigation2DMsgs) -> None:
     velocities: list[dict[str, Any]] = []
     base.node.subscription("/cmd_vel", "geometry_msgs/msg/TwistStamped", velocities.append)
-    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 0.2) and velocities, "a velocity is published", 20)
-    assert (velocities[-1]["header"]["frame_id"], velocities[-1]["twist"]["linear"]["x"]) == ("base_link", 0.2)
-    assert velocities[-1]["header"]["stamp"]["sec"]
+
+    def commanded() -> dict[str, Any] | None:
+        yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 0.2)
+        return next((velocity for velocity in velocities if velocity["twist"]["linear"]["x"]), None)
+
+    velocity = until(commanded, "a velocity is published", 20)
+    assert (velocity["header"]["frame_id"], velocity["twist"]["linear"]["x"]) == ("base_link", 0.2)
+    assert velocity["header"]["stamp"]["sec"]
     until(lambda: velocities[-1]["twist"]["linear"]["x"] == 0.0, "the command has expired", 20)
 
 

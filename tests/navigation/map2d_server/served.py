@@ -37,10 +37,18 @@ class Served(Place):
         return self.worker.store
 
     def fresh(self) -> None:
-        """Empty the store, and wait until the module has no current map."""
+        """Empty the store, and wait until other programs no longer see a map or a mask of the module."""
         for kind in KINDS.values():
             self.store.clear(kind)
         until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "no map is current", 20)
+        until(lambda: not self._published(), "no map is published", 20)
+
+    def _published(self) -> list[str]:
+        """Return the topics of maps and masks that the module publishes, as another session sees them."""
+        zid = self.worker.running("map2d_server").host.node.hub.zid
+        ends = self.far.hub.graph.endpoints()
+        topics = [end.topic for end in ends if end.zid == zid and end.kind == "publisher"]
+        return [topic for topic in topics if topic == "/map" or topic.startswith("/maps") or "_filter_" in topic]
 
     def client(self, port: str = "/map2D_nws_yarp/rpc") -> Map2DClient:
         return Map2DClient(port, naming=self.names, timeout=20)

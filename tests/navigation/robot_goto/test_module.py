@@ -214,6 +214,8 @@ def test_the_feedback_of_an_approach_has_its_own_navigation_time(place: Goto) ->
 
 def test_a_yarp_scan_is_stamped_on_reception(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     module, resume = place.module, threading.Event()
+    patient = module.driver.settings.model_copy(update={"laser_timeout": 9.0})  # the scans wait for the test, too
+    place.host.loop.call(lambda: setattr(module.driver, "settings", patient))
     stamps: list[int] = []
     monkeypatch.setattr(
         module.driver, "scan", lambda turn, *_where: stamps.append(turn.time_ns) if turn.farthest == 7.0 else None

@@ -167,7 +167,9 @@ def test_clients_of_the_action_can_cancel_the_goal_of_a_yarp_client(place: Plann
             until(lambda: robot.goal and robot.goal.status is GoalState.EXECUTING, "the robot drives", 20)
             robot.loop.call(robot.client.cancel)
             until(lambda: robot.goal and robot.goal.status is GoalState.CANCELED, "the navigator stops", 20)
-            assert client.remote.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_idle
+            # the brake stops the navigator before the planner's thread handles the request
+            idle = NavigationStatusEnum.navigation_status_idle
+            until(lambda: client.remote.get_navigation_status_RPC()[1] is idle, "the status is idle", 20)
     finally:
         robot.speed = speed
 
@@ -300,7 +302,7 @@ def test_the_status_gives_the_navigators_failure(place: Planning) -> None:
     place.robot.fails = "a person is too close"
     sent = place.robot.send(4.0, 1.0)
     until(lambda: place.module.planner.recoveries, "the planner tries again", 30)
-    assert "a person is too close" in place.module.planner.status.reason
+    until(lambda: "a person is too close" in place.module.planner.status.reason, "the status gives the reason", 20)
     place.robot.fails = ""
     assert sent.end()[0] is GoalState.SUCCEEDED
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from bridge.client.actions import SentGoal
 from bridge.clock import SYSTEM
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.modules.action_server import Goal
+from navigation.gateway import gateway as gateway_module
+from navigation.gateway import stop
 from navigation.messages import NAVIGATE
 from navigation.status import STATUS, PlannerStatus, State, status_message
 from tests.peers.hub.modules import Place
@@ -21,6 +25,16 @@ from yarp_compat.naming.server import NameServer
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 SECONDS = 20.0
+
+
+@contextmanager
+def patient() -> Iterator[None]:
+    """Let the gateway wait longer for a confirmation before it reports that a stop or pause is not confirmed.
+
+    For tests in which each stop is confirmed, which takes a stalled machine longer than `stop.ANSWER_SECONDS`.
+    """
+    with patch.object(gateway_module, "ANSWER_SECONDS", 15.0), patch.object(stop, "ANSWER_SECONDS", 15.0):
+        yield
 
 
 def pose(x: float, y: float = 0.0, yaw: float = 0.0, frame: str = "map") -> dict[str, Any]:
@@ -169,6 +183,19 @@ class Rig(Place):
             raise
         return status
 
+    def status_since(self, begin: int, state: State, reason: str) -> dict[str, Any]:
+        """Wait for a status with this state and reason that only lasts for a moment, and return it.
+
+        Unlike `state`, this finds a status that another one has replaced; ``begin`` is the index of the first one.
+        """
+
+        def matching() -> dict[str, Any] | None:
+            statuses = self.statuses[begin:]
+            return next((s for s in statuses if s["state"] == state.value and reason in s["reason"]), None)
+
+        status: dict[str, Any] = until(matching, f"a status {state.value} {reason}", SECONDS)
+        return status
+
     def ask(self, service: str, **request: Any) -> dict[str, Any]:
         """Call one of the gateway's services."""
         kind = {"choose_planner": "midspan_msgs/Named", "go_to": "midspan_msgs/Named",
@@ -179,8 +206,9 @@ class Rig(Place):
     def fresh(self) -> None:
         """Stop the robot and clear all goals."""
         until(lambda: self.ask("stop") and not self.gateway.driving, "no goal is active", SECONDS)
-        current = self.gateway.state()[0].value  # without this wait, a test could match a status of the previous test
-        until(lambda: self.statuses and self.statuses[-1]["state"] == current, "the client has the status", SECONDS)
+        # without this wait, a test could match a status of the previous test; the state may change while waiting
+        current = lambda: self.gateway.state().state.value  # noqa: E731
+        until(lambda: self.statuses and self.statuses[-1]["state"] == current(), "the client has the status", SECONDS)
         for planner in self.planners.values():
             planner.goals.clear()
 

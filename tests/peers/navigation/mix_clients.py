@@ -14,6 +14,7 @@ from tests.peers.daemon.deployment import Deployment
 from tests.peers.hub.node import HubNode
 from tests.peers.navigation.gateway import ClientGoal, pose
 from tests.peers.peer import Peer
+from tests.support.wait import until
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs
 from yarp_compat.dev.locations import Map2DLocation
 
@@ -79,7 +80,8 @@ class YarpClient:
         return self._moving
 
     def cancel(self) -> None:
-        assert self._remote.stop_navigation_RPC()
+        # repeated, because a stop that a busy machine does not confirm within 2.5 s is "not ok", and continues
+        until(self._remote.stop_navigation_RPC, "the stop is confirmed", SECONDS)
 
     def ask(self, word: str) -> Answer:
         """Use a second connection, because the reply may take a while, and the status is polled meanwhile."""
