@@ -100,7 +100,8 @@ def test_odometry_from_before_the_goal_of_another_client_does_not_show_that_the_
     server = Controller(robot.rig, "/spin")
     try:
         robot.planner.tell()  # bt_navigator has no goal
-        robot.rig.status_since(begin, State.MOVING, "/spin moves the base")  # until odometry covers 0.4 s
+        # until odometry covers 0.4 s
+        assert robot.rig.status_since(begin, State.MOVING, "/spin moves the base")
         robot.rig.state(State.IDLE)
     finally:
         server.end()
