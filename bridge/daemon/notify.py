@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import socket
 import time
 from collections.abc import Mapping
 
 STATUS_LENGTH = 900
+_SECONDS = 0.5
+"""Time limit for a change of the service's state."""
+
 ENVIRONMENT = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 """Variables that systemd sets for one process, which its children must not inherit."""
 
 
 class Notifier:
-    """Sends datagrams to ``$NOTIFY_SOCKET``; never blocks, ignores errors."""
+    """Sends datagrams to ``$NOTIFY_SOCKET``, and ignores errors.
+
+    If systemd does not read for a moment, a change of the service's state waits for it; any other datagram is dropped.
+    """
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
         self._socket: socket.socket | None = None
@@ -24,7 +29,6 @@ class Notifier:
         path = environ.get("NOTIFY_SOCKET", "")
         if path[:1] in {"/", "@"} and hasattr(socket, "AF_UNIX"):
             sock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-            sock.setblocking(False)
             try:
                 sock.connect("\0" + path[1:] if path.startswith("@") else path)
             except OSError:
@@ -51,16 +55,15 @@ class Notifier:
     def status(self, text: str) -> None:
         """Set the line that ``systemctl status`` shows; sent only if it changed."""
         line = " ".join(text.split())[:STATUS_LENGTH]
-        if line != self._status:
+        if line != self._status and self._send(f"STATUS={line}", waits=False):
             self._status = line
-            self._send(f"STATUS={line}")
 
     def feed_watchdog(self) -> None:
         """Feed the watchdog at about half of systemd's interval; called often by the loop that must not hang."""
         now = time.monotonic()
         if self._interval and now - self._fed >= self._interval * 0.9:
             self._fed = now
-            self._send("WATCHDOG=1")
+            self._send("WATCHDOG=1", waits=False)
 
     @property
     def watchdog_interval(self) -> float:
@@ -72,10 +75,16 @@ class Notifier:
             self._socket.close()
             self._socket = None
 
-    def _send(self, text: str) -> None:
-        if self._socket is not None:
-            with contextlib.suppress(OSError):
-                self._socket.send(text.encode())
+    def _send(self, text: str, *, waits: bool = True) -> bool:
+        """Send a datagram; return whether systemd will receive it."""
+        if self._socket is None:
+            return False
+        try:
+            self._socket.settimeout(_SECONDS if waits else 0.0)
+            self._socket.send(text.encode())
+        except OSError:
+            return False
+        return True
 
 
 def _watchdog_seconds(environ: Mapping[str, str]) -> float:

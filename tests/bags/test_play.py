@@ -181,8 +181,9 @@ def test_the_option_commands_plays_commands_and_zero_ends_them(
     out = capsys.readouterr()
     played = json.loads(out.out)["messages"]  # on a busy machine, some are dropped as late
     assert 1 <= played <= 3
-    until(lambda: len(listener.received_on("/cmd_vel")) == played + 1, "the velocities and zero are received", 5)
-    assert [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")] == [0.5] * played + [0.0]
+    until(lambda: len(listener.received_on("/cmd_vel")) >= played + 2, "the velocities and zeros are received", 5)
+    speeds = [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")]
+    assert speeds == [0.5] * played + [0.0] * (len(speeds) - played)
     assert "commands are played, the robot may move: /cmd_vel" in out.err
 
 
@@ -217,8 +218,9 @@ def test_a_halt_pauses_a_player_of_commands(player: Player, listener: Listener) 
     at, count = listener.received_on("/clock")[-1], len(listener.received_on("/clock"))
     until(lambda: len(listener.received_on("/clock")) > count + 5, "the clock is published again", 5)
     assert listener.received_on("/clock")[-1] == at
-    *velocities, last = (twist["linear"]["x"] for twist in listener.received_on("/cmd_vel"))
-    assert (set(velocities), last) == ({0.5}, 0.0)  # on a busy machine, several are played before the halt
+    speeds = [twist["linear"]["x"] for twist in listener.received_on("/cmd_vel")]
+    stop = speeds.index(0.0)  # on a busy machine, several velocities are played before the halt
+    assert (set(speeds[:stop]), set(speeds[stop:])) == ({0.5}, {0.0})
     program.signal(signal.SIGINT)
     output_of(program)
 

@@ -6,12 +6,14 @@ import os
 import signal
 import socket
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from bridge.daemon import notify
 from bridge.daemon.notify import Notifier
 from tests.peers.daemon.daemon import Daemon
 from tests.support.process import Process, is_stopped
@@ -61,6 +63,22 @@ def test_systemd_is_notified_of_status_readiness_and_stopping(daemon: Daemon, sy
     process.signal(signal.SIGTERM)
     assert process.popen.wait(40) == 0
     systemd.expect("STOPPING=1")
+
+
+def test_what_systemd_has_no_room_for_is_not_lost(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its queue has room for ten or some hundred datagrams, depending on the system."""
+    monkeypatch.setattr(notify, "_SECONDS", 40.0)
+    notifier = Notifier(systemd.env)
+    for number in range(2000):
+        notifier.status(str(number))
+    ready = threading.Thread(target=notifier.ready)
+    ready.start()
+    systemd.expect("READY=1")
+    ready.join()
+    assert "STATUS=1999" not in systemd.messages
+    notifier.status("1999")
+    systemd.expect("STATUS=1999")
+    notifier.close()
 
 
 def test_the_daemon_is_ready_even_if_a_side_does_not_work(daemon: Daemon, systemd: Systemd) -> None:

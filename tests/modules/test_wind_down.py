@@ -85,6 +85,22 @@ def test_a_module_is_stopped_once_it_has_wound_down(place: Place, monkeypatch: p
     until(lambda: not place.far.hub.graph.publishers("/said"), "the module's endpoints are closed")
 
 
+def test_a_module_whose_thread_is_busy_winds_down_later(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 60.0)
+    running, free = place.worker.running("echo"), threading.Event()
+    running.host.loop.post(lambda: free.wait(40))
+    winding = WindDown(running.module, monkeypatch)
+    stopping = Stopping(running)
+    until(lambda: time.monotonic() - stopping.began > 1.5, "the first request has failed")
+    free.set()
+    assert winding.begun.wait(20)
+    assert winding.done is not None
+    assert not stopping.stopped
+    winding.done()
+    stopping.join()
+    assert winding.events == ["winding down", "stopped"]
+
+
 def test_a_module_that_does_not_wind_down_is_stopped_after_the_time_limit(
     place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -120,12 +120,12 @@ class Ros2Edge(SideEdge):
             _log.warning("%s; %s", err, err.cure)
         loop = QueueReadLoop(participant.resolve) if rcl.is_compiled() else WaitSetReadLoop(participant)
         loop.start()
-        graph = Ros2Graph(
-            participant, self._prefix, self._changed, self._dds.obstacle, self._versions,
-            separates_versions=self._dds.separates_versions(),
-        )  # fmt: skip
         send_all = partial(spdp.send_all, domain=number, localhost_only=self._localhost_only)
         heartbeats = Heartbeats(send_all, later)
+        graph = Ros2Graph(
+            participant, self._prefix, self._changed, self._dds.obstacle, self._versions,
+            separates_versions=self._dds.separates_versions(), prepare=partial(self._dds.follow, heartbeats),
+        )  # fmt: skip
         held = HeldRequests(graph, later, participant.marks.made_by)
         processes = ProcessWatch(self._prefix)
         self._context = Ros2Context(participant, loop, graph, processes, later, heartbeats, self._dds, held)
@@ -141,7 +141,6 @@ class Ros2Edge(SideEdge):
         self._dds.refresh(self._prefix, self._origins.predecessors, self._announcements.port)
         self._dds.clean(self._prefix, self._origins.past)
         graph.start()
-        self._dds.follow(heartbeats, graph.snapshot.endpoints)
         string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
         past, changed = self._origins.past, listener.presence_changed
         self._presence = PresenceTopic(participant, loop, string, current_participants, past, changed)
@@ -157,8 +156,6 @@ class Ros2Edge(SideEdge):
             self._listener.edge_failed(f"{text}: restarting")
 
     def _changed(self, snapshot: GraphSnapshot) -> None:
-        if self._context is not None:
-            self._dds.follow(self._context.heartbeats, snapshot.endpoints)
         if self._neighbors is not None:
             self._neighbors.follow(snapshot.participants)
         with self._lock:

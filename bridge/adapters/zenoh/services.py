@@ -15,10 +15,12 @@ from bridge.hub.endpoints.calls import Call, CallClient, CallError
 class KeyCaller(CallClient):
     """Calls the servers of a key that zenoh selects (`BEST_MATCHING`), and uses the first reply, like the plugins.
 
-    ``attached`` returns the attachment of a request, by its number.
+    ``attached`` returns the attachment of a request, by its number. A server is offered on the hub as soon as its token
+    is seen, which may be before zenoh has learned its queryable.
     """
 
     where = "this zenoh network"
+    first_server = 1.0
 
     def __init__(
         self, context: KeyContext, key: str, name: str, announcement: Announcement,

@@ -13,6 +13,7 @@ from typing import Any
 
 from bridge.bags.play.topics import PlayTopic
 from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE
+from bridge.concurrency import DelayedCalls
 from bridge.hub.definitions import VERB
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.errors import HubClosedError, HubError
@@ -25,6 +26,9 @@ from bridge.messages.registry import Registry
 _CLOCK = struct.Struct("<4siI")
 _LITTLE = b"\x00\x01\x00\x00"
 _POLL_SECONDS = 0.02
+_STOP_SECONDS, _STOP_PERIOD = 0.7, 0.1
+"""Zero velocity is repeated for this time: a worker that was starved for a moment drops commands for half a second."""
+
 _NS = 1_000_000_000
 
 _Key = tuple[str, str, str, Qos]
@@ -48,6 +52,10 @@ class HubOutput:
         self._zeros = {t: from_json(registry, t.type_name, {}) for t in topics if t.velocity}
         self._lock = threading.Lock()
         self._moving: dict[HubPublisher, bytes] = {}
+        self._stopping: dict[HubPublisher, tuple[bytes, float]] = {}  # zero, and until when (monotonic) it is repeated
+        self._stopped = threading.Event()
+        self._stopped.set()
+        self._later = DelayedCalls("play-zero")
         self._finished = False
         self._clock: HubPublisher | None = None
         if clock:
@@ -81,6 +89,7 @@ class HubOutput:
             if self._finished:
                 raise HubClosedError("the play has ended")
             self._moving[end] = zero
+            self._stopping.pop(end, None)
             end.put(data)
 
     def clock(self, time_ns: int) -> None:
@@ -90,12 +99,32 @@ class HubOutput:
             self._clock.put(_CLOCK.pack(_LITTLE, seconds, nanoseconds))
 
     def end_velocities(self) -> bool:
-        """Command zero velocity on each topic with a played velocity; return whether there was any."""
+        """Command zero velocity on each topic with a played velocity; return whether there was any.
+
+        It is repeated for `_STOP_SECONDS`, unless another velocity is played meanwhile.
+        """
         with self._lock:
             moving, self._moving = self._moving, {}
+            until = time.monotonic() + _STOP_SECONDS
+            self._stopping |= {end: (zero, until) for end, zero in moving.items()}
+            if moving:
+                self._stopped.clear()
+                self._later.after(_STOP_PERIOD, self._repeat_zeros, once=True)
             for end, zero in moving.items():
                 end.put(zero)
         return bool(moving)
+
+    def _repeat_zeros(self) -> None:
+        now = time.monotonic()
+        with self._lock:
+            self._stopping = {end: (zero, until) for end, (zero, until) in self._stopping.items() if now < until}
+            for end, (zero, _) in self._stopping.items():
+                with suppress(HubError):  # the hub is lost
+                    end.put(zero)
+            if self._stopping:
+                self._later.after(_STOP_PERIOD, self._repeat_zeros, once=True)
+            else:
+                self._stopped.set()
 
     def finish(self) -> None:
         """Refuse further velocities from a thread that is still playing, and end those that were played."""
@@ -133,7 +162,9 @@ class HubOutput:
                 return bool(subscribed)
 
     def close(self) -> None:
-        """Close the publishers. Safe to call twice."""
+        """Close the publishers, after the last zero velocity. Safe to call twice."""
+        self._stopped.wait(2 * _STOP_SECONDS)
+        self._later.close()
         self._unserve()
         for end in [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]:
             end.close()

@@ -112,6 +112,8 @@ class CallClient:
     """
 
     where = "the hub"
+    first_server = 0.0
+    """Seconds after its creation for which a client's calls wait for the first server."""
     encoding: zenoh.Encoding | None = None
     _withdraw: Callable[[], None]
 
@@ -135,6 +137,8 @@ class CallClient:
         self._lock = Lock()
         self._numbers = itertools.count(1)
         self._waiting: dict[int, _PendingCall] = {}
+        self._early: list[_PendingCall] = []  # calls that wait for the first server
+        self._early_until = time.monotonic() + self.first_server
         self._querier: zenoh.Querier | None = session.declare_querier(
             key,
             target=target,
@@ -176,15 +180,39 @@ class CallClient:
         if len(request) > self._limit:
             done(CallError(f"the request has {len(request)} bytes, limits.message allows {self._limit}"))
             return nothing
-        if not self._reachable:
+        reachable, left = self._reachable, self._early_until - time.monotonic()
+        if not reachable and (left <= 0.0 or self._querier is None):
             done(CallError(_NO_SERVER.format(name=self.name, where=self.where)))
             return nothing
         with self._lock:
             number = next(self._numbers)
             pending = _PendingCall(number, request, self._attached(number), done)
             self._waiting[number] = pending
-        self._ask(pending)
+            if not reachable:
+                self._early.append(pending)
+        if reachable:
+            self._ask(pending)
+        else:
+            self._delays.after(left, self._end_early, once=True)
+            self._begin_early()  # a server may have come meanwhile
         return partial(self._abandon, pending)
+
+    def _begin_early(self) -> None:
+        """Begin the calls that wait for the first server, if there is one; on another thread, because it may block."""
+        if not self._reachable:
+            return
+        with self._lock:
+            early, self._early = self._early, []
+            begun = [pending for pending in early if pending.number in self._waiting]
+        for pending in begun:
+            self._executor.submit(partial(self._ask, pending))
+
+    def _end_early(self) -> None:
+        """End the calls that wait for the first server."""
+        with self._lock:
+            early, self._early = self._early, []
+        for pending in early:
+            self._end(pending.number, CallError(_NO_SERVER.format(name=self.name, where=self.where)))
 
     def _ask(self, pending: _PendingCall) -> None:
         querier = self._querier
@@ -223,8 +251,11 @@ class CallClient:
     def _on_match_changed(self, status: object) -> None:
         """Handle the first server or the loss of the last server; runs on a zenoh thread."""
         keep_thread_state()
+        self._early_until = 0.0
         if not _matching(status):
             self._end_all(CallError(LEFT.format(name=self.name)))
+        elif self._early:
+            self._ends.submit(self._begin_early)
         if self._changed is not None:
             self._changed()
 

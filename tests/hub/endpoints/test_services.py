@@ -152,6 +152,36 @@ def test_without_a_server_a_call_ends_at_once(network: HubNetwork) -> None:
         abandon()
 
 
+def test_calls_may_wait_for_the_first_server(network: HubNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(HubClient, "first_server", 40.0)
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        caller = b.client("/do", SERVICE, HASH)
+        (first, _), (second, abandon) = call(caller, b"one"), call(caller, b"two")
+        abandon()
+        serving = Serving(a, answer=lambda request: b"re " + request)
+        assert first.wait() == b"re one"
+        assert call(caller, b"three")[0].wait() == b"re three"
+        serving.server.close()
+        until(lambda: not caller.ready, "the server's end is seen")
+        assert call(caller)[0].wait(0) == "no server of /do is on the hub"
+        assert second.ends == []
+
+
+def test_calls_that_wait_for_the_first_server_end_without_one(
+    network: HubNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(HubClient, "first_server", 0.2)
+    with Hub.open(network.settings("a")) as a:
+        caller = a.client("/do", SERVICE, HASH)
+        assert call(caller)[0].wait() == "no server of /do is on the hub"
+        monkeypatch.setattr(HubClient, "first_server", 40.0)
+        caller = a.client("/do", SERVICE, HASH)
+        called, _ = call(caller)
+        caller.close()
+        assert called.wait(0) == "the call of /do was ended: its client was closed"
+        assert call(caller)[0].wait(0) == "no server of /do is on the hub"
+
+
 def test_a_server_that_closes_ends_its_calls(network: HubNetwork) -> None:
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         serving = Serving(a)

@@ -189,7 +189,7 @@ class Deployment(MidspanDaemon):
             return
         if show:
             print(self.daemon.output()[-8000:])
-        self.daemon.stop()
+        self.daemon.stop(40.0)
         end_router(self.folder / "state")
 
 

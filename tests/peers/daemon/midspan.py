@@ -71,4 +71,4 @@ class MidspanDaemon:
         """Stop the daemon with SIGTERM, and return its exit code."""
         assert self.daemon is not None
         daemon, self.daemon = self.daemon, None
-        return daemon.stop()
+        return daemon.stop(40.0)  # on a busy machine; it stops within `bridge.daemon.supervisor.STOP_SECONDS` otherwise

@@ -58,14 +58,18 @@ VendorObstacle = Callable[[str, Sequence[Endpoint]], Obstacle | None]
 
 
 class Ros2Graph:
-    """Follows the graph; `snapshot` is its latest state."""
+    """Follows the graph; `snapshot` is its latest state.
+
+    ``prepare`` is called with the endpoints of each new snapshot before other threads see it, ``changed`` afterwards.
+    """
 
     def __init__(
         self, participant: Participant, own_prefix: bytes, changed: Callable[[GraphSnapshot], None],
         obstacle: VendorObstacle, versions: EndpointVersions | None = None, *, separates_versions: bool = False,
+        prepare: Callable[[Sequence[Endpoint]], None] = lambda _endpoints: None,
     ) -> None:  # fmt: skip
         self._participant, self._own, self._changed, self._versions = participant, own_prefix, changed, versions
-        self._vendor_obstacle, self._separates = obstacle, separates_versions
+        self._vendor_obstacle, self._separates, self._prepare = obstacle, separates_versions, prepare
         self.snapshot = GraphSnapshot()
         self._closed = vendors.ClosedEndpoints()
         self._guard = participant.make_guard_condition()
@@ -75,7 +79,9 @@ class Ros2Graph:
 
     def start(self) -> None:
         """Read the graph once, then follow it."""
-        self.snapshot = self.read()
+        snapshot = self.read()
+        self._prepare(snapshot.endpoints)
+        self.snapshot = snapshot
         self._thread.start()
 
     def stop(self) -> None:
@@ -268,6 +274,7 @@ class Ros2Graph:
     def _update(self) -> None:
         snapshot = self.read()
         if snapshot != self.snapshot:
+            self._prepare(snapshot.endpoints)  # a writer that another thread creates for a new endpoint relies on this
             self.snapshot = snapshot
             self._changed(snapshot)
 
