@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -68,13 +69,24 @@ BELOW = {
 """Other parts that each part of ``bridge`` may import; the command line, the doctor and the demo may import all."""
 
 
+Import = ast.Import | ast.ImportFrom
+
+
+@functools.cache
+def statements(file: Path) -> tuple[tuple[Import, bool], ...]:
+    """Return a file's import statements, each with whether it is executed lazily, not when the file is imported."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    at_once = {id(node) for node in _at_once(tree)}
+    return tuple((node, id(node) not in at_once) for node in ast.walk(tree) if isinstance(node, Import))
+
+
 def imported(file: Path) -> set[str]:
     names = set[str]()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node, _ in statements(file):
         if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
             names.add(node.module)
         elif isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
+            names |= {alias.name for alias in node.names}
     return {name.removeprefix("bridge.") for name in names if name.startswith("bridge.")}
 
 
@@ -120,7 +132,7 @@ def test_only_the_doctor_imports_the_checks_of_features() -> None:
 def every_name(file: Path) -> set[str]:
     """Return the modules that a file imports, and the names that it imports from modules."""
     names = {name for name, _ in every_import(file)}
-    froms = (node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.ImportFrom))
+    froms = (node for node, _ in statements(file) if isinstance(node, ast.ImportFrom))
     return names | {f"{node.module}.{alias.name}" for node in froms for alias in node.names}
 
 
@@ -204,7 +216,7 @@ def commands() -> Iterator[tuple[str, str]]:
     for file in COMMANDS.rglob("*.py"):
         place = file.relative_to(COMMANDS).as_posix()
         names = {name for name, _ in every_import(file)}
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node, _ in statements(file):
             if isinstance(node, ast.ImportFrom) and node.module:
                 names.discard(node.module)
                 names |= {f"{node.module}.{alias.name}" for alias in node.names}
@@ -300,7 +312,7 @@ def named(file: Path) -> set[tuple[str, str]]:
     """Return what a file imports from ``bridge``: modules and names."""
     return {
         (node.module.removeprefix("bridge."), alias.name)
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        for node, _ in statements(file)
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("bridge.")
         for alias in node.names
     }
@@ -364,14 +376,12 @@ def test_yarp_compat_imports_nothing_of_midspan() -> None:
 
 def every_import(file: Path) -> set[tuple[str, bool]]:
     """Return the modules that a file imports, each with whether it is imported lazily."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    at_once = {id(node) for node in _at_once(tree)}
     names = set[tuple[str, bool]]()
-    for node in ast.walk(tree):
+    for node, lazy in statements(file):
         if isinstance(node, ast.ImportFrom):
-            names.add((node.module if node.level == 0 and node.module else "yarp_compat", id(node) not in at_once))
-        elif isinstance(node, ast.Import):
-            names.update((alias.name, id(node) not in at_once) for alias in node.names)
+            names.add((node.module if node.level == 0 and node.module else "yarp_compat", lazy))
+        else:
+            names.update((alias.name, lazy) for alias in node.names)
     return names
 
 
