@@ -156,7 +156,7 @@ class Execution:
             self._changed()
             return
         several = self._passes(drive)
-        if self._link.other_goals(several=several):
+        if self._link.other_goals(drive.unlisted, several=several):
             if before is not None:
                 self._link.end(before)
             drive.reason = f"waiting until {self._planner} has ended its previous goal"
