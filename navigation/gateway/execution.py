@@ -410,7 +410,7 @@ class Execution:
         elif self._link.foreign and self._link.state.reported:
             reason = drive.reason or self._without_reason("canceled")
             self.finish(drive, GoalState.CANCELED, Fault.OTHER, reason)
-        elif drive.machine.age > JUDGING_SECONDS:
+        elif drive.machine.age > (SETTLING_SECONDS if self._link.may_execute(drive.sent) else JUDGING_SECONDS):
             self._abort(drive, Fault.OTHER, drive.reason or self._without_reason("aborted"))
 
     def _abort(self, drive: ClientDrive, code: int, reason: str) -> None:
