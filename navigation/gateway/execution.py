@@ -185,7 +185,7 @@ class Execution:
     def _passes(self, drive: ClientDrive) -> bool:
         """Whether the planner gets all remaining targets in one goal, and drives through them without stops."""
         same = {(target.frame, target.tree) for target in drive.left} == {(self._frame, drive.target.tree)}
-        return len(drive.left) > 1 and same and self._link.passes
+        return (drive.several or len(drive.left) > 1) and same and self._link.passes
 
     def _resume(self, drive: ClientDrive) -> None:
         if self.drive is drive and drive.machine.on(DriveEvent.RESUME):

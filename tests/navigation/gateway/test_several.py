@@ -110,6 +110,20 @@ def test_a_planner_with_the_action_gets_all_poses_in_one_goal(rig: Rig, passing:
     assert client_goal.end() == ("SUCCEEDED", "")
 
 
+def test_the_last_pose_of_a_goal_of_several_poses_is_sent_again_to_the_same_action(
+    rig: Rig, passing: PassingPlanner
+) -> None:
+    client_goal = send(rig)
+    goal = passing.until(1)
+    passing.on(lambda: goal.feedback({"number_of_poses_remaining": 1}))
+    until(lambda: len(rig.gateway.drive.left) == 1, "one pose is left", SECONDS)
+    rig.worker.running("gateway").host.loop.call(rig.gateway.execution.recompute)
+    goal = passing.until(2)
+    assert xs(goal) == [3.0]
+    passing.reach(goal)
+    assert client_goal.end() == ("SUCCEEDED", "")
+
+
 def test_a_stop_ends_the_planners_goal_of_several_poses(rig: Rig, passing: PassingPlanner) -> None:
     client_goal = send(rig)
     goal = passing.until(1)
