@@ -89,7 +89,7 @@ class LayerSubscriptions:
         A layer that has never published twice within its ``timeout`` is latched: it publishes on changes only, and is
         silent when it has no publisher.
         """
-        for topic, received in self._received.items():
+        for topic, received in self._received.copy().items():  # other threads ask for the health
             source, silent = self._periodic.get(topic), ""
             if source is not None:
                 silent = source.silent(received, self._now())

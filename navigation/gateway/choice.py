@@ -34,7 +34,8 @@ class PlannerChoice:
     @property
     def pending(self) -> str:
         """The planner that takes over when the robot stands still; "" for none."""
-        return "" if self._next is None else self._wanted(self._next)
+        following = self._next  # another thread reads this
+        return "" if following is None else self._wanted(following)
 
     @property
     def has_action(self) -> bool:

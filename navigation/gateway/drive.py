@@ -15,6 +15,9 @@ from bridge.state_machine import Machine
 from navigation.gateway.machine import DRIVE, DriveEvent, DriveState
 from navigation.gateway.targets import Target
 
+LIST_SECONDS = 5.0
+"""A replaced goal counts as ended if the planner's list still lacks it this long after the request that replaced it."""
+
 
 def _machine() -> Machine[DriveState, DriveEvent]:
     return Machine(DRIVE, DriveState.WAITING)
@@ -67,6 +70,11 @@ class ClientDrive:
     def left(self) -> Sequence[Target]:
         """The targets that have not been reached."""
         return self.targets[self.at :]
+
+    @property
+    def unlisted(self) -> Sequence[SentGoal]:
+        """The replaced goals that the planner may have although they are not in its list yet."""
+        return self.replaced if time.monotonic() < self.asked_at + LIST_SECONDS else ()
 
     @property
     def begun(self) -> bool:

@@ -156,7 +156,7 @@ class Execution:
             self._changed()
             return
         several = self._passes(drive)
-        if self._link.other_goals(several=several):
+        if self._link.other_goals(drive.unlisted, several=several):
             if before is not None:
                 self._link.end(before)
             drive.reason = f"waiting until {self._planner} has ended its previous goal"
@@ -185,7 +185,7 @@ class Execution:
     def _passes(self, drive: ClientDrive) -> bool:
         """Whether the planner gets all remaining targets in one goal, and drives through them without stops."""
         same = {(target.frame, target.tree) for target in drive.left} == {(self._frame, drive.target.tree)}
-        return len(drive.left) > 1 and same and self._link.passes
+        return (drive.several or len(drive.left) > 1) and same and self._link.passes
 
     def _resume(self, drive: ClientDrive) -> None:
         if self.drive is drive and drive.machine.on(DriveEvent.RESUME):
@@ -410,7 +410,7 @@ class Execution:
         elif self._link.foreign and self._link.state.reported:
             reason = drive.reason or self._without_reason("canceled")
             self.finish(drive, GoalState.CANCELED, Fault.OTHER, reason)
-        elif drive.machine.age > JUDGING_SECONDS:
+        elif drive.machine.age > (SETTLING_SECONDS if self._link.may_execute(drive.sent) else JUDGING_SECONDS):
             self._abort(drive, Fault.OTHER, drive.reason or self._without_reason("aborted"))
 
     def _abort(self, drive: ClientDrive, code: int, reason: str) -> None:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Collection, Mapping
 
 from bridge.messages.actions import GoalState
+from navigation.gateway.motion import STALL_SECONDS
 
 EARLY_SECONDS = 1.0
 """A list may arrive this long before the graph shows its publisher."""
@@ -27,6 +28,7 @@ class GoalList:
         self._publishers: dict[bytes, float] = {}  # GIDs of the topic's publishers on the hub: when each appeared
         self._publisher = b""  # the publisher of the newest list
         self._shown = False  # whether the graph has shown that publisher
+        self._refreshed_at = self._running_since = 0.0  # the last `refresh`, and the end of the last stall (monotonic)
         self._received = 0.0  # when the newest list arrived (monotonic); 0: never
         self.active_since = 0.0  # since when any goal has been active (monotonic); 0: none is
         self._statuses: dict[bytes, GoalState] = {}
@@ -48,8 +50,8 @@ class GoalList:
         return self._statuses.get(goal)
 
     def _latest_sign(self) -> float:
-        """Return when a publisher last appeared, or a list arrived (monotonic)."""
-        return max(self._received, *self._publishers.values())
+        """Return when a publisher last appeared, a list arrived, or a stall of this process ended (monotonic)."""
+        return max(self._received, self._running_since, *self._publishers.values())
 
     def receive(self, publisher: bytes, statuses: Mapping[bytes, GoalState]) -> bool:
         """Store a list; return whether it differs from the previous one."""
@@ -61,8 +63,11 @@ class GoalList:
         return changed
 
     def refresh(self, publishers: Collection[bytes]) -> None:
-        """Set the topic's publishers; a list is valid while its publisher exists."""
+        """Set the topic's publishers; a list is valid while its publisher exists. Called about ten times a second."""
         now, before = time.monotonic(), self._publishers
+        if now > self._refreshed_at + STALL_SECONDS:
+            self._running_since = now  # a list may have arrived that has not been read yet
+        self._refreshed_at = now
         self._publishers = {gid: before.get(gid, now) for gid in publishers}
         self._empty = self._empty and bool(self._publishers) and self._publishers.keys() <= before.keys()
         if self._publisher in self._publishers:

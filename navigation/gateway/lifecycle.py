@@ -48,7 +48,8 @@ class LifecycleNodes:
     @property
     def inactive(self) -> dict[str, str]:
         """The states of the nodes that are not active, by name; `SILENT` after `ANSWER_SECONDS` without an answer."""
-        return {name: node.state for name, node in self._nodes.items() if node.state not in ("", ACTIVE)}
+        nodes = self._nodes.copy()  # other threads read the states
+        return {name: node.state for name, node in nodes.items() if node.state not in ("", ACTIVE)}
 
     def refresh(self) -> None:
         """Request the states that are due; called about ten times a second."""

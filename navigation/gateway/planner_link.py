@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bridge.client.actions import ActionClient, Ended, SentGoal
@@ -128,13 +128,17 @@ class PlannerLink:
         """Whether the planner now accepts a goal of several poses."""
         return self._through is not None and self._through.ready
 
-    def other_goals(self, *, several: bool) -> bool:
+    def other_goals(self, sent: Sequence[SentGoal], *, several: bool) -> bool:
         """Whether a goal of the gateway is active at the action that ``several`` does not select.
 
-        Nav2 rejects new goals until such a goal has ended. Always False for Midspan's own planners.
+        Nav2 rejects new goals until such a goal has ended. ``sent`` are goals that may be missing from its list yet.
+        Always False for Midspan's own planners.
         """
         other = self._goals if several else self._through_goals
-        return other is not None and not self.ours and any(map(self.mark.is_own, other.list.active))
+        if other is None or self.ours:
+            return False
+        unlisted = [goal for goal in sent if goal.active and other.list.status(goal.id) is None]
+        return any(map(self.mark.is_own, other.list.active)) or any(self._goals_of(goal) is other for goal in unlisted)
 
     def send(
         self, goal: Mapping[str, Any], ended: Ended, feedback: Callable[[Message], None], *, several: bool = False

@@ -193,10 +193,11 @@ class Memory:
             return
         if not now and time.monotonic() - self._written < _PERIOD:
             return
-        self._saved, self._written = (map_name, pose), time.monotonic()
+        self._written = time.monotonic()
         new = self._file.with_suffix(".new")
         new.write_text(json.dumps({"map": map_name, "pose": pose[:3], "run": _run()}), encoding="utf-8")
         new.replace(self._file)
+        self._saved = map_name, pose  # last, so that a pose that could not be written is written later
 
     def recall(self, map_name: str, *, of_this_run: bool) -> Pose | None:
         """Return the saved pose on a map, if any; ``of_this_run``: only a pose that this run of the daemon saved."""

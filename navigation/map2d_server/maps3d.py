@@ -54,7 +54,7 @@ class Maps3D:
     @property
     def topics(self) -> dict[str, str]:
         """The topic of each map."""
-        return {name: end.topic for name, (_, end) in self._ends.items()}
+        return {name: end.topic for name, (_, end) in self._ends.copy().items()}  # another thread reads the topics
 
     def _show(self, name: str) -> None:
         value = self._store.get(MAP3D, name)

@@ -159,7 +159,7 @@ class AllMaps:
     @property
     def topics(self) -> dict[str, str]:
         """The topic of each map."""
-        return {name: end.topic for name, end in self._ends.items()}
+        return {name: end.topic for name, end in self._ends.copy().items()}  # another thread reads the topics
 
     def _show(self, name: str) -> None:
         stored = self._store.get(MAP, name)

@@ -182,12 +182,17 @@ class Mapper2D(Module):
         return answer
 
     def _click(self, received: Received) -> None:
+        """Paint at a click on the picture; runs on the connection's thread."""
         values = received.values
+
+        def paint() -> None:
+            self._canvas.click(values)
+            self._changed = True
+
         try:
-            self._host.loop.call(lambda: self._canvas.click(values))
+            self._host.loop.call(paint)
         except ValueError as err:
             raise WireError(str(err)) from None  # the port counts and logs it
-        self._changed = True
 
     @override
     def health(self) -> Health:

@@ -31,6 +31,7 @@ from navigation.status import Fault, PlannerStatus
 COAST = 0.3  # seconds for which the robot drives on past a waypoint while it has no next goal
 RETREAT_SPEED = 0.2  # m/s
 MAX_RETREAT = 2.0  # seconds
+LONGEST_STEP = 1.0  # seconds; in a longer time between two steps, this process stalled
 _FACING = 0.1  # rad/s; a robot that turns more slowly already faces its path
 _DOES_NOT_FOLLOW = "the base does not follow its commands: check its emergency stop and its odometry"
 
@@ -202,8 +203,10 @@ class Driver:
         ``pose`` is the robot's pose on the map; if it is None, ``lost`` is the reason. ``moved`` is the pose in the
         odometry frame, in which observations are stored, or on the map without odometry.
         """
-        passed = 0.0 if self._now is None else min(max(0.0, now - self._now), 1.0)
-        self._now = now
+        since = 0.0 if self._now is None else max(0.0, now - self._now)
+        passed, self._now = min(since, LONGEST_STEP), now
+        if self.target is not None:
+            self.target.skip(since - passed)
         moved = self._surroundings.move(self.settings, now, passed, self.command, pose, moved)
         self.command = self._choose(now, passed, pose, moved, lost)
         return self.command

@@ -219,6 +219,12 @@ class GotoTask:
     search: SearchTurn = field(default_factory=SearchTurn)
     hold: Hold = field(default_factory=Hold)
 
+    def skip(self, seconds: float) -> None:
+        """Do not count a time in which this process did not run."""
+        self.progress.excuse(seconds)
+        if self.waiting_since is not None:
+            self.waiting_since += seconds
+
     @property
     def heading(self) -> bool:
         """Whether its heading matters."""

@@ -155,7 +155,8 @@ class RobotPathPlanner(PlannerModule):
 
     @override
     def map_name(self) -> str:
-        return self.planner.ground.name if self.planner.ground else ""
+        ground = self.planner.ground  # another thread reads this
+        return ground.name if ground else ""
 
     @override
     def _poses_left(self) -> int:

@@ -49,15 +49,18 @@ class LocalNavigator(Protocol):
 
 _ROBOT_GOTO = "/planner/robot_goto/"
 _ACTION_SUFFIX = "/navigate_to_pose"
+_BACK_SECONDS = 0.5
+"""Seconds between two checks whether the server of a goal that has to end is back."""
 
 
 class ActionNavigator:
     """A local navigator behind one action. Used on the module's thread, except for `brake`."""
 
     def __init__(self, host: Host, action: str, frame: str) -> None:
-        self._frame, self._action = frame, action
+        self._frame, self._action, self._loop = frame, action, host.loop
         self._client = host.node.action_client(action, NAVIGATE)
         self._goal: SentGoal | None = None
+        self._lost = False  # whether contact with the goal's server was lost, which may still execute the goal
         self._state, self._reason, self._fault = State.IDLE, "", Fault.NONE
         if action.endswith(_ACTION_SUFFIX):
             host.node.subscription(action.removesuffix(_ACTION_SUFFIX) + "/status", STATUS, self._on_status, LATCHED)
@@ -75,7 +78,7 @@ class ActionNavigator:
         return self._fault if self._client.ready else Fault.NO_NAVIGATOR
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
-        self._state, self._reason, self._fault = State.PREPARING, "", Fault.NONE
+        self._state, self._reason, self._fault, self._lost = State.PREPARING, "", Fault.NONE, False
         # without a stamp, because the clock of another machine may differ
         goal = {"pose": {"header": {"frame_id": self._frame}, "pose": pose_message(pose)}}
         if self._action.startswith(_ROBOT_GOTO):
@@ -85,8 +88,18 @@ class ActionNavigator:
     def cancel(self) -> None:
         goal, self._goal = self._goal, None
         self._state, self._reason, self._fault = State.IDLE, "", Fault.NONE
-        if goal is not None and not goal.status.ended:
+        if goal is not None and self._lost:
+            self._cancel_lost(goal)
+        elif goal is not None and not goal.status.ended:
             goal.cancel()
+
+    def _cancel_lost(self, goal: SentGoal) -> None:
+        """Cancel a goal as soon as its server is back."""
+        if self._client.ready:
+            self._client.follow(goal)  # the request is repeated while the goal is active
+            goal.cancel()
+        else:
+            self._loop.after(_BACK_SECONDS, lambda: self._cancel_lost(goal))
 
     def brake(self) -> Callable[[], None]:
         """Return a function that cancels only the current goal. Both may run on any thread; `cancel` has to follow."""
@@ -111,6 +124,7 @@ class ActionNavigator:
     def _on_end(self, goal: SentGoal, result: dict[str, Any] | None, reason: str) -> None:
         if goal is not self._goal:
             return  # another goal replaced it
+        self._lost = result is None and goal.accepted is not False
         reason = (result or {}).get("error_msg", "") or reason
         is_robot_goto = self._action.startswith(_ROBOT_GOTO)
         self._fault = Fault.parse((result or {}).get("error_code", 0)) if is_robot_goto else Fault.NONE

@@ -73,12 +73,12 @@ class PathPlanner:
 
     @property
     def target(self) -> MapPlace | None:
-        return self.task.goal if self.task else None
+        return task.goal if (task := self.task) else None  # another thread reads this
 
     @property
     def waypoints(self) -> tuple[Waypoint, ...]:
         """All waypoints of the current path."""
-        return self.task.waypoints if self.task else ()
+        return task.waypoints if (task := self.task) else ()  # another thread reads this
 
     @property
     def waypoint(self) -> Waypoint | None:

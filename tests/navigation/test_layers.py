@@ -1,11 +1,13 @@
 """Layers on the hub: the points of their cells, and invalid grids."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from navigation.layers import LayerError, on, read_layer
+from bridge.config.sections.obstacles import ObstacleSection
+from navigation.layers import LayerError, LayerSubscriptions, on, read_layer
 from navigation.pose import Pose
 
 
@@ -53,3 +55,18 @@ def test_a_large_cell_is_split(yaw):
 def test_an_invalid_grid_is_rejected(changed, words):
     with pytest.raises(LayerError, match=words):
         read_layer(layer([[0, 100]], changed=changed))
+
+
+def test_a_layer_may_arrive_while_another_thread_asks_which_layer_is_silent():
+    receive, message = {}, {"header": {"frame_id": "map"}, **layer([[0, 100]])}
+    graph = SimpleNamespace(publishers=lambda _topic: [receive["/b"](message)])
+    node = SimpleNamespace(
+        hub=SimpleNamespace(graph=graph),
+        subscription=lambda topic, _kind, on_message, _qos: receive.update({topic: on_message}),
+    )
+    host = SimpleNamespace(node=node, on_jump=lambda _forget: None)
+    sources = [ObstacleSection(topic=topic, type="layer") for topic in ("/a", "/b")]
+    frames = SimpleNamespace(map_frame="map")
+    layers = LayerSubscriptions(host, sources, frames, lambda _topic, _places: None, lambda: 1.0)
+    receive["/a"](message)
+    assert layers.silent() == ""

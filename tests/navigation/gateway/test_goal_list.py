@@ -68,6 +68,17 @@ def test_a_server_of_rcl_without_a_list_has_no_goals(clock: Clock) -> None:
     assert goals.active == ()
 
 
+def test_a_stall_of_this_process_does_not_count_as_time_without_a_list(clock: Clock) -> None:
+    """The list may have arrived during the stall, and is read after the server's publishers are refreshed."""
+    goals = GoalList(always=False)
+    later(clock, goals, 0.5, SERVER)
+    clock.now += EMPTY_SECONDS
+    goals.refresh((SERVER,))
+    assert not goals.known
+    assert goals.receive(SERVER, DRIVING)
+    assert goals.active == (GOAL,)
+
+
 def test_a_new_server_of_rcl_gets_its_own_time_to_publish_a_list(clock: Clock) -> None:
     """The list of the previous server does not apply to the new one, and is dropped after a while."""
     goals = GoalList(always=False)

@@ -95,6 +95,21 @@ def test_a_silent_node_has_one_pending_request(
         polling.until({})
 
 
+def test_a_node_may_appear_while_another_thread_reads_the_states() -> None:
+    host: Any = None
+    nodes = LifecycleNodes(host, (), lambda: None)
+    known: dict[str, Any] = nodes._nodes
+
+    class Node:
+        @property
+        def state(self) -> str:
+            known["/b"] = self
+            return "inactive"
+
+    known["/a"] = Node()
+    assert nodes.inactive == {"/a": "inactive"}
+
+
 @pytest.mark.parametrize(
     ("states", "cure"),
     [

@@ -530,6 +530,25 @@ def test_a_goal_that_nav2s_own_client_preempts_is_canceled(
     assert planner.executes(b"a foreign goal.."), "the other client's goal continues"
 
 
+def test_a_list_from_before_the_abort_does_not_show_that_no_other_client_sent_a_goal(
+    robot: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy machine, Nav2's list may arrive seconds after the result."""
+    monkeypatch.setattr(execution_module, "JUDGING_SECONDS", 0.0)
+    monkeypatch.setattr(execution_module, "SETTLING_SECONDS", LONG)
+    rig, planner = robot.rig, robot.planner
+    client_goal = robot.drive()
+    until(lambda: rig.gateway.link.lists(rig.gateway.drive.sent), "the gateway has the list with the goal")
+    planner.answer(GoalState.ABORTED)
+    until(lambda: rig.gateway.drive.state is DriveState.JUDGING, "the gateway has the result")
+    polls = count_polls(rig)
+    until(lambda: polls() > 5, "the gateway has polled the planner several times")
+    planner.set(b"a foreign goal..")
+    planner.tell()
+    status, reason = client_goal.end()
+    assert (status, "received from its own client" in reason) == ("CANCELED", True)
+
+
 def test_a_goal_that_nav2_aborts_without_a_code_and_without_another_goal_is_aborted(robot: Scene) -> None:
     client_goal = robot.drive()
     robot.planner.end(GoalState.ABORTED)

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from bridge.config.sections.navigation import THROUGH_POSES
+from navigation.gateway import drive
 from navigation.messages import THROUGH
 from navigation.status import State
 from tests.peers.navigation.gateway import SECONDS, ClientGoal, Planner, Rig, patient, pose
@@ -109,6 +110,20 @@ def test_a_planner_with_the_action_gets_all_poses_in_one_goal(rig: Rig, passing:
     assert client_goal.end() == ("SUCCEEDED", "")
 
 
+def test_the_last_pose_of_a_goal_of_several_poses_is_sent_again_to_the_same_action(
+    rig: Rig, passing: PassingPlanner
+) -> None:
+    client_goal = send(rig)
+    goal = passing.until(1)
+    passing.on(lambda: goal.feedback({"number_of_poses_remaining": 1}))
+    until(lambda: len(rig.gateway.drive.left) == 1, "one pose is left", SECONDS)
+    rig.worker.running("gateway").host.loop.call(rig.gateway.execution.recompute)
+    goal = passing.until(2)
+    assert xs(goal) == [3.0]
+    passing.reach(goal)
+    assert client_goal.end() == ("SUCCEEDED", "")
+
+
 def test_a_stop_ends_the_planners_goal_of_several_poses(rig: Rig, passing: PassingPlanner) -> None:
     client_goal = send(rig)
     goal = passing.until(1)
@@ -129,6 +144,20 @@ def test_a_goal_of_the_other_action_is_sent_when_the_previous_goal_has_ended(rig
     assert second.end()[0] == "CANCELED"
     passing.reach(passing.until(3))
     assert third.end() == ("SUCCEEDED", "")
+    assert passing.rejected == 0
+
+
+def test_a_goal_of_the_other_action_waits_for_a_goal_that_is_not_in_the_list_yet(
+    rig: Rig, passing: PassingPlanner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(drive, "LIST_SECONDS", 60.0)
+    monkeypatch.setattr(passing.server, "publish_status", lambda: None)
+    first = ClientGoal(rig.client, pose(9.0))
+    passing.until(1)
+    second = send(rig)
+    assert first.end()[0] == "CANCELED"
+    passing.reach(passing.until(2))
+    assert second.end() == ("SUCCEEDED", "")
     assert passing.rejected == 0
 
 

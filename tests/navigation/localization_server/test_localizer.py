@@ -214,3 +214,13 @@ def test_the_robot_stays_localized_when_the_system_clock_is_set() -> None:
     localizer.odometry(odometry)
     assert error_of(localizer, run)[0] < METERS
     assert max(error[0] for _, *error in drive(run, localizer, 5.0, [])) < METERS
+
+
+def test_a_pose_that_could_not_be_saved_is_saved_later(tmp_path: Path) -> None:
+    folder = tmp_path / "missing"
+    memory = Memory(folder)
+    with pytest.raises(OSError, match="missing"):
+        memory.save("lab", Pose(1.0, 2.0, 0.5))
+    folder.mkdir()
+    memory.save("lab", Pose(1.0, 2.0, 0.5), now=True)
+    assert memory.recall("lab", of_this_run=True) == Pose(1.0, 2.0, 0.5)

@@ -6,6 +6,7 @@ import json
 import shutil
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED
 from bridge.stores.kinds import AREA, BEHAVIOR, LOCATION, MAP, MAP3D
 from bridge.stores.store import Write
-from navigation.map2d_server.publishers import topic_of
+from navigation.map2d_server.maps3d import Maps3D
+from navigation.map2d_server.publishers import AllMaps, topic_of
 from navigation.maps.grid import from_grid
 from tests.navigation.map2d_server.served import GRID, Served, six_flags
 from tests.navigation.maps.test_maps import flags_from
@@ -347,3 +349,19 @@ def test_maps_get_legal_topic_names() -> None:
     first = topic_of("a b")
     assert topic_of("a-b", {first}).startswith("/maps/a_b_")
     assert topic_of("\u00e4") == "/maps/_"
+
+
+@pytest.mark.parametrize("three", [False, True])
+def test_a_map_may_be_added_while_another_thread_reads_the_topics(three: bool) -> None:
+    nothing: Any = None
+    maps = Maps3D(nothing, nothing, nothing) if three else AllMaps(nothing, nothing, nothing)
+    known: dict[str, Any] = maps._ends
+
+    class End:
+        @property
+        def topic(self) -> str:
+            known["b"] = known["a"]
+            return "/maps/a"
+
+    known["a"] = ("", End()) if three else End()
+    assert maps.topics == {"a": "/maps/a"}

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -124,6 +125,26 @@ def test_a_map_is_made_painted_and_saved(place: Place) -> None:
     assert (grid.flags[row - 1 : row + 2, column] == MapFlag.WALL).any()
     assert (grid.flags[80, 70], grid.flags[20, 60], grid.flags[20, 100]) == (MapFlag.KEEP_OUT,) * 3
     assert "outside the map's picture" in str(place.answer("mapper2d"))
+
+
+def test_a_click_is_painted_and_due_for_publication_in_one_step(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    running = place.worker.running("mapper2d")
+    module: Any = running.module
+    call, changed = running.host.loop.call, list[bool]()
+
+    def observed(action: Callable[[], Any]) -> Any:
+        def run() -> None:
+            module._changed = False
+            action()
+            changed.append(module._changed)
+
+        return call(run)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module._canvas, "click", lambda _values: 1)
+        patched.setattr(running.host.loop, "call", observed)
+        module._click(SimpleNamespace(values=[70, 80]))
+    assert changed == [True]
 
 
 def test_laser_and_pose_ports_of_yarp_are_connected(place: Place) -> None:

@@ -313,3 +313,14 @@ def test_a_robot_that_cannot_drive_on_is_commanded_to_stand(cause: Callable[[Rob
     assert robot.driver.command == STILL
     assert robot.driver.status.state is State.WAITING
     assert not robot.driver.silent, "zero velocity is published while there is a goal"
+
+
+def test_a_stall_of_this_process_does_not_count_as_waiting_or_as_a_deadlock() -> None:
+    robot = Robot()
+    waiting(robot)
+    robot.now += 10.0
+    robot.step()
+    assert robot.machine.state is S.WAITING
+    robot.known = True
+    robot.step()
+    assert robot.machine.state is S.DRIVING

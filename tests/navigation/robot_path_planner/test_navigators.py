@@ -1,4 +1,4 @@
-"""A YARP server of INavigation2D as the local navigator."""
+"""Local navigators: a YARP server of INavigation2D, and an action whose server is restarted."""
 
 # ruff: noqa: N802 - YARP's names
 
@@ -8,14 +8,19 @@ import contextlib
 import math
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
+from bridge.modules.action_server import Goal
 from navigation.constraints import Constraints
+from navigation.messages import NAVIGATE
 from navigation.pose import Pose
 from navigation.robot_path_planner import navigators
-from navigation.robot_path_planner.navigators import YarpNavigator
+from navigation.robot_path_planner.navigators import ActionNavigator, YarpNavigator
 from navigation.status import State
+from tests.peers.hub.network import HubNetwork
+from tests.peers.hub.node import HubNode
 from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.dev.inavigation2d import Navigation2DServer
@@ -193,3 +198,27 @@ def test_a_stop_is_sent_again_until_the_server_receives_it(network: Network) -> 
     assert network.goto.state == "moving", "the stop was not received"
     network.port = network.open_port()
     until(lambda: network.goto.state == "idle", "the robot stops", 20)
+
+
+def test_a_goal_whose_server_is_away_is_canceled_when_the_server_is_back() -> None:
+    """As if the worker of the navigator's side were restarted: the navigator itself drives on."""
+    action, goals, canceled = "/navigate_to_pose", list[Goal](), list[bytes]()
+
+    def accept(goal: Goal) -> bool:
+        goal.execute()
+        goals.append(goal)
+        return True
+
+    with HubNetwork() as hubs, HubNode(hubs.settings("planner")) as planner:
+        host: Any = planner
+        navigator: ActionNavigator = planner.on(lambda: ActionNavigator(host, action, "map"))
+        with HubNode(hubs.settings("worker")) as worker:
+            worker.on(lambda: worker.node.action_server(action, NAVIGATE, accept))
+            until(lambda: navigator.state is State.IDLE, "the navigator is available", 20)
+            planner.on(lambda: navigator.send(Pose(1.0, 2.0, 0.0), Constraints()))
+            until(lambda: goals, "the robot drives", 20)
+        until(lambda: navigator._lost and navigator.state is State.ERROR, "the navigator is unavailable", 20)
+        planner.on(navigator.cancel)
+        with HubNode(hubs.settings("worker")) as worker:
+            worker.on(lambda: worker.node.action_server(action, NAVIGATE, accept, brake=canceled.append))
+            until(lambda: goals[0].id in canceled, "the goal is canceled", 20)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 
 from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground
+from navigation.robot_path_planner.planner import PathPlanner
 from navigation.status import Fault, State
 from tests.peers.navigation.floors import EAST, KEPT, ROOMS, WEST, Drive, floor, least_room
 
@@ -182,3 +184,21 @@ def test_the_robot_stops_when_its_map_is_closed() -> None:
     assert drive.run(1.0) == (State.ABORTED, "an area cannot be read", Fault.NO_MAP)
     assert drive.local.state is State.IDLE
     assert drive.goto(EAST, 1.0) == (State.ABORTED, "an area cannot be read", Fault.NO_MAP)
+
+
+def test_a_goal_may_end_while_another_thread_reads_it() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    task: Any = drive.planner.task
+
+    class Ending(PathPlanner):
+        @property  # type: ignore[override]
+        def task(self) -> Any:
+            return self.tasks.pop()
+
+        @task.setter
+        def task(self, _task: Any) -> None:
+            self.tasks = [None, task]
+
+    assert Ending().target == task.goal
+    assert Ending().waypoints == task.waypoints
