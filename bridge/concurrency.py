@@ -37,8 +37,9 @@ class _OneThread:
 
     def _start(self) -> None:
         if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-            self._thread.start()
+            thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            thread.start()  # raises RuntimeError if the system is out of threads; the next job tries again
+            self._thread = thread
 
     def _join(self, seconds: float | None) -> None:
         if self._thread is not None:
@@ -64,8 +65,8 @@ class SerialExecutor(_OneThread):
         with self._lock:
             if self._closed:
                 return
-            self._queue.put(job)
             self._start()
+            self._queue.put(job)
 
     def close(self) -> None:
         """End the thread after the submitted jobs; wait up to two seconds for it. Safe to call twice."""
@@ -211,11 +212,11 @@ class DelayedCalls(_OneThread):
         with self._condition:
             if self._closed or (once and call in self._once):
                 return
+            self._start()
             if once:
                 self._once.add(call)
             number = next(self._numbers)
             heapq.heappush(self._due, (time.monotonic() + seconds, number, call))
-            self._start()
             if self._due[0][1] == number:
                 self._condition.notify()
 
@@ -298,9 +299,9 @@ class BoundedQueue(_OneThread, Generic[Message]):
             return True
 
     def _add(self, message: Message, size: int) -> None:
+        self._start()
         self._queue.append((size, message))
         self._bytes += size
-        self._start()
         self._condition.notify()
 
     def close(self) -> None:

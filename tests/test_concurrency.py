@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from bridge.concurrency import BoundedQueue, DelayedCalls, InlineExecutor, WorkerPool
+from bridge.concurrency import BoundedQueue, DelayedCalls, InlineExecutor, SerialExecutor, WorkerPool
 from tests.support.no_threads import no_threads
 from tests.support.wait import until
 
@@ -197,3 +197,26 @@ def test_without_threads_a_job_is_canceled_or_waits_for_a_running_one() -> None:
         gate.set()
         assert (running.result(20)[1], waiting.result(20)) == (True, 2)
         pool.close(20)
+
+
+def test_an_executor_that_found_no_thread_starts_one_for_the_next_job() -> None:
+    done = list[str]()
+    queue = BoundedQueue[str]("lone", 3, 100, done.append, lambda: None)
+    serial, delayed = SerialExecutor("lone"), DelayedCalls("lone")
+
+    def later() -> None:
+        done.append("later")
+
+    submits = (
+        lambda: queue.put("message", 1),
+        lambda: serial.submit(lambda: done.append("job")),
+        lambda: delayed.after(0.0, later, once=True),
+    )
+    with contextlib.closing(queue), contextlib.closing(serial), contextlib.closing(delayed):
+        with no_threads("lone"):
+            for submit in submits:
+                with pytest.raises(RuntimeError):
+                    submit()
+        for submit in submits:
+            submit()
+        until(lambda: sorted(done) == ["job", "later", "message"], "each job runs once")

@@ -169,7 +169,7 @@ class SelectedWriter(Writer):
     def close(self) -> None:
         if self._file is not None:
             self._loop.unwatch(self._file)
-            self._file = None
+            self._file, self._waiting = None, b""  # the rest of a line must not begin the next connection
             self._close()
 
 

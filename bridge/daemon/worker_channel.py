@@ -206,6 +206,7 @@ class SocketChannel(WorkerChannel):
         self._socket: socket.socket | None = None
         self._lines = protocol.Lines()
         self._connected = False
+        self._newest: protocol.NewConfig | None = None
         self._to_socket = self._commands = streams.SelectedWriter(loop)
 
     def adopt(self) -> bool:
@@ -287,8 +288,19 @@ class SocketChannel(WorkerChannel):
                     self._path.unlink(missing_ok=True)  # a killed process leaves its socket
                 self._listener.on_exit(Exit(code))
                 return
-        if self._socket is None and not self.adopt() and self._connected and self._process is None:
+        if self._socket is not None:
+            return
+        if self.adopt():
+            if self._newest is not None:  # the previous connection may have ended before it arrived
+                self.send(self._newest)
+        elif self._connected and self._process is None:
             self._listener.on_exit(Exit(None))
+
+    @override
+    def send(self, command: protocol.Command) -> None:
+        if isinstance(command, protocol.NewConfig):
+            self._newest = command
+        super().send(command)
 
     def _log_last_output(self) -> None:
         with contextlib.suppress(OSError), self._output.open("rb") as output:

@@ -109,15 +109,13 @@ class WorkerLoop:
             return self._failed(str(err))
         due = time.monotonic()
         while True:
-            wait = due - time.monotonic()
-            if wait <= 0:
+            if due <= time.monotonic():
                 try:
                     due = time.monotonic() + self._beat()
                 except WorkerFailedError as err:
                     return self._failed(str(err))
-                continue
-            try:
-                command = self._commands.get(timeout=wait)
+            try:  # even if the next heartbeat is due already: on a busy machine that may always be the case
+                command = self._commands.get(timeout=max(due - time.monotonic(), 0.0))
             except queue.Empty:
                 continue
             outcome = self._on_command(command)

@@ -90,7 +90,8 @@ class WorkerRun:
 
     def forgive(self, seconds: float) -> None:
         """Do not count ``seconds`` in which the daemon itself did not run."""
-        self._movement.moved += seconds
+        # a report that waited meanwhile has counted as progress already
+        self._movement.moved = min(self._movement.moved + seconds, time.monotonic())
 
     def progress(self, limit: float) -> Progress:
         """Return the progress of the process; ``limit`` is the longest time without progress, in seconds.

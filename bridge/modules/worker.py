@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import sys
 import time
@@ -62,6 +61,7 @@ class Running:
         self._head = StatusHead(self._names)
         self._host: Host | None = None
         self._module: Module | None = None
+        self._winding_down: tuple[Event, float] | None = None  # set when the robot is at rest; time of the limit
 
     @property
     def host(self) -> Host:
@@ -136,15 +136,32 @@ class Running:
         health = self._module_health(module)
         return Health(health.state, "; ".join(filter(None, (self._computes, health.text, host.yarp.trouble()))))
 
+    def begin_stop(self) -> None:
+        """Let the module begin to stop, without waiting for it as `stop` does. Safe to call twice."""
+        module, host = self._module, self._host
+        if module is None or host is None or self._winding_down is not None:
+            return
+        done = Event()
+        self._winding_down = done, time.monotonic() + WIND_DOWN_SECONDS
+
+        def begin() -> None:
+            try:
+                module.begin_stop(done.set)
+            except Exception:
+                _log.exception("%s: error while stopping", self.name)
+                done.set()
+
+        host.loop.post(begin)
+
     def stop(self) -> None:
         """Stop the module and close its endpoints. Safe to call twice."""
+        self.begin_stop()
         module, self._module = self._module, None
         host, self._host = self._host, None
-        if module is not None and host is not None:
-            done, end = Event(), time.monotonic() + WIND_DOWN_SECONDS
+        winding_down, self._winding_down = self._winding_down, None
+        if module is not None and host is not None and winding_down is not None:
+            done, end = winding_down
             try:
-                with contextlib.suppress(TimeoutError):  # on a busy machine the loop begins the stop later
-                    host.loop.call(lambda: module.begin_stop(done.set), seconds=1.0)
                 done.wait(max(end - time.monotonic(), 0.0))
                 host.loop.call(lambda: _end(module, host), seconds=1.0)
             except Exception:
@@ -300,6 +317,8 @@ class ModulesWorker(Worker):
 
     @override
     def stop(self) -> None:
+        for running in self._running.values():
+            running.begin_stop()  # of all at once, because one whose thread is busy must not delay another's robot
         while self._running:
             self._running.popitem()[1].stop()
         if self._failures is not None:

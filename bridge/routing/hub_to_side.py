@@ -309,6 +309,8 @@ class HubToSideRoute(TopicRoute):
         if self._lease.over:
             if source.latched:
                 self.held.add_latched(sample, source.endpoint)
+                if not self._lease.over:  # it returned meanwhile, and its check may not have seen the message
+                    self._context.wake()
             else:
                 self.counters.dropped("standby")
             return

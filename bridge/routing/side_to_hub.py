@@ -226,6 +226,8 @@ class SideToHubRoute(TopicRoute):
                 depth = 1 if publisher is None else min(max(publisher.endpoint.qos.depth, 1), MAX_PENDING)
                 held = _Held(payload, time_ns, leased=False)
                 counters.dropped("standby", self.pending.keep(source, held, len(payload), depth))
+                if not self._lease.over:  # it returned meanwhile, and its check may not have seen the message
+                    self._context.wake()
             else:
                 counters.dropped("standby")
         elif publisher is None and not self._is_blocked():

@@ -15,7 +15,7 @@ from bridge import state_file
 from bridge.config.model import Config
 from bridge.daemon.control import ControlServer
 from bridge.daemon.local_socket import LocalListener
-from bridge.daemon.protocol import Beat, Hello, encode_report
+from bridge.daemon.protocol import Beat, Hello, NewConfig, decode_command, encode_report
 from bridge.daemon.worker_channel import SocketChannel
 from bridge.worker import Health
 from tests.support.descriptors import no_descriptors
@@ -110,3 +110,23 @@ def test_a_line_that_ends_with_its_connection_does_not_spoil_the_next_one(tmp_pa
             until(lambda pid=pid: loop.step(0.1) or channel.pid == pid, f"process {pid} is connected", 5.0)
             channel.detach()
             daemon.close()
+
+
+def test_a_configuration_that_a_lost_connection_did_not_deliver_is_sent_again(tmp_path: Path) -> None:
+    """A worker ends the connection when the daemon does not read for a while, just before a reload."""
+    config, kind, loop = Config(name="test", state=tmp_path), SimpleNamespace(name="tests"), SelectorLoop()
+    listener: Any = SimpleNamespace(on_report=lambda _: None, on_exit=lambda _: None)
+    channel = SocketChannel(loop, listener, cast("Any", kind), config)
+    with contextlib.closing(loop), socket.socket(socket.AF_UNIX) as worker:
+        worker.bind(str(state_file.control_socket(config, kind.name)))
+        worker.listen()
+        worker.settimeout(20)
+        assert channel.adopt()
+        worker.accept()[0].close()
+        channel.send(NewConfig(config))
+        loop.step(20.0)  # sees the end of the connection
+        daemon, _ = worker.accept()
+        daemon.settimeout(20)
+        with daemon, daemon.makefile("rb") as lines:
+            assert decode_command(lines.readline()) == NewConfig(config)
+        channel.detach()

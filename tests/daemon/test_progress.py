@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
+from bridge.daemon import worker_run
+from bridge.daemon.worker_run import Progress, WorkerRun
 from bridge.progress import Movement
 
 
@@ -47,3 +50,20 @@ def test_a_heartbeat_and_another_step_are_progress(moves: Callable[[Movement], N
     moves(movement)
     assert movement.still(51.0) == 1.0
     assert movement.computed() == 0.0
+
+
+@pytest.mark.parametrize("reported", [True, False], ids=["report-waited", "no-report"])
+def test_time_in_which_the_daemon_was_suspended_does_not_delay_the_detection_of_a_hang(
+    monkeypatch: pytest.MonkeyPatch, *, reported: bool
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(worker_run, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    run = WorkerRun()
+    now[0] += 61.0
+    if reported:
+        run.on_heartbeat()  # it waited in the pipe, and is read before the time is forgiven
+    run.forgive(60.0)
+    assert run.still == (0.0 if reported else 1.0)
+    assert run.progress(5.0) is Progress.NORMAL
+    now[0] += 5.5
+    assert run.progress(5.0) is Progress.LATE

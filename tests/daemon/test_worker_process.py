@@ -425,3 +425,16 @@ def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.Mo
     assert third > 3.5, (
         "after a repeated text, the next report waits for the quiet interval, which begins before the report is written"
     )
+
+
+def test_a_stop_does_not_wait_while_each_heartbeat_takes_longer_than_its_interval(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As on a busy machine: the next heartbeat is always due already."""
+    for interval in ("BEAT_INTERVAL", "QUIET_INTERVAL"):
+        monkeypatch.setattr(protocol, interval, 0.0)
+    commands, texts, reports = Commands(), ["one", "two"], list[Report]()
+    commands.put(Stop())
+    end = worker_main.WorkerLoop(Reporting(texts), commands, reports.append).run(Config())
+    assert end is worker_main.RunEnd.STOPPED
+    assert texts == ["two"], "the stop followed the first heartbeat"

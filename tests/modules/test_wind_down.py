@@ -101,6 +101,27 @@ def test_a_module_whose_thread_is_busy_winds_down_later(place: Place, monkeypatc
     assert winding.events == ["winding down", "stopped"]
 
 
+def test_a_module_whose_thread_is_busy_does_not_delay_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 60.0)
+    with Place(tmp_path) as place:
+        place.worker.start(place.config(ECHO, {**ECHO, "name": "last"}))  # modules stop in the reverse order
+        free = threading.Event()
+        place.worker.running("last").host.loop.post(lambda: free.wait(40))
+        winding = WindDown(place.worker.running("echo").module, monkeypatch)
+        stopping = threading.Thread(target=place.worker.stop)
+        stopping.start()
+        assert winding.begun.wait(20)
+        assert not free.is_set()
+        assert winding.done is not None
+        free.set()
+        winding.done()
+        stopping.join(60)
+        assert not stopping.is_alive()
+        assert winding.events == ["winding down", "stopped"]
+
+
 def test_a_module_that_does_not_wind_down_is_stopped_after_the_time_limit(
     place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:

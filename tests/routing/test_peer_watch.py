@@ -18,11 +18,12 @@ class World:
     """A network with one other worker, "b", which is on the same hub; the hub's link to it may be lost."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now, self.linked = 100.0, True
+        self.now, self.slept, self.linked = 100.0, 0.0, True
         self.told: list[Record] = []
-        self.b_holds, self.b_lives = False, True
+        self.b_holds, self.b_lives, self.b_since = False, True, 5
         clock = SimpleNamespace(monotonic=lambda: self.now, time_ns=lambda: int(self.now * 1e9))
         monkeypatch.setattr(peer_watch, "time", clock)
+        monkeypatch.setattr(peer_watch, "steady_ns", lambda: int((self.now + self.slept) * 1e9))
         self.settled, self.asked = True, set[float]()
         edge: Any = SimpleNamespace(
             side="fake",
@@ -49,7 +50,7 @@ class World:
             return []
         acks = {"a": self.told[-1].seq} if self.told else {}
         sessions = frozenset("ab") if self.linked else frozenset("b")
-        role = Claim(5 if self.b_holds else 10**18, held=self.b_holds, first=1)
+        role = Claim(self.b_since if self.b_holds else 10**18, held=self.b_holds, first=1)
         record = Record("b", "B", len(self.told) + 1, acks, sessions, "", role, {})
         return [Sighting("b", record.encode(), self.now)]
 
@@ -73,6 +74,23 @@ def test_suspended_worker_waits_for_its_hub_before_it_judges_another(
     world.linked = True
     world.run(3.0)
     assert world.watch.outcome.standing_by == "B"
+
+
+def test_worker_whose_machine_slept_does_not_take_the_network_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The monotonic clock stands meanwhile, so the lease has not expired, and this worker's claim is the older one."""
+    world = World(monkeypatch)
+    world.run(2.0)
+    assert world.watch.outcome.active
+    world.slept += 60.0
+    world.b_holds, world.b_since = True, 10**18
+    world.run(0.1)
+    assert not world.watch.outcome.active
+    world.run(5.0)
+    assert world.watch.outcome.standing_by == "B"
+    assert world.watch.lease.over
+    world.b_lives = False
+    world.run(5.0)
+    assert world.watch.outcome.active, "it may take over as usual"
 
 
 def test_hub_is_known_after_a_short_suspension(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -18,6 +19,7 @@ from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion
 from bridge.routing import backlog, hub_to_side, side_to_hub
+from bridge.routing.backlog import Backlog
 from bridge.routing.decision import RouteKey
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import Endpoint, Kind, MadeBy
@@ -53,18 +55,21 @@ class RouteToHub:
     """A route to the hub for latched publishers of the side."""
 
     def __init__(self) -> None:
-        self.hub, self.lease, registry = HubRecord(), Lease(), Registry()
+        self.hub, self.lease, registry, self.wakes = HubRecord(), Lease(), Registry(), 0
         self.lease.extend(math.inf)
         self.during_conversion: Callable[[], object] = lambda: None
         idle, type_ = Dispatcher("idle"), registry.ros2(STRING)
         context = EngineContext(
             cast("Hub", self.hub), FakeEdge(FakeNetwork(), registry), StallDetector(), self.lease, cast("Any", None),
-            idle, idle, lambda: None,
+            idle, idle, self._wake,
         )  # fmt: skip
         self.route = SideToHubRoute(
             RouteKey(TOPIC, STRING, type_.type_id), TOPIC, Conversion(type_, type_, self.convert),
             RoutePolicy(allowed=True, why="", name=TOPIC), context,
         )  # fmt: skip
+
+    def _wake(self) -> None:
+        self.wakes += 1
 
     def convert(self, data: bytes) -> bytes:
         self.during_conversion()
@@ -105,6 +110,44 @@ def test_only_a_latched_message_of_an_unknown_publisher_outlasts_a_missing_lease
     assert to_hub.hub.published == ([line("new")] if latched else [])
     assert to_hub.route.counters.drops["standby"] == (1 if latched else 2)
     to_hub.route.close()
+
+
+def lease_returns_before(backlog: Backlog[Any], lease: Lease, check: Callable[[], None]) -> None:
+    """Let the lease return, and the engine check the route, just before a message without a lease is stored."""
+    keep = backlog.keep
+
+    def late(*args: Any) -> int:
+        lease.extend(math.inf)
+        check()
+        return keep(*args)
+
+    backlog.keep = late  # type: ignore[method-assign]
+
+
+def test_message_to_the_hub_that_is_stored_after_the_lease_has_returned_wakes_the_engine() -> None:
+    to_hub = RouteToHub()
+    to_hub.update("this")
+    to_hub.lease.end()
+    lease_returns_before(to_hub.route.pending, to_hub.lease, lambda: to_hub.update("this"))
+    to_hub.deliver("state")
+    assert to_hub.wakes == 1
+    to_hub.update("this")
+    assert to_hub.hub.published == [line("state")]
+    to_hub.route.close()
+
+
+def test_message_to_the_side_that_is_stored_after_the_lease_has_returned_wakes_the_engine(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    latched = LatchedRoute(monkeypatch)
+    update = partial(latched.route.update, [latched.publisher], [])
+    update()
+    latched.lease.end()
+    lease_returns_before(latched.route.held.latched, latched.lease, update)
+    latched.receive("state")
+    assert latched.wakes == 1
+    update()
+    assert latched.network.retained() == [line("state")]
 
 
 @pytest.mark.parametrize(("standby", "qos"), [(False, LATCHED), (True, LATCHED), (False, Qos())])

@@ -15,6 +15,7 @@ from typing_extensions import override
 from bridge.concurrency import BoundedQueue
 from bridge.hub.endpoints.calls import LEFT, Abandon, CallError, ClosedCallError, Done
 from bridge.hub.endpoints.services import HubClient, HubServer
+from bridge.messages.actions import CANCEL_GOAL, GET_RESULT, split
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import ServiceConversion
 from bridge.routing.counters import Counters
@@ -23,6 +24,7 @@ from bridge.routing.edge import EdgeCaller, EdgeServer
 from bridge.routing.limits import BULK, QUEUE_BYTES
 from bridge.routing.route import EngineContext, Route
 from bridge.routing.rules import RoutePolicy
+from bridge.routing.services.held import LATE_SECONDS
 from bridge.status import RouteStatus
 
 _log = logging.getLogger(__name__)
@@ -147,6 +149,7 @@ class ServiceRoute(Route):
         self.counters: CallCounters = CallCounters()
         self.conversion = conversion
         self.servers = 0
+        self._may_be_late = split(self.hub_topic)[1] in {CANCEL_GOAL, GET_RESULT}
         self._most = MAX_RESULTS if self.hub_type.endswith("_GetResult") else MAX_CALLS
         self._calls: dict[BridgedCall, None] = {}
         self._lock = Lock()
@@ -182,6 +185,9 @@ class ServiceRoute(Route):
             trouble = f"the request has {len(request)} bytes, limits.message allows {self._max_payload}"
         if trouble:
             call.end(CallError(trouble))
+        elif self._context.stall_detector.hung(LATE_SECONDS) and not self._may_be_late:
+            # the lease has not expired while the machine slept, because the monotonic clock stood
+            self._refuse_call(call)
         else:
             begin, refuse = partial(self._begin, call, request), partial(self._refuse_call, call)
             self._context.held_calls.admit(call, len(request), begin, refuse)

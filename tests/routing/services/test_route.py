@@ -19,7 +19,7 @@ from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.calls import Abandon, CallError, ClosedCallError, Done
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.session import Hub
-from bridge.messages.actions import GoalState
+from bridge.messages.actions import CANCEL, GoalState
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.routing import counters
@@ -217,6 +217,21 @@ def test_call_is_refused_if_the_lease_does_not_return(rig: Rig, monkeypatch: pyt
     assert ask(client).result()["error"] == "the bridge to fake was suspended or is on standby; call again later"
     assert serving.requests(1, 0) == []
     assert rig.row()["drops"]["standby"] == 1
+
+
+def test_call_that_may_have_waited_while_the_machine_slept_is_refused_unless_it_cancels(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The lease does not expire meanwhile, because the monotonic clock stands."""
+    cancel, sent = "/go/_action/cancel_goal", rig.serve()
+    rig.serve("/go/_action/send_goal", f"{GO}_SendGoal")
+    canceled = rig.serve(cancel, CANCEL)
+    client, canceling = rig.client(), rig.client(cancel, CANCEL)
+    monkeypatch.setattr(rig.engine.stall_detector, "hung", lambda seconds: seconds < 60.0)
+    assert ask(client).result()["error"] == "the bridge to fake was suspended or is on standby; call again later"
+    assert rig.row()["drops"]["standby"] == 1
+    assert Calling(REGISTRY, CANCEL, {}, canceling.call).result()["done"]
+    assert (len(sent.requests(1, 0)), len(canceled.requests(1, 0))) == (0, 1)
 
 
 def test_call_survives_a_watch_that_does_not_run(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
