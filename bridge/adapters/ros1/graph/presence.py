@@ -154,6 +154,11 @@ _MAX_LINKS = 64
 _CONNECT_SECONDS = 1.0
 _RETRY_SECONDS = 0.3
 _RECONNECT_SECONDS = 0.02
+_SILENT_SECONDS = 3.0
+"""Seconds without a record after which a connection is replaced. Each node sends several records per second, but when
+a suspended machine or a network returns, TCP may resend the next one only after a minute, or the connection may have
+ended without this machine's knowledge."""
+
 _LENGTH = struct.Struct("<I")
 
 Caller = Callable[[], str]
@@ -294,12 +299,16 @@ class _NodeConnection:
 
     def _receive(self, sock: DeadlineSocket) -> None:
         self._sock = sock
-        sock.deadline = float("inf")
+        resent = self._record  # a node that hangs sends its last record again on a new connection
         while not self._closing.is_set():
+            sock.deadline = time.monotonic() + _SILENT_SECONDS
             (length,) = _LENGTH.unpack(read_exactly(sock, _LENGTH.size))
             if length > MAX_RECORD:
                 raise Ros1ProtocolError(f"a record of {length} bytes")
-            self._record, self._received_at = read_exactly(sock, length), time.monotonic()
+            record = read_exactly(sock, length)
+            if record != resent:
+                self._received_at = time.monotonic()
+            self._record, resent = record, None
             self._set_alive(True)
             self._changed()
 
