@@ -193,8 +193,7 @@ class NodeConnections:
                 if uri not in self._out and len(self._out) < _MAX_LINKS:
                     self._out[uri] = link = _NodeConnection(entry, self._caller, self._changed)
                     link.start()
-        for link in departed:  # without the lock, since each may take a second, and the lease needs `announce`
-            link.close()
+        _close(departed)  # without the lock, since this may take a second, and the lease needs `announce`
 
     def sightings(self) -> Sequence[Sighting]:
         """Return the nodes that are alive, or may be."""
@@ -233,8 +232,7 @@ class NodeConnections:
             visitors, self._in = self._in, []
         for sock in visitors:
             sock.close()
-        for link in links:
-            link.close()
+        _close(links)
 
 
 class _NodeConnection:
@@ -255,12 +253,15 @@ class _NodeConnection:
     def sighting(self) -> Sighting:
         return Sighting(self.entry.uri, self._record, self._received_at)
 
-    def close(self) -> None:
+    def end(self) -> None:
+        """Have the thread end soon."""
         self._closing.set()
         sock = self._sock
         if sock is not None:
             with contextlib.suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
+
+    def join(self) -> None:
         self._thread.join(_CONNECT_SECONDS)
 
     def _run(self) -> None:
@@ -318,6 +319,14 @@ class _NodeConnection:
             state = "is connected" if alive else f"is disconnected: {why}"
             _log.info("the Midspan node %s (%s) %s", self.entry.node, self.entry.daemon, state)
             self._changed()
+
+
+def _close(links: Sequence[_NodeConnection]) -> None:
+    """Close connections at the same time, because each may take a second, and a worker has few seconds to stop."""
+    for link in links:
+        link.end()
+    for link in links:
+        link.join()
 
 
 def _send(sock: socket.socket, record: bytes) -> bool:

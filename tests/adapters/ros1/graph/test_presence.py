@@ -70,3 +70,21 @@ def test_a_silent_connection_is_replaced(monkeypatch: pytest.MonkeyPatch) -> Non
         send(third, b"first", b"second")
         until(lambda: link.sighting().record == b"second", "a new record arrives")
         assert link.sighting().received > received
+
+
+def test_connections_to_nodes_that_do_not_respond_end_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker that is stopped unregisters only afterwards, and is killed after a few seconds."""
+    monkeypatch.setattr(presence, "_CONNECT_SECONDS", 600.0)
+    with contextlib.ExitStack() as stack:
+        server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        server.settimeout(40)
+        port = server.getsockname()[1]
+        links = NodeConnections(lambda: "/caller", lambda: None, lambda: None)
+        links.follow(NodeEntry("owner", "daemon", f"/n{n}", f"http://127.0.0.1:{port}/{n}", n, port) for n in range(2))
+        both = list(links._out.values())
+        closing = threading.Thread(target=links.close, daemon=True)
+        for _ in both:
+            stack.enter_context(server.accept()[0])
+        closing.start()
+        until(lambda: all(link._closing.is_set() for link in both), "both end")
+    closing.join()
