@@ -194,8 +194,8 @@ class ActionlibClient:
         self._changed = False
 
     def close(self, reason: str) -> None:
-        """Cancel the goals of this client if the server is connected, and stop tracking all goals."""
-        if self._ready:
+        """Cancel the goals of this client if the server is connected to the cancel topic; stop tracking all goals."""
+        if self._cancels.reachable:
             for goal in self._goals.unfinished():
                 if goal.ours and goal.body is None and not goal.state.ended:
                     self._output.publish(CANCEL, wire.goal_id(GoalId(ZERO, goal.id)))

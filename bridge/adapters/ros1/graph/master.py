@@ -31,7 +31,8 @@ _FAILURES = 2
 _UNREACHABLE_SECONDS = 5.0
 """Seconds without a response after which the master counts as unreachable; on a busy machine it may respond late.
 
-If it refuses connections, `_FAILURES` failures in a row suffice.
+If it refuses connections, it counts as unreachable earlier. In both cases at least `_FAILURES` reads in a row have
+failed, because this process may have been suspended during one of them.
 """
 
 Seen = Callable[[MasterState | None], None]
@@ -155,8 +156,9 @@ class Master:
 
     def _failed(self, err: Ros1Error) -> None:
         self._failures += 1
-        refused = isinstance(err, UnreachableError) and err.refused and self._failures >= _FAILURES
-        if refused or time.monotonic() - self._answered_at > _UNREACHABLE_SECONDS:
+        refused = isinstance(err, UnreachableError) and err.refused
+        late = time.monotonic() - self._answered_at > _UNREACHABLE_SECONDS
+        if self._failures >= _FAILURES and (refused or late):
             if not self.trouble:
                 level = logging.INFO if self._run_id is None else logging.WARNING
                 _log.log(level, "the ROS 1 master is unreachable: %s", err)

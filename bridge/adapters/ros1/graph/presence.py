@@ -154,6 +154,11 @@ _MAX_LINKS = 64
 _CONNECT_SECONDS = 1.0
 _RETRY_SECONDS = 0.3
 _RECONNECT_SECONDS = 0.02
+_SILENT_SECONDS = 3.0
+"""Seconds without a record after which a connection is replaced. Each node sends several records per second, but when
+a suspended machine or a network returns, TCP may resend the next one only after a minute, or the connection may have
+ended without this machine's knowledge."""
+
 _LENGTH = struct.Struct("<I")
 
 Caller = Callable[[], str]
@@ -188,8 +193,7 @@ class NodeConnections:
                 if uri not in self._out and len(self._out) < _MAX_LINKS:
                     self._out[uri] = link = _NodeConnection(entry, self._caller, self._changed)
                     link.start()
-        for link in departed:  # without the lock, since each may take a second, and the lease needs `announce`
-            link.close()
+        _close(departed)  # without the lock, since this may take a second, and the lease needs `announce`
 
     def sightings(self) -> Sequence[Sighting]:
         """Return the nodes that are alive, or may be."""
@@ -228,8 +232,7 @@ class NodeConnections:
             visitors, self._in = self._in, []
         for sock in visitors:
             sock.close()
-        for link in links:
-            link.close()
+        _close(links)
 
 
 class _NodeConnection:
@@ -250,12 +253,15 @@ class _NodeConnection:
     def sighting(self) -> Sighting:
         return Sighting(self.entry.uri, self._record, self._received_at)
 
-    def close(self) -> None:
+    def end(self) -> None:
+        """Have the thread end soon."""
         self._closing.set()
         sock = self._sock
         if sock is not None:
             with contextlib.suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
+
+    def join(self) -> None:
         self._thread.join(_CONNECT_SECONDS)
 
     def _run(self) -> None:
@@ -294,12 +300,16 @@ class _NodeConnection:
 
     def _receive(self, sock: DeadlineSocket) -> None:
         self._sock = sock
-        sock.deadline = float("inf")
+        resent = self._record  # a node that hangs sends its last record again on a new connection
         while not self._closing.is_set():
+            sock.deadline = time.monotonic() + _SILENT_SECONDS
             (length,) = _LENGTH.unpack(read_exactly(sock, _LENGTH.size))
             if length > MAX_RECORD:
                 raise Ros1ProtocolError(f"a record of {length} bytes")
-            self._record, self._received_at = read_exactly(sock, length), time.monotonic()
+            record = read_exactly(sock, length)
+            if record != resent:
+                self._received_at = time.monotonic()
+            self._record, resent = record, None
             self._set_alive(True)
             self._changed()
 
@@ -309,6 +319,14 @@ class _NodeConnection:
             state = "is connected" if alive else f"is disconnected: {why}"
             _log.info("the Midspan node %s (%s) %s", self.entry.node, self.entry.daemon, state)
             self._changed()
+
+
+def _close(links: Sequence[_NodeConnection]) -> None:
+    """Close connections at the same time, because each may take a second, and a worker has few seconds to stop."""
+    for link in links:
+        link.end()
+    for link in links:
+        link.join()
 
 
 def _send(sock: socket.socket, record: bytes) -> bool:

@@ -101,10 +101,11 @@ class MasterReader:
             self._nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
             if self._nodes == nodes:
                 break
-        # if nodes appeared during the address look-up, the next read repeats it
-        self._answers = answers if self._nodes == nodes else []
+        self._answers = []  # until the state is complete: a read after a failed look-up must not return the old state
         state = _read(answers, nodes)
         state = replace(state, servers=self._addresses(_state(answers)[2], state.uris))
+        # if nodes appeared during the address look-up, the next read repeats it
+        self._answers = answers if self._nodes == nodes else []
         if state != self._state:
             self._state = state
         assert self._state is not None

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.connection_loop import ConnectionLoop, PolledConnection, receive_now
+from bridge.adapters.ros1.connection_loop import ConnectionLoop, PolledConnection, is_readable, receive_now
 from bridge.adapters.ros1.handshake import MAX_HEADER, decode, encode
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 from bridge.concurrency import DelayedCalls, WorkerPool
@@ -100,13 +100,17 @@ class TcprosServer(PolledConnection):
             return
         self._open.add(greeting)
         try:
-            self._timer.after(_SECONDS, greeting.expire)
+            self.watch(greeting)
             added = self._loop.add(greeting)
         except (OSError, RuntimeError) as err:  # out of descriptors, memory or threads
             _log.warning("a ROS 1 peer cannot be admitted: %s", err)
             added = False
         if not added:
             greeting.abandon()
+
+    def watch(self, greeting: _Greeting) -> None:
+        """Limit the time for a header, or for the rest of it."""
+        self._timer.after(_SECONDS, greeting.expire)
 
     # -- called by the greetings, on the loop's thread -----------------------------------------------------------------
 
@@ -172,9 +176,15 @@ class _Greeting(PolledConnection):
     def expire(self) -> None:
         """Disconnect a peer that has not sent its header in time; called on any thread."""
         with self._lock:
-            if not self._over:
+            if self._over:
+                return
+            # if the peer has sent something, the loop's thread was busy, or this process suspended
+            late = is_readable(self._sock)
+            if not late:
                 with contextlib.suppress(OSError):
                     self._sock.shutdown(socket.SHUT_RDWR)
+        if late:
+            self._server.watch(self)
 
     @override
     def abandon(self) -> None:

@@ -20,7 +20,7 @@ from bridge.adapters.ros1.topics.publication import Publication
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
 from bridge.adapters.ros1.xmlrpc_request import Limits
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1Error
-from bridge.concurrency import DelayedCalls, WorkerPool
+from bridge.concurrency import DelayedCalls, InlineExecutor, WorkerPool
 from bridge.messages.transcode.conversion import SideType
 
 _log = logging.getLogger(__name__)
@@ -88,6 +88,7 @@ class PlainNode:
         self._loop = ConnectionLoop(label)
         self._timer = DelayedCalls(f"{label}-timer")
         self._pool = WorkerPool(_THREADS, f"{label}-connect")
+        self._updates = InlineExecutor()  # one after the other, so that an old list does not replace a newer one
         self._book = TopicBook(self._loop, lambda: name, origin, lambda: None, events.changed)
         with contextlib.ExitStack() as opened:
             opened.callback(self._loop.stop)
@@ -138,7 +139,7 @@ class PlainNode:
 
     def follow(self) -> None:
         """Connect to the publishers that the master lists, and disconnect from others; returns at once."""
-        self._pool.submit(self._follow)
+        self._pool.submit(partial(self._updates.submit, self._follow))
 
     def close(self) -> None:
         """Close all connections. Safe to call twice."""

@@ -73,6 +73,8 @@ class SubscriberConnection(TopicConnection):
                 return False
             if self.busy:
                 self._enqueue(payload, source, depth)
+                if self._thread is None:
+                    self._wake()
                 return True
             header = _LENGTH.pack(len(payload))
             try:
@@ -143,8 +145,13 @@ class SubscriberConnection(TopicConnection):
 
     def _wake(self) -> None:
         if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-            self._thread.start()
+            thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            try:
+                thread.start()
+            except RuntimeError as err:  # the system is out of threads; the next message tries again
+                _log.debug("%s: a message waits: %s", self._name, err)
+                return
+            self._thread = thread
         self._condition.notify()
 
     def _next(self) -> bytes | memoryview | None:

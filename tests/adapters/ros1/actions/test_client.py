@@ -202,6 +202,16 @@ def test_closing_cancels_and_ends_the_goals_of_the_hub(world):
     assert world.states[-1] == {uuid(1): GoalState.EXECUTING, native: GoalState.EXECUTING}
 
 
+def test_closing_cancels_goals_while_another_connection_to_the_server_is_missing(world):
+    """For example the connection to the status topic, which the server has just closed and will accept again."""
+    world.send(1)
+    world.report((1, Ros1State.ACTIVE))
+    world.client.disconnected()
+    world.client.reach(reachable=True)
+    world.client.close("the bridge stops")
+    assert world.cancels == [GoalId(ZERO, name(1))]
+
+
 def test_goals_of_native_clients_appear_and_can_be_followed_and_canceled(world):
     native = states.uuid_of("/act", "/rviz-1")
     world.report(("/rviz-1", Ros1State.ACTIVE))

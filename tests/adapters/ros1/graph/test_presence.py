@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import struct
 import threading
 
 import pytest
 
 from bridge.adapters.ros1.graph import presence
-from bridge.adapters.ros1.graph.presence import NodeConnections, NodeEntry
+from bridge.adapters.ros1.graph.presence import FIELD, NodeConnections, NodeEntry
 from bridge.adapters.ros1.handshake import encode
 from tests.support.wait import until
 
@@ -37,3 +38,53 @@ def test_departed_node_that_does_not_respond_delays_no_record(monkeypatch: pytes
             assert not links.sightings()
             assert following.is_alive(), "the record was sent before the connection has ended"
         following.join()
+
+
+def test_a_silent_connection_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a suspension of either machine, the connection may stay silent for a minute, or forever."""
+    monkeypatch.setattr(presence, "_CONNECT_SECONDS", 30.0)
+    monkeypatch.setattr(presence, "_SILENT_SECONDS", 0.1)
+    with contextlib.ExitStack() as stack:
+        server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        server.settimeout(40)
+        port = server.getsockname()[1]
+        entry = NodeEntry("owner", "daemon", "/midspan", f"http://127.0.0.1:{port}/", 1, port)
+
+        def accept() -> socket.socket:
+            return stack.enter_context(server.accept()[0])
+
+        def send(sock: socket.socket, *records: bytes) -> None:
+            sock.sendall(encode({FIELD: entry.uri}) + b"".join(struct.pack("<I", len(r)) + r for r in records))
+
+        links = NodeConnections(lambda: "/caller", lambda: None, lambda: None)
+        stack.callback(links.close)
+        stack.callback(server.close)  # before it, so that an attempt to connect does not last
+        links.follow([entry])
+        (link,) = links._out.values()
+        send(accept(), b"first")
+        until(lambda: link.sighting().record == b"first", "the first record arrives")
+        received = link.sighting().received
+        send(accept(), b"first")
+        third = accept()
+        assert link.sighting().received == received, "a node that hangs sends its last record again"
+        send(third, b"first", b"second")
+        until(lambda: link.sighting().record == b"second", "a new record arrives")
+        assert link.sighting().received > received
+
+
+def test_connections_to_nodes_that_do_not_respond_end_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker that is stopped unregisters only afterwards, and is killed after a few seconds."""
+    monkeypatch.setattr(presence, "_CONNECT_SECONDS", 600.0)
+    with contextlib.ExitStack() as stack:
+        server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        server.settimeout(40)
+        port = server.getsockname()[1]
+        links = NodeConnections(lambda: "/caller", lambda: None, lambda: None)
+        links.follow(NodeEntry("owner", "daemon", f"/n{n}", f"http://127.0.0.1:{port}/{n}", n, port) for n in range(2))
+        both = list(links._out.values())
+        closing = threading.Thread(target=links.close, daemon=True)
+        for _ in both:
+            stack.enter_context(server.accept()[0])
+        closing.start()
+        until(lambda: all(link._closing.is_set() for link in both), "both end")
+    closing.join()

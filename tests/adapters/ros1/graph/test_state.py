@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from bridge.adapters.ros1.graph.state import MasterReader, Registration
-from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient
+from bridge.adapters.ros1_peers import Call, Ros1Error, UnreachableError, XmlRpcClient
 from tests.peers.ros1.servers import node
 
 
@@ -124,6 +124,24 @@ def test_a_services_address_is_looked_up_again_on_request(master, reader):
 def test_a_service_that_unregisters_during_a_read_has_no_address(master, reader):
     master.services["/gone"] = ("/c", 5)
     assert Registration("/c", "/gone", "") in reader.read().servers
+
+
+def test_a_failed_look_up_of_an_address_is_repeated(master, reader, monkeypatch):
+    """Otherwise the next reads would return the state from before the change, until something else changes."""
+    reader.read()
+    calls = reader._client.calls
+
+    def fail(batch: list[Call]) -> list[Any]:
+        if batch[0][0] == "lookupService":
+            raise UnreachableError("the master does not respond in time")
+        return calls(batch)
+
+    master.services["/more"] = ("/b", "rosrpc://b:3")
+    with monkeypatch.context() as busy:
+        busy.setattr(reader._client, "calls", fail)
+        with pytest.raises(UnreachableError):
+            reader.read()
+    assert Registration("/b", "/more", "rosrpc://b:3") in reader.read().servers
 
 
 @pytest.mark.parametrize(("topics", "least", "most"), [(1, 0.5, 0.5), (1500, 0.51, 1.99), (5000, 2.0, 2.0)])

@@ -154,6 +154,25 @@ def test_a_silent_client_is_disconnected(bench: Bench, monkeypatch: pytest.Monke
     until(lambda: not bench.server._open, "the peer is removed")
 
 
+def test_a_header_that_arrived_in_time_may_be_read_late(bench: Bench) -> None:
+    """After a suspension of this process the timer may run first; rospy never retries a connection without a header."""
+    peer = bench.connect()
+    (opened,) = until(lambda: list(bench.server._open), "the connection is accepted")
+    busy, free = threading.Event(), threading.Event()
+
+    def block() -> None:
+        busy.set()
+        free.wait(60)
+
+    bench.loop.call_soon(block)
+    assert busy.wait(60)
+    peer.sendall(encode({"topic": "/a"}))
+    until(lambda: connection_loop.is_readable(opened._sock), "the header arrives")
+    opened.expire()
+    free.set()
+    assert read_header(peer) == {"topic": "/a"}
+
+
 def test_further_silent_clients_are_rejected(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(greeting, "_MAX_OPEN", 3)
     kept = [bench.connect() for _ in range(3)]

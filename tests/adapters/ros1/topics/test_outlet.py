@@ -10,6 +10,7 @@ import pytest
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.topics import outlet
 from bridge.adapters.ros1.topics.outlet import SubscriberConnection
+from tests.support.no_threads import no_threads
 from tests.support.wait import until
 
 
@@ -58,6 +59,15 @@ def test_a_fast_subscriber_needs_no_thread(pair):
         assert pair.message() == b"%d" % n
     assert pair.threads() == []
     assert pair.outlet.dropped == 0
+
+
+def test_a_slow_subscriber_gets_its_messages_once_a_thread_can_start(pair):
+    large = bytes(16_000_000)  # more than the buffers of both systems hold
+    with no_threads("test-out"):
+        assert pair.outlet.send(large, "a", 10)
+        assert pair.outlet.send(b"second", "a", 10)
+    assert pair.outlet.send(b"third", "a", 10)
+    assert [pair.message() for _ in range(3)] == [large, b"second", b"third"]
 
 
 @pytest.fixture
