@@ -14,6 +14,8 @@ MAX_BYTES = 128 << 20
 """Maximum size of the stored messages in bytes; the oldest are dropped first."""
 MAX_UNKNOWN = 256
 """Maximum number of publishers that are not in the graph yet, each with one stored message."""
+MAX_DEPARTED = 256
+"""Maximum number of publishers that have left the graph and whose messages stay stored, because they may return."""
 
 
 class LatchedState:
@@ -24,6 +26,7 @@ class LatchedState:
         self._stored: dict[tuple[TopicKey, bytes], deque[RecordedMessage]] = {}
         self._plain: set[bytes] = set()
         self._unknown: set[tuple[TopicKey, bytes]] = set()
+        self._departed: set[tuple[TopicKey, bytes]] = set()  # as of the last call of `all`
         self._bytes = 0
 
     def add(self, arrival: RecordedMessage) -> None:
@@ -64,20 +67,32 @@ class LatchedState:
 
     def _drop(self, key: tuple[TopicKey, bytes]) -> None:
         self._unknown.discard(key)
+        self._departed.discard(key)
         self._bytes -= sum(len(arrival.data) for arrival in self._stored.pop(key))
 
     def _drop_oldest(self) -> None:
-        key, stored = min(self._stored.items(), key=lambda item: item[1][0].log_time)
+        key, stored = min(
+            self._stored.items(), key=lambda item: (item[0] not in self._departed, item[1][0].log_time)
+        )  # fmt: skip
         self._bytes -= len(stored.popleft().data)
         if not stored:
             self._drop(key)
 
     def all(self) -> Iterator[RecordedMessage]:
-        """Yield all stored messages, oldest first; drop messages of publishers that left the hub."""
+        """Yield the messages of all publishers in the graph, oldest first.
+
+        Those of publishers that left the hub stay stored: after a lost link has returned, the hub does not deliver them
+        again.
+        """
         present = {endpoint.gid for endpoint in self._graph.publishers()}
         self._plain &= present
-        for key in [key for key in self._stored if key[1] not in present]:
+        for key in [key for key in self._unknown if key[1] not in present]:
             self._drop(key)
+        departed = [key for key in self._stored if key[1] not in present]
+        for key in departed[:-MAX_DEPARTED]:
+            self._drop(key)
+        self._departed = set(departed[-MAX_DEPARTED:])
         for key in list(self._unknown):
             self._look_up(key)
-        yield from sorted((a for stored in self._stored.values() for a in stored), key=lambda arrival: arrival.log_time)
+        shown = (stored for key, stored in self._stored.items() if key not in self._departed)
+        yield from sorted((a for stored in shown for a in stored), key=lambda arrival: arrival.log_time)

@@ -119,8 +119,9 @@ class Recorder:
 
     def _run(self) -> None:
         while True:
-            ending = self._ending
-            waiting = self._queue.pop_all(0.0 if self._commands or ending else GATHER_SECONDS)
+            # a command applies to the messages that were received before it, so those are written first
+            ending, commands = self._ending, len(self._commands)
+            waiting = self._queue.pop_all(0.0 if commands or ending else GATHER_SECONDS)
             while waiting:
                 self._last_step = time.monotonic()
                 arrival = waiting.popleft()
@@ -128,7 +129,7 @@ class Recorder:
                 if self._files.file is not None or self._recorded.subscribes or self._ending:
                     self._files.write(arrival)
                 self._queue.release(arrival)
-            self._run_commands()
+            self._run_commands(commands)
             self._files.maintain(recording=self._recorded.subscribes)
             self._last_step = time.monotonic()
             if ending:
@@ -138,8 +139,8 @@ class Recorder:
         if self._files.ring is not None:
             self._files.ring.discard()
 
-    def _run_commands(self) -> None:
-        while self._commands:
+    def _run_commands(self, count: int) -> None:
+        for _ in range(count):
             future, action = self._commands.popleft()
             try:
                 future.set_result(action())

@@ -156,6 +156,18 @@ def test_a_pause_ends_a_velocity_and_drops_old_commands() -> None:
     ]  # fmt: skip
 
 
+def test_a_velocity_that_was_due_before_a_pause_is_not_published_after_it() -> None:
+    def halted_meanwhile(data: bytes) -> bytes:
+        stage.timeline.pause(True)  # as a halt does on another thread, while this one is starved
+        stage.wait = lambda *_: stage.timeline.stop()
+        return data
+
+    stage = Stage((0.0, DRIVE), (0.1, topic("/cmd_vel", command=True, convert=halted_meanwhile)))
+    stage.player.run()
+    assert stage.recorded.received_on("/cmd_vel") == [(0.0, "0.0"), (0.1, "zero")]
+    assert stage.player.dropped == {("/cmd_vel", "paused"): 1}
+
+
 def test_a_step_skips_commands_and_publishes_the_time() -> None:
     stage = Stage((0.0, DRIVE), (0.1, DRIVE), (0.2, SCAN), (0.3, SCAN), paused=True)
     stage.timeline.step()

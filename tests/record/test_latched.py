@@ -60,6 +60,26 @@ def test_a_message_may_arrive_before_its_publisher_is_in_the_graph(graph: Graph,
     assert stored(state) == []
 
 
+def test_messages_of_a_publisher_that_returns_are_kept(
+    graph: Graph, state: LatchedState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While a link is lost, the graph lacks its publishers; the hub does not deliver their messages again."""
+    other = b"h" * 16
+    ends = [endpoint("/map", GID, LATCHED), endpoint("/map", other, LATCHED)]
+    graph.ends = ends
+    state.add(message(1))
+    state.add(message(2, other))
+    graph.ends = []
+    assert stored(state) == []
+    graph.ends = ends
+    assert stored(state) == [1, 2]
+    monkeypatch.setattr(latched, "MAX_DEPARTED", 1)
+    graph.ends = []
+    assert stored(state) == []
+    graph.ends = ends
+    assert stored(state) == [2]
+
+
 def test_the_graph_is_not_searched_for_each_message_of_an_unknown_publisher(
     graph: Graph, state: LatchedState, monkeypatch: pytest.MonkeyPatch
 ) -> None:

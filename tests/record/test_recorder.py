@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -193,6 +194,35 @@ def test_a_trigger_saves_the_rings_last_moments(hubs: QuickHub, robot: Robot, tm
     with Reader(folder) as bag:
         assert {c.topic for c in bag.connections} >= {"/said", "/map"}
     assert not (tmp_path / ".ring").exists()
+
+
+def test_a_trigger_saves_the_messages_that_wait_to_be_written(
+    hubs: QuickHub, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    section = RecordSection.model_validate({"ring": {"seconds": 60.0}})
+    ring = Ring(KeptFolder(tmp_path, section.keep), section.ring)
+    chat = robot.publisher("/said")
+    writes, disk_works = threading.Event(), threading.Event()
+    write = record_series.FileSeries.write
+
+    def write_slowly(series: record_series.FileSeries, arrival: RecordedMessage) -> None:
+        writes.set()
+        disk_works.wait(20)
+        write(series, arrival)
+
+    with recording(hubs, tmp_path, ring, ring={"seconds": 60.0}) as recorded:
+        recorded.recorder.begin()
+        until(chat.matched, "the topic is subscribed")
+        monkeypatch.setattr(record_series.FileSeries, "write", write_slowly)
+        chat.put(robot.text("first"))
+        until(writes.is_set, "the first message is being written")
+        chat.put(robot.text("second"))
+        until(lambda: recorded.recorder._queue._waiting, "the second message waits")
+        saved = recorded.recorder.trigger("a bump")
+        disk_works.set()
+        folder = saved.result(20)
+    assert folder is not None
+    assert [text for file in sorted(folder.glob("*.mcap")) for text in read(file).texts("/said")] == ["first", "second"]
 
 
 def test_a_ring_deletes_older_files(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:

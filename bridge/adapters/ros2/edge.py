@@ -23,7 +23,7 @@ from bridge.adapters.ros2.graph import middlewares, neighbors, spdp
 from bridge.adapters.ros2.graph.announcements import Announcements
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
 from bridge.adapters.ros2.graph.heartbeats import Heartbeats
-from bridge.adapters.ros2.graph.interfaces import InterfaceWatch
+from bridge.adapters.ros2.graph.interfaces import InterfaceWatch, ipv4_addresses
 from bridge.adapters.ros2.graph.neighbors import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins
 from bridge.adapters.ros2.graph.ports import PortWatch
@@ -105,12 +105,14 @@ class Ros2Edge(SideEdge):
         if removed:
             _log.info("removed %d shared-memory segments of dead ROS 2 processes", removed)
         number, later = domain(self._config, os.environ), DelayedCalls("midspan-ros2-later")
+        # read before the participant reads them: an address that appears meanwhile counts as new
+        addresses = frozenset() if self._localhost_only else ipv4_addresses()
         participant, self._prefix, segment = self._dds.join(self._state, self._config.ros2.node)
         if segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
             major = current().fast_dds_major
             self._neighbors = neighbors.MemoryNeighbors(self._prefix, major, number, self._leave_shared_memory, later)
         if not self._localhost_only:
-            self._interfaces = InterfaceWatch(self._use_new_addresses, later)
+            self._interfaces = InterfaceWatch(self._use_new_addresses, later, addresses)
         if self._config.ros2.rmw != CYCLONE:
             self._ports = PortWatch(self._replace_lost_port, later)
             self._servers = ServerWatch(servers(os.environ), later, localhost_only=self._localhost_only)

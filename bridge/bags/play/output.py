@@ -26,8 +26,12 @@ from bridge.messages.registry import Registry
 _CLOCK = struct.Struct("<4siI")
 _LITTLE = b"\x00\x01\x00\x00"
 _POLL_SECONDS = 0.02
-_STOP_SECONDS, _STOP_PERIOD = 0.7, 0.1
-"""Zero velocity is repeated for this time: a worker that was starved for a moment drops commands for half a second."""
+_ZEROS, _STOP_PERIOD = 7, 0.1
+"""How often zero velocity is repeated, and the period in seconds: a worker that was starved for a moment drops commands
+for half a second. The zeros are counted, because a stall of the whole machine delays this process, too."""
+
+_STOP_SECONDS = 5.0
+"""Seconds to wait for the last zero velocity before the publishers are closed."""
 
 _NS = 1_000_000_000
 
@@ -52,7 +56,7 @@ class HubOutput:
         self._zeros = {t: from_json(registry, t.type_name, {}) for t in topics if t.velocity}
         self._lock = threading.Lock()
         self._moving: dict[HubPublisher, bytes] = {}
-        self._stopping: dict[HubPublisher, tuple[bytes, float]] = {}  # zero, and until when (monotonic) it is repeated
+        self._stopping: dict[HubPublisher, tuple[bytes, int]] = {}  # zero, and how many times it is still repeated
         self._stopped = threading.Event()
         self._stopped.set()
         self._later = DelayedCalls("play-zero")
@@ -101,12 +105,11 @@ class HubOutput:
     def end_velocities(self) -> bool:
         """Command zero velocity on each topic with a played velocity; return whether there was any.
 
-        It is repeated for `_STOP_SECONDS`, unless another velocity is played meanwhile.
+        It is repeated `_ZEROS` times, unless another velocity is played meanwhile.
         """
         with self._lock:
             moving, self._moving = self._moving, {}
-            until = time.monotonic() + _STOP_SECONDS
-            self._stopping |= {end: (zero, until) for end, zero in moving.items()}
+            self._stopping |= {end: (zero, _ZEROS) for end, zero in moving.items()}
             if moving:
                 self._stopped.clear()
                 self._later.after(_STOP_PERIOD, self._repeat_zeros, once=True)
@@ -115,12 +118,11 @@ class HubOutput:
         return bool(moving)
 
     def _repeat_zeros(self) -> None:
-        now = time.monotonic()
         with self._lock:
-            self._stopping = {end: (zero, until) for end, (zero, until) in self._stopping.items() if now < until}
             for end, (zero, _) in self._stopping.items():
                 with suppress(HubError):  # the hub is lost
                     end.put(zero)
+            self._stopping = {end: (zero, left - 1) for end, (zero, left) in self._stopping.items() if left > 1}
             if self._stopping:
                 self._later.after(_STOP_PERIOD, self._repeat_zeros, once=True)
             else:
@@ -163,7 +165,7 @@ class HubOutput:
 
     def close(self) -> None:
         """Close the publishers, after the last zero velocity. Safe to call twice."""
-        self._stopped.wait(2 * _STOP_SECONDS)
+        self._stopped.wait(_STOP_SECONDS)
         self._later.close()
         self._unserve()
         for end in [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]:

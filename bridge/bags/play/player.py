@@ -67,7 +67,8 @@ class Player:
 
     Attributes:
         played: number of messages by topic.
-        dropped: number of messages that were not played, by topic and reason: ``late``, ``stepped``, ``bad``.
+        dropped: number of messages that were not played, by topic and reason: ``late``, ``stepped``, ``paused``,
+            ``bad``.
         loops: number of completed runs.
     """
 
@@ -150,7 +151,12 @@ class Player:
 
     def _publish(self, topic: PlayTopic, data: bytes, *, ready: bool) -> None:
         try:
-            self._output.put(topic, topic.convert(data) if topic.convert is not None and not ready else data)
+            cdr = topic.convert(data) if topic.convert is not None and not ready else data
+            if not topic.command:
+                self._output.put(topic, cdr)
+            elif not self.timeline.publish(lambda: self._output.put(topic, cdr)):
+                self._drop(topic, "paused")
+                return
         except HubClosedError:
             raise
         except (ConversionError, HubError) as err:

@@ -157,6 +157,17 @@ class Timeline:
             self._steps = 0
             self._changed.notify_all()
 
+    def publish(self, command: Callable[[], object]) -> bool:
+        """Publish a command unless the play is paused; return whether it was published.
+
+        After `pause` has returned, no command is published, not even one that was due before.
+        """
+        with self._changed:
+            if self._paused:
+                return False
+            command()
+            return True
+
     def step(self) -> bool:
         """Play one message while paused; return False if the play is not paused, or too many steps are pending."""
         with self._changed:

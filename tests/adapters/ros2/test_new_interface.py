@@ -8,12 +8,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from bridge.adapters.ros2.edge import Ros2Edge
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
+from tests.peers.listener import Listener
 from tests.peers.peer import Peer, on_machine
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.netns import Cable, Machine, need_namespaces
@@ -78,3 +80,25 @@ def test_the_edge_restarts_only_without_a_custom_profile(
     ros2._use_new_addresses("a new address")
     assert failures == ([] if profile else ["a new address: restarting"])
     assert ("restart the worker" in caplog.text) == bool(profile)
+
+
+def test_an_address_that_appears_while_the_participant_starts_counts_as_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At boot, Wi-Fi often gets its address in the half second that the participant needs to start."""
+    steps: list[str] = []
+
+    def addresses() -> dict[str, list[object]]:
+        steps.append("addresses")
+        return {}
+
+    def join(*_: object) -> None:
+        steps.append("join")
+        raise InterruptedError
+
+    ros2 = Ros2Edge(Config.model_validate({"ros2": {"localhost_only": False}}), Registry(), tmp_path)
+    monkeypatch.setattr(psutil, "net_if_addrs", addresses)
+    monkeypatch.setattr(ros2._dds, "join", join)
+    with pytest.raises(InterruptedError):
+        ros2.start(Listener())
+    assert steps == ["addresses", "join"]

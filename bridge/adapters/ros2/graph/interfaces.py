@@ -34,16 +34,17 @@ def ipv4_addresses() -> Addresses:
 
 
 class InterfaceWatch:
-    """Calls ``appeared`` once, with a text, when the machine gets addresses that it did not have at construction.
+    """Calls ``appeared`` once, with a text, when the machine gets addresses that are not among the ``known`` ones.
 
     An address that disappears and returns is not new, because the participant's sockets still use it.
     """
 
     def __init__(
-        self, appeared: Callable[[str], None], later: DelayedCalls, addresses: Callable[[], Addresses] = ipv4_addresses
-    ) -> None:
+        self, appeared: Callable[[str], None], later: DelayedCalls, known: Addresses,
+        addresses: Callable[[], Addresses] = ipv4_addresses,
+    ) -> None:  # fmt: skip
         self._appeared, self._later, self._addresses = appeared, later, addresses
-        self._known = addresses()
+        self._known = known
         self._new: Addresses = frozenset()
         self._later.after(PERIOD, self._check)
 

@@ -21,7 +21,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from bridge.adapters.ros2.graph.origins import is_marked, is_secured
@@ -73,7 +73,7 @@ class MemoryNeighbors:
         self._present: frozenset[bytes] = frozenset()
         self._reachable: set[bytes] = set()
         self._other_majors: set[bytes] = set()
-        self._since = 0.0
+        self._suspected: dict[bytes, float] = {}  # since when, on the monotonic clock
         self._confirming = self._done = False
 
     def follow(self, participants: Collection[bytes]) -> None:
@@ -83,7 +83,6 @@ class MemoryNeighbors:
             self._reachable &= self._present
             self._other_majors &= self._present
             if not self._done and not self._confirming and self._suspects():
-                self._since = time.monotonic()
                 self._confirm_later()
 
     def on_other_major(self) -> int:
@@ -95,7 +94,8 @@ class MemoryNeighbors:
         self._confirming = True
         self._later.after(CONFIRM_SECONDS, self._confirm)
 
-    def _suspects(self) -> list[bytes]:
+    def _suspects(self) -> Mapping[bytes, float]:
+        """Return the participants that shared memory may not reach, each with the time when it was first suspected."""
         suspects = []
         for prefix in self._present - self._reachable - self._other_majors:
             if prefix[_HOST] != self._own[_HOST] or is_marked(prefix) or is_secured(prefix):
@@ -110,7 +110,9 @@ class MemoryNeighbors:
                 self._other_majors.add(prefix)
             else:
                 suspects.append(prefix)
-        return suspects
+        now = time.monotonic()
+        self._suspected = {prefix: self._suspected.get(prefix, now) for prefix in suspects}
+        return self._suspected
 
     def _majors_of_other_user(self, process: Path) -> set[int]:
         """Return the major versions of another user's Fast DDS, from the user's live files in shared memory.
@@ -130,9 +132,9 @@ class MemoryNeighbors:
     def _confirm(self) -> None:
         with self._lock:
             self._confirming = False
-            if self._done or not self._suspects():
+            if self._done or not (suspects := self._suspects()):
                 return
-            if self._has_dead_participant() and time.monotonic() < self._since + LEASE_SECONDS:
+            if self._has_dead_participant() and time.monotonic() < min(suspects.values()) + LEASE_SECONDS:
                 self._confirm_later()
                 return
             self._done = True

@@ -166,7 +166,7 @@ class Ros2Caller(ServiceEndpoint, EdgeCaller):
             except rcl.RclError as err:
                 failed.append((pending, CallError(f"{self.name}: {err}")))
                 continue
-            pending.servers, pending.request = servers, b""
+            pending.servers, pending.request = servers | self._sender.recipients, b""
             self._sent[number] = pending
             self._requests.on_sent(number)
         return 0.0

@@ -33,6 +33,11 @@ class RequestSender(ABC):
     def outdated(self) -> bool:
         """Whether another server has matched since `obstacle`."""
 
+    @property
+    @abstractmethod
+    def recipients(self) -> frozenset[bytes]:
+        """The GIDs of the servers that get requests, as of `obstacle`, which may be newer than the last snapshot."""
+
     @abstractmethod
     def wait(self, servers: Collection[bytes]) -> float:
         """Return the seconds until a request may be sent to these servers; raises `UnsentCallError`."""

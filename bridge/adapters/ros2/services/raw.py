@@ -122,6 +122,11 @@ class RawSender(RequestSender):
     def outdated(self) -> bool:
         return self._verified is None or self._servers() != self._verified[0]
 
+    @property
+    @override
+    def recipients(self) -> frozenset[bytes]:
+        return frozenset() if self._verified is None else self._verified[0]
+
     @override
     def prepare(self, servers: Collection[bytes]) -> float:
         """Return the seconds until the servers have matched the reader of the replies, which DDS does not report."""

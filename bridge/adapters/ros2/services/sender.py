@@ -51,6 +51,7 @@ class FastSender(RequestSender):
             writer = context.graph.own_writer(request_topic(name)) or b""
             self._filter = ListFilter(name, writer)
         self._verified: tuple[int | None, frozenset[bytes]] = None, frozenset()
+        self._recipients = frozenset[bytes]()
         self._on_cyclone = False
         self._cyclone: CycloneCalls | None = None
         self._written = 0
@@ -73,8 +74,9 @@ class FastSender(RequestSender):
                 return refused
             called = self._context.graph.called(servers)
             self._verified, self._on_cyclone = (matched, present), vendors.are_cyclone(called)
+            self._recipients = frozenset(bytes.fromhex(server.id) for server in called)
             if self._filter is not None:
-                self._filter.restrict(bytes.fromhex(server.id) for server in called)
+                self._filter.restrict(self._recipients)
         return None
 
     @property
@@ -82,6 +84,11 @@ class FastSender(RequestSender):
     def outdated(self) -> bool:
         """Whether another server, which may need the other form, has matched since `obstacle`."""
         return self._matches.total() not in (None, self._verified[0])
+
+    @property
+    @override
+    def recipients(self) -> frozenset[bytes]:
+        return self._recipients
 
     @override
     def wait(self, servers: Collection[bytes]) -> float:

@@ -136,7 +136,7 @@ class Ros2Publisher:
         if writer is None:
             return
         if self._for_readers is not None and writer.readers_changed():
-            self._convert = self._for_readers()
+            self._follow_version(self._for_readers)
         writer.send(payload if self._convert is None else self._convert(payload))
 
     def _writer_for(self, source: str) -> _Writer | None:
@@ -165,13 +165,17 @@ class Ros2Publisher:
     def refit(self) -> None:
         """Follow the subscriptions' version of the type, and prepare new subscriptions on Cyclone DDS."""
         if self._for_readers is not None:
-            self._convert = self._for_readers()
+            self._follow_version(self._for_readers)
         readers = self._heartbeats.readers(self.topic)
         with self._lock:
             new, self._prepared = readers - self._prepared, readers
             writers = self._all_writers() if new else []
         for writer in writers:
             writer.prepare(self._heartbeats, new)
+
+    def _follow_version(self, for_readers: ForReaders) -> None:
+        with self._lock:  # includes reading the graph: an older version must not be applied last
+            self._convert = for_readers()
 
     def _all_writers(self) -> list[_Writer]:
         return [*self._writers.values(), *([self._spare] if self._spare else [])]

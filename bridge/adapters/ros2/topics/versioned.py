@@ -75,8 +75,8 @@ class VersionedPublisher:
     def refit(self) -> None:
         """Open and close publishers as the versions of the subscriptions change."""
         self._here.refit()
-        wanted = self._converters.keys() & set(self._wanted())
-        with self._lock:
+        with self._lock:  # includes reading the graph: older versions must not be applied last
+            wanted = self._converters.keys() & set(self._wanted())
             departed = [self._publishers.pop(version) for version in self._publishers.keys() - wanted]
             for version in sorted(wanted - self._publishers.keys()) if self._open else ():
                 self._publishers[version] = self._start(version)

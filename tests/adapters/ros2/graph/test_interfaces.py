@@ -38,7 +38,8 @@ class Machine:
         self.addresses = set(addresses)
         self.reported: list[str] = []
         self.calls = Calls()
-        self.watch = InterfaceWatch(self.reported.append, self.calls, lambda: frozenset(self.addresses))
+        known = frozenset(addresses)
+        self.watch = InterfaceWatch(self.reported.append, self.calls, known, lambda: frozenset(self.addresses))
 
     def checks(self, count: int) -> None:
         for _ in range(count):

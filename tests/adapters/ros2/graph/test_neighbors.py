@@ -8,6 +8,8 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -152,6 +154,30 @@ def test_a_killed_program_is_not_reported_before_its_lease_expires(
     table.bind(8160, 8162)
     monkeypatch.setattr(neighbors, "LEASE_SECONDS", 0.1)
     assert reports_unreachable(*present), "it is present for longer than a dead participant"
+
+
+def test_programs_that_are_killed_one_after_the_other_are_not_reported(
+    table: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program that crashes at its start is respawned: each of its participants has its own lease."""
+    table.bind(8160)
+    now = 1000.0
+    monkeypatch.setattr(neighbors, "time", SimpleNamespace(monotonic=lambda: now))
+    due: list[Callable[[], object]] = []
+    later: Any = SimpleNamespace(after=lambda _seconds, call: due.append(call))
+    reports: list[bool] = []
+    watch = neighbors.MemoryNeighbors(
+        OWN, 2, 3, lambda: reports.append(True), later, proc=table.folder, folder=table.shm
+    )  # fmt: skip
+    for pid in (4711, 4712, 4713):
+        watch.follow([prefix(pid)])
+        for _ in range(2):
+            now += neighbors.LEASE_SECONDS / 2 - 1.0
+            due.pop()()
+    assert not reports
+    now += neighbors.LEASE_SECONDS
+    due.pop()()
+    assert reports, "the last one is present for longer than a dead participant"
 
 
 def test_other_hosts_and_other_midspans_do_not_count(reports_unreachable: Callable[..., bool]) -> None:

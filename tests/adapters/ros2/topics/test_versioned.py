@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +14,7 @@ from bridge.adapters.ros2.topics.versioned import VersionedPublisher
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.errors import ConversionError, MessageTypeError
 from tests.adapters.ros2.conftest import RunningEdge
+from tests.support.wait import until
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=2)
 RANGE = "sensor_msgs/msg/Range"
@@ -96,6 +98,28 @@ def test_a_new_version_gets_the_last_latched_messages_of_each_source(caplog: pyt
     versions.follow("new")
     assert versions.others["new"].sent == [(b"B", "s"), (b"C", "t")]
     assert "/wheels: a retained message was not published in another version: it does not fit" in caplog.text
+
+
+def test_versions_that_another_thread_has_read_earlier_are_not_applied_last() -> None:
+    versions = TwoVersionPublisher()
+    reads, graph_is_read = threading.Event(), threading.Event()
+
+    def read_before_the_new_subscription() -> set[str]:
+        versions.publisher._wanted = lambda: {"new"}
+        reads.set()
+        graph_is_read.wait(20)
+        return set()
+
+    versions.publisher._wanted = read_before_the_new_subscription
+    starved, other = (threading.Thread(target=versions.publisher.refit) for _ in range(2))
+    starved.start()
+    until(reads.is_set, "the first thread reads the graph")
+    other.start()
+    other.join(0.1)  # without the lock it ends here
+    graph_is_read.set()
+    for thread in (starved, other):
+        thread.join(20)
+    assert not versions.others["new"].closed
 
 
 def test_a_message_that_one_version_cannot_hold_reaches_the_others() -> None:
