@@ -8,10 +8,12 @@ line, as it does for an answer that is a Bottle.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import random
 import socket
 import threading
+import time
 import weakref
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
@@ -62,7 +64,7 @@ class NameClient:
         self._taken_over: set[str] = set()  # names that another port has registered since
         self._pending: weakref.WeakSet[LineSocket] = weakref.WeakSet()
         self._pending_lock = threading.Lock()
-        self._hurried = self._timed_out = False
+        self._end = math.inf  # when every command has to end
 
     @property
     def address(self) -> Address:
@@ -91,9 +93,9 @@ class NameClient:
         self._configured_address = address
 
     def hurry(self, seconds: float) -> None:
-        """Limit every command to ``seconds``, including pending ones; after the first timeout all commands fail."""
+        """End all commands, pending and later ones, within ``seconds`` of now."""
         with self._pending_lock:
-            self._timeout, self._hurried = seconds, True
+            self._timeout, self._end = seconds, time.monotonic() + seconds
             pending = list(self._pending)
         for peer in pending:
             peer.hurry(seconds)
@@ -233,10 +235,11 @@ class NameClient:
     def _ask(self, data: bytes) -> LineSocket:
         address = self.address
         with self._pending_lock:  # so that `hurry` either finds this command or has already shortened its timeout
-            peer = LineSocket(address.host, address.port, self._timeout, limit=MAX_ANSWER)
+            left = self._end - time.monotonic()
+            peer = LineSocket(address.host, address.port, min(self._timeout, left), limit=MAX_ANSWER)
             self._pending.add(peer)
         try:
-            if self._timed_out:
+            if left <= 0:
                 raise TimeoutError
             peer.open()
             peer.send(data)
@@ -249,7 +252,6 @@ class NameClient:
         return peer
 
     def _unreachable(self, err: OSError) -> NamingError:
-        self._timed_out = self._hurried and isinstance(err, TimeoutError)
         reason = f"no reply within {self._timeout:g} s" if isinstance(err, TimeoutError) else err.strerror or str(err)
         msg = (
             f"YARP's name server does not answer at {self._endpoint()}: {reason}."
