@@ -133,7 +133,8 @@ class NameClient:
             self._register(["register", name, contact.carrier, contact.host, contact.port])
             for key, values in list(current.properties.items()):
                 self._set(name, key, values)
-            self.lines(["announce", name])
+            if current.announced:  # otherwise it does not listen yet, and announces itself later
+                self.lines(["announce", name])
             restored, current = current, self._registered.get(name)
             if current is restored:
                 return
@@ -180,8 +181,9 @@ class NameClient:
 
     def set_property(self, name: str, key: str, *values: Any) -> None:
         """Set a property of a port; see `Naming.set_property`."""
-        if name in self._registered:
-            self._registered[name].properties[key] = values
+        registered = self._registered.get(name)
+        if registered is not None:
+            registered.properties[key] = values
         self._set(name, key, values)
 
     def _set(self, name: str, key: str, values: Sequence[Any]) -> None:
@@ -200,9 +202,14 @@ class NameClient:
 
         From then on, `KEEPER` keeps the port registered if this client registered it.
         """
+        registered = self._registered.get(name) if alive else None
+        if registered is not None:
+            registered.announced = True
         self.lines(["announce", name] if alive else ["announce", name, 0])
-        if alive and name in self._registered:
-            KEEPER.keep(self, self._registered[name].contact)
+        if registered is not None:
+            KEEPER.keep(self, registered.contact)
+            if name not in self._registered:  # meanwhile, the port has been closed
+                KEEPER.remove(self, name)
 
     def lines(self, command: Sequence[Any]) -> Lines:
         """Send a command and return the answer's lines without the end mark; a Bottle such as ``[ok]`` is one line."""
@@ -292,6 +299,7 @@ class _Registered:
 
     contact: PortContact
     properties: dict[str, Sequence[Any]] = field(default_factory=dict)
+    announced: bool = False
 
 
 def _is_quoted(value: Any) -> bool:
