@@ -155,6 +155,7 @@ class Connector:
         self._changed = threading.Condition()
         self._due: list[tuple[float, int, WantedConnection, int]] = []
         self._waiting: set[WantedConnection] = set()
+        self._again: set[WantedConnection] = set()  # a port was opened again, perhaps after the attempt had found it
         self._order = 0
         self._idle = 0
         self._closed = False
@@ -163,6 +164,8 @@ class Connector:
     def request(self, wanted: WantedConnection) -> None:
         """Make a connection in the background, unless it exists."""
         with self._changed:
+            if wanted in self._waiting and wanted.force:
+                self._again.add(wanted)
             if self._closed or wanted in self._waiting or len(self._waiting) >= MAX_WAITING:
                 return
             self._waiting.add(wanted)
@@ -197,7 +200,9 @@ class Connector:
                     "persistent connection from %s to %s failed: %s", wanted.source, wanted.target, error,
                 )  # fmt: skip
             with self._changed:
-                if last or self._closed:
+                if wanted in self._again:
+                    self._schedule(wanted, 0)
+                elif last or self._closed:
                     self._waiting.discard(wanted)
                 else:
                     self._schedule(wanted, attempt + 1)
@@ -210,6 +215,7 @@ class Connector:
                     left = self._due[0][0] - time.monotonic() if self._due else None
                     if left is not None and left <= 0:
                         _, _, wanted, attempt = heapq.heappop(self._due)
+                        self._again.discard(wanted)
                         return wanted, attempt
                     self._changed.wait(left)
                 return None

@@ -108,3 +108,14 @@ def test_a_forced_connection_replaces_the_connection_to_an_earlier_port_with_the
     connector.request(WantedConnection("/connected", "/r", force=True))
     until(lambda: ports.made == ["/connected"], "the connection is made again")
     connector.close()
+
+
+def test_a_port_that_opens_again_during_an_attempt_is_connected_again(ports: Ports) -> None:
+    """The attempt may have connected its earlier program, which was about to end."""
+    connector, wanted = Connector(LocalNaming()), WantedConnection("/slow", "/r", force=True)
+    connector.request(wanted)
+    until(lambda: ports.tries == ["/slow"], "the attempt has begun")
+    connector.request(wanted)
+    ports.go_on.set()
+    until(lambda: ports.made == ["/slow", "/slow"], "the connection is made again")
+    connector.close()
