@@ -186,8 +186,8 @@ class NodePort:
 class KnownPort:
     """The known facts about a registered port.
 
-    ``since`` is when it was first listed; ``queried``: it was asked whether it is latched, with the answer in
-    ``announces_latched``; ``read``: its properties were read from the name server.
+    ``since`` is when it was first listed, or began to listen; ``queried``: it was asked whether it is latched, with
+    the answer in ``announces_latched``; ``read``: its properties were read from the name server.
     """
 
     contact: PortContact
@@ -304,6 +304,8 @@ class YarpGraph:
             elif now >= again:
                 if connections.responds(contact, timeout=_ASK_SECONDS):
                     del self._unreachable[name]
+                    if (known := self.known.get(name)) is not None and not known.queried:
+                        known.since = time.monotonic()  # it was registered long before it listened
                 else:
                     self._unreachable[name] = contact, time.monotonic() + _RETRY
 

@@ -84,6 +84,23 @@ def test_registered_publisher_that_does_not_listen_yet_is_not_present(
     port.close()
 
 
+def test_publisher_that_listens_long_after_its_registration_is_asked_for_type_and_latching(names: Names) -> None:
+    graph, number = YarpGraph(Registry()), free_port()
+    names.client.register(PORT, "127.0.0.1", number)
+    update(graph, names)
+    graph.known[PORT].since -= 60.0
+    port = PortCore(PORT, naming=names.client, type_name="std_msgs/String", host="127.0.0.1", number=number)
+    port.properties[LATCHED] = 1
+    port.open()
+
+    def known() -> bool:
+        node = update(graph, names)
+        return node.latched and node.type == "std_msgs/msg/String"
+
+    until(known, "the port's type and latching are known", 20)
+    port.close()
+
+
 class Discarding:
     """A contact that discards its port when it is compared."""
 
