@@ -143,6 +143,7 @@ _log = logging.getLogger("yarp.names")
 WORKERS = 4  # maximum threads of a `Connector`
 MAX_WAITING = 10_000  # maximum connections to make; further requests are ignored
 STEP_TIMEOUT = 3.0  # seconds for each step of making a connection
+CLOSE_SECONDS = 0.5  # maximum seconds to wait for attempts in progress
 PAUSES = (0.0, 0.5, 2.0, 8.0)
 """Seconds before each attempt. After the last attempt, a missing port is connected when it announces itself again."""
 
@@ -177,12 +178,13 @@ class Connector:
                 thread.start()
 
     def close(self) -> None:
-        """Stop making connections; wait until attempts in progress have ended."""
+        """Stop making connections; attempts in progress may end later, because ports that hang delay them."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+        end = time.monotonic() + CLOSE_SECONDS
         for thread in self._threads:
-            thread.join()
+            thread.join(max(0.0, end - time.monotonic()))
 
     def _schedule(self, wanted: WantedConnection, attempt: int) -> None:
         self._order += 1
