@@ -101,6 +101,17 @@ def test_publisher_that_listens_long_after_its_registration_is_asked_for_type_an
     port.close()
 
 
+def test_type_that_is_announced_late_is_read(names: Names) -> None:
+    """The program stalls between the registration of its port and the announcement of its type."""
+    graph, port = YarpGraph(Registry()), "/map-@/client"
+    names.client.register(port, "127.0.0.1", free_port())
+    assert update(graph, names).type == ""
+    graph.known[port].since -= 60.0
+    graph.known[port].read -= 60.0
+    names.client.set_property(port, "type", "std_msgs/String")
+    assert update(graph, names).type == "std_msgs/msg/String"
+
+
 class Discarding:
     """A contact that discards its port when it is compared."""
 
