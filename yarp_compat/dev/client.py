@@ -6,6 +6,7 @@ The RPC port connects to the server's, and reconnects before a call if the serve
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Callable, Iterator
 from typing import Generic, Self, TypedDict, TypeVar, Unpack
 
@@ -39,6 +40,7 @@ class PortChannel:
         connect: Callable[[], object] | None = None,
     ) -> None:  # fmt: skip
         self._connect = connect
+        self._connecting = threading.RLock()  # a second connection would close the first, with its pending call
         self._generation = generation
         self._is_fixed = False
         self._port = port
@@ -59,10 +61,12 @@ class PortChannel:
     def request(self, payload: bytes, parse: Callable[[Buffer], int]) -> Buffer:
         """Send a request and return the reply; raises `TimeoutError`, or `ConnectionError` if not connected."""
         if self._connect is not None and self._port.is_open and not self._port.connections.outputs:
-            try:
-                self._connect()
-            except PortError as error:
-                raise ConnectionRefusedError(str(error)) from error
+            with self._connecting:
+                try:
+                    if not self._port.connections.outputs:
+                        self._connect()
+                except PortError as error:
+                    raise ConnectionRefusedError(str(error)) from error
         return self._port.request(payload, timeout=self._timeout, parse=parse)
 
 

@@ -8,10 +8,12 @@ line, as it does for an answer that is a Bottle.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import random
 import socket
 import threading
+import time
 import weakref
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
@@ -62,7 +64,7 @@ class NameClient:
         self._taken_over: set[str] = set()  # names that another port has registered since
         self._pending: weakref.WeakSet[LineSocket] = weakref.WeakSet()
         self._pending_lock = threading.Lock()
-        self._hurried = self._timed_out = False
+        self._end = math.inf  # when every command has to end
 
     @property
     def address(self) -> Address:
@@ -91,9 +93,9 @@ class NameClient:
         self._configured_address = address
 
     def hurry(self, seconds: float) -> None:
-        """Limit every command to ``seconds``, including pending ones; after the first timeout all commands fail."""
+        """End all commands, pending and later ones, within ``seconds`` of now."""
         with self._pending_lock:
-            self._timeout, self._hurried = seconds, True
+            self._timeout, self._end = seconds, time.monotonic() + seconds
             pending = list(self._pending)
         for peer in pending:
             peer.hurry(seconds)
@@ -131,7 +133,8 @@ class NameClient:
             self._register(["register", name, contact.carrier, contact.host, contact.port])
             for key, values in list(current.properties.items()):
                 self._set(name, key, values)
-            self.lines(["announce", name])
+            if current.announced:  # otherwise it does not listen yet, and announces itself later
+                self.lines(["announce", name])
             restored, current = current, self._registered.get(name)
             if current is restored:
                 return
@@ -178,8 +181,9 @@ class NameClient:
 
     def set_property(self, name: str, key: str, *values: Any) -> None:
         """Set a property of a port; see `Naming.set_property`."""
-        if name in self._registered:
-            self._registered[name].properties[key] = values
+        registered = self._registered.get(name)
+        if registered is not None:
+            registered.properties[key] = values
         self._set(name, key, values)
 
     def _set(self, name: str, key: str, values: Sequence[Any]) -> None:
@@ -198,9 +202,14 @@ class NameClient:
 
         From then on, `KEEPER` keeps the port registered if this client registered it.
         """
+        registered = self._registered.get(name) if alive else None
+        if registered is not None:
+            registered.announced = True
         self.lines(["announce", name] if alive else ["announce", name, 0])
-        if alive and name in self._registered:
-            KEEPER.keep(self, self._registered[name].contact)
+        if registered is not None:
+            KEEPER.keep(self, registered.contact)
+            if name not in self._registered:  # meanwhile, the port has been closed
+                KEEPER.remove(self, name)
 
     def lines(self, command: Sequence[Any]) -> Lines:
         """Send a command and return the answer's lines without the end mark; a Bottle such as ``[ok]`` is one line."""
@@ -233,10 +242,11 @@ class NameClient:
     def _ask(self, data: bytes) -> LineSocket:
         address = self.address
         with self._pending_lock:  # so that `hurry` either finds this command or has already shortened its timeout
-            peer = LineSocket(address.host, address.port, self._timeout, limit=MAX_ANSWER)
+            left = self._end - time.monotonic()
+            peer = LineSocket(address.host, address.port, min(self._timeout, left), limit=MAX_ANSWER)
             self._pending.add(peer)
         try:
-            if self._timed_out:
+            if left <= 0:
                 raise TimeoutError
             peer.open()
             peer.send(data)
@@ -249,7 +259,6 @@ class NameClient:
         return peer
 
     def _unreachable(self, err: OSError) -> NamingError:
-        self._timed_out = self._hurried and isinstance(err, TimeoutError)
         reason = f"no reply within {self._timeout:g} s" if isinstance(err, TimeoutError) else err.strerror or str(err)
         msg = (
             f"YARP's name server does not answer at {self._endpoint()}: {reason}."
@@ -290,6 +299,7 @@ class _Registered:
 
     contact: PortContact
     properties: dict[str, Sequence[Any]] = field(default_factory=dict)
+    announced: bool = False
 
 
 def _is_quoted(value: Any) -> bool:

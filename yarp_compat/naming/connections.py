@@ -143,6 +143,7 @@ _log = logging.getLogger("yarp.names")
 WORKERS = 4  # maximum threads of a `Connector`
 MAX_WAITING = 10_000  # maximum connections to make; further requests are ignored
 STEP_TIMEOUT = 3.0  # seconds for each step of making a connection
+CLOSE_SECONDS = 0.5  # maximum seconds to wait for attempts in progress
 PAUSES = (0.0, 0.5, 2.0, 8.0)
 """Seconds before each attempt. After the last attempt, a missing port is connected when it announces itself again."""
 
@@ -155,6 +156,7 @@ class Connector:
         self._changed = threading.Condition()
         self._due: list[tuple[float, int, WantedConnection, int]] = []
         self._waiting: set[WantedConnection] = set()
+        self._again: set[WantedConnection] = set()  # a port was opened again, perhaps after the attempt had found it
         self._order = 0
         self._idle = 0
         self._closed = False
@@ -163,6 +165,8 @@ class Connector:
     def request(self, wanted: WantedConnection) -> None:
         """Make a connection in the background, unless it exists."""
         with self._changed:
+            if wanted in self._waiting and wanted.force:
+                self._again.add(wanted)
             if self._closed or wanted in self._waiting or len(self._waiting) >= MAX_WAITING:
                 return
             self._waiting.add(wanted)
@@ -174,12 +178,13 @@ class Connector:
                 thread.start()
 
     def close(self) -> None:
-        """Stop making connections; wait until attempts in progress have ended."""
+        """Stop making connections; attempts in progress may end later, because ports that hang delay them."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+        end = time.monotonic() + CLOSE_SECONDS
         for thread in self._threads:
-            thread.join()
+            thread.join(max(0.0, end - time.monotonic()))
 
     def _schedule(self, wanted: WantedConnection, attempt: int) -> None:
         self._order += 1
@@ -197,7 +202,9 @@ class Connector:
                     "persistent connection from %s to %s failed: %s", wanted.source, wanted.target, error,
                 )  # fmt: skip
             with self._changed:
-                if last or self._closed:
+                if wanted in self._again:
+                    self._schedule(wanted, 0)
+                elif last or self._closed:
                     self._waiting.discard(wanted)
                 else:
                     self._schedule(wanted, attempt + 1)
@@ -210,6 +217,7 @@ class Connector:
                     left = self._due[0][0] - time.monotonic() if self._due else None
                     if left is not None and left <= 0:
                         _, _, wanted, attempt = heapq.heappop(self._due)
+                        self._again.discard(wanted)
                         return wanted, attempt
                     self._changed.wait(left)
                 return None

@@ -229,7 +229,8 @@ class PortRegistry:
             return [OLD]
         known = self._ports.get(requested.name)
         if known and known.contact == requested:
-            known.since = self._clock()  # repeated after a restart of the name server: nothing else changes
+            # repeated after a restart of the name server, or by the next program of a killed one with the same number
+            known.since, known.announced = self._clock(), False
             return self._described(command, requested.name)
         if known:
             self._remove(command, requested.name)

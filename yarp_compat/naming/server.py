@@ -168,7 +168,9 @@ class NameServer(Openable):
             ) from None
         self._thread = threading.Thread(target=self._run, name="yarp name server", daemon=True)
         self._thread.start()
-        for connection in self.registry.wanted():
+        with self._lock:
+            wanted = self.registry.wanted()
+        for connection in wanted:
             self._connector.request(connection)
         return self
 
@@ -197,22 +199,24 @@ class NameServer(Openable):
     def collect(self, patience: int = 2) -> list[str]:
         """Remove ports that refused connections in the last ``patience`` probes, 1 or 2; return their names."""
         with self._lock:
-            entries = [
-                e.contact
+            probed = {
+                e.contact: e.since
                 for e in self.registry.entries()
                 if e.contact.carrier not in ("mcast", "topic")
                 and e.contact != self.contact
                 and self.registry.age(e) > YOUNG
-            ]
-        dead = refused(entries, PROBE_SECONDS)
-        removed = sorted(dead if patience == 1 else dead & self._suspects)
-        self._suspects = dead - set(removed)
+            }
+        dead = refused(probed, PROBE_SECONDS)
+        with self._lock:
+            # a port that was registered during the probe may belong to the dead port's next program
+            dead &= {e.contact.name for e in self.registry.entries() if probed.get(e.contact) == e.since}
+            removed = sorted(dead if patience == 1 else dead & self._suspects)
+            self._suspects = dead - set(removed)
+            answer = self.registry.remove(removed)
+            self._count(answer)
+            self._publish(answer)
         if removed:
             _log.info("removed ports that refuse connections: %s", ", ".join(removed[:20]))
-            with self._lock:
-                answer = self.registry.remove(removed)
-                self._count(answer)
-                self._publish(answer)
             self._follow(answer)
         return removed
 

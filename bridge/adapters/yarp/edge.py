@@ -46,8 +46,8 @@ _SETTLE = 0.02
 _MARK_AGAIN = 3.0
 """For this many seconds after the name server's return, ports may be registered without their marks."""
 
-_STOP_TIMEOUT = 0.4
-"""Seconds per name-server command while the adapter stops; after a timeout it sends no more commands."""
+_STOP_TIMEOUT = 1.0
+"""Seconds for all name-server commands together while the adapter stops; a name server may be slow for a moment."""
 
 _ALIVE_SECONDS = 0.9
 """Another worker counts as alive for this many seconds after its last record; less than `election.SILENCE`."""
@@ -102,7 +102,7 @@ class YarpEdge(SideEdge):
         self._wake.set()
         self._network.naming.hurry(_STOP_TIMEOUT)
         if self._thread.is_alive():
-            self._thread.join(2 * _STOP_TIMEOUT)
+            self._thread.join(_STOP_TIMEOUT / 2)
         self.ports.stop()
         self._presence.close()
         self._ros1.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -163,6 +164,9 @@ _FIRST_RETRY = 0.3
 _ANNOUNCE_SECONDS = 3.0
 """Seconds within which a new port announces its type."""
 
+_READ_AGAIN = 10.0
+"""Seconds between later attempts to read the type of a port without one; its program may have stalled."""
+
 
 @dataclass(frozen=True, slots=True)
 class NodePort:
@@ -186,8 +190,8 @@ class NodePort:
 class KnownPort:
     """The known facts about a registered port.
 
-    ``since`` is when it was first listed; ``queried``: it was asked whether it is latched, with the answer in
-    ``announces_latched``; ``read``: its properties were read from the name server.
+    ``since`` is when it was first listed, or began to listen; ``queried``: it was asked whether it is latched, with
+    the answer in ``announces_latched``; ``read`` is when its properties were last read from the name server.
     """
 
     contact: PortContact
@@ -197,7 +201,7 @@ class KnownPort:
     latched: bool = False
     queried: bool = False
     announces_latched: bool = False
-    read: bool = False
+    read: float = -math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,6 +308,8 @@ class YarpGraph:
             elif now >= again:
                 if connections.responds(contact, timeout=_ASK_SECONDS):
                     del self._unreachable[name]
+                    if (known := self.known.get(name)) is not None and not known.queried:
+                        known.since = time.monotonic()  # it was registered long before it listened
                 else:
                     self._unreachable[name] = contact, time.monotonic() + _RETRY
 
@@ -313,9 +319,11 @@ class YarpGraph:
             known = self.known[name] = KnownPort(self.contacts[name], time.monotonic())
         if known.made_by is MadeBy.UNKNOWN:
             known.made_by = MadeBy.MIDSPAN if naming.get_property(name, OWNER) else MadeBy.NATIVE
-        young = time.monotonic() - known.since < _ANNOUNCE_SECONDS
-        if "@" in name and known.made_by is MadeBy.NATIVE and (young or not known.read):
-            known.read = True
+        now = time.monotonic()
+        young = now - known.since < _ANNOUNCE_SECONDS
+        late = not known.type and name not in self._unreachable and now - known.read >= _READ_AGAIN
+        if "@" in name and known.made_by is MadeBy.NATIVE and (young or late):
+            known.read = now
             self._query_latched(name, known)
             known.type = known.type or self._type_of(naming, known.contact)
             known.latched = known.announces_latched or _is_true(naming.get_property(name, LATCHED))

@@ -17,6 +17,7 @@ from bridge.adapters.yarp.network import DAEMON, OWNER, PRESENCE
 from bridge.concurrency import Backoff
 from bridge.messages.errors import MessageTypeError
 from bridge.routing.edge import Sighting
+from yarp_compat.naming import connections
 from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.port import PortCore
@@ -27,6 +28,7 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Vocab
 
 _MAX_RECORD = 1 << 20
+_QUERY_SECONDS = 1.0
 _RETRY = 2.0
 _LONGEST_RETRY = 16.0
 """Maximum pause in seconds between attempts to connect to an unreachable worker, as dead workers stay registered."""
@@ -79,7 +81,8 @@ class WorkerPresence:
             if pauses is None or known != contact:
                 pauses = Backoff(_RETRY, _LONGEST_RETRY)
             self._tried[name] = contact, pauses, now + pauses.pause(0.0)
-            if self._core.add_output(name)[0]:
+            # The query is shorter than an attempt to connect, because a machine that left blocks this thread meanwhile.
+            if connections.responds(contact, timeout=_QUERY_SECONDS) and self._core.add_output(name)[0]:
                 self._record(name, None)
         for name in self._tried.keys() - others.keys():  # in place, because connection threads remove items, too
             self._tried.pop(name, None)

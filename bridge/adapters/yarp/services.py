@@ -222,6 +222,8 @@ class _PortCall:
         result: bytes | CallError
         fresh: PortCore | None = None
         try:
+            for output in core.connections.outputs if core is not None else ():
+                output.check()  # the server may have left since the last periodic check
             if core is not None and not core.connections.outputs:
                 core.close()
                 core = None

@@ -84,6 +84,34 @@ def test_registered_publisher_that_does_not_listen_yet_is_not_present(
     port.close()
 
 
+def test_publisher_that_listens_long_after_its_registration_is_asked_for_type_and_latching(names: Names) -> None:
+    graph, number = YarpGraph(Registry()), free_port()
+    names.client.register(PORT, "127.0.0.1", number)
+    update(graph, names)
+    graph.known[PORT].since -= 60.0
+    port = PortCore(PORT, naming=names.client, type_name="std_msgs/String", host="127.0.0.1", number=number)
+    port.properties[LATCHED] = 1
+    port.open()
+
+    def known() -> bool:
+        node = update(graph, names)
+        return node.latched and node.type == "std_msgs/msg/String"
+
+    until(known, "the port's type and latching are known", 20)
+    port.close()
+
+
+def test_type_that_is_announced_late_is_read(names: Names) -> None:
+    """The program stalls between the registration of its port and the announcement of its type."""
+    graph, port = YarpGraph(Registry()), "/map-@/client"
+    names.client.register(port, "127.0.0.1", free_port())
+    assert update(graph, names).type == ""
+    graph.known[port].since -= 60.0
+    graph.known[port].read -= 60.0
+    names.client.set_property(port, "type", "std_msgs/String")
+    assert update(graph, names).type == "std_msgs/msg/String"
+
+
 class Discarding:
     """A contact that discards its port when it is compared."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,6 +19,12 @@ from bridge.config.model import Config
 from bridge.daemon.workers import worker_kinds
 from bridge.hub.endpoints.calls import CallError
 from tests.support.no_threads import no_threads
+from tests.support.wait import until
+from yarp_compat.ports import port
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.binary import encode
+from yarp_compat.wire.profile import Profile
 
 
 @given(st.integers(1, 1 << 61), st.integers(0, 10**9))
@@ -90,3 +97,22 @@ def test_ports_can_be_called_after_a_lack_of_threads() -> None:
             caller.call(b"", results.append)
     assert {str(result) for result in results} == {"/robot/rpc cannot be called: can't start new thread"}
     assert len(results) == MAX_CALLS + 1
+
+
+def test_call_reaches_a_server_that_was_restarted_since_the_last_check_of_the_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
+    naming: Any = LocalNaming()
+    bottles: Any = SimpleNamespace(request_to_yarp=lambda request, _: request, reply_to_hub=lambda reply, _: reply)
+    caller, results = PortCaller(naming, "/robot/rpc", "", bottles, 1000), list[bytes | CallError]()
+    words = encode(["on"], Profile.YARP3)
+    for count in (1, 2):
+        server = PortCore("/robot/rpc", naming=naming, on_message=lambda message: message.reply(words))
+        server.open()
+        caller.call(words, results.append)
+        until(lambda n=count: len(results) == n, "the call ends")
+        until(lambda: caller._idle, "the connection is idle")
+        server.close()
+    caller.close()
+    assert results == [words, words]

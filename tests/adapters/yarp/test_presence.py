@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,35 +12,49 @@ from bridge.adapters.yarp import presence
 from bridge.adapters.yarp.network import PRESENCE
 from bridge.adapters.yarp.presence import WorkerPresence
 from bridge.messages.registry import Registry
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.wire.contact import ConnectionRoute, PortContact
 
+DEAD = f"{PRESENCE}dead"
+CONTACTS = {DEAD: PortContact(DEAD, "127.0.0.1", 10002)}
 
-def test_attempts_to_connect_to_a_dead_worker_become_rarer(monkeypatch: pytest.MonkeyPatch) -> None:
-    now, tried = 100.0, []
-    monkeypatch.setattr(presence, "time", SimpleNamespace(monotonic=lambda: now))
+
+def make_workers(add_output: Callable[[str], tuple[bool, str]]) -> WorkerPresence:
+    """Return the presence of a worker that connects to others with ``add_output``."""
     naming = NameClient(Address("127.0.0.1", 1), namespace="/root")
     context: Any = SimpleNamespace(
         owner="me", daemon="d", naming=naming, registry=Registry(), changed=lambda: None, ip="127.0.0.1"
     )
     workers = WorkerPresence(context, lambda: None)
-    name = f"{PRESENCE}dead"
-    core = SimpleNamespace(
-        name=f"{PRESENCE}me",
-        outputs=list,
-        inputs=list,
-        add_output=lambda _name: (tried.append(now - 100.0), (False, ""))[1],
-    )
-    workers._core = core  # type: ignore[assignment]
-    contacts = {name: PortContact(name, "127.0.0.1", 10002)}
+    core: Any = SimpleNamespace(name=f"{PRESENCE}me", outputs=list, inputs=list, add_output=add_output)
+    workers._core = core
+    return workers
+
+
+def test_attempts_to_connect_to_a_dead_worker_become_rarer(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, tried = 100.0, []
+    monkeypatch.setattr(presence, "time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr(connections, "responds", lambda *_, **__: True)
+    workers = make_workers(lambda _name: (tried.append(now - 100.0), (False, ""))[1])
     for _ in range(60):
-        workers.connect(contacts, now)
+        workers.connect(CONTACTS, now)
         now += 1.0
     assert tried == [0.0, 2.0, 6.0, 14.0, 30.0, 46.0]
     workers._on_event(
-        ConnectionEvent(ConnectionRoute(name, core.name, "tcp"), up=True, incoming=True)
+        ConnectionEvent(ConnectionRoute(DEAD, f"{PRESENCE}me", "tcp"), up=True, incoming=True)
     )  # the other worker is alive after all
-    workers.connect(contacts, now)
+    workers.connect(CONTACTS, now)
     assert tried[-1] == 60.0
+
+
+def test_worker_whose_machine_has_left_is_only_queried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An attempt to connect would delay the thread that manages all ports for five seconds."""
+    queried, tried = list[PortContact](), list[str]()
+    monkeypatch.setattr(connections, "responds", lambda contact, **_: (queried.append(contact), False)[1])
+    workers = make_workers(lambda name: (tried.append(name), (True, ""))[1])
+    workers.connect(CONTACTS, 0.0)
+    assert (queried, tried) == ([CONTACTS[DEAD]], [])
+    assert workers.sightings() == []

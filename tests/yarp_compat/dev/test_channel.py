@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -56,6 +59,43 @@ def test_a_client_reads_failures_after_a_restart_of_its_server(make_port: MakePo
         make_port("/server/rpc", Server(service), rpc=True)
         for _ in range(2):
             assert client.remote.stop_navigation_RPC().code is ReturnCode.METHOD_FAILED
+
+
+class _LostPort:
+    """A port that has lost its connection; it counts how often it is asked whether it is open."""
+
+    def __init__(self) -> None:
+        self.connections = SimpleNamespace(outputs=[])
+        self.asked = 0
+
+    @property
+    def is_open(self) -> bool:
+        self.asked += 1
+        return True
+
+    def request(self, payload: bytes, **_: object) -> bytes:
+        return payload
+
+
+def test_two_calls_at_once_reconnect_only_once() -> None:
+    """The second connection would close the first one, on which a call waits for its reply."""
+    lost, begun, go_on = _LostPort(), list[int](), threading.Event()
+
+    def connect() -> None:
+        begun.append(1)
+        assert go_on.wait(20)
+        lost.connections.outputs.append("output")
+
+    port: Any = lost
+    channel = PortChannel(port, connect=connect)
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(channel.request, b"first", len)
+        until(lambda: begun, "the first call connects")
+        second = pool.submit(channel.request, b"second", len)
+        until(lambda: lost.asked == 2, "the second call finds no connection")
+        go_on.set()
+        assert (first.result(20), second.result(20)) == (b"first", b"second")
+    assert begun == [1]
 
 
 def test_a_reply_of_a_megabyte_arrives(make_port: MakePort) -> None:

@@ -64,6 +64,17 @@ def test_a_slow_port_does_not_delay_others(ports: Ports) -> None:
     assert "/connected" not in ports.tries
 
 
+def test_a_port_that_hangs_does_not_delay_closing(ports: Ports, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CLOSE_SECONDS", 0.05)
+    connector = Connector(LocalNaming())
+    connector.request(WantedConnection("/slow", "/r"))
+    until(lambda: ports.tries == ["/slow"], "the attempt has begun")
+    connector.close()
+    assert any(thread.name.startswith("yarp connector") for thread in threading.enumerate()), "the attempt goes on"
+    ports.go_on.set()
+    until(lambda: ports.made == ["/slow"], "the attempt ends")
+
+
 def test_failed_connections_are_retried(ports: Ports, caplog: pytest.LogCaptureFixture) -> None:
     """After the last attempt, the failure is logged; a new request starts new attempts."""
     ports.failures = {"/late": 2, "/never": 99}
@@ -107,4 +118,15 @@ def test_a_forced_connection_replaces_the_connection_to_an_earlier_port_with_the
     connector = Connector(LocalNaming())
     connector.request(WantedConnection("/connected", "/r", force=True))
     until(lambda: ports.made == ["/connected"], "the connection is made again")
+    connector.close()
+
+
+def test_a_port_that_opens_again_during_an_attempt_is_connected_again(ports: Ports) -> None:
+    """The attempt may have connected its earlier program, which was about to end."""
+    connector, wanted = Connector(LocalNaming()), WantedConnection("/slow", "/r", force=True)
+    connector.request(wanted)
+    until(lambda: ports.tries == ["/slow"], "the attempt has begun")
+    connector.request(wanted)
+    ports.go_on.set()
+    until(lambda: ports.made == ["/slow", "/slow"], "the connection is made again")
     connector.close()

@@ -187,6 +187,37 @@ def test_a_closed_port_is_not_registered_again(server: NameServer) -> None:
     assert server.registry.find("/p") is None
 
 
+def test_a_port_that_closes_while_it_is_announced_is_not_kept(
+    server: NameServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep, names = client_module.Keeper.keep, NameClient(server.address)
+
+    def keep_late(keeper: client_module.Keeper, client: NameClient, contact: PortContact) -> None:
+        client.unregister(contact.name)
+        keep(keeper, client, contact)
+
+    monkeypatch.setattr(client_module.Keeper, "keep", keep_late)
+    names.register("/p")
+    names.announce("/p")
+    until(lambda: not any(t.name == "yarp names" for t in threading.enumerate()), "the keeper's thread has ended")
+    assert names.query("/p") is None
+
+
+def test_a_port_that_does_not_listen_yet_is_registered_again_without_an_announcement(server: NameServer) -> None:
+    """A keeper that saw an earlier port of this name may restore the registration before the new port listens."""
+    names, others = NameClient(server.address), NameClient(server.address)
+    contact = names.register("/p")
+    others.unregister("/p")
+    names.restore("/p")
+    assert others.query("/p") == contact
+    assert "/p" not in announced(server)
+    names.announce("/p")
+    others.unregister("/p")
+    names.restore("/p")
+    assert "/p" in announced(server)
+    names.unregister("/p")
+
+
 class RecordingClient(NameClient):
     """A client that records its queries, and answers them from ``known``."""
 

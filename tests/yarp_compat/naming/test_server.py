@@ -8,7 +8,7 @@ import socket
 import struct
 import threading
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from yarp_compat.naming import connections
 from yarp_compat.naming import server as server_module
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.server import NameServer
+from yarp_compat.naming.subscriptions import WantedConnection
 from yarp_compat.ports import text_client
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import NamingError
@@ -368,6 +369,25 @@ def test_new_ports_are_not_probed(server: NameServer, names: NameClient) -> None
     assert names.query("/young") is not None
 
 
+def test_a_port_that_registers_while_it_is_probed_stays(
+    server: NameServer, names: NameClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The program of a dead port was started again, with the same number."""
+    monkeypatch.setattr(server_module, "YOUNG", -1.0)
+    probe, number = server_module.refused, free_port()
+
+    def register_late(contacts: Iterable[PortContact], seconds: float) -> set[str]:
+        dead = probe(contacts, seconds)
+        assert dead == {"/robot"}
+        names.register("/robot", "127.0.0.1", number)
+        return dead
+
+    monkeypatch.setattr(server_module, "refused", register_late)
+    names.register("/robot", "127.0.0.1", number)
+    assert server.collect(patience=1) == []
+    assert names.query("/robot") is not None
+
+
 def test_dead_ports_are_probed_periodically(monkeypatch: pytest.MonkeyPatch) -> None:
     """The period is ``gc_seconds``."""
     monkeypatch.setattr(server_module, "YOUNG", -1.0)
@@ -375,6 +395,22 @@ def test_dead_ports_are_probed_periodically(monkeypatch: pytest.MonkeyPatch) -> 
         names = NameClient(server.address)
         names.register("/dead", "127.0.0.1", free_port())
         until(lambda: names.query("/dead") is None, "the port is removed")
+
+
+def test_commands_that_arrive_while_the_server_opens_wait_for_its_list_of_connections(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A subscription that changed the list meanwhile would make `open` fail, with its port open."""
+    server, locked = NameServer(port=free_port(room=20), gc_seconds=0), list[bool]()
+    wanted = server.registry.wanted
+
+    def recording() -> list[WantedConnection]:
+        locked.append(server._lock.locked())
+        return wanted()
+
+    monkeypatch.setattr(server.registry, "wanted", recording)
+    with server:
+        assert locked == [True]
 
 
 def test_the_state_survives_a_restart(tmp_path: Path) -> None:

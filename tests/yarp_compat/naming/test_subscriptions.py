@@ -39,6 +39,17 @@ def test_a_connection_is_made_when_both_ports_are_open(ask: TextRegistry) -> Non
     assert open_ports(ask, "/b") == []
 
 
+def test_a_port_that_registers_again_with_its_number_is_connected_again(ask: TextRegistry) -> None:
+    """Its program was killed and started again; the writing port may still report itself as connected."""
+    ask("subscribe /a /b")
+    open_ports(ask, "/a")
+    for _ in range(2):
+        ask.connections.clear()
+        ask("register /b tcp 127.0.0.1 10050")
+        ask("announce /b")
+        assert ask.connections == [WantedConnection("/a", "/b", force=True)]
+
+
 def test_a_connection_between_open_ports_is_made_at_once(ask: TextRegistry) -> None:
     """No port has to reopen for it."""
     open_ports(ask, "/a", "/b")

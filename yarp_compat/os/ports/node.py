@@ -147,9 +147,13 @@ class Publisher(_TopicPort):
     @override
     def _on_event(self, event: ConnectionEvent) -> None:
         super()._on_event(event)
-        core, last = self._core, self._last_message
-        if last is not None and core is not None and event.up and not event.incoming:
+        core = self._core
+        if core is None or not event.up or event.incoming:
+            return
+        repeated: bytes | None = None
+        while (last := self._last_message) is not None and last is not repeated:  # a newer one may have been sent first
             core.write(last, strict=True, chosen=lambda output: output.route.target == event.route.target)
+            repeated = last
 
 
 class Subscriber(_TopicPort):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from typing import Any
 
 import pytest
 
@@ -11,6 +12,7 @@ from tests.support.wait import until
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.server import NameServer
 from yarp_compat.ports import text_client
+from yarp_compat.ports.port import PortCore
 from yarp_compat.pythonic import Server
 from yarp_compat.wire.values import Vocab
 
@@ -143,6 +145,28 @@ def test_late_joiner_receives_the_latched_message(name_server: NameServer) -> No
     publisher.write()
     for node in ("/a", "/b"):
         assert yarp.Subscriber(String, f"/map@{node}").read().data == "new"
+
+
+def test_late_joiner_ends_with_the_newest_latched_message(
+    name_server: NameServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The publisher writes a newer message while it is about to repeat the last one."""
+    publisher, write, got = yarp.Publisher(String, "/map@/server", latched=True), PortCore.write, list[str]()
+    assert publisher.write(String(data="old"))
+
+    def write_late(core: PortCore, *content: Any, **options: Any) -> int:
+        if "chosen" in options:
+            monkeypatch.setattr(PortCore, "write", write)
+            assert publisher.write(String(data="new"))
+        return write(core, *content, **options)
+
+    monkeypatch.setattr(PortCore, "write", write_late)
+    subscriber = yarp.Subscriber(String)
+    subscriber.setStrict()
+    subscriber.useCallback(lambda message: got.append(message.data))
+    assert subscriber.topic("/map@/late")
+    until(lambda: len(got) == 3, "the messages have arrived")
+    assert got == ["new", "old", "new"]
 
 
 def test_missing_node_and_direction_are_errors(name_server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
