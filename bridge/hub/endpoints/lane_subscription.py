@@ -293,7 +293,7 @@ class LaneSubscription(HubSubscription):
         """Continue the switch to the wanted transport; return whether to check again soon."""
         if self._reader.closed:
             return False
-        for inlet in [inlet for inlet in self._lanes.inlets if not inlet.alive]:
+        for inlet in [inlet for inlet in tuple(self._lanes.inlets) if not inlet.alive]:
             self._drop(inlet)
         publishers = self._publishers()
         reason = self._why_zenoh(publishers)

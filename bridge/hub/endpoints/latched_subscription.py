@@ -36,7 +36,7 @@ class LatchedHubSubscription(HubSubscription):
 
     With a depth above 1, live samples of a session are held while it is queried for its cached samples, so that the
     history is delivered first. A publisher is then also queried if the first live sample received from it is not its
-    first, and, if the subscription is reliable, after each gap in its samples.
+    first, and, if the subscription is reliable, after each gap in its samples, or after the query that ran meanwhile.
 
     ``_lock`` also guards the counts of unfinished queries. It is held during the callback, to preserve the order.
     """
@@ -113,6 +113,8 @@ class LatchedHubSubscription(HubSubscription):
                 self._release(source)
                 self._deliver(source, message)
             missing = missing and not self._asked[zid]
+            if missing:
+                source.queried = message.sequence
         if missing:
             self._ask(zid)
 
@@ -149,14 +151,23 @@ class LatchedHubSubscription(HubSubscription):
 
     def done(self, zid: str) -> None:
         """Handle the end of a query; see `LatchedHistory`."""
+        again = False
         with self._lock:
             self._asked[zid] -= 1
             if self._asked[zid] > 0:
                 return
             del self._asked[zid]
             for source in self.sources.values():
-                if source.held and not self._asked[source.zid]:
+                if not source.held or self._asked[source.zid]:
+                    continue
+                # samples that were lost during the query may be missing from its answer
+                gap = _newest_gap(source) if self._recovers and source.zid == zid else 0
+                if gap > source.queried:
+                    source.queried, again = gap, True
+                else:
                     self._release(source)
+        if again:
+            self._ask(zid)
 
     def _release(self, source: PublisherState) -> None:
         if source.held:
@@ -169,3 +180,11 @@ class LatchedHubSubscription(HubSubscription):
             if gap:
                 self._losses.add(gap, message)
             self._callback(message)
+
+
+def _newest_gap(source: PublisherState) -> int:
+    """Return the number of the newest held sample that follows a gap, 0 if there is none."""
+    if source.sparse or not source.held:
+        return 0
+    last = min(source.held) - 1 if source.sequence is None else source.sequence
+    return max((number for number in source.held if number - 1 != last and number - 1 not in source.held), default=0)

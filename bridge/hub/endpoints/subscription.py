@@ -73,15 +73,16 @@ class PublisherState:
     Attributes:
         paired: the publisher belongs to a worker of this daemon, and may use both transports at the same time.
         sparse: the publisher's numbers also count samples that it sends to other keys, so that gaps are not losses.
+        queried: number of the newest sample before which missing samples were queried.
     """
 
-    __slots__ = ("held", "paired", "sequence", "sparse", "time_ns", "zid")
+    __slots__ = ("held", "paired", "queried", "sequence", "sparse", "time_ns", "zid")
 
     def __init__(self, zid: str) -> None:
         self.zid = zid
         self.paired = self.sparse = False
         self.sequence: int | None = None
-        self.time_ns = 0
+        self.time_ns = self.queried = 0
         self.held: dict[int, HubSample] = {}
 
     def accept(self, sample: HubSample) -> int | None:

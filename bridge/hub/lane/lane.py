@@ -127,7 +127,8 @@ class Lane:
 
     def _check_later(self) -> None:
         if not self._closing.is_set():
-            self.calls.after(AGAIN_SECONDS, self.graph_changed, once=True)
+            # a call for each session: an earlier call, for another session, comes before this one may be tried again
+            self.calls.after(AGAIN_SECONDS, self.graph_changed)
 
     def status(self) -> LaneStatus:
         """Return the lane's state for the status document."""

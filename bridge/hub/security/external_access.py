@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from dataclasses import asdict
+
+import zenoh
 
 from bridge.config.model import Config
 from bridge.config.rules import commands
@@ -34,7 +37,7 @@ class ExternalAccess:
         self.trouble = ""
         self._zenoh_log = zenoh_log
         self._keys: KeyWatch | None = None
-        self._since = self._retry_at = 0.0
+        self._since, self._retry_at = time.time(), 0.0
 
     def open(self, config: Config) -> None:
         """Open the router; if that fails, log the reason once, and retry in `check`."""
@@ -76,7 +79,7 @@ class ExternalAccess:
         """Close the router. Safe to call twice."""
         router, self.router = self.router, None
         self._keys = None
-        self.trouble, self._retry_at = "", 0.0
+        self.trouble, self._retry_at, self._since = "", 0.0, time.time()
         if router is not None:
             router.close()
 
@@ -91,14 +94,16 @@ class ExternalAccess:
 
     def status(self, config: Config) -> RouterStatus:
         """Return the other machines, the endpoints through which they join, and the commands that need ``trusted``."""
-        if self.router is None:
-            section = config.hub.open
-            closed = closed_endpoints(section.listen, section.connect, self.trouble, self._since)
-            return RouterStatus(machines=[], endpoints=[EndpointStatus(**asdict(endpoint)) for endpoint in closed])
-        return RouterStatus(
-            door=self.router.zid,
-            machines=[MachineStatus(**asdict(machine)) for machine in self.router.machines()],
-            endpoints=[EndpointStatus(**asdict(endpoint)) for endpoint in self.router.endpoints()],
-            refused_connections=self.router.refused(),
-            commands={name: sorted(parts) for name, parts in commands(config.rules).items()},
-        )
+        router = self.router  # meanwhile, the worker's main thread may close the router and open another one
+        if router is not None:
+            with contextlib.suppress(zenoh.ZError):
+                return RouterStatus(
+                    door=router.zid,
+                    machines=[MachineStatus(**asdict(machine)) for machine in router.machines()],
+                    endpoints=[EndpointStatus(**asdict(endpoint)) for endpoint in router.endpoints()],
+                    refused_connections=router.refused(),
+                    commands={name: sorted(parts) for name, parts in commands(config.rules).items()},
+                )
+        section = config.hub.open
+        closed = closed_endpoints(section.listen, section.connect, self.trouble, self._since)
+        return RouterStatus(machines=[], endpoints=[EndpointStatus(**asdict(endpoint)) for endpoint in closed])

@@ -38,6 +38,9 @@ _SECONDS = 1.5
 _LONGEST_SECONDS = 60.0
 """Maximum of the same after restarts that did not bring the token back."""
 
+_STOPPED_SECONDS = 3.0
+"""A longer time between two checks means that this process was stopped, and may not have read a token yet."""
+
 _LOG_SECONDS = 600.0
 """Minimum seconds between two log lines about the same neighbor."""
 
@@ -79,13 +82,15 @@ class LinkRestarts:
         """By zenoh id."""
         self._since: dict[tuple[str, str, str], float] = {}
         """By zenoh id and both addresses, when a link was first seen without the token."""
+        self._checked = time.monotonic()
         self._token = session.liveliness().declare_token(f"{_KEY}/{session.zid()}")
         self._subscriber = follow_tokens(session, f"{_KEY}/*", self._on_token)
 
     def check(self) -> None:
         """Close the links that have lacked the token for a while; called once a second."""
+        before, self._checked = self._checked, time.monotonic()
         with self._lock:
-            if not self._lost:
+            if not self._lost or self._checked - before > _STOPPED_SECONDS:
                 self._since = {}
                 return
         links = [(str(link.zid), str(link.src), str(link.dst)) for link in self._session.info.links()]

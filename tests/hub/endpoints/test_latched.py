@@ -16,6 +16,7 @@ import zenoh
 from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.endpoints import latched
 from bridge.hub.endpoints.latched import HEARTBEAT
+from bridge.hub.endpoints.latched_subscription import LatchedHubSubscription
 from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.hub.wire.qos import History, Qos
@@ -232,6 +233,29 @@ def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
         subscriber.expect("one", "two")
         assert subscriber.texts() == ["one", "two"]
         assert subscriber.subscription.lost == 0
+
+
+def test_a_gap_during_a_query_is_filled_after_it(network: HubNetwork):
+    """The publisher may have replied to the query before it published the sample that was lost."""
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        subscriber = Subscriber(b, "/map", replace(LATCHED, depth=10))
+        publisher = advertise(a, "/map", replace(LATCHED, depth=10), "one")
+        subscriber.expect("one")
+        subscription = subscriber.subscription
+        assert isinstance(subscription, LatchedHubSubscription)
+        source = subscription.sources[publisher.gid]
+        subscription.on_query(source.zid)
+        subscriber.samples.clear()
+        # as if the first sample had never arrived, and were missing from the answer
+        with subscription._lock:
+            source.sequence = 0
+        publisher.put(b"two")
+        until(lambda: source.held, "the second sample is held")
+        subscription.done(source.zid)
+        subscriber.expect("one", "two")
+        assert subscriber.texts() == ["one", "two"]
+        assert subscription.lost == 0
 
 
 def test_reply_on_another_key_is_ignored(network: HubNetwork) -> None:

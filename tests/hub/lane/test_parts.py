@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -14,7 +17,10 @@ from bridge.hub.endpoints import lane_state, subscription
 from bridge.hub.endpoints.lane_state import CAUGHT_SECONDS, QUIET_SECONDS, Lanes, LeavingStep, ZenohSubscriber
 from bridge.hub.endpoints.lane_subscription import EARLY_SECONDS, LEAVING_SECONDS, Sequencer
 from bridge.hub.endpoints.subscription import HubSample, Losses, PublisherStates
+from bridge.hub.lane import connections, folder
+from bridge.hub.lane import lane as lane_module
 from bridge.hub.lane.inlet import Inlet
+from tests.support.wait import until
 
 GID = b"g" * 16
 
@@ -232,3 +238,42 @@ def test_subscriber_switches_without_a_gap_in_its_session(monkeypatch: pytest.Mo
     subscriber.close()
     subscriber.listen(everywhere=False)
     assert declared.now == []
+
+
+class Chooser:
+    """Stands in for a subscription: connects whenever it may choose."""
+
+    def __init__(self, connect: Callable[[], object]) -> None:
+        self._connect = connect
+
+    def settle(self) -> bool:
+        self._connect()
+        return False
+
+    def on_disconnected(self, inlet: Inlet) -> None:
+        """Do nothing."""
+
+
+def test_each_session_that_refused_a_connection_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next attempt for one session may come too early for another, which refused later."""
+    monkeypatch.setattr(connections, "AGAIN_SECONDS", 0.5)
+    monkeypatch.setattr(lane_module, "AGAIN_SECONDS", 0.5)
+    attempts, wanted = Counter[str](), ["first"]
+
+    def refuse(_folder: Path, zid: str) -> None:
+        attempts[zid] += 1
+        raise ConnectionRefusedError
+
+    monkeypatch.setattr(folder, "connect", refuse)
+    session: Any = SimpleNamespace(declare_queryable=lambda *_, **__: SimpleNamespace(undeclare=lambda: None))
+    lanes = lane_module.Lane(tmp_path, "z", session, 0, lambda: None)
+    try:
+        lanes.add(Chooser(lambda: [lanes.connections.inlet(zid) for zid in wanted]))
+        until(lambda: attempts["first"], "the first session refuses")
+        refused = time.monotonic()
+        until(lambda: time.monotonic() > refused + 0.25, "some time passes")
+        wanted[:] = ["second"]
+        lanes.graph_changed()
+        until(lambda: attempts["second"] > 1, "the second session is tried again")
+    finally:
+        lanes.close()

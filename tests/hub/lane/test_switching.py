@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from bridge.hub.endpoints.lane_state import Lanes
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.sinks import Matching
 from bridge.hub.endpoints.subscription import HubSample
@@ -222,6 +223,28 @@ def test_subscription_that_is_closed_while_it_joins_a_lane_leaves_it(
     Subscriber(reader, "/t")
     assert joined.wait(20.0)
     until(lambda: not publisher.matched(), "the publisher is no longer matched", 5.0)
+
+
+class EndingInlet:
+    """A connection whose end another thread handles while this thread checks it."""
+
+    def __init__(self, lanes: Lanes) -> None:
+        self._lanes = lanes
+
+    @property
+    def alive(self) -> bool:
+        self._lanes.inlets.pop(self, None)
+        return False
+
+
+def test_lanes_may_end_during_the_choice(reader: Hub) -> None:
+    subscriber = Subscriber(reader, "/t")
+    chosen = subscription(subscriber)
+    goes_by(subscriber, "zenoh", "no other worker publishes it")
+    chosen._lane.remove(chosen)
+    chosen._lanes.inlets = {EndingInlet(chosen._lanes): 0.0, EndingInlet(chosen._lanes): 0.0}
+    chosen.settle()
+    assert not chosen._lanes.inlets
 
 
 @pytest.mark.parametrize(

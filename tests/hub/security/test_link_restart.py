@@ -96,3 +96,23 @@ def test_the_pauses_between_restarts_double_while_the_token_stays_away(
         restarts.check()
         assert pauses(10) == [2, 4]
         restarts.close()
+
+
+def test_time_in_which_this_process_was_stopped_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The token may have arrived meanwhile, and is read only after the check."""
+    restarted: list[float] = []
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(link_restart, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(link_restart, "close_connection", lambda *_: restarted.append(clock.now) or True)
+    with routers() as (here, other):
+        restarts, key = LinkRestarts(here), f"{link_restart._KEY}/{other.zid()}"
+        token = other.liveliness().declare_token(key)
+        until(lambda: list(here.liveliness().get(key)), "the token arrives")
+        token.undeclare()
+        until(lambda: restarts._lost, "the token is lost")
+        restarts.check()
+        for seconds in (60.0, 1.0, 1.0, 1.0):
+            clock.now += seconds
+            restarts.check()
+        assert restarted == [63.0]
+        restarts.close()
