@@ -187,8 +187,8 @@ def _play(args: argparse.Namespace, client: Client, bags: list[Bag], ended: thre
         if not ended.is_set():
             failed = _follow(args, player, source, ended)
     finally:
+        output.finish()  # first, because the services' loop may take a moment to end
         services.close()
-        output.finish()
         if player.played:
             threading.Event().wait(_LINGER_SECONDS)
         output.close()
