@@ -140,7 +140,7 @@ class Console:
             host, config.navigation.velocity, most,
             busy=lambda: driving.busy or self._patrol.busy, on_begin=driving.moved_by_hand,
         )  # fmt: skip
-        robot = RobotVerbs(
+        self._robot = robot = RobotVerbs(
             host, config, client, known, self._store.client,
             on_planner=driving.on_planner, pause_or_resume=self._patrol.pause_or_resume,
         )  # fmt: skip
@@ -191,6 +191,7 @@ class Console:
     def _stop_robot(self) -> None:
         self._hold.stop()
         self._patrol.end(STOPPED)
+        self._robot.cancel_starting()
 
     def _status(self, _params: Any) -> dict[str, Any]:
         pages = self.server.pages
