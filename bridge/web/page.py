@@ -6,7 +6,6 @@ import asyncio
 import json
 import logging
 import re
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +15,7 @@ from bridge.web.feeds.feed import Feed, Feeds
 from bridge.web.outbox import MOST_ACTIONS, MOST_REPLIES, PageOutbox, Post, PostedActions
 from bridge.web.serving.access import Grant
 from bridge.web.serving.login import who
-from bridge.web.verbs.hold import HandDriving
+from bridge.web.verbs.hold import HandDriving, steady
 from bridge.web.verbs.verbs import VerbError, Verbs, number_between
 
 _log = logging.getLogger("midspan.web")
@@ -190,7 +189,7 @@ class Page:
     def _hold_velocity(self, x: float, y: float, turn: float) -> None:
         if not self._grant.may_drive:
             raise BadMessageError(f"{_WATCHES}: it may not drive manually")
-        arrived = time.monotonic()
+        arrived = steady()
         self._actions.run_latest(lambda: self._hold.hold(self._outbox, x, y, turn, arrived))
 
     def _run_posted(self, action: Callable[[], Any]) -> None:

@@ -11,6 +11,7 @@ from typing_extensions import override
 from bridge import __version__
 from bridge.client.session import Client
 from bridge.client.types import Types
+from bridge.client.velocity import STOP_SECONDS
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
@@ -189,7 +190,7 @@ class Console:
         return own_answers(answers, hub.zid, identity_of(config))
 
     def _stop_robot(self) -> None:
-        self._hold.stop()
+        self._hold.halt()
         self._patrol.end(STOPPED)
         self._robot.cancel_starting()
 
@@ -209,4 +210,5 @@ class Console:
         for executor in (self._asking, self._decoding):
             executor.close()
         self._store.close()
+        self._hold.stopped.wait(2 * STOP_SECONDS)
         self.host.close()
