@@ -166,6 +166,7 @@ class Live:
         self.host.tick()
         self._channels.tick()
         self._publishing.tick()
+        self._services.tick()
         self._parameters.tick()
 
     def _status(self, _params: Any) -> dict[str, Any]:
