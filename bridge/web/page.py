@@ -202,6 +202,8 @@ class Page:
             raise BadMessageError("args must be an object")
         if self._verbs.is_command(verb) and not self._grant.may_drive:
             self._outbox.queue(_reply(number, error=f"{_WATCHES}: {verb} is not allowed"))
+        elif verb == "ping" and not args:  # at once, because a page without a reply counts its connection as lost
+            self._outbox.queue(_reply(number))
         else:
             self._calls.begin(number, verb, args, self._outbox)
 
