@@ -137,8 +137,12 @@ class BoardLink:
 
     def _follow(self, client: ControlBoardClient) -> None:
         """Execute commands until the board is silent or the link is stopped."""
+        before = time.monotonic()
         while not self._stopping.is_set():
             now = time.monotonic()
+            if now - before > _SILENT_SECONDS / 2.0:  # this process did not run, or a call took long: states may wait
+                self._last_state += now - before
+            before = now
             if now - self._last_state > _SILENT_SECONDS:
                 raise OSError(f"{self._section.remote} has sent no state for {_SILENT_SECONDS:g} s")
             command = self._commands.pop()
