@@ -203,6 +203,7 @@ class Console:
         """Stop the robot if a page or a patrol drives it, then leave the hub."""
         self.server.close()
         self.host.loop.call(self._stop_robot)
+        self.host.loop.call(self._hold.end)  # the server's thread may still run
         self.host.loop.call(self.feeds.close)
         self.verbs.close()
         for close in self._closing:

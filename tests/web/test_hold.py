@@ -173,6 +173,21 @@ def test_a_page_must_release_after_a_stop_of_another_page(desk: Desk) -> None:
 
 
 @pytest.mark.usefixtures("patience")
+def test_a_hold_does_not_begin_while_the_console_closes(desk: Desk) -> None:
+    """The server's thread may go on for longer than the console waits for it."""
+    base, driving, loop = Base(desk), desk.console._hold, desk.console.host.loop
+    with TestPage(desk.port) as page:
+        hold(page, base)
+        loop.call(driving.end)
+        assert driving.stopped.wait(20)
+        page.send(op="release")
+        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+        assert page.call("ping")["ok"], "the console has received the hold"
+        loop.call(lambda: None)
+        assert driving.stopped.is_set()
+
+
+@pytest.mark.usefixtures("patience")
 def test_a_hold_does_not_outlast_a_suspended_machine(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     """CLOCK_MONOTONIC stands still meanwhile."""
     base = Base(desk)

@@ -70,6 +70,7 @@ class HandDriving:
         self._holder: HandDriver | None = None
         self._pressing: HandDriver | None = None  # the last holder, until it releases
         self._halted: HandDriver | None = None  # must release before it drives again
+        self._ended = False
         self._velocity: Velocity = _ZERO
         self._until = 0.0
         self._zeros = 0  # still to be published; not a time, because this process may be starved
@@ -78,7 +79,7 @@ class HandDriving:
 
     def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float) -> None:
         """Drive at this velocity for a page, whose message arrived at ``arrived`` (seconds of `steady`)."""
-        if steady() - arrived > HOLD_SECONDS:
+        if self._ended or steady() - arrived > HOLD_SECONDS:
             return
         holder = self._holder
         reason = self._busy() if holder in (None, page) else f"{holder.who} drives manually"
@@ -118,6 +119,11 @@ class HandDriving:
         self.stop()
         if self._halted is not None:
             self._halted.refuse("the robot was stopped")
+
+    def end(self) -> None:
+        """Stop driving, and ignore pages from now on."""
+        self._ended = True
+        self.halt()
 
     def stop(self) -> None:
         """Command zero, and repeat it for `STOP_SECONDS`, whichever page holds."""
