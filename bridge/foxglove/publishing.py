@@ -177,7 +177,7 @@ class ClientVelocity(PublishedChannel):
             self.counters.dropped("bad")
             raise NotPublishedError("a velocity must be finite")
         self._refusal = ""
-        self._driving.hold(self, x, y, rotation, message.arrived)
+        self._driving.hold(self, x, y, rotation, message.arrived, message.arrived)
         if self._refusal:
             self.counters.dropped("held")
             raise NotPublishedError(self._refusal)

@@ -97,6 +97,7 @@ class Page:
         self._watched: set[str] = set()  # feeds that the page has requested; used on the server's event loop
         self._open: dict[str, Feed] = {}  # feeds that are watched for the page; used on the module's thread
         self._errors = 0
+        self._pressed: float | None = None  # when a control was pressed; None: released
 
     async def serve(self) -> None:
         """Serve the page until the socket closes, which also ends the page's hold and feeds."""
@@ -145,6 +146,7 @@ class Page:
             case {"op": "hold", "x": x, "y": y, "turn": turn, **rest} if not rest:
                 self._hold_velocity(*_velocity(x=x, y=y, turn=turn))
             case {"op": "release", **rest} if not rest:
+                self._pressed = None
                 self._actions.run_latest(lambda: self._hold.release(self._outbox))
             case _:
                 raise BadMessageError(f"not a valid message: {json.dumps(message)[:200]}")
@@ -190,7 +192,8 @@ class Page:
         if not self._grant.may_drive:
             raise BadMessageError(f"{_WATCHES}: it may not drive manually")
         arrived = steady()
-        self._actions.run_latest(lambda: self._hold.hold(self._outbox, x, y, turn, arrived))
+        pressed = self._pressed = arrived if self._pressed is None else self._pressed
+        self._actions.run_latest(lambda: self._hold.hold(self._outbox, x, y, turn, arrived, pressed))
 
     def _run_posted(self, action: Callable[[], Any]) -> None:
         """Run an action on the module's thread; raises `BadMessageError` if too many are queued."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from threading import Event
 from typing import Protocol
@@ -68,8 +69,7 @@ class HandDriving:
         self.stopped = Event()
         self.stopped.set()
         self._holder: HandDriver | None = None
-        self._pressing: HandDriver | None = None  # the last holder, until it releases
-        self._halted: HandDriver | None = None  # must release before it drives again
+        self._halted_at = -math.inf
         self._ended = False
         self._velocity: Velocity = _ZERO
         self._until = 0.0
@@ -77,23 +77,32 @@ class HandDriving:
         self._timer: Timer | None = None
         self._out: VelocityPublisher | None = None
 
-    def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float) -> None:
-        """Drive at this velocity for a page, whose message arrived at ``arrived`` (seconds of `steady`)."""
+    def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float, pressed: float) -> None:
+        """Drive at this velocity for a page.
+
+        Args:
+            page: the page that drives.
+            x: velocity forward, m/s.
+            y: velocity to the left, m/s.
+            turn: angular velocity, rad/s.
+            arrived: when the page's message arrived, seconds of `steady`.
+            pressed: when the first message since the page's last release arrived.
+        """
         if self._ended or steady() - arrived > HOLD_SECONDS:
             return
         holder = self._holder
         reason = self._busy() if holder in (None, page) else f"{holder.who} drives manually"
         if not self._topic:
             reason = "no velocity topic is configured (navigation.velocity)"
-        if page is self._halted:
+        if pressed <= self._halted_at:
             reason = "the robot was stopped; release the control first"
         if reason:
-            self._stop_for(page)
+            self.release(page)
             page.refuse(reason)
             return
         if self._holder is None:
             self._host.log.info("%s drives manually", page.who)
-            self._holder = self._pressing = page
+            self._holder = page
             self.stopped.clear()
             self._out = self._out or velocity_publisher(self._host, self._topic)
             self._timer = self._timer or self._host.loop.every(_PERIOD, self._repeat)
@@ -104,21 +113,16 @@ class HandDriving:
         self._publish()
 
     def release(self, page: HandDriver) -> None:
-        """Stop driving for a page, which no longer presses a control."""
-        self._pressing = None if page is self._pressing else self._pressing
-        self._halted = None if page is self._halted else self._halted
-        self._stop_for(page)
-
-    def _stop_for(self, page: HandDriver) -> None:
+        """Stop driving for a page."""
         if page is self._holder:
             self.stop()
 
     def halt(self) -> None:
-        """Stop driving; a page that still presses a control must release it before it drives again."""
-        self._halted = self._pressing
+        """Stop driving; pages whose control is pressed now must release it before they drive again."""
+        self._halted_at, page = steady(), self._holder
         self.stop()
-        if self._halted is not None:
-            self._halted.refuse("the robot was stopped")
+        if page is not None:
+            page.refuse("the robot was stopped")
 
     def end(self) -> None:
         """Stop driving, and ignore pages from now on."""
