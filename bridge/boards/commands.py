@@ -65,12 +65,15 @@ class CommandSlot:
         self._wake.set()
         return True
 
-    def halt(self, joints: tuple[int, ...], seconds: float) -> bool:
-        """Replace the waiting command with a halt; return whether it is confirmed in time."""
+    def halt(self, joints: tuple[int, ...]) -> None:
+        """Replace the waiting command with a halt."""
         with self._lock:
             self._halted.clear()
             self._command = Halt(joints)
         self._wake.set()
+
+    def await_halt(self, seconds: float) -> bool:
+        """Wait for the confirmation of the last halt; return whether it arrives in time."""
         return self._halted.wait(seconds)
 
     def confirm_halt(self) -> None:

@@ -22,7 +22,6 @@ _log = logging.getLogger(__name__)
 _RETRY_SECONDS = 2.0  # between two attempts to reach a board
 _SILENT_SECONDS = 1.0  # without a state; the link then reconnects
 _POLL_SECONDS = 0.1
-_HALT_SECONDS = 2.0  # time limit of a halt
 
 
 @dataclass(frozen=True)
@@ -94,13 +93,18 @@ class BoardLink:
         command = JointCommand(method, mode, joints, scaled, time.monotonic() + self._section.timeout)
         return "" if self._commands.put(command) else "the board is being halted"
 
-    def halt(self) -> None:
-        """Discard the pending command and stop all joints; raises `TimeoutError` if the board does not confirm that."""
+    def begin_halt(self) -> str:
+        """Discard the pending command, and begin to stop all joints; return why that is impossible, "" if it is not."""
         joints = self.joints
         if joints is None:
-            raise TimeoutError(f"{self._section.remote} cannot be stopped: {self.trouble}")
-        if not self._commands.halt(tuple(range(len(joints.names))), _HALT_SECONDS):
-            raise TimeoutError(f"{self._section.remote} did not confirm the stop: it may still be moving")
+            return f"{self._section.remote} cannot be stopped: {self.trouble}"
+        self._commands.halt(tuple(range(len(joints.names))))
+        return ""
+
+    def await_halt(self, seconds: float) -> str:
+        """Wait until the board confirms the halt; return "", or why the joints may still be moving."""
+        confirmed = self._commands.await_halt(seconds)
+        return "" if confirmed else f"{self._section.remote} did not confirm the stop: it may still be moving"
 
     def _run(self) -> None:
         while not self._stopping.is_set():
@@ -133,8 +137,12 @@ class BoardLink:
 
     def _follow(self, client: ControlBoardClient) -> None:
         """Execute commands until the board is silent or the link is stopped."""
+        before = time.monotonic()
         while not self._stopping.is_set():
             now = time.monotonic()
+            if now - before > _SILENT_SECONDS / 2.0:  # this process did not run, or a call took long: states may wait
+                self._last_state += now - before
+            before = now
             if now - self._last_state > _SILENT_SECONDS:
                 raise OSError(f"{self._section.remote} has sent no state for {_SILENT_SECONDS:g} s")
             command = self._commands.pop()

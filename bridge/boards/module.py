@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +24,7 @@ JOINTS = "sensor_msgs/msg/JointState"
 
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
 _MAX_COMMANDERS = 32  # commanders whose clocks are followed
+_HALT_SECONDS = 2.0  # time limit of a halt
 
 
 class ControlBoards(Module):
@@ -76,8 +78,12 @@ class ControlBoards(Module):
         self._stall.stop()
 
     def _halt(self) -> dict[str, Any]:
-        for link in self._links:
-            link.halt()
+        """Halt all boards at the same time; raises `TimeoutError` if one does not confirm that."""
+        begun = [(link, link.begin_halt()) for link in self._links]
+        end = time.monotonic() + _HALT_SECONDS
+        troubles = [trouble or link.await_halt(max(end - time.monotonic(), 0.0)) for link, trouble in begun]
+        if any(troubles):
+            raise TimeoutError("; ".join(filter(None, troubles)))
         return {"halted": True}
 
     def _state_publisher(self, board: ControlBoardSection) -> Callable[[Joints, JointData, float], None]:

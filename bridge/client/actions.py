@@ -175,6 +175,12 @@ class ActionClient:
 
         ask()
 
+    def cancel_starting(self) -> None:
+        """Cancel the goals that the server has not accepted yet: they may arrive there after a stop."""
+        for goal in list(self._goals.values()):
+            if goal.accepted is None:
+                goal.cancel()
+
     def _cancel_all_applies(self) -> Callable[[], bool]:
         """Return a function that returns whether the request to cancel all goals still applies."""
         sent, until = self._sent, time.monotonic() + CANCEL_ALL_SECONDS

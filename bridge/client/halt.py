@@ -97,19 +97,22 @@ class Stopped:
 def stop(client: Client, types: Types, names: Iterable[str], seconds: float) -> Stopped:
     """Publish zero for ``seconds``, and meanwhile cancel the goals of these actions.
 
+    Zero is published at least half as often as in that time, even if this process is starved or suspended meanwhile.
     If an action's server is not reachable yet, continue until it is reachable, for up to `WAIT_SECONDS`; then until it
     has replied, for up to `_REPLY_SECONDS`.
     """
     zeros = ZeroVelocities(client, types)
     cancels = [GoalCancellation(client, types, name) for name in names]
-    begin, never = time.monotonic(), threading.Event()
+    begin, never, rounds = time.monotonic(), threading.Event(), 0
     while True:
         zeros.put()
+        rounds += 1
         for cancel in cancels:
             cancel.attempt()
         elapsed = time.monotonic() - begin
         waits = elapsed < WAIT_SECONDS and any(cancel.waits for cancel in cancels)
-        if elapsed >= seconds and not waits and not any(cancel.pending for cancel in cancels):
+        over = elapsed >= seconds and rounds * _PERIOD * 2.0 >= seconds
+        if over and not waits and not any(cancel.pending for cancel in cancels):
             break
         never.wait(_PERIOD)
     result = Stopped(zeros.listeners(), cancels, zeros.trouble(), zeros.published)

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from bridge.messages.services import ServiceCodec
 
 WAIT_SECONDS = 5.0
+_MOST_SECONDS = 20.0
+"""Longest wait for a server while the graph keeps changing, for example because a program restarts all the time."""
 _POLL_SECONDS = 0.2
 
 Replied = Callable[[Any], None]
@@ -154,10 +156,10 @@ def served(graph: HubGraph, name: str, wanted: str = "") -> tuple[str, str]:
     """Wait for a service's server on the hub; return its type and hash.
 
     Raises `ClientError` if no server of the type ``wanted`` ("": any type) has appeared when the graph has not changed
-    for `WAIT_SECONDS`, or if ``wanted`` is "" and the servers have different types.
+    for `WAIT_SECONDS`, or after `_MOST_SECONDS`, or if ``wanted`` is "" and the servers have different types.
     """
     changed = threading.Event()
-    unwatch = graph.watch(changed.set)
+    unwatch, end = graph.watch(changed.set), time.monotonic() + _MOST_SECONDS
     try:
         while True:
             kinds = {(e.type_name, e.type_hash) for e in graph.servers(name)}
@@ -166,7 +168,7 @@ def served(graph: HubGraph, name: str, wanted: str = "") -> tuple[str, str]:
                 raise ClientError(f"{name} is served as several types: {', '.join(t for t, _ in fitting)}; choose one")
             if fitting:
                 return fitting[0]
-            if not changed.wait(WAIT_SECONDS):
+            if time.monotonic() > end or not changed.wait(WAIT_SECONDS):
                 break
             changed.clear()
     finally:

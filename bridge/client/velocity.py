@@ -18,6 +18,10 @@ from bridge.hub.session import follow_clock
 from bridge.hub.wire.qos import Qos
 from bridge.messages.velocities import TWIST, TWIST_STAMPED, VELOCITIES
 
+STOP_SECONDS = 0.7
+"""Seconds for which zero is repeated after driving: a worker that was starved for a moment drops commands for half a
+second, and would drop a single zero."""
+
 _WATCHERS = re.compile(r"midspan_cli_\d+|foxglove|record(_\d+)?|web")
 """Midspan's nodes that subscribe to whichever type is published, and drive no base."""
 

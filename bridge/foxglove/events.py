@@ -6,7 +6,6 @@ The state is bounded: the channels of each client, and the number and the bytes 
 
 from __future__ import annotations
 
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from foxglove.websocket import ChannelView, Client, ClientChannel, ServerListene
 from typing_extensions import override
 
 from bridge.foxglove.visitors import MARK, Visitors
+from bridge.web.verbs.hold import steady
 
 MOST_ADVERTISED = 100
 """Maximum number of channels of one client; further ones are ignored."""
@@ -42,7 +42,7 @@ class Advertised:
 
 @dataclass(frozen=True, slots=True)
 class ClientMessage:
-    """A message of a client, with its time of arrival (monotonic seconds)."""
+    """A message of a client, with its time of arrival (seconds of `steady`)."""
 
     channel: Advertised
     data: bytes
@@ -163,7 +163,7 @@ class Events(ServerListener):
             channel = self._advertised.get((client.id, client_channel_id))
             if channel is None:
                 return
-            self._messages.append(ClientMessage(channel, data, time.monotonic()))
+            self._messages.append(ClientMessage(channel, data, steady()))
             self._size += len(data)
             while len(self._messages) > MOST_WAITING or (self._size > MOST_BYTES and len(self._messages) > 1):
                 self._size -= len(self._messages.popleft().data)

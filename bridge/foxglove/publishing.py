@@ -1,8 +1,8 @@
 """Publishes clients' messages on the hub: each channel that a client advertises is a publisher while it is advertised.
 
 Velocities use the console's manual driving (`bridge.web.verbs.hold`): only on the base's own topic, one client at a
-time, within the console's speed limits, for 0.3 s after each message, then zero once. So they also end when the client
-disconnects.
+time, within the console's speed limits, for 0.3 s after each message, then zero for a moment. So they also end when the
+client disconnects.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class ClientVelocity(PublishedChannel):
             self.counters.dropped("bad")
             raise NotPublishedError("a velocity must be finite")
         self._refusal = ""
-        self._driving.hold(self, x, y, rotation, message.arrived)
+        self._driving.hold(self, x, y, rotation, message.arrived, message.arrived)
         if self._refusal:
             self.counters.dropped("held")
             raise NotPublishedError(self._refusal)

@@ -71,6 +71,7 @@ class Services:
         self._room = BoundedSemaphore(MOST_CALLS)
         self._shown: dict[str, ServiceKey] = {}
         self._requested: dict[ServiceKey, float] = {}
+        self._undefined = False
         self._requests = SerialExecutor("midspan-foxglove-ask")
 
     @property
@@ -90,16 +91,23 @@ class Services:
             self._server.withdraw_services(removed)
         for name in removed:
             del self._shown[name]
+        self._undefined = False
         added = [
             added for name, key in sorted(services.items()) if name not in self._shown and (added := self._create(key))
         ]
         if added:
             self._server.offer_services(added)
 
+    def tick(self) -> None:
+        """Request definitions again that no worker had."""
+        if self._undefined:
+            self.refresh()
+
     def _create(self, key: ServiceKey) -> foxglove.Service | None:
         try:
             request, response = self._registry.service_schemas(key.type_name, key.type_hash)
         except MessageTypeError:
+            self._undefined = True
             self._request(key)
             return None
         self._shown[key.name] = key

@@ -14,6 +14,7 @@ from foxglove.websocket import Capability
 from typing_extensions import override
 
 from bridge.client.topics import HubTopics
+from bridge.client.velocity import STOP_SECONDS
 from bridge.config.model import Config
 from bridge.foxglove.channels import Channels
 from bridge.foxglove.events import Events
@@ -116,7 +117,7 @@ class Live:
         web = config.section(WebSection)
         most = web.speed, web.turn
         busy = partial(getattr, self._gateway, "busy", "")
-        driving = HandDriving(host, config.navigation.velocity, most, busy)
+        self._driving = driving = HandDriving(host, config.navigation.velocity, most, busy)
         self._publishing = Publishing(host, server, events, self.visitors, self._topics.definitions, driving)
         self._services = Services(host, server, self.visitors)
         self._parameters = events.parameters = Parameters(host, server, self.visitors)
@@ -165,6 +166,7 @@ class Live:
         self.host.tick()
         self._channels.tick()
         self._publishing.tick()
+        self._services.tick()
         self._parameters.tick()
 
     def _status(self, _params: Any) -> dict[str, Any]:
@@ -198,6 +200,7 @@ class Live:
         self.host.loop.call(self._scene.end)
         self.host.loop.call(self._channels.close)
         self._topics.close()
+        self._driving.stopped.wait(2 * STOP_SECONDS)
         self.host.close()
 
 

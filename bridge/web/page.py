@@ -6,7 +6,6 @@ import asyncio
 import json
 import logging
 import re
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +15,7 @@ from bridge.web.feeds.feed import Feed, Feeds
 from bridge.web.outbox import MOST_ACTIONS, MOST_REPLIES, PageOutbox, Post, PostedActions
 from bridge.web.serving.access import Grant
 from bridge.web.serving.login import who
-from bridge.web.verbs.hold import HandDriving
+from bridge.web.verbs.hold import HandDriving, steady
 from bridge.web.verbs.verbs import VerbError, Verbs, number_between
 
 _log = logging.getLogger("midspan.web")
@@ -98,6 +97,7 @@ class Page:
         self._watched: set[str] = set()  # feeds that the page has requested; used on the server's event loop
         self._open: dict[str, Feed] = {}  # feeds that are watched for the page; used on the module's thread
         self._errors = 0
+        self._pressed: float | None = None  # when a control was pressed; None: released
 
     async def serve(self) -> None:
         """Serve the page until the socket closes, which also ends the page's hold and feeds."""
@@ -146,6 +146,7 @@ class Page:
             case {"op": "hold", "x": x, "y": y, "turn": turn, **rest} if not rest:
                 self._hold_velocity(*_velocity(x=x, y=y, turn=turn))
             case {"op": "release", **rest} if not rest:
+                self._pressed = None
                 self._actions.run_latest(lambda: self._hold.release(self._outbox))
             case _:
                 raise BadMessageError(f"not a valid message: {json.dumps(message)[:200]}")
@@ -190,8 +191,9 @@ class Page:
     def _hold_velocity(self, x: float, y: float, turn: float) -> None:
         if not self._grant.may_drive:
             raise BadMessageError(f"{_WATCHES}: it may not drive manually")
-        arrived = time.monotonic()
-        self._actions.run_latest(lambda: self._hold.hold(self._outbox, x, y, turn, arrived))
+        arrived = steady()
+        pressed = self._pressed = arrived if self._pressed is None else self._pressed
+        self._actions.run_latest(lambda: self._hold.hold(self._outbox, x, y, turn, arrived, pressed))
 
     def _run_posted(self, action: Callable[[], Any]) -> None:
         """Run an action on the module's thread; raises `BadMessageError` if too many are queued."""
@@ -203,6 +205,8 @@ class Page:
             raise BadMessageError("args must be an object")
         if self._verbs.is_command(verb) and not self._grant.may_drive:
             self._outbox.queue(_reply(number, error=f"{_WATCHES}: {verb} is not allowed"))
+        elif verb == "ping" and not args:  # at once, because a page without a reply counts its connection as lost
+            self._outbox.queue(_reply(number))
         else:
             self._calls.begin(number, verb, args, self._outbox)
 

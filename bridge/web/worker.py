@@ -11,6 +11,7 @@ from typing_extensions import override
 from bridge import __version__
 from bridge.client.session import Client
 from bridge.client.types import Types
+from bridge.client.velocity import STOP_SECONDS
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
 from bridge.hub.control import WorkerAnswer
@@ -140,7 +141,7 @@ class Console:
             host, config.navigation.velocity, most,
             busy=lambda: driving.busy or self._patrol.busy, on_begin=driving.moved_by_hand,
         )  # fmt: skip
-        robot = RobotVerbs(
+        self._robot = robot = RobotVerbs(
             host, config, client, known, self._store.client,
             on_planner=driving.on_planner, pause_or_resume=self._patrol.pause_or_resume,
         )  # fmt: skip
@@ -189,8 +190,9 @@ class Console:
         return own_answers(answers, hub.zid, identity_of(config))
 
     def _stop_robot(self) -> None:
-        self._hold.stop()
+        self._hold.halt()
         self._patrol.end(STOPPED)
+        self._robot.cancel_starting()
 
     def _status(self, _params: Any) -> dict[str, Any]:
         pages = self.server.pages
@@ -201,6 +203,7 @@ class Console:
         """Stop the robot if a page or a patrol drives it, then leave the hub."""
         self.server.close()
         self.host.loop.call(self._stop_robot)
+        self.host.loop.call(self._hold.end)  # the server's thread may still run
         self.host.loop.call(self.feeds.close)
         self.verbs.close()
         for close in self._closing:
@@ -208,4 +211,5 @@ class Console:
         for executor in (self._asking, self._decoding):
             executor.close()
         self._store.close()
+        self._hold.stopped.wait(2 * STOP_SECONDS)
         self.host.close()

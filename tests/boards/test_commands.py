@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from bridge.boards.commands import CommandSlot, Execution, Halt, JointCommand, JointDrive
-from tests.support.wait import until
 
 VELOCITY = "velocityMoveGroupRPC"
 
@@ -31,15 +30,17 @@ def test_newer_command_replaces_the_waiting_one() -> None:
 def test_halt_replaces_a_command_and_is_not_replaced() -> None:
     slot, confirmed = CommandSlot(), list[bool]()
     slot.put(command(0))
-    halting = threading.Thread(target=lambda: confirmed.append(slot.halt((0, 1), 40.0)))
+    slot.halt((0, 1))
+    halting = threading.Thread(target=lambda: confirmed.append(slot.await_halt(40.0)))
     halting.start()
-    until(lambda: not slot.put(command(2)), "the halt waits")
+    assert not slot.put(command(2)), "the halt waits"
     assert slot.pop() == Halt((0, 1))
     assert slot.put(command(2)), "the halt is being executed"
     slot.confirm_halt()
     halting.join()
     assert confirmed == [True]
-    assert not slot.halt((0,), 0.01), "an earlier confirmation does not count"
+    slot.halt((0,))
+    assert not slot.await_halt(0.01), "an earlier confirmation does not count"
 
 
 @pytest.mark.parametrize("wake", [lambda slot: slot.put(command(0)), CommandSlot.wake], ids=["command", "wake"])

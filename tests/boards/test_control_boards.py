@@ -138,3 +138,16 @@ def test_invalid_commands_are_refused_and_halt_stops_all_joints(robot: Robot) ->
     answers = robot.far.hub.ask("halt", {}, worker="control_boards")
     assert [answer.value for answer in answers] == [{"halted": True}]
     until(lambda: robot.speeds == [0.0, 0.0, 0.0], "all joints are stopped")
+
+
+def test_a_board_that_cannot_be_halted_does_not_keep_the_others_moving(tmp_path: Path) -> None:
+    missing = {"remote": "/robot/leg", "joint_states": "/leg/joint_states"}
+    with Robot(tmp_path) as robot, NameServer(port=robot.port, gc_seconds=0), served(robot) as robot.server:
+        robot.worker.start(robot.config(modules={"control_boards": {"enabled": True, "boards": [missing, BOARD]}}))
+        robot.state()
+        robot.board.modes[:] = [modes.VOCAB_CM_VELOCITY] * 3
+        robot.speeds[:] = [5.0, 5.0, 5.0]  # moved by a YARP client
+        (answer,) = robot.far.hub.ask("halt", {}, worker="control_boards")
+        assert "/robot/leg cannot be stopped" in answer.error
+        until(lambda: robot.speeds == [0.0, 0.0, 0.0], "all joints of the other board are stopped")
+        robot.worker.stop()

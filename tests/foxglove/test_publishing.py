@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import threading
 from typing import Any
@@ -127,17 +126,16 @@ def bad(desk: Desk) -> list[dict[str, Any]]:
     return [entry for entry in desk.status()["topics"] if entry["end"] == "publisher" and entry["drops"]["bad"] == 1]
 
 
-def test_a_velocity_expires_and_zero_follows_once(driven: Desk) -> None:
+def test_a_velocity_expires_and_zero_follows(driven: Desk) -> None:
     subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     with driven.app() as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
         first = drive_until_received(driven, app, number, subscription)
         assert first["linear"]["x"] == 0.3, "the velocity is limited as in the console (web.speed)"
         until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "a zero velocity follows the silence")
-        speeds = [entry["linear"]["x"] for entry in driven.far.wait(subscription, 1)]
-        count = len(speeds)
-        # on a busy machine, the repetition may be late, and a zero be between two velocities
-        assert all(any(pair) for pair in itertools.pairwise(speeds)), "a single zero follows a velocity"
+        count = len(driven.far.wait(subscription, 1))
+        until(lambda: len(driven.far.wait(subscription, 1)) >= count + 5, "zero is repeated")
+        assert driven.live._driving.stopped.wait(20), "the repetition ends"
         (end,) = until(lambda: driven.far.publishers("/cmd_vel"), "the client's publisher is in the graph")
         assert not end.qos.latched
         late = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from bridge.foxglove import services
+from bridge.messages.errors import MessageTypeError
 from bridge.messages.json import CallCodec
 from bridge.messages.registry import Registry
 from tests.foxglove.conftest import Desk
@@ -48,6 +51,24 @@ def test_services_are_announced_with_their_definitions_and_withdrawn(driven: Des
         assert driven.status()["services"] == 1
         driven.far.servers.pop("/light").close()
         app.until(lambda: not app.services, "the service is withdrawn")
+
+
+def test_a_definition_that_no_worker_had_is_requested_again(driven: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The worker that has it may be starting, and the graph may not change any more."""
+    monkeypatch.setattr(services, "REPEAT_SECONDS", 0.0)
+    registry, asked = driven.live.host.node.registry, list[str]()
+    schemas = registry.service_schemas
+
+    def once_learned(name: str, type_hash: str = "") -> Any:
+        if name == SET_BOOL and len(asked) < 4:
+            raise MessageTypeError(f"unknown type {name}")
+        return schemas(name, type_hash)
+
+    monkeypatch.setattr(registry, "service_schemas", once_learned)
+    monkeypatch.setattr(services, "learn", lambda _hub, _registry, name, _hash: asked.append(name))
+    driven.far.serve("/light", "std_srvs/SetBool", reply={"success": True, "message": "on"})
+    with driven.app() as app:
+        app.until(lambda: app.services.get("/light"), "the service is announced once its definition is known")
 
 
 def test_a_call_receives_its_reply(driven: Desk, codec: CallCodec) -> None:

@@ -135,7 +135,7 @@ def test_a_message_with_too_many_parts_closes_the_connection(desk: Desk) -> None
 def test_a_call_that_waited_too_long_is_not_executed(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verbs, "BEGIN_SECONDS", -1.0)
     with TestPage(desk.port) as page:
-        assert "not executed: " in page.call("ping")["error"]
+        assert "not executed: " in page.call("explain", name="/x")["error"]
         assert "not executed" not in page.call("stop").get("error", ""), "a stop is never rejected as too late"
 
 
@@ -169,6 +169,26 @@ def test_waiting_calls_of_a_closed_page_are_canceled(desk: Desk, monkeypatch: py
     with TestPage(desk.port) as page:
         assert page.call("ping")["ok"]
     assert len(begun) == verbs.THREADS
+
+
+def test_a_ping_does_not_wait_for_other_calls(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages without a reply for 2 s close their connection, and report their other calls as lost."""
+    may_end, begun = threading.Event(), threading.Semaphore(0)
+
+    def run(n: int) -> None:
+        begun.release()
+        may_end.wait(40)
+
+    monkeypatch.setitem(desk.console.verbs.known, "goto", PageVerb(run, {"n": int}, {}))
+    try:
+        with TestPage(desk.port) as page:
+            for number in range(verbs.THREADS):
+                page.send(op="call", id=100 + number, verb="goto", args={"n": number})
+            for _ in range(verbs.THREADS):
+                assert begun.acquire(timeout=20)
+            assert page.call("ping")["ok"]
+    finally:
+        may_end.set()
 
 
 GOOD = {"names": ["house"], "current": "house"}

@@ -340,6 +340,28 @@ def test_a_goal_without_a_reply_is_canceled(desk: Desk, monkeypatch: pytest.Monk
         gateway.close()
 
 
+def test_a_goal_that_the_gateway_accepts_after_a_stop_is_canceled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robot, "GOAL_SECONDS", 60.0)
+    gateway = LateGateway(desk.hubs.settings("gateway"))
+    try:
+        with TestPage(desk.port) as page, TestPage(desk.port) as other:
+            page.until(lambda: desk.far.hub.graph.servers(f"{ACTION}/_action/send_goal"), "the gateway is discovered")
+
+            def is_sent() -> bool:
+                page.send(op="call", id=1, verb="goto", args={"x": 1.0, "y": 2.0})
+                page.read(0.2)
+                return gateway.asked.is_set()
+
+            until(is_sent, "the gateway receives the goal")
+            other.call("stop")
+            desk.console.host.loop.call(lambda: None)
+            gateway.may_answer.set()
+            assert gateway.canceled.wait(30)
+    finally:
+        gateway.may_answer.set()
+        gateway.close()
+
+
 class LateGateway(HubNode):
     """A gateway that accepts a goal only when the test allows it (or after 30 s)."""
 

@@ -12,6 +12,7 @@ from bridge.config.model import Config
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.actions import names, types
+from bridge.modules.loop import EventLoop
 from bridge.web.verbs.robot import NAMED, TRIGGER, RobotVerbs
 from navigation.gateway.telemetry import PATH
 from navigation.messages import NAVIGATE
@@ -202,3 +203,35 @@ def test_only_a_stop_is_executed_after_the_page_was_told_that_it_failed(
             go_on.set()
         gateway.on(lambda: None)
         assert executed == [verb] * late
+
+
+@pytest.mark.parametrize(
+    ("verb", "service", "args", "count"), [("goto_place", "go_to", {"name": "hall"}, 1), ("stop", "stop", {}, 2)]
+)
+def test_only_a_stop_is_executed_later_if_the_console_is_busy(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, verb: str, service: str, args: dict[str, Any], count: int
+) -> None:
+    executed, busy, go_on = list[str](), Event(), Event()
+
+    def serve(_request: Any, answer: Any) -> None:
+        executed.append(verb)
+        answer({"success": True, "message": ""})
+
+    def hang() -> None:
+        busy.set()
+        go_on.wait(40)
+
+    with HubNode(desk.hubs.settings("gateway")) as gateway, TestPage(desk.port) as page:
+        gateway.on(lambda: gateway.node.server(f"/navigation/{service}", NAMED if args else TRIGGER, serve))
+        until(lambda: page.call(verb, **args)["ok"], "the console reaches the service")
+        executed.clear()
+        desk.console.host.loop.post(hang)
+        assert busy.wait(10)
+        try:
+            with monkeypatch.context() as patched:
+                patched.setattr(EventLoop.call, "__defaults__", (0.3,))
+                assert "has not answered for 0.3 s" in page.call(verb, **args)["error"]
+        finally:
+            go_on.set()
+        assert page.call(verb, **args)["ok"]
+        assert executed == [verb] * count

@@ -274,6 +274,9 @@ class _Explorer:
             sent = FollowedGoal(self.client, ACTION, "", self.interrupt)
         except ClientError as err:
             raise CliError(f"{err}\n{no_answer(self.client)}") from None
+        if self.watch.why:  # since the frontier was chosen
+            sent.close()
+            return 0
         self.watch.goals.add(base64.b64encode(sent.id).decode())
         seconds = min(_GOAL_SECONDS + _METER_SECONDS * goal.cost, _MAX_SECONDS, self._until - time.monotonic())
         seconds = max(seconds, 0.1)

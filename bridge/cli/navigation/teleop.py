@@ -16,7 +16,8 @@ from bridge.cli.keyboard import AVAILABLE, pressed, raw
 from bridge.cli.output import CliError
 from bridge.client.graph import absolute
 from bridge.client.types import Types
-from bridge.client.velocity import VelocityForm, VelocityPublisher, open_velocity
+from bridge.client.velocity import STOP_SECONDS, VelocityForm, VelocityPublisher, open_velocity
+from bridge.clock import steady_ns
 from bridge.config.sections.section import Enabled
 from bridge.text import clean
 
@@ -54,11 +55,12 @@ class HeldKeys(NamedTuple):
 
 
 class Keys:
-    """The velocity that the pressed keys request, in m/s and rad/s."""
+    """The velocity that the pressed keys request, in m/s and rad/s; ``zeros``: how often zero is to be published."""
 
     def __init__(self, speed: float, turn: float) -> None:
         self.speed, self.turn = speed, turn
         self.ended = False
+        self.zeros = 1
         self._wish = HeldKeys()
         self._until = 0.0
 
@@ -82,7 +84,7 @@ class Keys:
 def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Drives a base on any side with the keyboard: publishes velocities on the hub while a key is held, then zero"
-        " once, and nothing until the next key."
+        " for a moment, and nothing until the next key."
     )
     parser.epilog = HELP
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -122,9 +124,17 @@ def run(args: argparse.Namespace) -> int:
             code = 0 if err.number == signal.SIGINT else err.code
         finally:
             publisher.publish()
+            for _ in range(keys.zeros):
+                time.sleep(1.0 / RATE)
+                publisher.publish()
             publisher.close()
             print()
     return code
+
+
+def _now() -> float:
+    """Return the seconds of a clock that also runs while the machine is suspended: no key counts as held after that."""
+    return steady_ns() / 1e9
 
 
 def _warn(text: str) -> None:
@@ -133,19 +143,21 @@ def _warn(text: str) -> None:
 
 def _drive(keys: Keys, terminal: int, publisher: VelocityPublisher, check: Callable[[], None]) -> None:
     due = time.monotonic()
-    idle = False
     while not keys.ended:
         check()
         for key in pressed(terminal, max(0.0, due - time.monotonic())):
-            keys.press(key, time.monotonic())
+            keys.press(key, _now())
         if time.monotonic() < due:
             continue
         due = max(due + 1.0 / RATE, time.monotonic())
-        velocity = keys.velocity(time.monotonic())
+        velocity = keys.velocity(_now())
         publisher.follow()
-        if any(velocity) or not idle:  # one zero, then silence, so that others can drive
+        if any(velocity):
+            keys.zeros = round(STOP_SECONDS * RATE)
             publisher.publish(*velocity)
-        idle = not any(velocity)
+        elif keys.zeros:  # then silence, so that others can drive
+            keys.zeros -= 1
+            publisher.publish()
         _show(keys, velocity)
 
 

@@ -1,12 +1,14 @@
-"""Manual driving: publishes a velocity while a page repeats it, then zero once."""
+"""Manual driving: publishes a velocity while a page repeats it, then zero for a moment."""
 
 from __future__ import annotations
 
-import time
+import math
 from collections.abc import Callable
+from threading import Event
 from typing import Protocol
 
-from bridge.client.velocity import VelocityPublisher
+from bridge.client.velocity import STOP_SECONDS, VelocityPublisher
+from bridge.clock import steady_ns
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.modules.velocity import velocity_publisher
@@ -18,6 +20,11 @@ _PERIOD = 0.05
 _ZERO = (0.0, 0.0, 0.0)
 
 Velocity = tuple[float, float, float]
+
+
+def steady() -> float:
+    """Return the seconds of a clock that also runs while the machine is suspended: a hold must not outlast that."""
+    return steady_ns() / 1e9
 
 
 class HandDriver(Protocol):
@@ -33,7 +40,9 @@ class HandDriver(Protocol):
 
 
 class HandDriving:
-    """Publishes the velocity that a page holds, 20 times a second, then zero once. Used on the module's thread.
+    """Publishes the velocity that a page holds, 20 times a second, then zero for `STOP_SECONDS`.
+
+    Used on the module's thread.
 
     Args:
         host: the worker's node and thread.
@@ -42,7 +51,10 @@ class HandDriving:
         busy: returns why manual driving is refused; "" if it is allowed.
         on_begin: called when a page starts to drive.
 
-    A planner that starts meanwhile ends the hold once the gateway's status shows it.
+    A planner that starts meanwhile ends the hold, and the repetition of zero, once the gateway's status shows it.
+
+    Attributes:
+        stopped: set while neither a velocity nor zero is being published.
     """
 
     def __init__(
@@ -54,21 +66,36 @@ class HandDriving:
         on_begin: Callable[[], None] = lambda: None,
     ) -> None:
         self._host, self._topic, self._most, self._busy, self._on_begin = host, topic, most, busy, on_begin
+        self.stopped = Event()
+        self.stopped.set()
         self._holder: HandDriver | None = None
+        self._halted_at = -math.inf
+        self._ended = False
         self._velocity: Velocity = _ZERO
         self._until = 0.0
+        self._zeros = 0  # still to be published; not a time, because this process may be starved
         self._timer: Timer | None = None
         self._out: VelocityPublisher | None = None
 
-    def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float) -> None:
-        """Drive at this velocity for a page, whose message arrived at ``arrived`` (monotonic seconds)."""
-        now = time.monotonic()
-        if now - arrived > HOLD_SECONDS:
+    def hold(self, page: HandDriver, x: float, y: float, turn: float, arrived: float, pressed: float) -> None:
+        """Drive at this velocity for a page.
+
+        Args:
+            page: the page that drives.
+            x: velocity forward, m/s.
+            y: velocity to the left, m/s.
+            turn: angular velocity, rad/s.
+            arrived: when the page's message arrived, seconds of `steady`.
+            pressed: when the first message since the page's last release arrived.
+        """
+        if self._ended or steady() - arrived > HOLD_SECONDS:
             return
         holder = self._holder
         reason = self._busy() if holder in (None, page) else f"{holder.who} drives manually"
         if not self._topic:
             reason = "no velocity topic is configured (navigation.velocity)"
+        if pressed <= self._halted_at:
+            reason = "the robot was stopped; release the control first"
         if reason:
             self.release(page)
             page.refuse(reason)
@@ -76,8 +103,9 @@ class HandDriving:
         if self._holder is None:
             self._host.log.info("%s drives manually", page.who)
             self._holder = page
+            self.stopped.clear()
             self._out = self._out or velocity_publisher(self._host, self._topic)
-            self._timer = self._host.loop.every(_PERIOD, self._repeat)
+            self._timer = self._timer or self._host.loop.every(_PERIOD, self._repeat)
             self._on_begin()
         speed, most_turn = self._most
         self._velocity = (_within(x, speed), _within(y, speed), _within(turn, most_turn))
@@ -89,23 +117,42 @@ class HandDriving:
         if page is self._holder:
             self.stop()
 
+    def halt(self) -> None:
+        """Stop driving; pages whose control is pressed now must release it before they drive again."""
+        self._halted_at, page = steady(), self._holder
+        self.stop()
+        if page is not None:
+            page.refuse("the robot was stopped")
+
+    def end(self) -> None:
+        """Stop driving, and ignore pages from now on."""
+        self._ended = True
+        self.halt()
+
     def stop(self) -> None:
-        """Command zero once, whichever page holds."""
+        """Command zero, and repeat it for `STOP_SECONDS`, whichever page holds."""
         if self._holder is None:
             return
         page, self._holder, self._velocity = self._holder, None, _ZERO
-        if self._timer is not None:
-            self._timer.close()
-            self._timer = None
+        self._zeros = round(STOP_SECONDS / _PERIOD)
         self._publish()
         page.held(*_ZERO)
         self._host.log.info("%s no longer drives manually", page.who)
 
     def _repeat(self) -> None:
-        if time.monotonic() > self._until:
-            self.stop()
-        else:
+        if self._holder is not None:
+            if steady() > self._until:
+                self.stop()
+            else:
+                self._publish()
+        elif self._zeros and not self._busy():  # zeros would slow a planner
+            self._zeros -= 1
             self._publish()
+        else:
+            assert self._timer is not None
+            self._timer.close()
+            self._timer = None
+            self.stopped.set()
 
     def _publish(self) -> None:
         x, y, turn = self._velocity

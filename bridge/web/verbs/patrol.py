@@ -169,7 +169,7 @@ class Patrol:
     # -- step by step --------------------------------------------------------------------------------------------------
 
     def _patrol(self, places: Sequence[str], wait: float = USUAL) -> str:
-        self._host.loop.call(partial(self._begin, places, wait))
+        self._host.loop.call(partial(self._begin, places, wait), late=False)
         return f"patrolling {len(places)} places"
 
     def _begin(self, places: Sequence[str], wait: float) -> None:

@@ -105,7 +105,7 @@ class RobotVerbs:
             check_accepted(sent)
             return sent
 
-        sent: SentGoal = self._host.loop.call(send)
+        sent: SentGoal = self._host.loop.call(send, late=False)
         try:
             return done.result(GOAL_SECONDS)
         except TimeoutError:
@@ -113,11 +113,16 @@ class RobotVerbs:
             self._host.loop.post(sent.cancel)  # a late start would be unexpected
             raise VerbError(f"the gateway did not accept or reject the goal within {GOAL_SECONDS:g} s") from None
 
+    def cancel_starting(self) -> None:
+        """Cancel goals of pages that the gateway has not accepted yet; called on the module's thread before a stop."""
+        if self._goals is not None:
+            self._goals.cancel_starting()
+
     def _trigger(self, name: str, seconds: float = ANSWER_SECONDS) -> str:
         return self._ask(f"/navigation/{name}", TRIGGER, {}, seconds, late=name != "resume")
 
     def _pause(self, name: str) -> str:
-        reply: str = self._host.loop.call(lambda: self._pause_or_resume(name))
+        reply: str = self._host.loop.call(lambda: self._pause_or_resume(name), late=name != "resume")
         return reply or self._trigger(name)
 
     def _stop(self) -> str:
@@ -143,7 +148,7 @@ class RobotVerbs:
             self._clients[name] = client
             return client.call(request, done.set_result)
 
-        abandon: Abandon = self._host.loop.call(call)
+        abandon: Abandon = self._host.loop.call(call, late=late)
         try:
             reply = done.result(seconds)
         except TimeoutError:

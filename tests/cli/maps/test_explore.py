@@ -149,6 +149,30 @@ def test_a_stop_before_the_first_goal_ends_the_exploration(exploring: Exploring)
     assert not exploring.rig.planner.goals
 
 
+def test_no_goal_is_sent_after_a_stop_that_came_while_it_was_prepared(
+    exploring: Exploring, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepare, watches = explore.FollowedGoal, list[explore._Watch]()
+
+    class Watch(explore._Watch):
+        def __init__(self) -> None:
+            super().__init__()
+            watches.append(self)
+
+    def prepare_and_stop(*args: Any) -> Any:
+        sent = prepare(*args)
+        exploring.stop()
+        until(lambda: watches[0].why, "the command has received the stop", 20)
+        return sent
+
+    monkeypatch.setattr(explore, "_Watch", Watch)
+    monkeypatch.setattr(explore, "FollowedGoal", prepare_and_stop)
+    exploring.publish(rooms(2.5))
+    outcome = exploring.run(lambda: None)
+    assert (outcome.code, outcome.out.splitlines()[-1].partition(";")[0]) == (1, "stopped: it was stopped")
+    assert not exploring.rig.planner.goals
+
+
 def test_another_clients_goal_ends_the_exploration(exploring: Exploring) -> None:
     exploring.publish(rooms(2.5))
     planner = exploring.rig.planner

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import quote
 
 import pytest
 import yaml
 
+from bridge.client.halt import ZeroVelocities
 from bridge.client.session import Client
 from bridge.clock import SYSTEM
 from bridge.hub.control import WorkerAnswer
@@ -119,6 +122,22 @@ def test_a_short_halt_waits_for_the_replies_of_action_servers(midspan: Midspan, 
     done = midspan("halt", "--seconds", "0.01")
     assert done.code == 0, done
     assert "/lookup: 2 goals canceled" in done.out
+
+
+def test_zero_is_repeated_although_the_command_was_starved(
+    midspan: Midspan, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put, starved = ZeroVelocities.put, [0.0]
+
+    def put_and_starve(zeros: ZeroVelocities) -> None:
+        put(zeros)
+        starved[0] = 10.0
+
+    monkeypatch.setattr(ZeroVelocities, "put", put_and_starve)
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + starved[0])
+    monkeypatch.setattr("bridge.client.halt.time", clock)
+    midspan("halt", "--seconds", "1")
+    until(lambda: len(robot.received) >= 5, "zero is repeated")
 
 
 def test_halt_fails_without_velocity_topics(midspan: Midspan) -> None:

@@ -96,6 +96,7 @@ def test_manual_driving_lasts_while_the_button_is_held(operator: Operator, watch
     [
         pytest.param("the page's script hangs", marks=pytest.mark.thorough),
         "the tab's socket is closed",
+        "the computer was suspended",
         pytest.param("the tab is hidden", marks=pytest.mark.thorough),
     ],
 )
@@ -107,6 +108,9 @@ def test_manual_driving_stops_when_the_page_fails(operator: Operator, watch: Tes
             began = time.monotonic()
             watch.until(lambda: stands(watch), "the robot stands although the page is silent", 30)
             assert time.monotonic() - began < HANGING, "the robot stops while the page still hangs"
+        elif how == "the computer was suspended":
+            operator.chrome.execute_script("window.realNow = Date.now; Date.now = () => window.realNow() + 3600000;")
+            watch.until(lambda: stands(watch), "the robot stands, since the button may have been released", 30)
         elif how == "the tab's socket is closed":
             operator.chrome.execute_cdp_cmd("Network.enable", {})
             operator.chrome.execute_cdp_cmd(
@@ -118,6 +122,8 @@ def test_manual_driving_stops_when_the_page_fails(operator: Operator, watch: Tes
             operator.chrome.switch_to.new_window("tab")
             watch.until(lambda: stands(watch), "the robot stands", 30)
     finally:
+        if how == "the computer was suspended":
+            operator.chrome.execute_script("Date.now = window.realNow;")
         if how == "the tab's socket is closed":
             operator.chrome.execute_cdp_cmd(
                 "Network.emulateNetworkConditions",

@@ -1,0 +1,36 @@
+"""The link to a control board."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import pytest
+
+from bridge.boards.link import BoardLink
+from bridge.boards.section import ControlBoardSection
+
+
+def follow(monkeypatch: pytest.MonkeyPatch, pauses: list[float]) -> None:
+    """Follow a board that sends no state; ``pauses``: seconds between the rounds."""
+    link = BoardLink(ControlBoardSection(remote="/robot/arm"), "/here", MagicMock(), MagicMock())
+    now, left = [0.0], list(pauses)
+
+    def wait(_seconds: float) -> None:
+        if left:
+            now[0] += left.pop(0)
+        else:
+            link._stopping.set()
+
+    monkeypatch.setattr("bridge.boards.link.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(link._commands, "wait", wait)
+    link._follow(MagicMock())
+
+
+def test_a_starved_link_does_not_count_the_board_as_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    follow(monkeypatch, [0.1, 10.0, 0.1])
+
+
+def test_a_silent_board_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(OSError, match="/robot/arm has sent no state for 1 s"):
+        follow(monkeypatch, [0.1, 10.0, *[0.1] * 15])
