@@ -11,8 +11,11 @@ from bridge.boards.link import BoardLink
 from bridge.boards.section import ControlBoardSection
 
 
-def follow(monkeypatch: pytest.MonkeyPatch, pauses: list[float]) -> None:
-    """Follow a board that sends no state; ``pauses``: seconds between the rounds."""
+def follow(monkeypatch: pytest.MonkeyPatch, pauses: list[float]) -> float:
+    """Follow a board that sends no state; return the seconds after which the link was stopped.
+
+    ``pauses``: seconds between the rounds.
+    """
     link = BoardLink(ControlBoardSection(remote="/robot/arm"), "/here", MagicMock(), MagicMock())
     now, left = [0.0], list(pauses)
 
@@ -25,10 +28,11 @@ def follow(monkeypatch: pytest.MonkeyPatch, pauses: list[float]) -> None:
     monkeypatch.setattr("bridge.boards.link.time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(link._commands, "wait", wait)
     link._follow(MagicMock())
+    return now[0]
 
 
 def test_a_starved_link_does_not_count_the_board_as_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    follow(monkeypatch, [0.1, 10.0, 0.1])
+    assert follow(monkeypatch, [0.1, 10.0, 0.1]) > 10.0
 
 
 def test_a_silent_board_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

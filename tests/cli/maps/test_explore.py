@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bridge.cli.graph.goal import FollowedGoal
 from bridge.cli.maps import explore
 from navigation.maps.grid import to_grid
 from tests.cli.conftest import Midspan, Outcome, alongside
@@ -152,7 +153,7 @@ def test_a_stop_before_the_first_goal_ends_the_exploration(exploring: Exploring)
 def test_no_goal_is_sent_after_a_stop_that_came_while_it_was_prepared(
     exploring: Exploring, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    prepare, watches = explore.FollowedGoal, list[explore._Watch]()
+    watches = list[explore._Watch]()
 
     class Watch(explore._Watch):
         def __init__(self) -> None:
@@ -160,7 +161,7 @@ def test_no_goal_is_sent_after_a_stop_that_came_while_it_was_prepared(
             watches.append(self)
 
     def prepare_and_stop(*args: Any) -> Any:
-        sent = prepare(*args)
+        sent = FollowedGoal(*args)
         exploring.stop()
         until(lambda: watches[0].why, "the command has received the stop", 20)
         return sent

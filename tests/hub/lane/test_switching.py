@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.endpoints.lane_state import Lanes
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.sinks import Matching
 from bridge.hub.endpoints.subscription import HubSample
@@ -228,7 +227,7 @@ def test_subscription_that_is_closed_while_it_joins_a_lane_leaves_it(
 class EndingInlet:
     """A connection whose end another thread handles while this thread checks it."""
 
-    def __init__(self, lanes: Lanes) -> None:
+    def __init__(self, lanes: Any) -> None:
         self._lanes = lanes
 
     @property
@@ -242,7 +241,8 @@ def test_lanes_may_end_during_the_choice(reader: Hub) -> None:
     chosen = subscription(subscriber)
     goes_by(subscriber, "zenoh", "no other worker publishes it")
     chosen._lane.remove(chosen)
-    chosen._lanes.inlets = {EndingInlet(chosen._lanes): 0.0, EndingInlet(chosen._lanes): 0.0}
+    ending: Any = [EndingInlet(chosen._lanes), EndingInlet(chosen._lanes)]
+    chosen._lanes.inlets = dict.fromkeys(ending, 0.0)
     chosen.settle()
     assert not chosen._lanes.inlets
 
