@@ -75,7 +75,7 @@ class PathFollower:
     def next(
         self, grid: LocalGrid, now: float, moved: Pose, goal: Pose, radius: float, narrow: Pose | None = None
     ) -> Aim:
-        """Return the point to drive to on the way to a goal in the grid's frame; theta is NaN without a heading.
+        """Return the point to drive to, towards a goal in the grid's frame; theta is NaN without a heading.
 
         Around ``narrow``, a place in the grid's frame, paths keep more room.
         """

@@ -38,7 +38,7 @@ class LocalNavigator(Protocol):
 
     @property
     def fault(self) -> Fault:
-        """The reason as a code; `Fault.NONE` if there is no code."""
+        """The reason as a code; `Fault.NONE` without a code."""
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         """Drive to a pose instead of the previous one."""
@@ -54,7 +54,7 @@ _BACK_SECONDS = 0.5
 
 
 class ActionNavigator:
-    """A local navigator behind one action. Used on the module's thread, except for `brake`."""
+    """A local navigator that has one action. Used on the module's thread, except for `brake`."""
 
     def __init__(self, host: Host, action: str, frame: str) -> None:
         self._frame, self._action, self._loop = frame, action, host.loop
@@ -145,7 +145,7 @@ _ENDS = (State.REACHED, State.ABORTED, State.FAILING)
 
 
 class YarpNavigator(PolledServer[INavigation2DMsgs]):
-    """A local navigator behind the YARP port ``<server>/rpc``, which it polls for the status. Thread-safe.
+    """A local navigator at the YARP port ``<server>/rpc``, which it polls for the status. Thread-safe.
 
     Speeds and gains of waypoints are dropped: INavigation2D cannot express them.
     """

@@ -191,8 +191,16 @@ def test_shared_memory_of_others_is_preserved() -> None:
     assert not any(leftovers.is_own(name, ports) for name in others)
 
 
-HOLDS = "import sys; held = [open(name, 'ab') for name in sys.argv[1:]]; print('held', flush=True); sys.stdin.read()"
-"""A program that creates files and holds them. Sessions of other tests remove such files that nothing holds."""
+HOLDS = """
+import fcntl, sys
+
+held = [open(name, "ab") for name in sys.argv[1:]]
+for file in held:
+    fcntl.flock(file, fcntl.LOCK_SH)
+print("held", flush=True)
+sys.stdin.read()
+"""
+"""A program that creates files and locks them. Sessions of other tests remove zenoh's files without a lock."""
 
 
 def test_an_unlocked_port_of_a_killed_participant_is_removed(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The sources of LocalizationServer's poses: amcl, topics, ports, tf, other servers, classes."""
+"""LocalizationServer and its sources of poses: amcl, topics, ports, tf, other servers, classes."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class ActionlibClient:
         return lambda: self._abandon(goal)
 
     def get_result(self, request: bytes, done: Done) -> Abandon:
-        """Handle a GetResult call, which ends when the goal ends; there is no time limit."""
+        """Handle a GetResult call, which ends when the goal ends, without a time limit."""
         try:
             uuid, _ = wire.read_with_uuid(request)
         except ConversionError as err:

@@ -137,7 +137,7 @@ def test_requests_get_replies(pool: ThreadPoolExecutor) -> None:
     assert server.reply(yarp.Bottle([command.get(1).asInt32() + command.get(2).asInt32()]))
     assert future.result(20)
     assert answer.get(0).asInt32() == 5
-    assert not server.reply(answer)  # there is no further request to reply to
+    assert not server.reply(answer)  # no further request waits for a reply
 
 
 def test_announced_reply_that_is_not_sent_is_empty(pool: ThreadPoolExecutor) -> None:
