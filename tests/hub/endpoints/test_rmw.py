@@ -144,15 +144,19 @@ def test_a_late_subscription_receives_the_cached_messages(
         until(lambda: early.texts()[-1:] == sent[-1:], "all messages have arrived, so none can arrive live below")
         early.close()
 
-        def received() -> list[str]:
-            subscription = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=requested))
-            until(lambda: subscription.texts()[-1:] == sent[-1:], "the last message arrives")
-            texts = subscription.texts()  # in order, so none before the last one is missing because it is late
-            subscription.close()
-            return texts
+        def subscribed() -> RmwSubscription | None:
+            """Return a subscription that received exactly the cached messages.
 
-        # zenoh's subscriber queries twice, and drops the older part of a history if the two answers interleave
-        until(lambda: received() == sent[-expected:], "a subscription receives exactly the cached messages")
+            zenoh's subscriber queries twice, and drops the older part of a history if the two answers interleave.
+            """
+            subscription = RmwSubscription(rmw, key(network, "/map"), replace(qos, depth=requested))
+            until(lambda: subscription.texts()[-1:] == sent[-1:], "the last message arrives, after all others")
+            if subscription.texts() == sent[-expected:]:
+                return subscription
+            subscription.close()
+            return None
+
+        received = until(subscribed, "a subscription receives exactly the cached messages")
         matched(publisher)
         publisher.put(b"live")
         received.expect(*sent[-expected:], "live")
