@@ -33,7 +33,7 @@ from bridge.messages.velocities import TWIST, VELOCITIES
 from bridge.modules.host import Host
 from bridge.routing.counters import Counters
 from bridge.routing.rules import RuleSet
-from bridge.web.verbs.hold import HandDriving
+from bridge.web.verbs.hold import HOLD_SECONDS, HandDriving
 
 _log = logging.getLogger("midspan.foxglove")
 
@@ -163,6 +163,7 @@ class ClientVelocity(PublishedChannel):
         self.who = visitor.who
         self._driving, self._coder = driving, coder
         self._refusal = ""
+        self._arrived = self._pressed = -math.inf
 
     @override
     def send(self, message: ClientMessage) -> None:
@@ -177,7 +178,10 @@ class ClientVelocity(PublishedChannel):
             self.counters.dropped("bad")
             raise NotPublishedError("a velocity must be finite")
         self._refusal = ""
-        self._driving.hold(self, x, y, rotation, message.arrived, message.arrived)
+        if message.arrived - self._arrived > HOLD_SECONDS:
+            self._pressed = message.arrived  # an app has no message for a released control
+        self._arrived = message.arrived
+        self._driving.hold(self, x, y, rotation, message.arrived, self._pressed)
         if self._refusal:
             self.counters.dropped("held")
             raise NotPublishedError(self._refusal)

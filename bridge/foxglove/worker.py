@@ -27,6 +27,7 @@ from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.services import Services
 from bridge.foxglove.status import ClientStatus, FoxgloveStatus
 from bridge.foxglove.visitors import Visitors
+from bridge.hub.control import HALTED_BY_HAND
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.messages.registry import Registry
 from bridge.metrics.section import MetricsSection
@@ -131,6 +132,7 @@ class Live:
         if (gateway := self._gateway) is not None:
             loop.call(lambda: gateway.watch(self))  # manual driving must not compete with a planner
         self.host.answer("status", self._status)
+        self.host.answer("halt", self._on_halt)
         loop.every(1.0, self._tick)
         self._graph.changed()
         self.front.start()
@@ -168,6 +170,10 @@ class Live:
         self._publishing.tick()
         self._services.tick()
         self._parameters.tick()
+
+    def _on_halt(self, _params: Any) -> dict[str, Any]:
+        self.host.loop.call(self._driving.halt)
+        return HALTED_BY_HAND
 
     def _status(self, _params: Any) -> dict[str, Any]:
         now = time.monotonic()

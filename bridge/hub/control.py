@@ -32,6 +32,9 @@ Handler = Callable[[dict[str, Any]], Any]
 RECORDED = {"recorded": True}
 """A recorder's answer to ``halt``: the recorder stops nothing, but saves the messages that led to the halt."""
 
+HALTED_BY_HAND = {"halted": True, "base": False}
+"""The answer to ``halt`` of a worker whose users may drive by hand: it has stopped them, but has no base itself."""
+
 WHO = {"who": True}
 """Parameters of any verb that request only the identity of the worker's daemon."""
 

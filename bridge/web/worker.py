@@ -14,7 +14,7 @@ from bridge.client.types import Types
 from bridge.client.velocity import STOP_SECONDS
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
-from bridge.hub.control import WorkerAnswer
+from bridge.hub.control import HALTED_BY_HAND, WorkerAnswer
 from bridge.hub.daemons import identity_of
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.hub.namesakes import own_answers
@@ -157,6 +157,7 @@ class Console:
                 **dict.fromkeys(("goto", "goto_place"), lambda: self._patrol.end(ANOTHER)),
             },
         )
+        host.answer("halt", self._on_halt)
         self._hello = hello(config.name, __version__, config.navigation.frame, most, HOLD_SECONDS)
 
     def start(self) -> None:
@@ -193,6 +194,10 @@ class Console:
         self._hold.halt()
         self._patrol.end(STOPPED)
         self._robot.cancel_starting()
+
+    def _on_halt(self, _params: Any) -> dict[str, Any]:
+        self.host.loop.call(self._stop_robot)
+        return HALTED_BY_HAND
 
     def _status(self, _params: Any) -> dict[str, Any]:
         pages = self.server.pages

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from bridge.hub.control import HALTED_BY_HAND
 from bridge.messages.json import from_json
 from bridge.web.verbs import hold
 from navigation.status import State
@@ -150,6 +151,22 @@ def drive_until_received(desk: Desk, app: App, number: int, subscription: int) -
         return moving[-1] if moving else None
 
     return until(receive, "a velocity is received", 10)
+
+
+def test_a_halt_on_the_hub_ends_driving_until_the_control_is_released(driven: Desk) -> None:
+    subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
+    with driven.app() as app:
+        number = app.advertise("/cmd_vel", TWIST, "json")
+        drive_until_received(driven, app, number, subscription)
+        assert HALTED_BY_HAND in [answer.value for answer in driven.far.hub.ask("halt", {})]
+
+        def refused() -> bool:
+            app.publish(number, velocity(2.0))
+            app.read()
+            return any("release the control first" in entry.get("message", "") for entry in app.texts)
+
+        until(refused, "the control, which is still pressed, no longer drives")
+        until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero is commanded")
 
 
 @pytest.mark.parametrize("end", ["unadvertise", "leave", "cut", "the server stops"])

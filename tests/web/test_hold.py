@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from bridge.clock import steady_ns
+from bridge.hub.control import HALTED_BY_HAND
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
 from bridge.messages.velocities import TWIST, TWIST_STAMPED
@@ -170,6 +171,19 @@ def test_a_page_must_release_after_a_stop_of_another_page(desk: Desk) -> None:
         until(base.stands, "the base stands")
         page.send(op="release")
         hold(page, base)
+
+
+@pytest.mark.usefixtures("patience")
+def test_a_halt_on_the_hub_ends_a_hold(desk: Desk) -> None:
+    base = Base(desk)
+    with TestPage(desk.port) as page:
+        hold(page, base)
+        assert HALTED_BY_HAND in [answer.value for answer in desk.far.hub.ask("halt", {})]
+        until(base.stands, "the base stands")
+        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+        page.until(
+            lambda: any("release the control first" in error for error in page.errors()), "the control no longer drives"
+        )
 
 
 @pytest.mark.usefixtures("patience")

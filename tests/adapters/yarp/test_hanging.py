@@ -65,7 +65,7 @@ def test_name_server_that_stalls_for_a_moment_unregisters_every_port_of_a_worker
     def apply_late(server: NameServer, words: Sequence[Any], remote: str) -> Command:
         if words[:1] == ["unregister"] and not stalled.is_set():
             stalled.set()
-            time.sleep(0.5)
+            time.sleep(0.45)  # longer than the client once waited for one command
         return apply(server, words, remote)
 
     worker = WorkerProcess("yarp", place.config(), dict(os.environ))
