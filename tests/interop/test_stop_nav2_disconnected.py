@@ -14,6 +14,7 @@ from tests.interop.test_stop_nav2 import assert_ends_once, assert_stops, drive_i
 from tests.peers.navigation.mix import Mix
 from tests.peers.navigation.mix_clients import ROS1, SECONDS, YARP, ZENOH
 from tests.peers.navigation.mix_faults import AWAY, STANDS_SECONDS, Watch, kill_workers
+from tests.peers.navigation.mix_truth import UNTRUE_SECONDS
 from tests.support.process import is_stopped
 from tests.support.wait import until
 
@@ -49,7 +50,8 @@ def test_the_gateway_is_stopped_before_it_learns_that_its_goal_is_accepted(mix: 
             until(lambda: len(mix.statuses) > known, "the goal has a status", SECONDS)
             watch = Watch(mix, ZENOH)
             stopping.enter_context(stopped(pids["gateway"]))
-        until(lambda: mix.base.moved(watch.began, time.monotonic()) > 1.0, "the base moves", SECONDS)
+        # long enough for an untrue status; the daemon replaces a gateway that is stopped for 5 s
+        until(lambda: mix.base.moved(watch.began, time.monotonic()) > 1.2 * UNTRUE_SECONDS, "the base moves", SECONDS)
     watch.until(lambda: client.progress() and mix.state() == "moving", "the gateway follows its goal")
     watch.close()
     client.cancel()
