@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,6 +27,8 @@ from tests.peers.yarp.programs import Names
 from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.registry import Command
+from yarp_compat.naming.server import NameServer
 from yarp_compat.wire.binary import encode
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text
@@ -162,6 +165,29 @@ def test_port_opened_by_a_delayed_update_is_closed(
     edge.stop()
     resume.set()
     until(lambda: not name_server_threads(), "the update ends", 20)
+    assert names.client.list("/midspan") == []
+
+
+def test_every_port_is_unregistered_although_the_name_server_is_slow_when_the_edge_stops(
+    names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One late reply once left all ports registered."""
+    monkeypatch.setattr(edge_module, "_STOP_TIMEOUT", 20.0)
+    for number in range(10):
+        edge.advertise(f"/talk_{number}", STRING, Qos())
+    edge.start(LISTENER)
+    until(lambda: len(names.client.list("/midspan")) > 10, "the ports are registered", 20)
+    apply, late = NameServer.apply, list[str]()
+
+    def apply_late(server: NameServer, words: Sequence[Any], remote: str) -> Command:
+        if words[:1] == ["unregister"] and not late:
+            late.append(str(words[1]))
+            time.sleep(0.5)  # the name server is slow
+        return apply(server, words, remote)
+
+    monkeypatch.setattr(NameServer, "apply", apply_late)
+    edge.stop()
+    assert late
     assert names.client.list("/midspan") == []
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import os
 import socket
-import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import pytest
 
@@ -17,8 +15,6 @@ from tests.contract.side import WorkerProcess
 from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.naming.config import Address
-from yarp_compat.naming.registry import Command
-from yarp_compat.naming.server import NameServer
 
 pytestmark = pytest.mark.alone
 
@@ -53,30 +49,6 @@ def test_hanging_name_server_does_not_delay_the_workers_exit(place: Place) -> No
         assert took <= STOP_SECONDS
     finally:
         worker.process.stop()
-
-
-def test_name_server_that_stalls_for_a_moment_unregisters_every_port_of_a_worker_that_stops(
-    place: Place, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for number in range(TOPICS):
-        place.far.advertise(f"/topic_{number}", STRING)
-    apply, stalled = NameServer.apply, threading.Event()
-
-    def apply_late(server: NameServer, words: Sequence[Any], remote: str) -> Command:
-        if words[:1] == ["unregister"] and not stalled.is_set():
-            stalled.set()
-            time.sleep(0.45)  # longer than the client once waited for one command
-        return apply(server, words, remote)
-
-    worker = WorkerProcess("yarp", place.config(), dict(os.environ))
-    try:
-        until(lambda: len(place.names.client.list("/midspan")) > 2 * TOPICS, "the worker's ports are registered", 20)
-        monkeypatch.setattr(NameServer, "apply", apply_late)
-        worker.stop()
-    finally:
-        worker.process.stop()
-    assert stalled.is_set()
-    assert [c.name for c in place.names.client.list("/midspan")] == []
 
 
 def test_hanging_ports_do_not_delay_the_workers_exit(place: Place) -> None:
