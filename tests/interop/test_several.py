@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.peers.daemon.several import Daemon, Flow, Several, flows, pour, quiet, ring, triangle
+from tests.support.processor_share import ProcessorShare
 from tests.support.wait import until
 
 pytestmark = [pytest.mark.thorough, pytest.mark.alone]
@@ -67,10 +68,11 @@ def test_nothing_arrives_twice_in_a_ring_and_either_daemon_takes_over(
         flow.start(100_000, 200)
     (name,) = set(active(daemons, "ros2"))
     (killed,) = (d for d in daemons if d.name == name)
+    share = ProcessorShare()
     at = killed.kill()
     took = [flow.silence(at, 2.5) for flow in created]
     print(f"taken over after {took}")
-    assert max(took) <= TAKEOVER_SECONDS
+    assert max(took) <= TAKEOVER_SECONDS / share.least()
     late = several.program(networks[1])
     subscription = late.subscribe("/state", "std_msgs/String", latched=True, depth=10)
     assert [m["data"] for m in late.wait(subscription, 1, 10)] == ["kept"]
@@ -89,11 +91,11 @@ def test_another_daemon_takes_over_from_a_killed_or_suspended_worker(several: Se
         flow.start(100_000, 200)
     (name,) = active(daemons, "ros2")
     (hit,) = (d for d in daemons if d.name == name)
-    at = time.monotonic()
+    share, at = ProcessorShare(), time.monotonic()
     os.kill(int(hit.status("ros2")["pid"]), signal.SIGKILL)
     took = [flow.silence(at, 2.5) for flow in created]
     print(f"taken over after {took}")
-    assert max(took) <= TAKEOVER_SECONDS
+    assert max(took) <= TAKEOVER_SECONDS / share.least()
     until(lambda: hit.status("ros2").get("standby"), "the restarted worker is on standby", 30, every=0.2)
     (name,) = set(active(daemons, "ros2"))
     (stopped,) = (d for d in daemons if d.name == name)
