@@ -54,6 +54,11 @@ def steady_ns() -> int:
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
 
 
+def steady() -> float:
+    """Return `steady_ns` in seconds."""
+    return steady_ns() / 1e9
+
+
 def is_jump(change: int, passed: int, error: int = 0) -> bool:
     """Return whether a clock was set, given the ``change`` of its offset from a steady one in ``passed``; all in ns."""
     return abs(change) > STEP_NS + error + round(SLEW * passed)

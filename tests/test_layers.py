@@ -195,8 +195,8 @@ BESIDE = {
         "bridge.web.section",
     },
     "ros1": {"bridge.daemon.workers", "bridge.adapters.ros1.master.worker.state_file"},
-    # a clock that also runs while the machine is suspended
-    "navigation/teleop.py": {"bridge.clock.steady_ns"},
+    # a clock that also runs while the machine is suspended, after which no key counts as held
+    "navigation/teleop.py": {"bridge.clock.steady"},
     # diagnoses from this machine's files and processes, and from the rules of its configuration
     "inspection": {"bridge.doctor"},
     "inspection/explain.py": {"bridge.routing.rules"},

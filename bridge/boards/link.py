@@ -141,7 +141,7 @@ class BoardLink:
         while not self._stopping.is_set():
             now = time.monotonic()
             if now - before > _SILENT_SECONDS / 2.0:  # this process did not run, or a call took long: states may wait
-                self._last_state += now - before
+                self._last_state = min(self._last_state + now - before, now)
             before = now
             if now - self._last_state > _SILENT_SECONDS:
                 raise OSError(f"{self._section.remote} has sent no state for {_SILENT_SECONDS:g} s")

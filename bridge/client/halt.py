@@ -21,7 +21,7 @@ from bridge.client.types import Types
 from bridge.client.velocity import driven_forms, subscribers, velocity_message
 from bridge.clock import RunClock
 from bridge.config.sections.navigation import NavigationSection
-from bridge.hub.control import HALTED_BY_HAND, RECORDED
+from bridge.hub.control import MANUAL_DRIVING_HALTED, RECORDED
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.wire.keys import NO_HASH
@@ -291,7 +291,7 @@ class _Bases(threading.Thread):
             self.trouble = f"bases could not be asked to halt and may still be moving: {_reason(err)}"
             return
         for answer in answers:
-            if answer.value not in (RECORDED, HALTED_BY_HAND):
+            if answer.value not in (RECORDED, MANUAL_DRIVING_HALTED):
                 name = f"{answer.worker} of {answer.daemon}"  # several modules may have this name
                 self.answers[name] = self.answers.get(name) or answer.error or _unconfirmed(answer.value)
         if time.monotonic() - begin >= _ANSWER_SECONDS:

@@ -16,8 +16,8 @@ from foxglove import Parameter
 from foxglove.websocket import ChannelView, Client, ClientChannel, ServerListener
 from typing_extensions import override
 
+from bridge.clock import steady
 from bridge.foxglove.visitors import MARK, Visitors
-from bridge.web.verbs.hold import steady
 
 MOST_ADVERTISED = 100
 """Maximum number of channels of one client; further ones are ignored."""

@@ -27,7 +27,7 @@ from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.services import Services
 from bridge.foxglove.status import ClientStatus, FoxgloveStatus
 from bridge.foxglove.visitors import Visitors
-from bridge.hub.control import HALTED_BY_HAND
+from bridge.hub.control import MANUAL_DRIVING_HALTED
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.messages.registry import Registry
 from bridge.metrics.section import MetricsSection
@@ -173,7 +173,7 @@ class Live:
 
     def _on_halt(self, _params: Any) -> dict[str, Any]:
         self.host.loop.call(self._driving.halt)
-        return HALTED_BY_HAND
+        return MANUAL_DRIVING_HALTED
 
     def _status(self, _params: Any) -> dict[str, Any]:
         now = time.monotonic()

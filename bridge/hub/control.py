@@ -32,13 +32,14 @@ Handler = Callable[[dict[str, Any]], Any]
 RECORDED = {"recorded": True}
 """A recorder's answer to ``halt``: the recorder stops nothing, but saves the messages that led to the halt."""
 
-HALTED_BY_HAND = {"halted": True, "base": False}
-"""The answer to ``halt`` of a worker whose users may drive by hand: it has stopped them, but has no base itself."""
+MANUAL_DRIVING_HALTED = {"halted": True, "base": False}
+"""The answer to ``halt`` of a worker whose users may drive manually: it has ended that, but has no base itself."""
 
 WHO = {"who": True}
 """Parameters of any verb that request only the identity of the worker's daemon."""
 
 EVERY_DOMAIN = "*"
+"""The domain of a `Control` that answers the queries of all domains."""
 
 _MAX_PENDING = 64
 _MAX_QUESTION = 1 << 20
@@ -63,10 +64,7 @@ class WorkerAnswer:
 
 
 class Control:
-    """Answers the queries to one worker. Handlers run on separate threads, never on zenoh's threads.
-
-    With `EVERY_DOMAIN` it answers the queries of all domains.
-    """
+    """Answers the queries to one worker. Handlers run on separate threads, never on zenoh's threads."""
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from bridge.clock import steady_ns
+from bridge.clock import steady
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub
 from bridge.hub.zenoh_config import LEASE_MS
@@ -119,7 +119,7 @@ class PeerWatch:
         self.changes = 0  #: how often this worker became active or stopped being active
         self._outcome_before_hang: Outcome | None = None
         self._since = self._last_round = time.monotonic()
-        self._slept = steady_ns() / 1e9 - time.monotonic()  # the time for which the monotonic clock has stood
+        self._slept = steady() - time.monotonic()  # the time for which the monotonic clock has stood
         self._due = 0.0
         self._step = StepWatch(_ROUND_SECONDS)
         self._wake = threading.Event()
@@ -173,9 +173,9 @@ class PeerWatch:
 
         Raises `HubError` if the hub is closed.
         """
-        steady = steady_ns() / 1e9  # first, so that a pause between the two does not look like sleep
+        awake = steady()  # first, so that a pause between the two does not look like sleep
         now = time.monotonic()
-        slept = max(steady - now - self._slept, 0.0)  # meanwhile the monotonic clock and the lease stood
+        slept = max(awake - now - self._slept, 0.0)  # meanwhile the monotonic clock and the lease stood
         self._slept += slept
         if self._election.outcome.active and (self.lease.over or now + slept > self.lease.until):
             hang = now - self._last_round + slept

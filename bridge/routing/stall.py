@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from bridge.clock import steady_ns
+from bridge.clock import steady, steady_ns
 
 _BEAT = 0.1
 _REST_BEAT = 0.25
@@ -23,10 +23,6 @@ _LATE = 0.5
 _STOOD_STILL = 1.0
 
 
-def _now() -> float:
-    return steady_ns() / 1e9
-
-
 class StallDetector:
     """Detects stalls of this process, on a separate thread.
 
@@ -36,7 +32,7 @@ class StallDetector:
 
     def __init__(self, resumed: Callable[[float], None] = lambda _: None) -> None:
         self._resumed = resumed
-        self._last = _now()
+        self._last = steady()
         self._until = 0.0
         self.last_stall = 0.0
         """Duration in seconds of the last stall of more than half a second."""
@@ -49,7 +45,7 @@ class StallDetector:
         self._thread = threading.Thread(target=self._run, name="midspan-stall", daemon=True)
 
     def start(self) -> None:
-        self._last = _now()
+        self._last = steady()
         self._thread.start()
 
     def stop(self) -> None:
@@ -69,7 +65,7 @@ class StallDetector:
 
     def beat(self) -> None:
         """Note that the process runs, and detect a stall since the last beat."""
-        now = _now()
+        now = steady()
         since = now - self._last
         if since > _LATE:
             # Messages that accumulated during the stall are still being read from sockets.
@@ -81,7 +77,7 @@ class StallDetector:
 
     def stood_still(self, timeout: float) -> bool:
         """Return whether a message that arrives now may have waited here for over ``timeout`` s (at least 0.3 s)."""
-        now = self._asked = _now()
+        now = self._asked = steady()
         if self.pause != _BEAT:
             self.pause = _BEAT
             self._wake.set()
@@ -89,7 +85,7 @@ class StallDetector:
 
     def hung(self, seconds: float) -> bool:
         """Return whether a message that arrives now may have waited while this process hung for longer than that."""
-        now = _now()
+        now = steady()
         return now - self._last > seconds or (now < self._until and self.last_stall > seconds)
 
 

@@ -11,11 +11,12 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
+from bridge.clock import steady
 from bridge.web.feeds.feed import Feed, Feeds
 from bridge.web.outbox import MOST_ACTIONS, MOST_REPLIES, PageOutbox, Post, PostedActions
 from bridge.web.serving.access import Grant
 from bridge.web.serving.login import who
-from bridge.web.verbs.hold import HandDriving, steady
+from bridge.web.verbs.hold import HandDriving
 from bridge.web.verbs.verbs import VerbError, Verbs, number_between
 
 _log = logging.getLogger("midspan.web")

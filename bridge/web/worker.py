@@ -14,7 +14,7 @@ from bridge.client.types import Types
 from bridge.client.velocity import STOP_SECONDS
 from bridge.concurrency import SerialExecutor
 from bridge.config.model import Config
-from bridge.hub.control import HALTED_BY_HAND, WorkerAnswer
+from bridge.hub.control import MANUAL_DRIVING_HALTED, WorkerAnswer
 from bridge.hub.daemons import identity_of
 from bridge.hub.diagnostics import announce, has_subscribers
 from bridge.hub.namesakes import own_answers
@@ -197,7 +197,7 @@ class Console:
 
     def _on_halt(self, _params: Any) -> dict[str, Any]:
         self.host.loop.call(self._stop_robot)
-        return HALTED_BY_HAND
+        return MANUAL_DRIVING_HALTED
 
     def _status(self, _params: Any) -> dict[str, Any]:
         pages = self.server.pages

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -95,14 +96,23 @@ def test_a_daemon_can_connect_after_a_lack_of_threads(tmp_path: Path, caplog: py
         assert b"hello" in second.recv(4096)
 
 
-def test_a_line_that_ends_with_its_connection_does_not_spoil_the_next_one(tmp_path: Path) -> None:
-    """A worker ends the connection when the daemon does not read for a while, in the middle of a report."""
-    config, kind, loop = Config(name="test", state=tmp_path), SimpleNamespace(name="tests"), SelectorLoop()
+@contextlib.contextmanager
+def listening(config: Config) -> Iterator[tuple[SelectorLoop, SocketChannel, socket.socket]]:
+    """A daemon's channel to a worker, and the socket at which the worker accepts its connections."""
+    kind, loop = SimpleNamespace(name="tests"), SelectorLoop()
     listener: Any = SimpleNamespace(on_report=lambda _: None, on_exit=lambda _: None)
     channel = SocketChannel(loop, listener, cast("Any", kind), config)
     with contextlib.closing(loop), socket.socket(socket.AF_UNIX) as worker:
         worker.bind(str(state_file.control_socket(config, kind.name)))
         worker.listen()
+        worker.settimeout(20)
+        yield loop, channel, worker
+        channel.detach()
+
+
+def test_a_line_that_ends_with_its_connection_does_not_spoil_the_next_one(tmp_path: Path) -> None:
+    """A worker ends the connection when the daemon does not read for a while, in the middle of a report."""
+    with listening(Config(name="test", state=tmp_path)) as (loop, channel, worker):
         for pid, rest in ((101, b'{"beat": '), (102, b"")):
             assert channel.adopt()
             daemon, _ = worker.accept()
@@ -114,13 +124,8 @@ def test_a_line_that_ends_with_its_connection_does_not_spoil_the_next_one(tmp_pa
 
 def test_a_configuration_that_a_lost_connection_did_not_deliver_is_sent_again(tmp_path: Path) -> None:
     """A worker ends the connection when the daemon does not read for a while, just before a reload."""
-    config, kind, loop = Config(name="test", state=tmp_path), SimpleNamespace(name="tests"), SelectorLoop()
-    listener: Any = SimpleNamespace(on_report=lambda _: None, on_exit=lambda _: None)
-    channel = SocketChannel(loop, listener, cast("Any", kind), config)
-    with contextlib.closing(loop), socket.socket(socket.AF_UNIX) as worker:
-        worker.bind(str(state_file.control_socket(config, kind.name)))
-        worker.listen()
-        worker.settimeout(20)
+    config = Config(name="test", state=tmp_path)
+    with listening(config) as (loop, channel, worker):
         assert channel.adopt()
         worker.accept()[0].close()
         channel.send(NewConfig(config))
@@ -129,4 +134,3 @@ def test_a_configuration_that_a_lost_connection_did_not_deliver_is_sent_again(tm
         daemon.settimeout(20)
         with daemon, daemon.makefile("rb") as lines:
             assert decode_command(lines.readline()) == NewConfig(config)
-        channel.detach()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.control import HALTED_BY_HAND
+from bridge.hub.control import MANUAL_DRIVING_HALTED
 from bridge.messages.json import from_json
 from bridge.web.verbs import hold
 from navigation.status import State
@@ -153,19 +153,22 @@ def drive_until_received(desk: Desk, app: App, number: int, subscription: int) -
     return until(receive, "a velocity is received", 10)
 
 
+def drive_until_refused(app: App, number: int, reason: str) -> None:
+    def refused() -> bool:
+        app.publish(number, velocity(0.1))
+        app.read()
+        return any(reason in entry.get("message", "") for entry in app.texts)
+
+    until(refused, f"driving is refused: {reason}")
+
+
 def test_a_halt_on_the_hub_ends_driving_until_the_control_is_released(driven: Desk) -> None:
     subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     with driven.app() as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
         drive_until_received(driven, app, number, subscription)
-        assert HALTED_BY_HAND in [answer.value for answer in driven.far.hub.ask("halt", {})]
-
-        def refused() -> bool:
-            app.publish(number, velocity(2.0))
-            app.read()
-            return any("release the control first" in entry.get("message", "") for entry in app.texts)
-
-        until(refused, "the control, which is still pressed, no longer drives")
+        assert MANUAL_DRIVING_HALTED in [answer.value for answer in driven.far.hub.ask("halt", {})]
+        drive_until_refused(app, number, "release the control first")
         until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero is commanded")
 
 
@@ -205,13 +208,7 @@ def test_one_client_drives_at_a_time_and_none_against_a_planner(desk: Desk) -> N
         until(refused, "one of the clients is refused")
         status = desk.far.advertise("/navigation/status", "midspan_msgs/NavigationStatus", latched=True)
         desk.far.publish(status, {"state": State.MOVING.value})
-
-        def planner() -> bool:
-            app.publish(number, velocity(0.1))
-            app.read()
-            return any("nav2 drives" in entry.get("message", "") for entry in app.texts)
-
-        until(planner, "driving against the planner is refused")
+        drive_until_refused(app, number, "nav2 drives")
         until(lambda: desk.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "a zero velocity was commanded")
 
 

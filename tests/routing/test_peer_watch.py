@@ -23,7 +23,7 @@ class World:
         self.b_holds, self.b_lives, self.b_since = False, True, 5
         clock = SimpleNamespace(monotonic=lambda: self.now, time_ns=lambda: int(self.now * 1e9))
         monkeypatch.setattr(peer_watch, "time", clock)
-        monkeypatch.setattr(peer_watch, "steady_ns", lambda: int((self.now + self.slept) * 1e9))
+        monkeypatch.setattr(peer_watch, "steady", lambda: self.now + self.slept)
         self.settled, self.asked = True, set[float]()
         edge: Any = SimpleNamespace(
             side="fake",

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from bridge.clock import steady_ns
-from bridge.hub.control import HALTED_BY_HAND
+from bridge.clock import steady
+from bridge.hub.control import MANUAL_DRIVING_HALTED
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
 from bridge.messages.velocities import TWIST, TWIST_STAMPED
@@ -178,7 +178,7 @@ def test_a_halt_on_the_hub_ends_a_hold(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base)
-        assert HALTED_BY_HAND in [answer.value for answer in desk.far.hub.ask("halt", {})]
+        assert MANUAL_DRIVING_HALTED in [answer.value for answer in desk.far.hub.ask("halt", {})]
         until(base.stands, "the base stands")
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
         page.until(
@@ -207,7 +207,7 @@ def test_a_hold_does_not_outlast_a_suspended_machine(desk: Desk, monkeypatch: py
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base)
-        monkeypatch.setattr("bridge.web.verbs.hold.steady_ns", lambda: steady_ns() + 3600 * 10**9)
+        monkeypatch.setattr("bridge.web.verbs.hold.steady", lambda: steady() + 3600.0)
         until(base.stands, "the base stands")
 
 

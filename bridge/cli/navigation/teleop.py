@@ -17,7 +17,7 @@ from bridge.cli.output import CliError
 from bridge.client.graph import absolute
 from bridge.client.types import Types
 from bridge.client.velocity import STOP_SECONDS, VelocityForm, VelocityPublisher, open_velocity
-from bridge.clock import steady_ns
+from bridge.clock import steady
 from bridge.config.sections.section import Enabled
 from bridge.text import clean
 
@@ -132,11 +132,6 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _now() -> float:
-    """Return the seconds of a clock that also runs while the machine is suspended: no key counts as held after that."""
-    return steady_ns() / 1e9
-
-
 def _warn(text: str) -> None:
     print(f"\nmidspan: warning: {clean(text)}", file=sys.stderr)
 
@@ -146,11 +141,11 @@ def _drive(keys: Keys, terminal: int, publisher: VelocityPublisher, check: Calla
     while not keys.ended:
         check()
         for key in pressed(terminal, max(0.0, due - time.monotonic())):
-            keys.press(key, _now())
+            keys.press(key, steady())
         if time.monotonic() < due:
             continue
         due = max(due + 1.0 / RATE, time.monotonic())
-        velocity = keys.velocity(_now())
+        velocity = keys.velocity(steady())
         publisher.follow()
         if any(velocity):
             keys.zeros = round(STOP_SECONDS * RATE)

@@ -8,7 +8,7 @@ from threading import Event
 from typing import Protocol
 
 from bridge.client.velocity import STOP_SECONDS, VelocityPublisher
-from bridge.clock import steady_ns
+from bridge.clock import steady
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.modules.velocity import velocity_publisher
@@ -20,11 +20,6 @@ _PERIOD = 0.05
 _ZERO = (0.0, 0.0, 0.0)
 
 Velocity = tuple[float, float, float]
-
-
-def steady() -> float:
-    """Return the seconds of a clock that also runs while the machine is suspended: a hold must not outlast that."""
-    return steady_ns() / 1e9
 
 
 class HandDriver(Protocol):
@@ -85,7 +80,7 @@ class HandDriving:
             x: velocity forward, m/s.
             y: velocity to the left, m/s.
             turn: angular velocity, rad/s.
-            arrived: when the page's message arrived, seconds of `steady`.
+            arrived: when the page's message arrived, seconds of `bridge.clock.steady`: no hold outlasts a suspension.
             pressed: when the first message since the page's last release arrived.
         """
         if self._ended or steady() - arrived > HOLD_SECONDS:
