@@ -171,7 +171,7 @@ def test_port_opened_by_a_delayed_update_is_closed(
 def test_every_port_is_unregistered_although_the_name_server_is_slow_when_the_edge_stops(
     names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One late reply once left all ports registered."""
+    """Only the time for all commands together is limited (`edge._STOP_TIMEOUT`)."""
     monkeypatch.setattr(edge_module, "_STOP_TIMEOUT", 20.0)
     for number in range(10):
         edge.advertise(f"/talk_{number}", STRING, Qos())
