@@ -296,15 +296,16 @@ class HubRoute:
 
     def __init__(self, hub: Hub, there: Hub) -> None:
         registry, self.network = Registry(), FakeNetwork()
-        type_, idle, lease = registry.ros2(STRING), Dispatcher("idle"), Lease()
+        type_, lease = registry.ros2(STRING), Lease()
         lease.extend(math.inf)
+        self.dispatcher = Dispatcher("test-messages")  # not started: queued messages wait
         policy = RoutePolicy(allowed=True, why="", name=TOPIC)
         self.hub, self._there, self._type_id = hub, there, type_.type_id
         self.route = HubToSideRoute(
             RouteKey(TOPIC, STRING, type_.type_id), TOPIC, None, Conversion(type_, type_, None), policy,
             EngineContext(
-                hub, FakeEdge(self.network, registry), StallDetector(), lease, cast("Any", None), idle, idle,
-                lambda: None,
+                hub, FakeEdge(self.network, registry), StallDetector(), lease, cast("Any", None),
+                self.dispatcher, self.dispatcher, lambda: None,
             ),
         )  # fmt: skip
         self.received: list[str] = []
@@ -339,6 +340,7 @@ def hub_route() -> Iterator[HubRoute]:
 def test_messages_of_a_hub_publisher_that_returns_are_retained_again(hub_route: HubRoute) -> None:
     """As after a lost link, or while another daemon carried the topic: the route has received the message before."""
     route, network = hub_route.route, hub_route.network
+    hub_route.dispatcher.start()  # for a message that arrives while this thread publishes
     endpoints = [hub_route.publisher(LATCHED, text)[1] for text in ("1", "2")]
     route.update(endpoints, [])
     until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages are retained")
@@ -348,6 +350,7 @@ def test_messages_of_a_hub_publisher_that_returns_are_retained_again(hub_route: 
     until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages are retained again")
     until(lambda: route.counters.messages >= 3, "the message is counted")  # after it is retained
     assert route.counters.messages == 3, "the other publisher's message is not repeated"
+    hub_route.dispatcher.stop()
 
 
 def test_message_with_an_invented_gid_is_retained_again_when_its_publisher_returns() -> None:
