@@ -42,6 +42,7 @@ class ActionCaller(ActionTopics):
         self._open: list[object] = []
         self._server: FoundServer | None = None
         self._ready = False
+        self._links: dict[str, int] = {}
         self._newest_statuses: tuple[bytes, str] | None = None
         self._early_statuses: tuple[bytes, str] | None = None
         self._postponed: list[tuple[bytes, Done, _DeferredCall]] = []
@@ -154,10 +155,15 @@ class ActionCaller(ActionTopics):
         server = self._server
         if server is None:
             return
-        listening = {part for part, publisher in self._publishers.items() if server.node in publisher.subscribers}
+        links = {part: publisher.subscribers.get(server.node, 0) for part, publisher in self._publishers.items()}
+        listening = {part for part, number in links.items() if number}
         subscribed = all(
             server.link(part) in subscription.connected for part, subscription in self._subscriptions.items()
         )
+        for part in listening:
+            if self._links.setdefault(part, links[part]) != links[part]:
+                self._links[part] = links[part]
+                self._client.reconnected(part)
         ready = subscribed and listening >= discovery.TO_SERVER
         if ready and not self._ready:
             self._client.connected()
@@ -168,6 +174,7 @@ class ActionCaller(ActionTopics):
 
     def _lose_server(self, reason: str) -> None:
         self._ready = False
+        self._links.clear()
         self._client.lost(reason)
         self._server, self._states = None, b""
 

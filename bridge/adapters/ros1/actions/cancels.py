@@ -2,7 +2,8 @@
 
 A goal and the request to cancel it use two connections to the server, so the request could arrive first. A request that
 names a goal is sent once the server reports the goal, or after `CROSSING_SECONDS`. A request for several goals is sent
-at once, and repeated for each goal that the server reports only later.
+at once, and repeated for each goal that the server reports only later. After a reconnection to the cancel topic, all
+requests are repeated whose goals show no effect.
 """
 
 from __future__ import annotations
@@ -85,6 +86,12 @@ class CancelRequests:
         """Cancel a goal that the server reports for the first time, if a request included it."""
         if any(goal in c.goals and c.unsent is None and not c.single for c in self._open):
             self._publish(wire.goal_id(GoalId(ZERO, goal.id)))
+
+    def repeat(self) -> None:
+        """Send again what the loss of a connection may have swallowed, for the goals that show no effect yet."""
+        requested = [goal for cancel in self._open if cancel.unsent is None for goal in cancel.goals]
+        for id_ in dict.fromkeys(goal.id for goal in requested if _is_untouched(goal)):
+            self._publish(wire.goal_id(GoalId(ZERO, id_)))
 
     def _answer(self) -> None:
         """Answer the requests whose goals are all canceling or ended."""

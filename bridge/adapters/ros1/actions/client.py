@@ -73,7 +73,7 @@ class ActionlibClient:
         self._goals = GoalStore()
         self._cancels = CancelRequests(lambda payload: output.publish(CANCEL, payload), clock)
         self._lost_results: deque[tuple[float, TrackedGoal]] = deque()
-        self._ready = False
+        self._ready, self._disconnected_at = False, 0.0
         self._lost_reason = ""
         self._has_list = False
         self._changed = False
@@ -135,8 +135,7 @@ class ActionlibClient:
         elif self._lost_reason:
             done(cancels.REFUSED)
         elif single and named is not None and named.lost:
-            if self._cancels.reachable:
-                self._output.publish(CANCEL, wire.goal_id(GoalId(ZERO, named.id)))
+            self._publish_cancel(named)
             done(_NO_SUCH_GOAL)
         else:
             goals = [g for g in self._goals.unfinished() if not g.state.ended and cancels.concerns(g, uuid, stamp)]
@@ -147,7 +146,7 @@ class ActionlibClient:
     def _abandon(self, goal: TrackedGoal) -> None:
         """Drop an unsent goal whose send_goal client has left."""
         goal.asker = None
-        if goal.body is not None and not goal.refused:
+        if goal.unsent and not goal.refused:
             self._drop(goal, "its caller left")
 
     # -- events of the server ------------------------------------------------------------------------------------------
@@ -160,14 +159,26 @@ class ActionlibClient:
         """Send waiting goals, because all five topics are connected."""
         self._ready = True
         for goal in self._goals.unfinished():
-            if goal.body is not None:
+            if goal.unsent:
                 self._send(goal)
         self.reach(reachable=True)
 
     def disconnected(self) -> None:
         """Hold back goals while a connection to the server is missing; the connection may return."""
-        self._ready = False
+        self._ready, self._disconnected_at = False, self._clock()
         self.reach(reachable=False)
+
+    def reconnected(self, part: str) -> None:
+        """Send again what the server may not have received before its connection to ``goal`` or ``cancel`` ended.
+
+        An actionlib server ignores a goal whose id it lists, so no goal is executed twice.
+        """
+        if part == CANCEL:
+            self._cancels.repeat()
+            return
+        for goal in self._goals.unfinished():
+            if goal.unconfirmed and goal.asker is not None:
+                self._send(goal)
 
     def reach(self, *, reachable: bool) -> None:
         """Set whether the server is connected to the cancel topic; that suffices for canceling its goals."""
@@ -187,18 +198,17 @@ class ActionlibClient:
         for goal in self._goals.unfinished():
             if goal.state.ended:
                 self._end(goal, goal.state, self._empty)
-            elif goal.accepted or goal.body is None:
-                self._lose(goal, reason)
-            else:
+            elif goal.unsent:
                 self._drop(goal, reason)
+            else:
+                self._lose(goal, reason)
         self._changed = False
 
     def close(self, reason: str) -> None:
         """Cancel the goals of this client if the server is connected to the cancel topic; stop tracking all goals."""
-        if self._cancels.reachable:
-            for goal in self._goals.unfinished():
-                if goal.ours and goal.body is None and not goal.state.ended:
-                    self._output.publish(CANCEL, wire.goal_id(GoalId(ZERO, goal.id)))
+        for goal in self._goals.unfinished():
+            if goal.ours and not goal.unsent and not goal.state.ended:
+                self._publish_cancel(goal)
         self.lost(reason)
 
     def statuses(self, found: Iterable[GoalStatus]) -> None:
@@ -211,6 +221,8 @@ class ActionlibClient:
             if goal is not None:
                 goal.listed = True
                 self._follow(goal, status)
+                if goal.refused and Ros1State.parse(status.state) in (Ros1State.PENDING, Ros1State.ACTIVE):
+                    self._publish_cancel(goal)
         for goal in self._goals.unfinished():
             if goal.listed and goal.id not in named and not goal.state.ended:
                 self._lose(goal, "the server no longer lists it")
@@ -254,9 +266,7 @@ class ActionlibClient:
             if goal.result is None and not goal.refused:
                 self._end(goal, goal.state, self._empty)
         if not self._ready:
-            for goal in self._goals.unfinished():
-                if goal.body is not None and goal.since <= now - CONNECT_SECONDS:
-                    self._drop(goal, "the server does not connect to this bridge")
+            self._refuse_unconnected(now - CONNECT_SECONDS)
         if not self._cancels.reachable:
             self._cancels.refuse_unsent(now - CONNECT_SECONDS)
         self._cancels.send()
@@ -272,8 +282,24 @@ class ActionlibClient:
 
     def _send(self, goal: TrackedGoal) -> None:
         # Stamp zero, because a server cancels any other new goal whose stamp is not after the last cancel request's.
-        body, goal.body = goal.body or b"", None
-        self._output.publish(GOAL, wire.action_goal(GoalId(ZERO, goal.id), body))
+        goal.sent = True
+        self._output.publish(GOAL, wire.action_goal(GoalId(ZERO, goal.id), goal.body or b""))
+
+    def _refuse_unconnected(self, before: float) -> None:
+        """Reject the goals that have waited for connections since ``before``; cancel those that may have arrived.
+
+        If such a goal arrives only later, it is canceled when the server lists it.
+        """
+        for goal in self._goals.unfinished():
+            if goal.unconfirmed and self._disconnected_at <= before:
+                self._publish_cancel(goal)
+                self._drop(goal, "the server does not connect to this bridge")
+            elif goal.unsent and goal.since <= before:
+                self._drop(goal, "the server does not connect to this bridge")
+
+    def _publish_cancel(self, goal: TrackedGoal) -> None:
+        if self._cancels.reachable:
+            self._output.publish(CANCEL, wire.goal_id(GoalId(ZERO, goal.id)))
 
     def _goal(self, status: GoalStatus) -> TrackedGoal | None:
         """Return the goal of a status; add it if another client sent it. None if there are too many goals."""
@@ -315,7 +341,7 @@ class ActionlibClient:
         if goal.ours and state in (Ros1State.REJECTED, Ros1State.RECALLED, Ros1State.LOST):
             self._drop(goal, status.text or f"the server reports {state.name}")
             return
-        goal.state, goal.stamp = GoalState.ACCEPTED, status.goal.stamp
+        goal.state, goal.stamp, goal.body = GoalState.ACCEPTED, status.goal.stamp, None
         self._changed = True
         asker, goal.asker = goal.asker, None
         if asker is not None:
@@ -343,7 +369,7 @@ class ActionlibClient:
     def _lose(self, goal: TrackedGoal, reason: str) -> None:
         """End a goal as UNKNOWN: its state is no longer reported, and it may still be executing."""
         _log.warning("%s: can no longer track goal %s: %s", self.name, goal.id, reason)
-        goal.lost, goal.text = True, LOST + reason
+        goal.lost, goal.body, goal.text = True, None, LOST + reason
         asker, goal.asker = goal.asker, None
         if asker is not None:
             asker(CallError(goal.text))

@@ -25,7 +25,8 @@ class TrackedGoal:
     """One goal.
 
     Attributes:
-        body: the goal message until it is sent; None after that, and for goals of ROS 1 clients.
+        body: the goal message until the server reports the goal; None after that, and for goals of ROS 1 clients.
+        sent: whether the goal message has been sent.
         ours: whether a client of the hub sent the goal.
         asker: the pending send_goal call.
         waiting: the pending get_result calls.
@@ -42,6 +43,7 @@ class TrackedGoal:
     id: str
     since: float
     body: bytes | None = None
+    sent: bool = False
     ours: bool = False
     asker: Done | None = None
     waiting: list[Done] = field(default_factory=list)
@@ -66,10 +68,14 @@ class TrackedGoal:
         return "" if self.state is GoalState.SUCCEEDED else self.text
 
     @property
+    def unsent(self) -> bool:
+        """Whether the goal waits to be sent."""
+        return self.body is not None and not self.sent
+
+    @property
     def unconfirmed(self) -> bool:
         """Whether the goal has been sent, but not yet reported by the server."""
-        sent = self.ours and self.body is None
-        return sent and self.state is GoalState.UNKNOWN and not self.refused and not self.lost
+        return self.sent and self.state is GoalState.UNKNOWN and not self.refused and not self.lost
 
     @property
     def accepted(self) -> bool:

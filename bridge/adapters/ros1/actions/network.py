@@ -41,8 +41,8 @@ class TopicPublisher(EdgePublisher, Protocol):
     """A publication of a ROS 1 topic."""
 
     @property
-    def subscribers(self) -> frozenset[str]:
-        """The connected nodes."""
+    def subscribers(self) -> Mapping[str, int]:
+        """The connected nodes, with the number of each node's connection, which is another one after a reconnection."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +248,7 @@ class _LentPublisher:
     until: float = math.inf
 
     @property
-    def subscribers(self) -> frozenset[str]:
+    def subscribers(self) -> Mapping[str, int]:
         return self.publisher.subscribers
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from bridge.adapters.ros1.topics.book import TopicBook
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import MessageTypeError
@@ -47,9 +49,9 @@ class Ros1Publisher:
         self._book.unpublish(self._publication, latched=self._latched)
 
     @property
-    def subscribers(self) -> frozenset[str]:
-        """The nodes that are connected to the topic."""
-        return frozenset(connection.peer for connection in self._publication.connections)
+    def subscribers(self) -> Mapping[str, int]:
+        """The nodes that are connected to the topic, with the number of each node's connection."""
+        return {connection.peer: connection.id for connection in self._publication.connections}
 
     @property
     def has_subscribers(self) -> bool:

@@ -1,4 +1,4 @@
-"""The parts of an actionlib server's action: goals that wait for transforms."""
+"""The parts of an actionlib server's action: goals that wait for transforms, or that a lost connection swallowed."""
 
 from types import SimpleNamespace
 
@@ -7,12 +7,12 @@ import pytest
 from bridge.adapters.ros1.actions import wire
 from bridge.adapters.ros1.actions.caller import ActionCaller
 from bridge.adapters.ros1.actions.cancels import ANY
-from bridge.adapters.ros1.actions.discovery import FEEDBACK, GOAL, RESULT, STATUS
+from bridge.adapters.ros1.actions.discovery import CANCEL, FEEDBACK, GOAL, RESULT, STATUS
 from bridge.adapters.ros1.actions.wire import ZERO, GoalInfo, RosTime
 from bridge.messages.actions import CANCEL_GOAL, SEND_GOAL
 from bridge.messages.definitions.schema import World
 from bridge.messages.definitions.text import closure, parse_full
-from tests.peers.ros1.client_world import uuid
+from tests.peers.ros1.client_world import name, uuid
 
 BODY = b"body"
 
@@ -22,6 +22,7 @@ class Caller:
 
     def __init__(self) -> None:
         self.trouble, self.sent, self.reports = None, [], []
+        self.subscribers = {"/server": 1}  # with the numbers of the connections, here the same for both topics
         definitions = parse_full("int32 number", "test_msgs/Result", World.ROS1)
         schema = closure(definitions["test_msgs/Result"], definitions)
         links = {part: f"link {part}" for part in (STATUS, FEEDBACK, RESULT)}
@@ -31,7 +32,7 @@ class Caller:
             def send(payload, _source) -> None:
                 self.sent.append((topic, payload))
 
-            return SimpleNamespace(send=send, subscribers={"/server"}, close=lambda: None)
+            return SimpleNamespace(send=send, subscribers=self.subscribers, close=lambda: None)
 
         def subscribe(_topic, _type, _deliver, _suffix) -> SimpleNamespace:
             return SimpleNamespace(connected=set(links.values()), close=lambda: None)
@@ -51,6 +52,13 @@ class Caller:
 
     def poll(self):
         self.action.poll([self.server])
+
+    def connect(self, number):
+        """Have the server connected by another connection, or not at all."""
+        self.subscribers.clear()
+        if number:
+            self.subscribers["/server"] = number
+        self.poll()
 
     def call(self, part, request):
         answers = []
@@ -83,3 +91,24 @@ def test_a_cancel_request_by_time_does_not_include_a_goal_that_waits_for_transfo
     caller.trouble = ""
     caller.poll()
     assert len(caller.goals) == 1
+
+
+@pytest.mark.parametrize("noticed", [True, False])
+def test_a_goal_and_its_cancel_request_are_sent_again_to_a_server_that_has_reconnected(noticed):
+    """The first messages may have been sent on a connection that had just ended, or on none."""
+    caller = Caller()
+    caller.trouble = ""
+    assert not caller.call(SEND_GOAL, uuid(1) + BODY)
+    assert not caller.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(ANY, ZERO)))
+    caller.poll()
+    assert (len(caller.goals), len(caller.sent)) == (1, 2)
+    if noticed:
+        caller.connect(0)
+    caller.connect(2)
+    assert caller.goals == [name(1), name(1)]
+    assert [wire.read_goal_id(payload).id for topic, payload in caller.sent if topic == f"/act/{CANCEL}"] == [
+        "",
+        name(1),
+    ]
+    caller.poll()
+    assert len(caller.sent) == 4

@@ -5,6 +5,7 @@ import pytest
 from bridge.adapters.ros1.actions import goal as goal_module
 from bridge.adapters.ros1.actions import states, wire
 from bridge.adapters.ros1.actions.client import CONNECT_SECONDS
+from bridge.adapters.ros1.actions.discovery import GOAL
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, RosTime
 from bridge.hub.endpoints.calls import CallError
@@ -189,7 +190,33 @@ def test_goals_wait_for_the_connections_but_not_forever(world):
     assert accepted(waiting) is False
     world.client.connected()
     assert len(world.goals) == 1
-    assert (answers, late) == ([], [])
+    assert accepted(answers) is False, "it is unknown whether the goal has arrived"
+    assert late == []
+
+
+def test_a_goal_that_may_be_lost_with_its_connection_is_sent_again(world):
+    world.send(1)
+    left = world.client.send_goal(uuid(2) + b"left", [].append)
+    world.send(3)
+    world.report((3, Ros1State.ACTIVE))
+    left()
+    world.client.reconnected(GOAL)
+    assert [goal.id for goal, _ in world.goals] == [name(n) for n in (1, 2, 3, 1)]
+    assert world.goals[0] == world.goals[3]
+
+
+def test_a_rejected_goal_that_arrives_nevertheless_is_canceled(world):
+    answers = world.send(1)
+    world.client.disconnected()
+    world.client.reach(reachable=True)
+    world.advance(CONNECT_SECONDS + 0.1)
+    assert accepted(answers) is False
+    assert world.cancels == [GoalId(ZERO, name(1))], "it may have arrived already"
+    world.client.connected()
+    world.report((1, Ros1State.ACTIVE))
+    assert world.cancels == [GoalId(ZERO, name(1))] * 2
+    world.report((1, Ros1State.PREEMPTING))
+    assert len(world.cancels) == 2
 
 
 def test_closing_cancels_and_ends_the_goals_of_the_hub(world):

@@ -4,6 +4,7 @@ import pytest
 
 from bridge.adapters.ros1.actions.cancels import CROSSING_SECONDS
 from bridge.adapters.ros1.actions.client import CONNECT_SECONDS
+from bridge.adapters.ros1.actions.discovery import CANCEL
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, RosTime
 from bridge.messages.actions import CancelCode
@@ -118,6 +119,21 @@ def test_cancel_all_is_sent_at_once_and_repeated_for_a_goal_that_it_overtook(wor
     assert world.cancels == [GoalId(ZERO, ""), GoalId(ZERO, name(1))]
     world.report((1, Ros1State.PREEMPTING))
     assert canceled(answers) == (CancelCode.NONE, {1})
+
+
+def test_requests_that_may_be_lost_with_their_connection_are_sent_again_for_unaffected_goals(world):
+    for number in (1, 2, 3):
+        world.send(number)
+    world.report(*((n, Ros1State.ACTIVE) for n in (1, 2, 3)))
+    every, single = world.stop(), world.stop(1)
+    world.report((1, Ros1State.ACTIVE), (2, Ros1State.PREEMPTING), (3, Ros1State.ACTIVE))
+    world.client.reconnected(CANCEL)
+    assert world.cancels[2:] == [GoalId(ZERO, name(1)), GoalId(ZERO, name(3))]
+    assert (every, single) == ([], [])
+    world.report(*((n, Ros1State.PREEMPTING) for n in (1, 2, 3)))
+    assert canceled(every) == (CancelCode.NONE, {1, 2, 3})
+    world.client.reconnected(CANCEL)
+    assert len(world.cancels) == 4
 
 
 def test_a_stop_needs_only_the_cancel_topic(world):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import pytest
 
 from bridge.adapters.ros1.actions import network
@@ -16,7 +19,7 @@ class TopicPublisher:
     """A publication that records whether it is open."""
 
     dropped = 0
-    subscribers: frozenset[str] = frozenset()
+    subscribers: Mapping[str, int] = MappingProxyType({})
 
     def __init__(self, topic: str) -> None:
         self.topic, self.open = topic, True
