@@ -6,11 +6,11 @@ import logging
 import os
 import re
 
-from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, removal_calls
+from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, pid_of, removal_calls
 from bridge.adapters.ros1.graph.registrations import batches
 from bridge.adapters.ros1.graph.state import MasterReader, MasterState
 from bridge.adapters.ros1.node.node import Ros1Node
-from bridge.adapters.ros1_peers import Ros1Error, XmlRpcClient, ask
+from bridge.adapters.ros1_peers import XmlRpcClient
 
 _log = logging.getLogger(__name__)
 
@@ -73,12 +73,8 @@ class Membership:
         self._ledger.remember(None)
 
     def responds(self, uri: str) -> bool:
-        """Return whether a node responds at this URI. Blocks up to a second."""
-        try:
-            ask(uri, 1.0, "getPid", self._node.name)
-        except Ros1Error:
-            return False
-        return True
+        """Return whether a node responds at this URI; see `pid_of`."""
+        return pid_of(self._node.name, uri) is not None
 
     def _agree_on_the_clock(self) -> None:
         """Make new nodes use ``/clock`` in a simulated run; otherwise read whether they do."""

@@ -30,11 +30,22 @@ from urllib.parse import urlsplit
 
 from bridge.adapters.ros1.graph.state import PRESENCE, MasterState
 from bridge.adapters.ros1.handshake import Header, encode, read_exactly, read_header
-from bridge.adapters.ros1_peers import Call, DeadlineSocket, Ros1Error, Ros1ProtocolError, ask
+from bridge.adapters.ros1_peers import (
+    Call,
+    DeadlineSocket,
+    RefusedError,
+    Ros1Error,
+    Ros1ProtocolError,
+    UnreachableError,
+    ask,
+)
 from bridge.routing.edge import Sighting
 from bridge.state_file import keep
 
 _LIVENESS_SECONDS = 1.0
+_ATTEMPTS = 2
+"""Calls in a row without an answer after which a node counts as dead, because this process may have been suspended
+during one of them. If the node's host refuses the connection, one call suffices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +95,28 @@ def others(state: MasterState, own: NodeEntry) -> list[NodeEntry]:
 
 
 def is_alive(caller: str, entry: NodeEntry) -> bool:
-    """Return whether an entry's node responds, and is the process that created the entry. Blocks up to a second."""
-    try:
-        return bool(ask(entry.uri, _LIVENESS_SECONDS, "getPid", caller) == entry.pid)
-    except Ros1Error:
-        return False
+    """Return whether an entry's node responds, and is the process that created the entry; see `pid_of`."""
+    return pid_of(caller, entry.uri) == entry.pid
+
+
+def pid_of(caller: str, uri: str) -> int | None:
+    """Return the process id of the node at a URI, None if no node responds there. Blocks up to two seconds.
+
+    It is 0 for a node that does not report its id. Raises `ExhaustedError`, which says nothing about the node.
+    """
+    for _ in range(_ATTEMPTS):
+        try:
+            pid = ask(uri, _LIVENESS_SECONDS, "getPid", caller)
+        except RefusedError:  # an error is an answer, too
+            return 0
+        except UnreachableError as err:
+            if err.refused:
+                return None
+        except Ros1ProtocolError:  # another program has the port
+            return None
+        else:
+            return pid if isinstance(pid, int) else 0
+    return None
 
 
 def removal_calls(state: MasterState, dead: Iterable[NodeEntry]) -> list[Call]:

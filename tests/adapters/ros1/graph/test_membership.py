@@ -1,0 +1,71 @@
+"""The choice of this node's name on a ROS 1 network: no live node loses its name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from bridge.adapters.ros1.graph import presence
+from bridge.adapters.ros1.graph.membership import Membership
+from bridge.adapters.ros1.graph.presence import NodeEntry, is_alive
+from bridge.adapters.ros1.graph.state import MasterState
+from bridge.adapters.ros1_peers import ExhaustedError, RefusedError, Ros1Error, UnreachableError
+
+HOLDER = NodeEntry("owner", "first", "/midspan", "http://holder:1/", 7)
+STATE = MasterState("run", "network", uris={HOLDER.node: HOLDER.uri})
+REFUSED, SILENT = UnreachableError("refused", refused=True), UnreachableError("no answer in time")
+
+
+def free_name() -> str:
+    """Return the name that a second daemon's node would choose."""
+    node, unused = cast("Any", SimpleNamespace(name="/midspan", uri="http://own:2/")), cast("Any", None)
+    return Membership(node, "second", unused, unused, unused, simulated=False)._free_name(STATE, set())
+
+
+def answer(monkeypatch: pytest.MonkeyPatch, answers: Sequence[int | Ros1Error]) -> list[str]:
+    """Have the holder's node answer calls in this way; return the list of the calls."""
+    calls, pending = list[str](), list(answers)
+
+    def ask(uri: str, _seconds: float, method: str, *_params: object) -> int:
+        calls.append(method)
+        assert uri == HOLDER.uri
+        result = pending.pop(0)
+        if isinstance(result, Ros1Error):
+            raise result
+        return result
+
+    monkeypatch.setattr(presence, "ask", ask)
+    return calls
+
+
+@pytest.mark.parametrize("answers", [[7], [SILENT, 7], [RefusedError("no such method")]])
+def test_a_live_node_keeps_its_name(monkeypatch: pytest.MonkeyPatch, answers: list[int | Ros1Error]) -> None:
+    """A call without an answer proves nothing: this process may have been suspended until its deadline had passed."""
+    calls = answer(monkeypatch, answers)
+    assert free_name() == "/midspan_second"
+    assert len(calls) == len(answers)
+
+
+@pytest.mark.parametrize("answers", [[REFUSED], [SILENT, SILENT], [SILENT, REFUSED]])
+def test_the_name_of_a_dead_node_is_free(monkeypatch: pytest.MonkeyPatch, answers: list[int | Ros1Error]) -> None:
+    calls = answer(monkeypatch, answers)
+    assert free_name() == "/midspan"
+    assert len(calls) == len(answers)
+
+
+@pytest.mark.parametrize(("answers", "alive"), [([SILENT, 7], True), ([8], False), ([REFUSED], False)])
+def test_a_predecessor_is_alive_if_it_is_the_same_process(
+    monkeypatch: pytest.MonkeyPatch, answers: list[int | Ros1Error], *, alive: bool
+) -> None:
+    answer(monkeypatch, answers)
+    assert is_alive("/midspan", HOLDER) is alive
+
+
+def test_a_process_without_descriptors_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The master is read again later."""
+    answer(monkeypatch, [ExhaustedError("no file descriptor left")])
+    with pytest.raises(ExhaustedError):
+        free_name()
