@@ -18,6 +18,7 @@ from bridge.adapters.ros1.actions.network import (
     learn,
     types_of,
 )
+from bridge.adapters.ros1.actions.orphans import OrphanedGoals
 from bridge.adapters.ros1.actions.served import PartPublisher, ServedAction
 from bridge.adapters.ros1.graph.probe import Facts
 from bridge.adapters.ros1.graph.state import MasterState, Registration
@@ -42,6 +43,7 @@ class Ros1Actions:
         self._lock = threading.Lock()
         self._callers: dict[tuple[str, str], ActionCaller] = {}
         self._served: dict[str, ServedAction] = {}
+        self._orphans = OrphanedGoals()
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
 
@@ -162,7 +164,7 @@ class Ros1Actions:
     def _serve(self, action: str) -> ServedAction:
         served = self._served.get(action)
         if served is None:
-            served = self._served[action] = ServedAction(action, self._network, self._types)
+            served = self._served[action] = ServedAction(action, self._network, self._types, self._orphans)
         self._start_thread()
         return served
 

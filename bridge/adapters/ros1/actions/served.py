@@ -11,6 +11,7 @@ from bridge.adapters.ros1.actions import discovery, wire
 from bridge.adapters.ros1.actions.cancel_order import CancelOrder, Client
 from bridge.adapters.ros1.actions.frames import empty, frames_in, has_headers, without_slashes
 from bridge.adapters.ros1.actions.network import ActionMessages, ActionNetwork, ActionTopics, OpenPart
+from bridge.adapters.ros1.actions.orphans import OrphanedGoals
 from bridge.adapters.ros1.actions.server import ActionlibServer
 from bridge.adapters.ros1.graph.state import node_of
 from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done, nothing
@@ -28,8 +29,11 @@ GONE = "the action server left"
 class ServedAction(ActionTopics):
     """Offers one action while all three of its services exist on the hub, and the side has no server of that name."""
 
-    def __init__(self, name: str, network: ActionNetwork, types: Callable[[str], ActionMessages]) -> None:
+    def __init__(
+        self, name: str, network: ActionNetwork, types: Callable[[str], ActionMessages], orphans: OrphanedGoals
+    ) -> None:
         super().__init__(name, network)
+        self._orphans = orphans
         self.rival = ""
         self._types_of = types
         self._type = ""
@@ -130,6 +134,7 @@ class ServedAction(ActionTopics):
             time.monotonic,
             lambda: wire.RosTime.of(self._network.clock().now_ns()),
             empty(types.result_body),
+            self._orphans,
         )
         self._order = CancelOrder(self._server, self._unread, time.monotonic)
         self._unwatch = self._network.clock().on_jump(lambda: self._executor.submit(self._clock_jumped))

@@ -17,6 +17,7 @@ from uuid import uuid4
 from bridge.adapters.ros1.actions import states, wire
 from bridge.adapters.ros1.actions.client import LOST
 from bridge.adapters.ros1.actions.discovery import FEEDBACK, RESULT, STATUS
+from bridge.adapters.ros1.actions.orphans import OrphanedGoals
 from bridge.adapters.ros1.actions.states import TO_ROS1, Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, GoalStatus, RosTime
 from bridge.hub.endpoints.calls import CallError, Done, UnsentCallError
@@ -102,12 +103,17 @@ class ActionlibServer:
     """The goals of one action.
 
     ``clock`` returns monotonic seconds, ``now`` the time for ROS 1's stamps; ``empty`` is a serialized empty result.
+    ``orphans``: goals that were aborted here without the server's report; they are canceled while the server lists them
+    as executing.
     """
 
     def __init__(
-        self, name: str, output: ServerOutput, clock: Callable[[], float], now: Callable[[], RosTime], empty: bytes
-    ) -> None:
-        self.name = name
+        self, name: str, output: ServerOutput, clock: Callable[[], float], now: Callable[[], RosTime], empty: bytes,
+        orphans: OrphanedGoals,
+    ) -> None:  # fmt: skip
+        self.name, self._orphans = name, orphans
+        self._executing: tuple[bytes, ...] = ()
+        self._cancel_again: dict[bytes, float] = {}
         self._output, self._clock, self._now, self._empty = output, clock, now, empty
         self._entries: dict[str, _ListedGoal] = {}
         self._by_uuid: dict[bytes, _ListedGoal] = {}
@@ -241,7 +247,7 @@ class ActionlibServer:
         elif isinstance(error, UnsentCallError):
             self._end(entry, Ros1State.REJECTED, self._empty, str(error))
         elif isinstance(error, CallError):
-            self._end(entry, Ros1State.ABORTED, self._empty, str(error))
+            self._lose(entry, str(error))
         else:
             self._end(entry, Ros1State.REJECTED, self._empty, "the action server rejected the goal")
         self._flush()
@@ -249,19 +255,18 @@ class ActionlibServer:
     def _on_result_reply(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
         if entry.state.ended:
             return
-        state, body, text = GoalState.ABORTED, self._empty, ""
         try:
             if isinstance(reply, CallError):
-                text = str(reply)
+                raise reply
+            number, body, text = wire.read_result_response(reply)
+        except (CallError, ConversionError) as err:
+            self._lose(entry, str(err))
+        else:
+            state = GoalState.parse(number)
+            if state.ended:
+                self._end(entry, self._final(entry, state), body, text)
             else:
-                number, body, text = wire.read_result_response(reply)
-                state = GoalState.parse(number)
-                if not state.ended:
-                    known = text.startswith(LOST)
-                    state, text = GoalState.ABORTED, text if known else "the action server no longer knows the goal"
-        except ConversionError as err:
-            text = str(err)
-        self._end(entry, self._final(entry, state), body, text)
+                self._lose(entry, text if text.startswith(LOST) else "the action server no longer knows the goal", body)
         self._flush()
 
     @staticmethod
@@ -280,6 +285,9 @@ class ActionlibServer:
         for entry in [e for e in self._by_uuid.values() if not e.ours and not e.state.ended and e.uuid not in named]:
             self._set(entry, Ros1State.ABORTED, "the action server no longer knows the goal")
             entry.since = self._clock()
+        active = {GoalState.ACCEPTED, GoalState.EXECUTING}
+        self._executing = tuple(info.uuid for info, number in goals if GoalState.parse(number) in active)
+        self._cancel_orphans()
         self._flush()
 
     def _follow(self, info: GoalInfo, state: GoalState) -> None:
@@ -314,8 +322,8 @@ class ActionlibServer:
         """End all listed goals, since the hub's server has left."""
         for entry in list(self._entries.values()):
             if not entry.state.ended and entry.uuid is not None:
-                self._end(entry, Ros1State.ABORTED, self._empty, reason)
-        self._published = float("-inf")
+                self._lose(entry, reason)
+        self._published, self._executing = float("-inf"), ()
         self._flush()
         self._closed = True
 
@@ -332,6 +340,7 @@ class ActionlibServer:
             entry.cancel_at = None
             if not entry.state.ended:
                 self._send_cancel(entry)
+        self._cancel_orphans()
         while self._results and self._results[0][0] <= now - RESULT_SECONDS:
             self._forget_result()
         if self._entries and now >= self._published + STATUS_SECONDS - _TICK_SLACK:
@@ -358,6 +367,24 @@ class ActionlibServer:
         entry.since = self._clock()
         if entry.ours:
             self._publish_result(entry, body)
+
+    def _lose(self, entry: _ListedGoal, text: str, body: bytes | None = None) -> None:
+        """End a goal as ABORTED, although the hub's server has not reported its end."""
+        if entry.ours and entry.uuid is not None:
+            self._orphans.add(entry.uuid)
+        self._end(entry, Ros1State.ABORTED, self._empty if body is None else body, text)
+
+    def _cancel_orphans(self) -> None:
+        """Cancel orphaned goals until the hub's server lists them as canceling or ended."""
+        now, before = self._clock(), self._cancel_again
+        self._cancel_again = {goal: before.get(goal, now) for goal in self._orphans.among(self._executing)}
+        for goal in [goal for goal, due in self._cancel_again.items() if due <= now]:
+            if goal not in before:
+                _log.warning(
+                    "%s: canceling a goal that continued after its client had been told that it ended", self.name
+                )
+            self._cancel_again[goal] = now + CANCEL_SECONDS
+            self._output.call(CANCEL_GOAL, wire.cancel_request(GoalInfo(goal, ZERO)), lambda _reply: None)
 
     def _publish_result(self, entry: _ListedGoal, body: bytes) -> None:
         self._seq += 1

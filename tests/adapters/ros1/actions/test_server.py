@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.adapters.ros1.actions import server, states, wire
-from bridge.adapters.ros1.actions.server import LIST_SECONDS, RESULT_SECONDS, ActionlibServer
+from bridge.adapters.ros1.actions import orphans, server, states, wire
+from bridge.adapters.ros1.actions.orphans import OrphanedGoals
+from bridge.adapters.ros1.actions.server import CANCEL_SECONDS, LIST_SECONDS, RESULT_SECONDS, ActionlibServer
 from bridge.adapters.ros1.actions.states import Ros1State
 from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, RosTime
 from bridge.hub.endpoints.calls import CallError
@@ -24,8 +25,14 @@ class World:
     def __init__(self) -> None:
         self.lists, self.feedbacks, self.results, self.forgotten = [], [], [], []
         self.sent, self.asked, self.cancels = [], {}, []
-        self.now = 100.0
-        self.server = ActionlibServer("/act", self, lambda: self.now, lambda: RosTime.of(int(self.now * 1e9)), EMPTY)
+        self.now, self.orphans = 100.0, OrphanedGoals()
+        self.open()
+
+    def open(self):
+        """Open the server, which is another one each time the hub's server has returned."""
+        self.server = ActionlibServer(
+            "/act", self, lambda: self.now, lambda: RosTime.of(int(self.now * 1e9)), EMPTY, self.orphans
+        )
         self.server.open()
 
     def publish(self, part, payload, source=""):
@@ -428,3 +435,46 @@ def test_setting_the_clock_back_forgets_cancel_requests_by_time(world):
     assert world.goal("before", RosTime(15, 0)) is None
     world.server.forget_time()
     assert world.goal("after", RosTime(15, 0)) is not None
+
+
+def test_a_goal_that_continued_without_its_client_is_canceled_when_the_server_returns(world):
+    """Its client was told that it is aborted, so no one else would stop the robot."""
+    known, starting = world.running("known"), world.goal("starting")
+    of_hub = bytes(range(16))
+    world.report({known: GoalState.EXECUTING, of_hub: GoalState.EXECUTING})
+    world.server.close("the action server left")
+    assert [state for _, state, _, _ in world.results] == [Ros1State.ABORTED] * 2
+    world.advance(60.0)
+    assert world.cancels == []
+    world.open()
+    running = {known: GoalState.EXECUTING, of_hub: GoalState.EXECUTING, starting: GoalState.ACCEPTED}
+    world.report(running)
+    assert [info.uuid for info, _ in world.cancels] == [known, starting]
+    world.report(running)
+    assert len(world.cancels) == 2
+    world.cancels[0][1](CallError("the server left before it answered"))
+    world.advance(CANCEL_SECONDS)
+    assert [info.uuid for info, _ in world.cancels[2:]] == [known, starting]
+    world.report(running | {known: GoalState.CANCELING, starting: GoalState.CANCELED})
+    world.advance(CANCEL_SECONDS)
+    assert len(world.cancels) == 4
+
+
+def test_a_goal_whose_result_cannot_be_requested_is_canceled(world):
+    """The server may be present all the time, for example if this worker was suspended for a moment."""
+    goal = world.running()
+    world.asked[goal](CallError("the bridge was suspended; call again later"))
+    assert world.results[-1][1] is Ros1State.ABORTED
+    world.advance(0.1)
+    assert [info for info, _ in world.cancels] == [GoalInfo(goal, ZERO)]
+    world.report({goal: GoalState.CANCELED})
+    world.advance(CANCEL_SECONDS)
+    assert len(world.cancels) == 1
+
+
+def test_the_oldest_orphaned_goals_are_dropped(monkeypatch):
+    monkeypatch.setattr(orphans, "_MOST", 2)
+    goals = OrphanedGoals()
+    for goal in (b"1", b"2", b"3"):
+        goals.add(goal)
+    assert goals.among([b"1", b"2", b"3", b"4"]) == [b"2", b"3"]
