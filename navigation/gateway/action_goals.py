@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
+from bridge.client.services import Replied
+from bridge.hub.endpoints.calls import CallError
 from bridge.hub.wire.qos import LATCHED
-from bridge.messages.actions import CANCEL, STATUSES, GoalState, names
+from bridge.messages.actions import CANCEL, STATUSES, CancelCode, GoalState, names
 from bridge.modules.host import Host
 from navigation.gateway.goal_list import GoalList
 from navigation.messages import Message
@@ -25,7 +28,9 @@ class ActionGoals:
         self.list = GoalList(always=always)
         self._to_end: dict[bytes, None] = {}
         self._asked: dict[bytes, float] = {}
-        self._end_next = False  # the goals of the next valid list have to end
+        self._end_next = False  # goals have to end that a valid list may show only later
+        self._ask_all_at = 0.0  # when to request that (monotonic), as soon as the list is valid
+        self._all_request = object()  # the last request to cancel all goals, whose failure counts
         self._client = host.node.client(parts.cancel_goal, CANCEL)
         self._subscription = host.node.subscription(self._status, STATUSES, self._on_list, LATCHED)
 
@@ -51,19 +56,19 @@ class ActionGoals:
             del self._to_end[next(iter(self._to_end))]
 
     def end_all(self) -> None:
-        """Cancel all goals of the server; if they are unknown, cancel the goals of its next valid list."""
+        """Cancel all goals of the server; if they are unknown or this fails, again once its list is valid."""
         for goal in self.list.active:
             self.end(goal)
-        self._end_next = not (self.is_present and self.list.known)
-        self._ask(bytes(16))
+        self._end_next, self._ask_all_at = not (self.is_present and self.list.known), 0.0
+        self._ask_all()
 
     def end_no_more(self) -> None:
         """End the stop: goals that appear from now on may continue."""
-        self._end_next = False
+        self._end_next, self._all_request = False, object()
 
     def spare(self, goal: bytes) -> None:
         """Let a goal that was sent after the stop continue."""
-        self._end_next = False
+        self.end_no_more()
         self._to_end.pop(goal, None)
 
     def refresh(self) -> None:
@@ -74,9 +79,11 @@ class ActionGoals:
             return
         now = time.monotonic()
         if self._end_next and self.list.known:
-            self._end_next = False
             for goal in self.list.active:
                 self.end(goal)
+            if now >= self._ask_all_at:
+                self._end_next = False
+                self._ask_all()
         left = self.left
         self._asked = {goal: due for goal, due in self._asked.items() if goal in left}
         for goal in left:
@@ -88,9 +95,20 @@ class ActionGoals:
         for endpoint in (self._client, self._subscription):
             self._host.node.release(endpoint)
 
-    def _ask(self, goal: bytes) -> None:
+    def _ask(self, goal: bytes, replied: Replied = lambda _reply: None) -> None:
         if self.is_present:
-            self._client.call({"goal_info": {"goal_id": {"uuid": list(goal)}}}, lambda _reply: None)
+            self._client.call({"goal_info": {"goal_id": {"uuid": list(goal)}}}, replied)
+
+    def _ask_all(self) -> None:
+        """Request to cancel all goals; if that fails, goals may continue that the list does not show yet."""
+        request = self._all_request = object()
+
+        def replied(reply: Any) -> None:
+            failed = isinstance(reply, CallError) or reply["return_code"] == CancelCode.REJECTED
+            if failed and self._all_request is request:
+                self._end_next, self._ask_all_at = True, time.monotonic() + _CANCEL_PERIOD
+
+        self._ask(bytes(16), replied)
 
     def _on_list(self, message: Message) -> None:
         statuses = {
