@@ -13,7 +13,7 @@ from typing import Any
 from typing_extensions import override
 
 from bridge.concurrency import BoundedQueue
-from bridge.hub.endpoints.calls import LEFT, Abandon, CallError, ClosedCallError, Done
+from bridge.hub.endpoints.calls import LEFT, Abandon, CallError, ClosedCallError, Done, UnsentCallError
 from bridge.hub.endpoints.services import HubClient, HubServer
 from bridge.messages.actions import CANCEL_GOAL, GET_RESULT, split
 from bridge.messages.errors import MessageError
@@ -184,7 +184,7 @@ class ServiceRoute(Route):
         elif self.too_large(len(request)):
             trouble = f"the request has {len(request)} bytes, limits.message allows {self._max_payload}"
         if trouble:
-            call.end(CallError(trouble))
+            call.end(UnsentCallError(trouble))
         elif self._context.stall_detector.hung(LATE_SECONDS) and not self._may_be_late:
             # the lease has not expired while the machine slept, because the monotonic clock stood
             self._refuse_call(call)
@@ -196,13 +196,13 @@ class ServiceRoute(Route):
     def _begin(self, call: BridgedCall, request: bytes) -> None:
         if not self.carry(lambda: call.begin(request), len(request)):
             self.counters.dropped("queue")
-            call.end(CallError("too many large requests are pending; call again later"))
+            call.end(UnsentCallError("too many large requests are pending; call again later"))
 
     def _refuse_call(self, call: BridgedCall) -> None:
         """Refuse a call because the worker lacks the lease."""
         self.counters.dropped("standby")
         side = self._context.edge.side
-        call.end(CallError(f"the bridge to {side} was suspended or is on standby; call again later"))
+        call.end(UnsentCallError(f"the bridge to {side} was suspended or is on standby; call again later"))
 
     def ask(self, request: bytes, done: Done) -> Abandon:
         """Call the far server."""

@@ -219,6 +219,19 @@ def test_call_is_refused_if_the_lease_does_not_return(rig: Rig, monkeypatch: pyt
     assert rig.row()["drops"]["standby"] == 1
 
 
+def test_a_call_of_an_action_that_the_bridge_refuses_is_reported_as_unsent(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Clients repeat such a request to cancel; the reply *rejected* could be the server's own."""
+    monkeypatch.setattr(held, "HOLD_SECONDS", 0.2)
+    name, kind = "/go/_action/send_goal", f"{GO}_SendGoal"
+    rig.serve(name, kind)
+    client = rig.client(name, kind)
+    rig.without_lease()
+    error = Calling(REGISTRY, kind, {}, client.call).result()["error"]
+    assert error == "the bridge to fake was suspended or is on standby; call again later"
+
+
 def test_call_that_may_have_waited_while_the_machine_slept_is_refused_unless_it_cancels(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
