@@ -255,19 +255,23 @@ class ActionlibServer:
     def _on_result_reply(self, entry: _ListedGoal, reply: bytes | CallError) -> None:
         if entry.state.ended:
             return
-        try:
-            if isinstance(reply, CallError):
-                raise reply
-            number, body, text = wire.read_result_response(reply)
-        except (CallError, ConversionError) as err:
-            self._lose(entry, str(err))
+        if isinstance(reply, CallError):
+            self._lose(entry, str(reply))
         else:
-            state = GoalState.parse(number)
-            if state.ended:
-                self._end(entry, self._final(entry, state), body, text)
-            else:
-                self._lose(entry, text if text.startswith(LOST) else "the action server no longer knows the goal", body)
+            self._on_result(entry, reply)
         self._flush()
+
+    def _on_result(self, entry: _ListedGoal, reply: bytes) -> None:
+        try:
+            number, body, text = wire.read_result_response(reply)
+        except ConversionError as err:
+            self._lose(entry, str(err))
+            return
+        state = GoalState.parse(number)
+        if state.ended:
+            self._end(entry, self._final(entry, state), body, text)
+        else:
+            self._lose(entry, text if text.startswith(LOST) else "the action server no longer knows the goal", body)
 
     @staticmethod
     def _final(entry: _ListedGoal, state: GoalState) -> Ros1State:

@@ -20,7 +20,7 @@ from bridge.adapters.ros1.graph.registrations import NodeRegistrations, batches
 from bridge.adapters.ros1.graph.state import MasterReader, MasterState, Registration
 from bridge.adapters.ros1.node.node import Ros1Node
 from bridge.adapters.ros1.peer_pool import PeerPool
-from bridge.adapters.ros1_peers import Ros1Error, Ros1ProtocolError, UnreachableError, XmlRpcClient
+from bridge.adapters.ros1_peers import ExhaustedError, Ros1Error, Ros1ProtocolError, UnreachableError, XmlRpcClient
 
 _log = logging.getLogger(__name__)
 
@@ -168,6 +168,9 @@ class Master:
 
     def _check_name(self, state: MasterState) -> None:
         uri = state.uris.get(self._node.name, self._node.uri)
-        if uri != self._node.uri and not self._name_lost and self._membership.responds(uri):
-            self.stop_registering()
-            self._give_up(f"another node, at {uri}, took the name {self._node.name} on this ROS 1 network")
+        if uri == self._node.uri or self._name_lost:
+            return
+        with contextlib.suppress(ExhaustedError):  # the next read checks it again
+            if self._membership.responds(uri):
+                self.stop_registering()
+                self._give_up(f"another node, at {uri}, took the name {self._node.name} on this ROS 1 network")
