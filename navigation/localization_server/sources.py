@@ -143,7 +143,8 @@ class AmclSource(FrameSource):
         self._grid: MapGrid2D | None = None
         self._due: tuple[MapGrid2D, Start | None] | None = None
         self._map_trouble = ""
-        self._has_map = True  # False after a call that failed or was refused
+        self._has_map = True  # False from a change of the map until amcl accepts the new map
+        self._outdated: int | None = None  # the stamp of amcl's last transform on the previous map
         self._send_after = -math.inf  # when the map may be sent, monotonic seconds
         self._set_map = node.client(section.set_map, "nav_msgs/srv/SetMap") if section.set_map else None
         node.subscription(section.amcl_pose, estimates.POSE_COVARIANCE, self._on_pose, LATCHED)
@@ -162,7 +163,11 @@ class AmclSource(FrameSource):
         if estimate.status is not LocalizationStatus.OK:
             return estimate
         if not self._has_map:
-            reason = f"amcl still has the previous map: {self._map_trouble}"
+            trouble = self._map_trouble or f"{self._section.set_map} has not answered"
+            reason = f"amcl still has the previous map: {trouble}"
+            return replace(estimate, status=LocalizationStatus.NOT_YET, reason=reason)
+        if self._outdated is not None and self._outdated == self._correction_stamp():
+            reason = "amcl has the new map, and has not published its pose on that map yet"
             return replace(estimate, status=LocalizationStatus.NOT_YET, reason=reason)
         wide = math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
         if wide > _WIDEST:
@@ -181,20 +186,27 @@ class AmclSource(FrameSource):
         if first or self._set_map is None:
             super().use_map(grid, start)
         else:
-            self._due = grid, start
+            self._due, self._has_map, self._map_trouble = (grid, start), False, ""
             self._send_map()
 
     @override
     def status(self) -> Part:
-        return Part(set_map=self._map_trouble or ("waits" if self._due else "done"))
+        return Part(set_map=self._map_trouble or ("done" if self._has_map else "waits"))
+
+    def _correction_stamp(self) -> int | None:
+        """Return the stamp of amcl's newest transform, None if it is unknown."""
+        try:
+            return self._frames.correction().stamp_ns
+        except FramesError:
+            return None
 
     def _send_map(self) -> None:
         assert self._set_map is not None
         assert self._due is not None
         if not self._set_map.ready:
-            self._map_trouble = f"{self._section.set_map} is not available: amcl still has the previous map"
+            self._map_trouble = f"{self._section.set_map} is not available; if amcl follows /map, set `set_map` to ''"
             return
-        sent, self._due = self._due, None
+        sent, self._due, self._map_trouble = self._due, None, ""
         grid, start = sent
         if start is None:
             try:
@@ -210,13 +222,14 @@ class AmclSource(FrameSource):
         )
 
     def _on_map_set(self, sent: tuple[MapGrid2D, Start | None], reply: Mapping[str, Any] | CallError) -> None:
-        """Note whether amcl has the map; send it again after a failed call, unless a newer map replaces it."""
+        """Note whether amcl has the map; send it again after a failed call. A map that was replaced does not count."""
+        if sent[0] is not self._grid:
+            return
         if isinstance(reply, CallError):
-            if sent[0] is self._grid:
-                self._due, self._send_after = sent, time.monotonic() + _AGAIN_SECONDS
-            self._has_map, self._map_trouble = False, f"{self._section.set_map}: {reply}"
+            self._due, self._send_after = sent, time.monotonic() + _AGAIN_SECONDS
+            self._map_trouble = f"{self._section.set_map}: {reply}"
         else:
-            self._has_map = bool(reply["success"])
+            self._has_map, self._outdated = bool(reply["success"]), self._correction_stamp()
             self._map_trouble = "" if self._has_map else f"{self._section.set_map} refused the map"
 
     def _on_pose(self, message: dict[str, Any]) -> None:

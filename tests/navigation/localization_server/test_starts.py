@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -13,13 +14,14 @@ import pytest
 
 from bridge.clock import RunClock, SystemClock
 from bridge.modules.host import Host
-from navigation.localization_server.estimate import plane_of, pose_of
+from navigation.localization_server.estimate import LocalizationStatus, plane_of, pose_of
 from navigation.localization_server.module import LocalizationServer
 from navigation.localization_server.section import LocalizationServerSection
 from navigation.localization_server.sources import Start
 from navigation.pose import Pose
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
+PREVIOUS = "amcl still has the previous map"
 START = Start(Pose(0.5, 0.25, 1.0), np.diag([0.0004, 0.0009, 0.0001]))
 
 
@@ -36,7 +38,8 @@ class Outside:
         self.maps = {name: grid(name) for name in ("house", "cellar")}
         self.current, self.folder, self.log = "house", folder, logging.getLogger(__name__)
         self.sent: list[tuple[str, dict[str, Any]]] = []
-        self.subscribers = ["amcl"]
+        self.subscribers, self.ready = ["amcl"], True
+        self.replies: list[Callable[[dict[str, Any]], None]] = []
         graph = SimpleNamespace(subscriptions=lambda _topic: self.subscribers)
         self.node = SimpleNamespace(
             hub=SimpleNamespace(graph=graph),
@@ -46,7 +49,8 @@ class Outside:
                 publish=lambda message: self.sent.append((topic, message))
             ),
             client=lambda name, *_: SimpleNamespace(
-                ready=True, call=lambda request, _: self.sent.append((name, request))
+                ready=self.ready,
+                call=lambda request, replied: (self.sent.append((name, request)), self.replies.append(replied)),
             ),
         )
         self.clock = SimpleNamespace(now_ns=lambda: 0, stamp=lambda: {"sec": 0, "nanosec": 0}, on_jump=lambda _: None)
@@ -94,6 +98,59 @@ def test_the_start_is_sent_to_amcl(outside: Outside, set_map: str, before: str, 
     start = message.get("initial_pose", message)["pose"]
     assert pose_of(start["pose"])[:3] == pytest.approx(START.pose[:3])
     assert plane_of(start["covariance"]) == pytest.approx(START.covariance)
+
+
+def localized(module: LocalizationServer, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Let amcl publish a pose; return a list with the stamp of its newest transform."""
+    stamp = [1]
+    for name in ("pose", "correction"):
+        monkeypatch.setattr(module._frames, name, lambda: Pose(1.0, 2.0, 0.0, stamp[0]))
+    assert module.estimate().status is LocalizationStatus.OK
+    return stamp
+
+
+def unknown_pose(module: LocalizationServer) -> str:
+    """Return why the pose is not reliable."""
+    estimate = module.estimate()
+    assert estimate.status is LocalizationStatus.NOT_YET
+    return estimate.reason
+
+
+def test_the_pose_counts_on_another_map_only_after_amcl_has_published_one_there(
+    outside: Outside, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = outside.module(source="amcl")
+    stamp = localized(module, monkeypatch)
+    module.begin(*START, "cellar")
+    stamp[0] += 1  # amcl still publishes transforms on the previous map
+    assert unknown_pose(module) == f"{PREVIOUS}: /set_map has not answered"
+    (replied,) = outside.replies
+    replied({"success": True})
+    assert "has not published its pose on that map" in unknown_pose(module)
+    stamp[0] += 1
+    assert module.estimate().status is LocalizationStatus.OK
+
+
+def test_a_reply_for_a_replaced_map_does_not_count(outside: Outside, monkeypatch: pytest.MonkeyPatch) -> None:
+    outside.maps["attic"] = grid("attic")
+    outside.maps["attic"].flags[:, 0] = MapFlag.WALL
+    module = outside.module(source="amcl")
+    stamp = localized(module, monkeypatch)
+    for name in ("cellar", "attic"):
+        module.begin(*START, name)
+    outside.replies[0]({"success": True})
+    stamp[0] += 1
+    assert unknown_pose(module).startswith(PREVIOUS)
+
+
+def test_the_pose_on_the_previous_map_does_not_count_while_amcls_service_is_missing(
+    outside: Outside, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outside.ready = False
+    module = outside.module(source="amcl")
+    localized(module, monkeypatch)
+    module.begin(*START, "cellar")
+    assert unknown_pose(module).startswith(f"{PREVIOUS}: /set_map is not available; ")
 
 
 def test_a_start_pose_without_a_subscriber_is_rejected(outside: Outside) -> None:
