@@ -9,7 +9,7 @@ from typing import Final
 from typing_extensions import override
 
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
-from bridge.messages.actions import CANCEL_GOAL, ENDINGS, GET_RESULT, part_name, split
+from bridge.messages.actions import CANCEL_GOAL, ENDINGS, GET_RESULT, SEND_GOAL, part_name, split
 from bridge.messages.registry import Registry
 from bridge.messages.services import refusal, unknown_result
 from bridge.routing.decision import RouteDecision, RouteKey, native_groups
@@ -29,7 +29,8 @@ PLANNERS = "/planner/"
 
 _HEADER = b"\x00\x01\x00\x00"
 _UUID = slice(4, 20)
-"""A goal's id in a ``GetResult`` request, after the encapsulation header; in ``CancelGoal`` a stamp follows."""
+"""A goal's id in a ``SendGoal`` or ``GetResult`` request, after the encapsulation header; in ``CancelGoal`` a stamp
+follows."""
 
 
 class SideToHubService(ServiceRoute):
@@ -197,16 +198,16 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         self._context.types.offer(conversion.hub)
         route = SideToHubService(key, (hub_name, key.topic), conversion, policy, self._context)
         action, part = split(hub_name)
-        if part == GET_RESULT and action.startswith(PLANNERS):
+        if part in (SEND_GOAL, GET_RESULT) and action.startswith(PLANNERS):
             route.orphaned = lambda request: self._cancel(action, request)
         self._routes[key] = route
         return route
 
     def _cancel(self, action: str, request: bytes) -> None:
-        """Cancel a planner's goal whose result no client awaits, because the gateway left or lost its connection.
+        """Cancel a planner's goal whose client, the gateway, left or lost its connection before the reply.
 
-        No other client has that goal, so no other could stop the robot. Goals of other actions may outlive their
-        clients.
+        The reply would accept the goal, or be its result. No other client has that goal, so no other could stop the
+        robot. Goals of other actions may outlive their clients.
         """
         name = part_name(action, CANCEL_GOAL)
         route = next((route for route in self.routes() if route.hub_topic == name), None)

@@ -19,7 +19,7 @@ from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.calls import Abandon, CallError, ClosedCallError, Done
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.session import Hub
-from bridge.messages.actions import CANCEL, GoalState
+from bridge.messages.actions import CANCEL, ENDINGS, GET_RESULT, SEND_GOAL, GoalState, part_name
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.routing import counters
@@ -399,29 +399,30 @@ def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(rig: Ri
     until(lambda: len(rig.far.graph.servers("/do")) == 1, "exactly one worker serves the service")
 
 
-def test_only_planner_goals_are_canceled_when_their_client_dies(rig: Rig) -> None:
+@pytest.mark.parametrize("part", [SEND_GOAL, GET_RESULT])
+def test_only_planner_goals_are_canceled_when_their_client_dies(rig: Rig, part: str) -> None:
     """The gateway's session ends: no other program knows its goal, so no other program could stop the robot."""
     hub = Hub.open(rig.hubs.settings("gateway"))
-    cancels = {action: _goal(rig, hub, action) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
+    cancels = {action: _goal(rig, hub, action, part) for action in ("/planner/nav2/navigate_to_pose", "/arm/move")}
     hub.close()
     (request,) = cancels["/planner/nav2/navigate_to_pose"].requests(1)
     assert b64decode(request["goal_info"]["goal_id"]["uuid"]) == bytes(range(16))
     assert request["goal_info"]["stamp"] == {"sec": 0, "nanosec": 0}
     until(
-        lambda: rig.row("/arm/move/_action/get_result")["abandoned"] == 1,
-        "the other result request is canceled",
+        lambda: rig.row(part_name("/arm/move", part))["abandoned"] == 1,
+        "the other request is canceled",
     )
     assert cancels["/arm/move"].requests(1, 0) == []
 
 
-def _goal(rig: Rig, hub: Hub, action: str) -> Serving:
-    """Request a goal's result on the hub; return the side's cancel server."""
-    result = f"{action}/_action/get_result"
-    rig.serve(result, f"{GO}_GetResult", held=True)
+def _goal(rig: Rig, hub: Hub, action: str, part: str) -> Serving:
+    """Send a goal, or request its result, on the hub; return the side's cancel server."""
+    name, kind = part_name(action, part), f"{GO}{ENDINGS[part]}"
+    rig.serve(name, kind, held=True)
     cancels = rig.serve(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
-    client = hub.client(result, f"{GO}_GetResult", REGISTRY.service_ros2(f"{GO}_GetResult").type_id)
+    client = hub.client(name, kind, REGISTRY.service_ros2(kind).type_id)
     until(lambda: client.ready, "the service is on the hub")
     rig.client(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
-    Calling(REGISTRY, f"{GO}_GetResult", {"goal_id": {"uuid": list(range(16))}}, client.call)
-    until(lambda: rig.row(result)["pending"] == 1, "the result request is pending")
+    Calling(REGISTRY, kind, {"goal_id": {"uuid": list(range(16))}}, client.call)
+    until(lambda: rig.row(name)["pending"] == 1, "the request is pending")
     return cancels
