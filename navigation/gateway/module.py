@@ -53,7 +53,7 @@ class GatewayModule(Module):
         self._state = State.IDLE.value
         self._ports = [host.yarp.output(f"{prefix}/status:o") for prefix in section.doors.yarp]
         frames = RobotFrames(host, section.frame, section.base_frame)
-        self._commander = VelocityCommander(host, section.velocity)
+        self._commander = VelocityCommander(host, section.velocity, lambda: self._planner_drives)
         self._holding = host.node.publisher(HOLD, HOLD_TYPE, LATCHED, priority="state")
         self._holding.publish({"data": False})
         self.gateway = Gateway(host, section, frames, self._on_status, self._hold)
@@ -133,9 +133,13 @@ class GatewayModule(Module):
             self._device.target_name = ""
         elif drive is not None and drive.client != CLIENT:
             self._device.target_name = drive.name
-        if self.gateway.has_base and not self.gateway.held:
+        if self._planner_drives:
             self._commander.stop()
         self._write_status()
+
+    @property
+    def _planner_drives(self) -> bool:
+        return self.gateway.has_base and not self.gateway.held
 
     def _write_status(self) -> None:
         for port in self._ports:
@@ -190,7 +194,7 @@ class GatewayModule(Module):
     def begin_stop(self, done: Callable[[], None]) -> None:
         """Stop the robot if the gateway moves it, before clients lose the server of their goals."""
         self._commander.stop()
-        self.gateway.shut_down(done)
+        self.gateway.shut_down(lambda: self._commander.end(done))
 
     @override
     def stop(self) -> None:

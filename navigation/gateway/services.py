@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from typing_extensions import override
 
+from bridge.client.velocity import STOP_SECONDS
 from bridge.modules.host import Host, ModuleNode
 from bridge.modules.loop import Timer
 from bridge.modules.services import Answer
@@ -31,6 +32,7 @@ LONGEST_SECONDS = 1.0
 """Maximum duration of a velocity command; clients repeat their command to keep driving."""
 
 _PERIOD = 0.05  # seconds between two messages of a command
+_ZEROS = round(STOP_SECONDS / _PERIOD)  # after a velocity
 
 
 class YarpVelocity(NamedTuple):
@@ -42,13 +44,20 @@ class YarpVelocity(NamedTuple):
 
 
 class VelocityCommander:
-    """Repeats a velocity on the base's topic for a limited time, then publishes zero. Not thread-safe."""
+    """Repeats a velocity on the base's topic for a limited time, then zero for `STOP_SECONDS`. Not thread-safe.
 
-    def __init__(self, host: Host, topic: str) -> None:
-        self._host = host
+    Args:
+        topic: the topic of the base's velocities.
+        busy: whether a planner commands the base, which zeros would slow; a new command ends the zeros, too.
+    """
+
+    def __init__(self, host: Host, topic: str, busy: Callable[[], bool]) -> None:
+        self._host, self._busy = host, busy
         self._publisher = velocity_publisher(host, topic)
         self._velocity, self._until = YarpVelocity(), 0.0
+        self._zeros = 0  # still to be published; not a time, because this process may be starved
         self._timer: Timer | None = None
+        self._ended: Callable[[], None] | None = None
 
     @property
     def last(self) -> YarpVelocity | None:
@@ -64,23 +73,42 @@ class VelocityCommander:
 
     def stop(self) -> None:
         """End the command; a base that followed the command stops."""
-        if self._timer is not None:
-            self._timer.close()
-            self._timer = None
+        if self._until:
             self._until = 0.0
             self._send(YarpVelocity())
+
+    def end(self, done: Callable[[], None]) -> None:
+        """Stop, and call ``done`` after the last zero."""
+        self.stop()
+        if self._timer is None:
+            done()
+        else:
+            self._ended = done
 
     def halt(self) -> None:
         """Command zero for `OVERRIDE_SECONDS`, to override any other source of velocities."""
         self.command(YarpVelocity(), OVERRIDE_SECONDS)
 
     def _repeat(self) -> None:
-        if self.last is None:
-            self.stop()
-        else:
+        if self.last is not None:
             self._send(self._velocity)
+        elif self._until:
+            self.stop()
+        elif self._zeros and not self._busy():
+            self._send(YarpVelocity())
+        else:
+            self._close()
+
+    def _close(self) -> None:
+        assert self._timer is not None
+        self._timer.close()
+        self._timer, self._zeros = None, 0
+        ended, self._ended = self._ended, None
+        if ended is not None:
+            ended()
 
     def _send(self, velocity: YarpVelocity) -> None:
+        self._zeros = _ZEROS if any(velocity) else max(0, self._zeros - 1)
         self._publisher.publish(velocity.x, velocity.y, math.radians(velocity.turn))
 
 

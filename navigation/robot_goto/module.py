@@ -74,7 +74,7 @@ class RobotGoto(PlannerModule):
         self._clouds: dict[str, float] = {}
         self._open(host, RobotFrames(host, section.frame, section.base_frame, section.odom_frame))
         self._yarp_scans = Newest(host.loop, self._on_yarp_scan)
-        self._topics = GotoTopics(host, section.frame, section.cmd_vel, section.prefix)
+        self._topics = GotoTopics(host, section.frame, section.cmd_vel, section.prefix, section.period)
         self._connection: PortConnection | None = None
         if section.scan:
             host.node.subscription(section.scan, SCAN, self._on_scan, Qos(depth=1))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
+from bridge.client.velocity import STOP_SECONDS
 from bridge.hub.wire.qos import LATCHED
 from bridge.modules.host import Host
 from bridge.modules.velocity import velocity_publisher
@@ -36,9 +37,12 @@ _POLAR = 2
 
 
 class GotoTopics(PlannerTopics):
-    """Publishes commands, the status and the local map; no YARP ports without a prefix. On the module's thread."""
+    """Publishes commands, the status and the local map; no YARP ports without a prefix. On the module's thread.
 
-    def __init__(self, host: Host, frame: str, cmd_vel: str, prefix: str) -> None:
+    ``period`` is the time between two commands, in seconds.
+    """
+
+    def __init__(self, host: Host, frame: str, cmd_vel: str, prefix: str, period: float) -> None:
         super().__init__(host, "robot_goto", frame)
         self._velocity = velocity_publisher(host, cmd_vel)
         self._map = host.node.publisher(f"{self._prefix}/local_map", GRID, LATCHED, priority="state")
@@ -46,22 +50,22 @@ class GotoTopics(PlannerTopics):
         self._ports = {name: host.yarp.output(f"{prefix}/{name}") for name in names}
         self._stamp = Stamp()
         self._written = self._mapped = -math.inf
-        self._silent = True
+        self._most_zeros = max(1, round(STOP_SECONDS / period))  # a number, because this process may be starved
+        self._zeros = 0  # how many of the next silent commands are published
 
     def command(self, command: DriveCommand, *, silent: bool) -> None:
-        """Command the base; of successive ``silent`` commands, only the first is published."""
-        if silent and self._silent:
+        """Command the base; of successive ``silent`` commands, only those of the first `STOP_SECONDS` are published."""
+        if silent and not self._zeros:
             return
-        self._silent = silent
+        self._zeros = self._zeros - 1 if silent else self._most_zeros
         self._velocity.publish(command.vx, command.vy, command.omega)
         if self._ports:
             control, stop = ([_POLAR, *polar, _FULL_GAIN] for polar in (command.polar, STILL.polar))
             self._ports["control:o"].write_command(control, stop, self._envelope())
 
     def stop_base(self) -> None:
-        """Command the base to stop, and publish no further commands."""
-        self._silent = False
-        self.command(STILL, silent=True)
+        """Command the base to stop; the next silent commands repeat that."""
+        self.command(STILL, silent=False)
 
     def status(self, now: float, driver: Driver, goal_id: bytes = NO_GOAL) -> None:
         """Publish the status if it has changed; YARP's port repeats it."""

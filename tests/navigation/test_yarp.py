@@ -93,7 +93,7 @@ def test_a_velocity_whose_client_timed_out_is_not_published(
     graph = SimpleNamespace(subscriptions=lambda _topic: [], velocities=list)
     node = SimpleNamespace(publisher=lambda *_args, **_options: out, hub=SimpleNamespace(graph=graph))
     host: Any = SimpleNamespace(loop=loop, log=MagicMock(), node=node, config=Config(), clock=SYSTEM)
-    commander = VelocityCommander(host, "/cmd_vel")
+    commander = VelocityCommander(host, "/cmd_vel", lambda: False)
     device = gateway.GatewayDevice(host, MagicMock(has_base=False), MagicMock(), commander, MagicMock())
     refused(lambda: device.applyVelocityCommand(0.3, 0.0, 0.0, 1.0))
     resume.set()

@@ -43,9 +43,8 @@ def test_a_hub_goal_is_reached_and_commands_end(place: Goto) -> None:
     assert abs(math.remainder(robot.yaw - 1.0, math.tau)) < 0.3
     assert sent.feedback
     until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "the robot is stopped", 20)
-    count = len(robot.commands)
+    until(lambda: not place.module._topics._zeros, "zero is no longer repeated", 20)
     until(lambda: place.far.wait(paths, 0, 0) and place.far.wait(grids, 0, 0), "path and local map are published", 20)
-    assert len(robot.commands) == count, "no commands without a goal"
     grid = place.far.wait(grids, 0, 0)[-1]
     assert (grid["info"]["width"], grid["header"]["frame_id"]) == (100, "map")
     assert {0, -1} <= set(grid["data"])
