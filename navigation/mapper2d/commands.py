@@ -133,8 +133,8 @@ class MapperCommands(MappingCommands):
     def save(self) -> str:
         """Save the map in the store; return a text for people. Raises `StoreError`, and `OSError` for the graph."""
         grid = self._source.grid()
-        self._store().put(MAP, grid.name, grid)
-        self._source.save_graph(self._graph_in_store(grid.name))
+        with self._source.saving(self._graph_in_store(grid.name)):
+            self._store().put(MAP, grid.name, grid)
         return f"Map {grid.name} saved into the store."
 
     def save_file(self, name: str, *suffixes: str) -> str:
@@ -143,8 +143,9 @@ class MapperCommands(MappingCommands):
         Returns a text for people. Raises `ValueError` for a name that is not plain, and `OSError`.
         """
         file = self._folder.new(name, *suffixes)
-        self._source.grid().save(file)
-        self._source.save_graph(self._folder.file(file.stem + SUFFIX, SUFFIX))
+        grid = self._source.grid()
+        with self._source.saving(self._folder.file(file.stem + SUFFIX, SUFFIX)):
+            grid.save(file)
         return f"Map {self._mapper.name} saved as {file.name}."
 
     def _start(self, _arguments: list[Any]) -> str:

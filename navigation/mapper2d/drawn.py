@@ -123,9 +123,9 @@ class DrawnMap:
         if self.slam.track is not None and self.slam.unsure is None:
             self.draw_again()
 
-    def save(self, path: Path) -> None:
-        """Save the graph for `load`, without scans whose place on a loaded map is unknown; raises `OSError`."""
-        graph_file.write(path, SavedGraph(self.slam.placed, *self.mapper.painted))
+    def saved(self) -> SavedGraph:
+        """Return the graph for `load`, without scans whose place on a loaded map is unknown."""
+        return SavedGraph(self.slam.placed, *self.mapper.painted)
 
     def load(self, grid: MapGrid2D, path: Path) -> None:
         """Continue a map with its graph if both are valid; raises `OSError`, or `ValueError` with the reason."""

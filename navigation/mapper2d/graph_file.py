@@ -8,6 +8,8 @@ from __future__ import annotations
 import io
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,8 +47,33 @@ class SavedGraph(NamedTuple):
     corner: tuple[float, float]
 
 
+@contextmanager
+def replacing(path: Path, saved: SavedGraph | None) -> Iterator[None]:
+    """Replace the graph of a map, or remove it for None, while the body saves the map; raises `OSError`.
+
+    An error, also of the body, leaves the previous graph. If the process is killed, the map may lose its graph, but it
+    never has the graph of an earlier map.
+    """
+    part, before = path.with_name(path.name + ".part"), path.with_name(path.name + ".before")
+    if saved is not None:
+        write(part, saved)  # first, because a full disk makes this fail
+    before.unlink(missing_ok=True)  # of a process that was killed
+    with suppress(FileNotFoundError):
+        path.replace(before)
+    try:
+        yield
+    except BaseException:
+        with suppress(FileNotFoundError):
+            before.replace(path)
+        part.unlink(missing_ok=True)
+        raise
+    if saved is not None:
+        part.replace(path)
+    before.unlink(missing_ok=True)
+
+
 def write(path: Path, saved: SavedGraph) -> None:
-    """Write the file, and create its folder; raises `OSError`."""
+    """Write a file, and create its folder; raises `OSError`."""
     submaps = saved.submaps
     edges, views = submaps.graph.edges, submaps.views
     arrays = {
@@ -68,9 +95,11 @@ def write(path: Path, saved: SavedGraph) -> None:
     data = io.BytesIO()
     np.savez_compressed(data, **{name: np.asarray(value, _ARRAYS[name][1]) for name, value in arrays.items()})  # type: ignore[arg-type]
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(data.getvalue())
-    part.replace(path)
+    try:
+        path.write_bytes(data.getvalue())
+    except OSError:
+        path.unlink(missing_ok=True)  # it may be incomplete
+        raise
 
 
 def read(path: Path) -> SavedGraph:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from bridge.status import Part
 from bridge.tf.stamped import TF, TF_TYPE, Stamped, write
 from navigation.algorithms.submaps import Scan
 from navigation.frames import STATUS, FramesError
+from navigation.mapper2d import graph_file
 from navigation.mapper2d.drawn import DrawnMap
 from navigation.mapper2d.mapper import Mapper
 from navigation.mapper2d.poses import Poses
@@ -58,8 +60,8 @@ class PoseSource(ABC):
         """Continue a map, whose graph is in a file; raises `ValueError` or `OSError` if this is not possible."""
 
     @abstractmethod
-    def save_graph(self, graph: Path) -> None:
-        """Save the scans and the graph of a saved map; raises `OSError`."""
+    def saving(self, graph: Path) -> AbstractContextManager[None]:
+        """Save the scans and the graph of a map, which the body saves; see `graph_file.replacing`."""
 
     def grid(self) -> MapGrid2D:
         """Return the map for saving, completely drawn."""
@@ -104,8 +106,8 @@ class GivenPoses(PoseSource):
         self._mapper.load(grid)
 
     @override
-    def save_graph(self, graph: Path) -> None:
-        graph.unlink(missing_ok=True)  # the graph of an earlier map with this name
+    def saving(self, graph: Path) -> AbstractContextManager[None]:
+        return graph_file.replacing(graph, None)  # removes the graph of an earlier map with this name
 
 
 class MatchedPoses(PoseSource):
@@ -185,8 +187,8 @@ class MatchedPoses(PoseSource):
         self._begun = None
 
     @override
-    def save_graph(self, graph: Path) -> None:
-        self.drawn.save(graph)
+    def saving(self, graph: Path) -> AbstractContextManager[None]:
+        return graph_file.replacing(graph, self.drawn.saved())
 
     @override
     def grid(self) -> MapGrid2D:

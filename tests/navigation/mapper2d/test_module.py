@@ -208,6 +208,7 @@ def test_the_service_save_reports_why_the_graph_cannot_be_saved(untouched: Place
     reply = untouched.far.call("/mapper2d/save", "std_srvs/Trigger").result(20)["reply"]
     assert not reply["success"]
     assert "graphs" in reply["message"]
+    assert not untouched.worker.store.names(MAP), "the map is not saved either"
 
 
 @pytest.mark.parametrize("name", ["../out", "/etc/out.map", "a/b", ".hidden", "out.txt"])

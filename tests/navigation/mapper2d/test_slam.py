@@ -77,7 +77,7 @@ def test_the_drawn_map_is_right_after_the_loop(driven: list[Seen], tmp_path: Pat
 
     # a later run starts from a place that is only roughly known
     path = tmp_path / "map.graph.npz"
-    drawn.save(path)
+    graph_file.write(path, drawn.saved())
     again = mapping()
     again.load(grid, path)
     assert again.slam.unsure is not None
@@ -96,12 +96,12 @@ def test_scans_at_an_unknown_place_are_not_saved_with_a_loaded_map(driven: list[
     drawn, path = mapping(), tmp_path / "map.graph.npz"
     drawn.locate(driven[0].truth)
     draw(drawn, driven[:20])
-    drawn.save(path)
+    graph_file.write(path, drawn.saved())
     again = mapping()
     again.load(drawn.mapper.grid(), path)
     again.scan(driven[10].odometry, driven[10].scan)
     assert again.slam.unsure is not None
-    again.save(path)
+    graph_file.write(path, again.saved())
     before, after = drawn.slam.submaps, graph_file.read(path).submaps
     assert [pose[:3] for pose in after.graph.poses] == [pose[:3] for pose in before.graph.poses]
     assert (len(after.views), len(after.graph.edges)) == (len(before.views), len(before.graph.edges))
@@ -200,7 +200,7 @@ def test_an_invalid_file_is_refused(driven: list[Seen], tmp_path: Path, spoil: s
     drawn = mapping()
     draw(drawn, driven[:3])
     path = tmp_path / "map.graph.npz"
-    drawn.save(path)
+    graph_file.write(path, drawn.saved())
     with np.load(path) as loaded:
         arrays = dict(loaded)
     if spoil == "nan":
