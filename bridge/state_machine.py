@@ -31,6 +31,10 @@ class Machine(Generic[S, E]):
         self.state, self.since = following, time.monotonic()
         return True
 
+    def excuse(self, seconds: float) -> None:
+        """Do not count some of the time that has passed in the current state."""
+        self.since = min(time.monotonic(), self.since + seconds)
+
     @property
     def age(self) -> float:
         """Seconds since the current state was entered."""

@@ -92,6 +92,13 @@ class ClientDrive:
         goals = (*before.replaced, before.sent)
         self.replaced = [sent for sent in goals if sent is not None and sent.active]
 
+    def excuse(self, seconds: float) -> None:
+        """Do not count time for which this process stood still."""
+        self.machine.excuse(seconds)
+        self.asked_at = min(_now(), self.asked_at + seconds)
+        if self.transform_missing_at:
+            self.transform_missing_at = min(_now(), self.transform_missing_at + seconds)
+
     def begin_stop(self, event: DriveEvent) -> bool:
         """Handle a client's request to pause or stop; return whether it changes the state.
 

@@ -15,7 +15,7 @@ from navigation.gateway.choice import PlannerChoice, RequestError
 from navigation.gateway.drive import ClientDrive
 from navigation.gateway.execution import Execution, robot_pose
 from navigation.gateway.machine import DriveEvent, DriveState
-from navigation.gateway.motion import Motion, VelocityWatch
+from navigation.gateway.motion import STALL_SECONDS, Motion, VelocityWatch
 from navigation.gateway.planner_link import PlannerLink
 from navigation.gateway.stop import ANSWER_SECONDS, StopOrder
 from navigation.gateway.targets import Target, TargetError, targets_of
@@ -62,6 +62,7 @@ class Gateway:
         self._status = PlannerStatus()
         self.held = False  # whether the planner's velocities must not reach the base
         self._status = derive(self._situation())  # unknown, not idle
+        self._polled_at = time.monotonic()
         host.loop.every(_POLL_SECONDS, self.poll)
 
     @property
@@ -221,10 +222,20 @@ class Gateway:
 
     def poll(self) -> None:
         """Read the state of planner and base, and act on it; called about ten times a second."""
+        self._excuse_stall()
         self.motion.poll()
         self.link.refresh(self.motion)  # first, so that cancel requests are sent before anything else
         self.execution.poll()
         self._on_change()
+
+    def _excuse_stall(self) -> None:
+        """Count time for which this process stood still as one period, because the messages of that time are unread."""
+        now = time.monotonic()
+        passed, self._polled_at = now - self._polled_at, now
+        if passed > STALL_SECONDS:
+            for judged in (self.link.presence, self._order, self.drive):
+                if judged is not None:
+                    judged.excuse(passed - _POLL_SECONDS)
 
     # -- reports -------------------------------------------------------------------------------------------------------
 

@@ -55,6 +55,15 @@ class Presence:
             if self._side_reported(moving=moving):
                 self.machine.on(PlannerEvent.SIDE_REPORTED)
 
+    def excuse(self, seconds: float) -> None:
+        """Do not count time for which this process stood still, and read neither the graph nor any message."""
+        now = time.monotonic()
+        self.machine.excuse(seconds)
+        self.seen_at = min(now, self.seen_at + seconds)
+        self.unreachable_at = min(now, self.unreachable_at + seconds)
+        if self._side_since is not None:
+            self._side_since = min(now, self._side_since + seconds)
+
     def lose_contact(self) -> None:
         """Count the planner as unreachable until its parts or its goal list change, because a call failed."""
         self.contact.lose(self._parts())

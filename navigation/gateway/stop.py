@@ -77,6 +77,7 @@ class StopOrder:
         self._machine: Machine[StopState, StopEvent] = Machine(STOP, StopState.NONE)
         self.reason = ""  # the reason for the request
         self.asked_at = 0.0  # monotonic
+        self._excused = 0.0  # seconds since then that do not count
         # when the planner was seen to have released its goals (monotonic), without odometry; 0: not seen
         self._released_at = 0.0
         self.waiters = StopWaiters()
@@ -87,8 +88,13 @@ class StopOrder:
 
     @property
     def age(self) -> float:
-        """Seconds since the request."""
-        return time.monotonic() - self.asked_at
+        """Seconds since the request, without the time for which this process stood still."""
+        return time.monotonic() - self.asked_at - self._excused
+
+    def excuse(self, seconds: float) -> None:
+        """Do not count time for which this process stood still."""
+        self._machine.excuse(seconds)
+        self._excused = min(self._excused + seconds, time.monotonic() - self.asked_at)
 
     @property
     def confirmed(self) -> bool:
@@ -99,7 +105,7 @@ class StopOrder:
         """Request a stop or pause; an unconfirmed one continues, and keeps its original request time."""
         self.reason = reason
         if not self.state.open:
-            self.asked_at = time.monotonic()
+            self.asked_at, self._excused = time.monotonic(), 0.0
             self._machine.on(StopEvent.ASK)
 
     def drop(self, reason: str = "") -> None:
@@ -118,7 +124,8 @@ class StopOrder:
         # a base that moves again is noted before the planner's release can confirm the stop
         for event in (base, StopEvent.RELEASED, base) if released else (StopEvent.NOT_RELEASED, base):
             machine.on(event)
-        expired = machine.state is StopState.RESTING and time.monotonic() > max(self.asked_at, seen_at) + HELD_SECONDS
+        unreachable = min(self.age, time.monotonic() - seen_at)
+        expired = machine.state is StopState.RESTING and unreachable > HELD_SECONDS
         if expired or (machine.state is StopState.SETTLING and machine.age > SETTLING_SECONDS):
             machine.on(StopEvent.EXPIRE)
         if not machine.state.open:

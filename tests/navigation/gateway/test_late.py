@@ -83,6 +83,25 @@ def test_the_robot_starts_again_while_the_gateway_does_not_notice_that_the_plann
     assert state(started) not in CLAIMS
 
 
+def test_a_planner_gets_its_time_to_return_although_the_gateway_stalls(started: World) -> None:
+    """The process stands still for longer than `patience`, for example after SIGSTOP."""
+    started.goal()
+    run(started, 1.5)
+    for goal in started.goals.values():
+        goal.until = math.inf
+    started.kill_worker()
+    run(started, 1.0)
+    patience = started.section.patience
+    started.loop.stall(patience + 1.0)
+    run(started, patience + 1.5)
+    started.start_worker()
+    run(started, 4.0)
+    (client_goal,) = started.client_goals
+    assert client_goal.ends == []
+    assert state(started) is State.MOVING
+    assert len(started.goals) == 1, "the planner's goal continues"
+
+
 @pytest.mark.parametrize("lag", [0.3, 0.45, 3.0])
 def test_the_robot_starts_while_odometry_arrives_late(started: World, lag: float) -> None:
     started.lag = lag

@@ -375,6 +375,17 @@ def test_a_planner_that_stays_unreachable_is_not_held_for_ever(base: Base) -> No
     assert not base.order.state.held
 
 
+def test_time_for_which_the_process_stood_still_does_not_end_the_hold(base: Base) -> None:
+    base.order.ask("it was stopped")
+    base.reachable, base.speed = False, 0.0
+    assert base.run(2.0) is StopState.RESTING
+    base.clock.now += HELD_SECONDS
+    base.order.excuse(HELD_SECONDS)
+    assert base.order.age == pytest.approx(2.0)
+    assert base.run(2.0) is StopState.RESTING
+    base.until(StopState.EXPIRED, HELD_SECONDS)
+
+
 def test_a_reachable_planner_with_a_moving_base_is_held_without_a_limit(base: Base) -> None:
     base.order.ask("it was stopped")
     assert base.run(2 * HELD_SECONDS) is StopState.ASKED
