@@ -189,9 +189,9 @@ class Ports:
                 self._trials.connected(event.route.source, event.address)
             self._wake.set()
 
-        port = self._open_port(name, server, is_output=False, rpc=True, on_event=on_event)
+        port = self._make_port(name, server, is_output=False, rpc=True, on_event=on_event)
         port.answers = self.generations
-        return port
+        return self._open_soon(port)
 
     def respond(self, name: str, respond: Respond) -> HostedPort:
         """Answer Bottles of values, as the RPC ports of YARP modules do.
@@ -210,7 +210,7 @@ class Ports:
             if message.wants_reply:
                 received.reply(answer if isinstance(answer, Portable) else begun_by_vocab(answer))
 
-        return self._open_port(name, on_request, rpc=True, on_event=lambda _event: self._wake.set())
+        return self._open_soon(self._make_port(name, on_request, rpc=True, on_event=lambda _event: self._wake.set()))
 
     def input(self, name: str, on_message: OnMessage) -> HostedPort:
         """Receive the messages that YARP programs write to a port."""
@@ -224,13 +224,13 @@ class Ports:
                 if port.counters.failed(str(err)):
                     _log.warning("%s: message refused: %s", name, err)
 
-        port = self._open_port(name, on_port_message, is_output=False)
-        return port
+        port = self._make_port(name, on_port_message, is_output=False)
+        return self._open_soon(port)
 
     def output(self, name: str, type_name: str = "", *, by_release: bool = False) -> HostedPort:
         """Open a port that writes to all connected ports; ``by_release``: to each in the form for its YARP release."""
         if not by_release:
-            return self._open_port(name, None, is_input=False, type_name=type_name)
+            return self._open_soon(self._make_port(name, None, is_input=False, type_name=type_name))
 
         def on_event(event: ConnectionEvent) -> None:
             if not event.incoming:
@@ -238,9 +238,9 @@ class Ports:
             if not event.incoming and event.up:
                 self._trials.connected(event.route.target, ("", 0))
 
-        port = self._open_port(name, None, is_input=False, type_name=type_name, on_event=on_event)
+        port = self._make_port(name, None, is_input=False, type_name=type_name, on_event=on_event)
         port.answers = self.generations
-        return port
+        return self._open_soon(port)
 
     def status(self) -> list[dict[str, Any]]:
         """Return all ports' entries in the status document."""
@@ -278,7 +278,7 @@ class Ports:
             port.core.close()
         self._ports = []
 
-    def _open_port(self, name: str, on_message: Callable[[PortMessage], Any] | None, **options: Any) -> HostedPort:
+    def _make_port(self, name: str, on_message: Callable[[PortMessage], Any] | None, **options: Any) -> HostedPort:
         core = PortCore(
             name,
             on_message=on_message,
@@ -288,7 +288,10 @@ class Ports:
             host=self._config.yarp.ip,
             **options,
         )
-        port = HostedPort(core)
+        return HostedPort(core)
+
+    def _open_soon(self, port: HostedPort) -> HostedPort:
+        """Let the thread open a port; from then on it may receive messages."""
         self._ports.append(port)
         if self._off:
             return port

@@ -15,7 +15,7 @@ from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.config import Address
 from yarp_compat.naming.server import NameServer
-from yarp_compat.pythonic import Client, Reader
+from yarp_compat.pythonic import Client, Reader, Writer, payload_of
 from yarp_compat.wire.values import Vocab
 
 
@@ -91,6 +91,28 @@ def test_connection_during_port_registration_loses_nothing(config: Config, monke
             assert received is not None
             assert received.values == ["first"]
         ports.close()
+
+
+def test_message_that_arrives_while_a_port_is_being_added_is_received(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that adds the port is suspended as soon as the port may open."""
+    ports, received, start = Ports(config, "test"), list[list[object]](), threading.Thread.start
+
+    def start_and_wait(thread: threading.Thread) -> None:
+        start(thread)
+        if thread.name == "midspan-ports":
+            with Writer("/said:o", naming=ports.naming) as writer:
+                until(lambda: writer.core.add_output("/heard:i")[0], "the port is open")
+                writer.core.write(payload_of(["first"]), wait=True, timeout=40)
+
+    monkeypatch.setattr(threading.Thread, "start", start_and_wait)
+    with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
+        port = ports.input("/heard:i", lambda message: received.append(message.values))
+        until(lambda: received, "the message is received")
+        ports.close()
+    assert received == [["first"]]
+    assert port.counters.as_dict()["messages"] == 1
 
 
 def test_each_reader_gets_the_form_of_its_release(config: Config, caplog: pytest.LogCaptureFixture) -> None:
