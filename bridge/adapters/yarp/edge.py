@@ -161,6 +161,7 @@ class YarpEdge(SideEdge):
         self.ports.abandon_calls()
         for input_port in self.ports.input_ports():
             self._topics.connect(input_port)
+            input_port.mark_listed()
         self.ports.connect()
 
     def _wake_up(self) -> None:

@@ -12,6 +12,7 @@ from decimal import Decimal
 
 from bridge.adapters.latched_cache import LatchedCache
 from bridge.adapters.yarp.contents import Contents
+from bridge.clock import steady
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import SideType
@@ -53,17 +54,25 @@ def on_system_clock(stamp_ns: int | None) -> int | None:
 
 
 HOLD_SECONDS = 2.0
-"""Seconds for which the newest message of a new peer is held if it is not known yet who created the port."""
+"""Seconds for which the newest message of a new peer is held for its route, from when the graph lists the peer.
+
+Before that, the message waits for as long as the name server takes.
+"""
 
 MAX_HELD = 64
 
 
 @dataclass(slots=True)
 class _Held:
-    """A held message, the time it arrived, and whether it is being delivered."""
+    """A held message.
+
+    ``since`` is when it arrived, ``listed`` when an update of the graph had found its peer (seconds of
+    `bridge.clock.steady`); ``delivering``: whether it is being delivered.
+    """
 
     since: float
     message: PortMessage
+    listed: float | None = None
     delivering: bool = False
 
 
@@ -113,7 +122,7 @@ class InputPort:
         with self._changed:
             self._changed.wait_for(lambda: not ((held := self._held.get(peer)) and held.delivering))
             if peer in self._held or len(self._held) < MAX_HELD:
-                self._held[peer] = _Held(time.monotonic(), message)
+                self._held[peer] = _Held(steady(), message)
 
     def deliver_to(self, deliver: Deliver | None, *, command: bool = False) -> None:
         """Deliver messages to this route from now on; the next `release` delivers the held messages to it.
@@ -125,11 +134,21 @@ class InputPort:
         self._deliver = deliver
 
     def _is_overdue(self, held: _Held, now: float) -> bool:
-        return now - held.since > (COMMAND_SECONDS if self._is_command else HOLD_SECONDS)
+        if self._is_command:
+            return now - held.since > COMMAND_SECONDS
+        return held.listed is not None and now - held.listed > HOLD_SECONDS
+
+    def mark_listed(self) -> None:
+        """Note after an update of the graph which held messages have a known peer; the others wait for the next one."""
+        now = steady()
+        with self._changed:
+            for peer, held in self._held.items():
+                if held.listed is None and self.made_by(peer) is not MadeBy.UNKNOWN:
+                    held.listed = now
 
     def waiting(self) -> set[str]:
         """Return the peers with held messages, even if they have left."""
-        now = time.monotonic()
+        now = steady()
         with self._changed:
             for peer, held in list(self._held.items()):
                 if self._is_overdue(held, now) and not held.delivering:
@@ -149,7 +168,7 @@ class InputPort:
 
     def _next(self) -> tuple[str, PortMessage, Deliver] | None:
         """Return a held message that can be delivered; the peer's next message waits until this one is delivered."""
-        now, deliver = time.monotonic(), self._deliver
+        now, deliver = steady(), self._deliver
         if deliver is None:
             return None
         with self._changed:

@@ -95,16 +95,51 @@ def test_route_connected_during_a_message_receives_it() -> None:
     assert delivered == [b"x"]
 
 
+class Clock:
+    """The clock of the held messages."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        monkeypatch.setattr(topics, "steady", lambda: self.now)
+
+
 @pytest.mark.parametrize(("command", "expected"), [(True, []), (False, [b"1"])])
 def test_old_command_is_not_delivered(monkeypatch: pytest.MonkeyPatch, *, command: bool, expected: list[bytes]) -> None:
     """A velocity whose sender was unknown for too long must not move the robot later; other messages are delivered."""
-    now = 100.0
-    monkeypatch.setattr(topics, "time", SimpleNamespace(monotonic=lambda: now))
+    clock = Clock(monkeypatch)
     input_port, delivered = make_port(Maker(MadeBy.NATIVE)), list[bytes]()
     input_port.on_message(message(b"1"))  # no route exists yet
-    now += COMMAND_SECONDS + 0.1
+    clock.now += COMMAND_SECONDS + 0.1
     input_port.deliver_to(lambda cdr, *_: delivered.append(cdr), command=command)
     input_port.release()
     assert delivered == expected
     input_port.on_message(message(b"2"))
     assert delivered == [*expected, b"2"]
+
+
+def test_message_is_held_until_a_slow_update_of_the_graph_finds_its_sender(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, maker, delivered = Clock(monkeypatch), Maker(MadeBy.UNKNOWN), list[bytes]()
+    input_port = make_port(maker)
+    input_port.deliver_to(lambda cdr, *_: delivered.append(cdr))
+    input_port.on_message(message(b"1"))
+    for _ in range(2):
+        clock.now += topics.HOLD_SECONDS + 1.0  # the name server is slow, or this process was stopped
+        assert input_port.waiting() == {"/w"}
+        input_port.mark_listed()
+    maker.made_by = MadeBy.NATIVE
+    input_port.release()
+    assert delivered == [b"1"]
+
+
+def test_message_without_a_route_is_dropped_after_its_sender_was_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, delivered = Clock(monkeypatch), list[bytes]()
+    input_port = make_port(Maker(MadeBy.NATIVE))
+    input_port.on_message(message(b"1"))
+    clock.now += topics.HOLD_SECONDS + 1.0
+    input_port.mark_listed()
+    assert input_port.waiting() == {"/w"}, "the route may follow"
+    clock.now += topics.HOLD_SECONDS + 0.1
+    assert input_port.waiting() == set()
+    input_port.deliver_to(lambda cdr, *_: delivered.append(cdr))
+    input_port.release()
+    assert delivered == []
