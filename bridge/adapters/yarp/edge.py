@@ -19,7 +19,7 @@ from bridge.adapters.side_edge import SideEdge
 from bridge.adapters.yarp.contents import Contents
 from bridge.adapters.yarp.endpoints import PortEndpoints
 from bridge.adapters.yarp.graph import Ros1Ports, YarpContext, YarpGraph
-from bridge.adapters.yarp.network import PRESENCE, PortNames, YarpNetwork, new_id
+from bridge.adapters.yarp.network import PortNames, YarpNetwork, new_id
 from bridge.adapters.yarp.plan import make_plan
 from bridge.adapters.yarp.ports import OwnPorts
 from bridge.adapters.yarp.presence import WorkerPresence
@@ -49,9 +49,6 @@ _MARK_AGAIN = 3.0
 _STOP_TIMEOUT = 1.0
 """Seconds for all name-server commands together while the adapter stops; a name server may be slow for a moment."""
 
-_ALIVE_SECONDS = 0.9
-"""Another worker counts as alive for this many seconds after its last record; less than `election.SILENCE`."""
-
 
 class YarpEdge(SideEdge):
     """The adapter of a YARP network."""
@@ -73,8 +70,9 @@ class YarpEdge(SideEdge):
             registry, naming, _owner(state / "yarp_owner"), config.name, self._names, self._contents, self._graph,
             self._refuse, self._wake_up, config.limits.message_bytes, section.ip,
         )  # fmt: skip
-        self.ports = OwnPorts(context, self._is_alive, ReconnectingClients(naming, clients_file(state, "worker yarp")))
         self._presence: WorkerPresence = WorkerPresence(context, self._presence_changed)
+        clients = ReconnectingClients(naming, clients_file(state, "worker yarp"))
+        self.ports = OwnPorts(context, self._presence.is_alive, clients)
         self._services = YarpServices(context)
         self._wake = threading.Event()
         self._topics = RoutedTopics(registry, self._contents, self.ports, self._wake.set)
@@ -186,11 +184,6 @@ class YarpEdge(SideEdge):
             return True
         self._wake.set()
         return False
-
-    def _is_alive(self, owner: str) -> bool:
-        since = time.monotonic() - _ALIVE_SECONDS
-        sightings = self._presence.sightings()
-        return any(s.id == PRESENCE + owner and s.record is not None and s.received > since for s in sightings)
 
     @override
     def warnings(self) -> list[str]:

@@ -29,6 +29,15 @@ from yarp_compat.wire.values import Vocab
 
 _MAX_RECORD = 1 << 20
 _QUERY_SECONDS = 1.0
+_ALIVE_SECONDS = 0.9
+"""Another worker counts as alive for this many seconds after its last record; less than `election.SILENCE`."""
+
+_STALLED_SECONDS = 0.6
+"""A longer pause between two records of this worker means that it did not run, and has not read the others' records.
+
+Records are sent every 0.2 s, or every 0.4 s if no other worker is known.
+"""
+
 _RETRY = 2.0
 _LONGEST_RETRY = 16.0
 """Maximum pause in seconds between attempts to connect to an unreachable worker, as dead workers stay registered."""
@@ -43,6 +52,7 @@ class WorkerPresence:
         self._seen: dict[str, Sighting] = {}
         self._tried: dict[str, tuple[PortContact, Backoff, float]] = {}
         self._listed_since = 0.0
+        self._announced = self._resumed = time.monotonic()
         self._closed = False
         self._core = PortCore(
             PRESENCE + context.owner, naming=context.naming, on_message=self._on_message, on_event=self._on_event,
@@ -91,6 +101,10 @@ class WorkerPresence:
 
     def announce(self, record: bytes) -> None:
         """Send a record to all other workers; never blocks."""
+        now = time.monotonic()
+        if now - self._announced > _STALLED_SECONDS:
+            self._resumed = now
+        self._announced = now
         if self._core.is_open:
             self._core.write(lambda profile: encode([record], profile))
 
@@ -98,6 +112,20 @@ class WorkerPresence:
         """Return the other workers on the network."""
         with self._lock:
             return list(self._seen.values())
+
+    def is_alive(self, owner: str) -> bool:
+        """Return whether a worker is on the network and not stalled.
+
+        If this process itself was suspended a moment ago, it may have yet to read the others' records; all workers then
+        count as alive.
+        """
+        with self._lock:
+            seen = self._seen.get(PRESENCE + owner)
+        if seen is None or seen.record is None:
+            return False
+        now = time.monotonic()
+        stalled = now - self._announced > _STALLED_SECONDS or now - self._resumed < _ALIVE_SECONDS
+        return stalled or now - seen.received < _ALIVE_SECONDS
 
     def settled(self, since: float) -> bool:
         """Return whether all workers that were present at ``since`` are known."""

@@ -29,7 +29,7 @@ def make_workers(add_output: Callable[[str], tuple[bool, str]]) -> WorkerPresenc
         owner="me", daemon="d", naming=naming, registry=Registry(), changed=lambda: None, ip="127.0.0.1"
     )
     workers = WorkerPresence(context, lambda: None)
-    core: Any = SimpleNamespace(name=f"{PRESENCE}me", outputs=list, inputs=list, add_output=add_output)
+    core: Any = SimpleNamespace(name=f"{PRESENCE}me", is_open=False, outputs=list, inputs=list, add_output=add_output)
     workers._core = core
     return workers
 
@@ -58,3 +58,29 @@ def test_worker_whose_machine_has_left_is_only_queried(monkeypatch: pytest.Monke
     workers.connect(CONTACTS, 0.0)
     assert (queried, tried) == ([CONTACTS[DEAD]], [])
     assert workers.sightings() == []
+
+
+def test_other_workers_count_as_alive_after_this_worker_was_suspended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their records are still in this worker's sockets; it must not take over the names of their ports."""
+    now = 100.0
+    monkeypatch.setattr(presence, "time", SimpleNamespace(monotonic=lambda: now))
+    workers = make_workers(lambda _name: (True, ""))
+
+    def run(seconds: float, *, other: bool) -> None:
+        """Send records, and receive those of the other worker if it runs."""
+        nonlocal now
+        for _ in range(round(seconds / 0.2)):
+            now += 0.2
+            workers.announce(b"mine")
+            if other:
+                workers._record(f"{PRESENCE}other", b"theirs")
+
+    run(2.0, other=True)
+    assert workers.is_alive("other")
+    assert not workers.is_alive("unknown")
+    now += 5.0  # this worker is suspended
+    assert workers.is_alive("other")
+    run(0.2, other=False)
+    assert workers.is_alive("other")
+    run(2.0, other=False)
+    assert not workers.is_alive("other")
