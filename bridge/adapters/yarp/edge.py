@@ -130,6 +130,7 @@ class YarpEdge(SideEdge):
         if not self._presence.is_open:
             self.ports.unregister_dead(by_name)
             self._presence.open()
+        self.ports.unregister_unmarked(by_name)
         self.ports.close_replaced(by_name)
         returned = self._disconnected or started < self._mark_until
         if self._disconnected:

@@ -21,6 +21,7 @@ from bridge.messages.errors import MessageTypeError
 from bridge.reconnecting_clients import ReconnectingClients
 from bridge.routing.edge import MadeBy
 from yarp_compat.naming import connections
+from yarp_compat.naming.server import refused
 from yarp_compat.ports.connections import ConnectionEvent
 from yarp_compat.ports.naming import NamingError
 from yarp_compat.ports.port import PortCore
@@ -35,6 +36,9 @@ _RETRY = 2.0
 
 _LINK_RETRY = 0.5
 """Seconds before the next attempt to connect a port."""
+
+_REFUSED_SECONDS = 5.0
+"""Seconds of refused connections after which a port without a mark counts as dead."""
 
 _STOP_SECONDS = 1.0
 _LEAVE_SECONDS = 0.02
@@ -75,6 +79,7 @@ class OwnPorts:
         self.own: dict[str, OwnPort] = {}
         self._services: Mapping[str, OfferedService] = {}
         self._own_names: frozenset[str] = frozenset()
+        self._unmarked: dict[PortContact, float] = {}
         self._stopped = False
         self.trouble: dict[str, tuple[float, str]] = {}
         self._links, self._ends = WorkerPool(_THREADS, "midspan-yarp-links"), WorkerPool(_THREADS, "midspan-yarp-ends")
@@ -180,10 +185,13 @@ class OwnPorts:
         self.trouble.pop(port.name, None)
 
     def _free_name(self, name: str) -> str:
-        """Return the name for a port; only names of dead or stalled Midspan workers are taken over."""
+        """Return the name for a port; only names of dead or stalled Midspan workers and dead ports are taken over.
+
+        A port that does not answer may be alive, behind a slow network or while this process is suspended.
+        """
         for wanted in (name, self._context.names.alternative(name)):
             known = self._naming.query(wanted)
-            if known is None or not connections.responds(known, timeout=_CONNECT_SECONDS):
+            if known is None or refused([known], _CONNECT_SECONDS):
                 return wanted
             owner = [str(value) for value in self._naming.get_property(wanted, OWNER)]
             if owner and (owner == [self._owner] or not self._awake(owner[0])):
@@ -265,14 +273,29 @@ class OwnPorts:
                 self._naming.set_property(port.core.name, OWNER, self._owner)
 
     def unregister_dead(self, contacts: Mapping[str, PortContact]) -> None:
-        """Unregister the ports of a dead predecessor of this worker."""
+        """Unregister the ports of a dead predecessor of this worker; `unregister_unmarked` follows."""
         for name, contact in contacts.items():
             if not self._context.names.matches(name):
                 continue
             owner = [str(value) for value in self._naming.get_property(name, OWNER)]
-            # A worker may have been killed before it marked the port; another program may now use its port number.
-            if owner == [self._owner] or (not owner and not connections.responds(contact, timeout=_CONNECT_SECONDS)):
+            if owner == [self._owner]:
                 self._naming.unregister(name)
+            elif not owner:
+                self._unmarked.setdefault(contact, time.monotonic())
+
+    def unregister_unmarked(self, contacts: Mapping[str, PortContact]) -> None:
+        """Unregister the unmarked ports that have refused connections at each update for some seconds.
+
+        A worker may have been killed before it marked them. Another program may now use the port number, and a new port
+        refuses connections until it listens.
+        """
+        now = time.monotonic()
+        dead = refused([c for c in self._unmarked if contacts.get(c.name) == c], _CONNECT_SECONDS)
+        self._unmarked = {contact: since for contact, since in self._unmarked.items() if contact.name in dead}
+        for contact in [contact for contact, since in self._unmarked.items() if now - since > _REFUSED_SECONDS]:
+            if not self._naming.get_property(contact.name, OWNER):
+                self._naming.unregister(contact.name)
+            del self._unmarked[contact]
 
     # -- connections ---------------------------------------------------------------------------------------------------
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 import uuid
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +15,7 @@ from typing import Any
 import pytest
 
 from bridge.adapters.yarp import edge as edge_module
+from bridge.adapters.yarp import ports as ports_module
 from bridge.adapters.yarp.edge import YarpEdge
 from bridge.adapters.yarp.network import OWNER, new_id
 from bridge.adapters.yarp.plan import PortPlan
@@ -24,12 +27,14 @@ from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy
 from tests.adapters.yarp.conftest import YarpPort
 from tests.peers.yarp.programs import Names
+from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.registry import Command
 from yarp_compat.naming.server import NameServer
 from yarp_compat.wire.binary import encode
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text
 
@@ -209,6 +214,49 @@ def test_delayed_update_does_not_join_the_network(
     until(lambda: not name_server_threads(), "the update ends", 20)
     assert edge.network() is None
     assert names.client.list("/midspan") == []
+
+
+@pytest.fixture
+def silent_port(names: Names) -> Iterator[PortContact]:
+    """A registered port that accepts no connection for now, because its backlog is full."""
+    with ExitStack() as stack:
+        server = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=0))
+        for _ in range(4):
+            waiting = stack.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(server.getsockname())
+        yield names.client.register("/midspan/talk:o", "127.0.0.1", server.getsockname()[1])
+
+
+def test_port_that_does_not_answer_in_time_keeps_its_name(
+    names: Names, edge: YarpEdge, silent_port: PortContact, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ports_module, "_CONNECT_SECONDS", 0.2)
+    monkeypatch.setattr(ports_module, "_REFUSED_SECONDS", 0.0)
+    edge.advertise("/talk", STRING, Qos())
+    edge.start(LISTENER)
+    until(lambda: names.client.query("/midspan/here/talk:o"), "the port opens under its alternative name", 20)
+    assert names.client.query(silent_port.name) == silent_port
+
+
+def test_unmarked_port_is_unregistered_only_after_it_has_refused_connections_for_a_while(
+    names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A port is registered before it listens; the others were left by a killed worker."""
+    now = 100.0
+    monkeypatch.setattr(ports_module, "time", SimpleNamespace(monotonic=lambda: now))
+    dead = names.client.register("/midspan/dead:o", "127.0.0.1", free_port())
+    young = names.client.register("/midspan/young:o", "127.0.0.1", free_port())
+    contacts = {contact.name: contact for contact in (dead, young)}
+    edge.ports.unregister_dead(contacts)
+    edge.ports.unregister_unmarked(contacts)
+    assert names.client.query(dead.name) == dead
+    with socket.create_server(("127.0.0.1", young.port)):
+        now += 60.0
+        edge.ports.unregister_unmarked(contacts)
+    edge.ports.unregister_unmarked(contacts)
+    assert names.client.query(dead.name) is None
+    assert names.client.query(young.name) == young
 
 
 class Failing(dict[str, PortPlan]):
