@@ -87,7 +87,7 @@ def open_connection(host: str, port: int, end: Callable[[], float]) -> socket.so
             sock = socket.socket(family, kind, protocol)
             with closed_on_failure(sock):
                 _connect(sock, address, partial(_earlier, end, latest))
-                sock.settimeout(_left(end))
+                sock.settimeout(max(end() - time.monotonic(), _STEP))
         except OSError as error:
             problem = error
         else:
@@ -101,8 +101,9 @@ def _connect(sock: socket.socket, address: tuple[object, ...], end: Callable[[],
     if number in _CONNECTING:
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_WRITE)
-            while not selector.select(min(_left(end), _STEP)):
-                pass
+            # the deadline is checked last, because the connection may have been made while this process was suspended
+            while not selector.select(max(0.0, min(end() - time.monotonic(), _STEP))):
+                _left(end)
         number = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
     if number:
         raise OSError(number, os.strerror(number))

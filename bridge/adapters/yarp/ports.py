@@ -23,7 +23,7 @@ from bridge.routing.edge import MadeBy
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import refused
 from yarp_compat.ports.connections import ConnectionEvent
-from yarp_compat.ports.naming import NamingError
+from yarp_compat.ports.naming import NamingError, NoNameServerError
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.contact import PortContact
 
@@ -336,6 +336,8 @@ class OwnPorts:
                 connections.connect(self._naming, peer, port.core.name, link.carrier, timeout=_CONNECT_SECONDS)
             if not problem and "@" in peer:
                 self._naming.set_property(peer, DAEMON, self._context.daemon)
+        except NoNameServerError as err:  # this says nothing about the peer
+            problem = str(err)
         except OSError as err:
             problem = str(err)
             self._graph.mark_unreachable(peer)

@@ -18,7 +18,7 @@ from bridge.adapters.yarp import edge as edge_module
 from bridge.adapters.yarp import ports as ports_module
 from bridge.adapters.yarp.edge import YarpEdge
 from bridge.adapters.yarp.network import OWNER, new_id
-from bridge.adapters.yarp.plan import PortPlan
+from bridge.adapters.yarp.plan import PlannedLink, PortPlan
 from bridge.adapters.yarp.ports import OwnPorts
 from bridge.adapters.yarp.services import YarpServices
 from bridge.config.model import Config
@@ -33,6 +33,7 @@ from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.registry import Command
 from yarp_compat.naming.server import NameServer
+from yarp_compat.ports.naming import NoNameServerError
 from yarp_compat.wire.binary import encode
 from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.profile import Profile
@@ -276,6 +277,24 @@ def test_connection_that_fails_during_planning_is_a_warning(edge: YarpEdge) -> N
     ports.trouble = {"/gone /peer": (0.0, "port not registered")}
     ports.apply(Failing(ports.trouble), {}, {})
     assert ports.warnings() == ["connection refused"]
+
+
+def test_port_stays_present_if_the_name_server_does_not_answer_after_it_was_connected(
+    edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise its route would close, and end the connection."""
+
+    def set_property(*_: object) -> None:
+        raise NoNameServerError("no reply within 2 s")
+
+    monkeypatch.setattr(NameClient, "set_property", set_property)
+    peer, connected = "/talk-@/reader", list[str]()
+    core = SimpleNamespace(name="/midspan/talk:o", add_output=lambda name: (connected.append(name), (True, ""))[1])
+    port: Any = SimpleNamespace(core=core, plan=SimpleNamespace(writes=True))
+    edge.ports._graph.contacts = {peer: PortContact(peer, "127.0.0.1", 10002)}
+    edge.ports._link(port, peer, PlannedLink())
+    assert connected == [peer]
+    assert edge.ports._graph.is_present(peer)
 
 
 def test_service_can_close_during_planning(

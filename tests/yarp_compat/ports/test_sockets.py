@@ -51,3 +51,21 @@ def test_timeout_of_the_kernel_does_not_prevent_the_next_address(
     end = time.monotonic() + 60.0
     with sockets.open_connection("robot", 1, lambda: end) as sock:
         assert sock.getpeername() == two_addresses[1].getsockname()
+
+
+def test_connection_that_is_made_while_this_process_is_suspended_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    end = time.monotonic() + 60.0
+
+    class Suspended(socket.socket):
+        """A socket whose process is suspended beyond the deadline while it connects."""
+
+        def connect_ex(self, address: object) -> int:
+            nonlocal end
+            result = super().connect_ex(address)  # type: ignore[arg-type]
+            end = time.monotonic() - 1.0
+            return result
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        monkeypatch.setattr(socket, "socket", Suspended)
+        with sockets.open_connection("127.0.0.1", server.getsockname()[1], lambda: end) as sock:
+            assert sock.getpeername() == server.getsockname()
