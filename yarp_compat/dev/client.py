@@ -1,6 +1,6 @@
 """Clients of a device server: calls through an RPC port, and subscriptions to its stream.
 
-The RPC port connects to the server's, and reconnects before a call if the server has restarted.
+If the server has restarted, the RPC port reconnects before a call, and the stream on a thread of its own.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from yarp_compat.naming import connections
 from yarp_compat.os.data.stamp import Stamp
 from yarp_compat.overriding import override
 from yarp_compat.ports.naming import Naming, PortError
+from yarp_compat.ports.outgoing import Content
 from yarp_compat.ports.port import PortCore
 from yarp_compat.ports.sockets import Openable, closed_on_failure
 from yarp_compat.pythonic import Client, Reader, Received
@@ -22,6 +23,7 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
 from yarp_compat.wire.portable import Portable
+from yarp_compat.wire.reply import ReplyEnd
 
 S = TypeVar("S", bound=Service)
 
@@ -58,8 +60,11 @@ class PortChannel:
     def generation(self, generation: Generation) -> None:
         self._generation, self._is_fixed = generation, True
 
-    def request(self, payload: bytes, parse: Callable[[Buffer], int]) -> Buffer:
-        """Send a request and return the reply; raises `TimeoutError`, or `ConnectionError` if not connected."""
+    def request(self, payload: Content, parse: ReplyEnd | None) -> Buffer:
+        """Send a request and return the reply; raises `TimeoutError`, or `ConnectionError` if not connected.
+
+        ``parse`` finds the reply's end; None: the reply is a Bottle.
+        """
         if self._connect is not None and self._port.is_open and not self._port.connections.outputs:
             with self._connecting:
                 try:
@@ -70,6 +75,61 @@ class PortChannel:
         return self._port.request(payload, timeout=self._timeout, parse=parse)
 
 
+_RECONNECT_SECONDS = 0.5  # between attempts to reconnect a stream
+_END_SECONDS = 0.5  # to wait for an attempt when a stream closes; one to an absent machine takes longer
+
+
+class StreamReader(Reader):
+    """A reader that connects its source to itself, and again after the connection has ended.
+
+    A lost connection over udp or mcast is not detected. For the arguments, see `Stream`.
+    """
+
+    def __init__(
+        self, source: str, name: str = "", carrier: str = "", *, strict: bool = False, naming: Naming | None = None
+    ) -> None:
+        super().__init__(name, strict=strict, naming=naming, on_event=lambda _event: self._wake.set())
+        self._source, self._carrier = source, carrier
+        self._wake = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @override
+    def open(self) -> Self:
+        """Open the port and connect the source to it; raises `NamingError`, or `PortError` if the source is missing."""
+        if self.core.is_open:
+            return self
+        super().open()
+        with closed_on_failure(self):
+            self._connect()
+            thread = threading.Thread(target=self._run, name=f"yarp stream {self._source}", daemon=True)
+            thread.start()
+            self._thread = thread
+        return self
+
+    @override
+    def close(self) -> None:
+        """Close the port, which ends iterations."""
+        super().close()
+        self._wake.set()
+        if self._thread is not None:
+            self._thread.join(_END_SECONDS)
+
+    def _connect(self) -> None:
+        connections.connect(self.core.naming, self._source, self.name, self._carrier)
+
+    def _run(self) -> None:
+        missing = False
+        while True:
+            self._wake.wait(_RECONNECT_SECONDS if missing else None)
+            self._wake.clear()
+            if not self.core.is_open:
+                return
+            missing = not self.core.connections.inputs
+            if missing:
+                with contextlib.suppress(OSError):  # the source may return later
+                    self._connect()
+
+
 T = TypeVar("T", bound=Portable)
 
 
@@ -78,22 +138,20 @@ class Stream(Openable, Generic[T]):
 
     NaN coordinates of a `Map2DLocation` mean that the robot is not localized. The source may include the carrier,
     ``udp://robot/odometry:o``; else ``carrier`` selects it. ``strict``: read every message, not only the newest. For
-    the other arguments, see `OpenPort`.
+    the other arguments, see `OpenPort`. If the source restarts, the stream continues; see `StreamReader`.
     """
 
     def __init__(
         self, source: str, kind: type[T], name: str = "", carrier: str = "", *, strict: bool = False,
         naming: Naming | None = None,
     ) -> None:  # fmt: skip
-        self._source, self._kind, self._carrier = source, kind, carrier
-        self._reader = Reader(name, strict=strict, naming=naming)
+        self._kind = kind
+        self._reader = StreamReader(source, name, carrier, strict=strict, naming=naming)
 
     @override
     def open(self) -> Self:
-        """Open the port and connect the source to it; raises `NamingError`, or `PortError` if the source is missing."""
+        """Open the port and connect the source to it; raises like `StreamReader.open`."""
         self._reader.open()
-        with closed_on_failure(self):
-            connections.connect(self._reader.core.naming, self._source, self._reader.name, self._carrier)
         return self
 
     @override
@@ -154,7 +212,7 @@ class ServiceClient(Client, Generic[S]):
 
     @override
     def open(self) -> Self:
-        """Open the port, connect it, and introduce it, as YARP 4's servers expect; raises like `Stream.open`."""
+        """Open the port, connect it, and introduce it, as YARP 4's servers expect; raises like `StreamReader.open`."""
         super().open()
         with closed_on_failure(self):
             self.version = self.remote.introduce()

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Self, Unpack
 
-from yarp_compat.dev.client import ClientOptions, ServiceClient
+from yarp_compat.dev.client import ClientOptions, ServiceClient, StreamReader
 from yarp_compat.dev.fields import Structure
 from yarp_compat.dev.returnvalue import OK, UNREACHED, ReturnCode, ReturnValue, fill, results_of
 from yarp_compat.dev.service import Service, rpc
-from yarp_compat.naming import connections
 from yarp_compat.overriding import override
 from yarp_compat.ports.sockets import closed_on_failure
-from yarp_compat.pythonic import Reader
+from yarp_compat.pythonic import payload_of
+from yarp_compat.wire import binary
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.values import Vocab
 
@@ -189,8 +189,7 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
     ) -> None:  # fmt: skip
         own_rpc_port = name and f"{name}/rpc_client"
         super().__init__(FrameGrabberMsgs, rpc_port or f"{server}/rpc", own_rpc_port, **options)
-        self._source, self._carrier = server, carrier
-        self._reader = Reader(name, naming=options.get("naming")) if stream else None
+        self._reader = StreamReader(server, name, carrier, naming=options.get("naming")) if stream else None
         self._size = (0, 0)
 
     @override
@@ -199,7 +198,6 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
         with closed_on_failure(self):
             if self._reader is not None:
                 self._reader.open()
-                connections.connect(self._reader.core.naming, self._source, self._reader.name, self._carrier)
         return self
 
     @override
@@ -238,7 +236,8 @@ class FrameGrabberClient(ServiceClient[FrameGrabberMsgs], IFrameGrabberControls)
         action, subject = vocabs
         plain = [float(value) if isinstance(value, float) else int(value) for value in arguments]
         try:
-            answer = self.ask([Vocab("fgc"), Vocab(action), Vocab(subject), *plain])
+            request = payload_of([Vocab("fgc"), Vocab(action), Vocab(subject), *plain])
+            answer = binary.decode(self._channel.request(request, None))
         except (OSError, WireError):
             return (UNREACHED,)
         first = 4 if action == "has" else 3  # [fgc] [has] [feat] number value; [fgc] [feat] [is] value

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
 
 from tests.peers.yarp.map_server import KeptMaps
+from tests.support.wait import until
 from tests.yarp_compat.dev.test_imap2d import KITCHEN, PATH, small_map
 from tests.yarp_compat.dev.test_inavigation2d import COVARIANCE, FAILED, LOCALIZED, Planner
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
@@ -242,6 +244,20 @@ def test_calls_to_a_missing_server_fail(make_port: MakePort, naming: LocalNaming
         port.close()
         assert client.stopNavigation() == unreached
         assert client.getNavigationStatus() is NavigationStatusEnum.navigation_status_error
+
+
+@pytest.mark.parametrize("restarts", [True, False])
+def test_a_stream_continues_after_its_connection_has_ended(naming: LocalNaming, restarts: bool) -> None:
+    source = "/loc/streaming:o"
+    with ExitStack() as writers:
+        writer = writers.enter_context(Writer(source, naming=naming))
+        with Stream(source, Map2DLocation, "/me", naming=naming) as positions:
+            if restarts:
+                writer.close()
+                writer = writers.enter_context(Writer(source, naming=naming))
+            else:
+                assert writer.core.remove_output("/me")
+            until(lambda: writer.write(KITCHEN) and positions.read_now(), "the stream continues")
 
 
 def test_a_stream_yields_messages_until_it_is_closed(make_port: MakePort, naming: LocalNaming) -> None:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from typing import Any
 
 import pytest
@@ -13,7 +13,7 @@ import pytest
 import yarp_compat as yarp
 from tests.support.wait import until
 from tests.yarp_compat.dev.drivers.conftest import Serve
-from yarp_compat.dev.framegrabber import BusType, CameraDescriptor, FeatureMode, FrameGrabberMsgs
+from yarp_compat.dev.framegrabber import BusType, CameraDescriptor, FeatureMode, FrameGrabberClient, FrameGrabberMsgs
 from yarp_compat.dev.llm import ILLMMsgs, LLM_Message
 from yarp_compat.dev.returnvalue import OK, ReturnValue
 from yarp_compat.pythonic import Server, Writer
@@ -172,6 +172,42 @@ def test_a_camera_receives_images_until_it_is_closed(serve: Serve) -> None:
         until(lambda: ended, "the pending getImage ends")
         waiting.join()
         assert not ended[0]
+
+
+def test_a_camera_continues_after_its_server_has_restarted(name_server: object) -> None:
+    """Its images, and the controls of a server before 4.0, which have no method to call."""
+    camera, sent, seen = Camera(), yarp.ImageRgb(), yarp.ImageRgb()
+    sent.resize(4, 3)
+
+    def start(servers: ExitStack) -> Writer:
+        servers.enter_context(Server("/camera/rpc", lambda words: vocab_reply(camera, words)))
+        return servers.enter_context(Writer("/camera"))
+
+    with ExitStack() as first:
+        start(first)
+        client = FrameGrabberClient("/camera", "/me").open()
+    with ExitStack() as second, closing(client):
+        out = start(second)
+        until(lambda: out.write(sent), "the images continue")
+        assert client.getImage(seen)
+        until(lambda: client.setFeature(yarp.YARP_FEATURE_ZOOM, 2.0), "the controls are reached again")
+        assert camera.values[0] == 2.0
+
+
+def test_an_old_camera_that_does_not_reply_is_not_waited_for(name_server: object) -> None:
+    replying, release = threading.Event(), threading.Event()
+
+    def reply(words: list[Any]) -> list[Any]:
+        if words[:1] == ["fgc"]:
+            replying.set()
+            release.wait(40)
+        return [Vocab("fail")]
+
+    with Server("/camera/rpc", reply), FrameGrabberClient("/camera", "/me", stream=False, timeout=0.2) as client:
+        assert not client.hasFeature(yarp.YARP_FEATURE_ZOOM)
+        assert replying.is_set()
+        assert not release.is_set()
+        release.set()
 
 
 class Model(ILLMMsgs):

@@ -160,6 +160,17 @@ def test_odometry_is_received_and_reset(serve: Serve) -> None:
         driver.close()
 
 
+def test_odometry_is_received_again_after_its_server_has_restarted(serve: Serve) -> None:
+    serve("/base/rpc", Odometry())
+    with Writer("/base/odometry:o"):
+        driver = yarp.PolyDriver(yarp.Property("(device odometry2D_nwc_yarp) (local /me) (remote /base)"))
+    view = driver.viewIOdometry2D()
+    with Writer("/base/odometry:o") as stream:
+        until(lambda: stream.write(OdometryData(odom_x=2.5)) and view.getOdometry()[0], "the odometry arrives")
+        assert view.getOdometry()[1] == OdometryData(odom_x=2.5)
+    driver.close()
+
+
 class Battery(IBatteryMsgs):
     """The RPC port of a battery of YARP 3.12 and later."""
 
