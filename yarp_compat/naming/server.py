@@ -135,7 +135,7 @@ class NameServer(Openable):
         self._gc_seconds = gc_seconds
         self._profile = profile
         self._lock = threading.Lock()
-        self._suspects: set[str] = set()
+        self._suspects: dict[str, float] = {}  # when they were registered
         self._wake = threading.Event()
         self._dirty = False
         self.changes = 0
@@ -206,12 +206,13 @@ class NameServer(Openable):
                 and e.contact != self.contact
                 and self.registry.age(e) > YOUNG
             }
-        dead = refused(probed, PROBE_SECONDS)
+        refusing = refused(probed, PROBE_SECONDS)
         with self._lock:
-            # a port that was registered during the probe may belong to the dead port's next program
-            dead &= {e.contact.name for e in self.registry.entries() if probed.get(e.contact) == e.since}
-            removed = sorted(dead if patience == 1 else dead & self._suspects)
-            self._suspects = dead - set(removed)
+            # a port that was registered during a probe, or between two, may belong to the dead port's next program
+            entries = [e for e in self.registry.entries() if probed.get(e.contact) == e.since]
+            dead = {e.contact.name: e.since for e in entries if e.contact.name in refusing}
+            removed = sorted(n for n, since in dead.items() if patience == 1 or self._suspects.get(n) == since)
+            self._suspects = {name: since for name, since in dead.items() if name not in removed}
             answer = self.registry.remove(removed)
             self._count(answer)
             self._publish(answer)

@@ -369,6 +369,18 @@ def test_new_ports_are_not_probed(server: NameServer, names: NameClient) -> None
     assert names.query("/young") is not None
 
 
+def test_a_port_that_registers_after_the_first_probe_is_probed_twice(
+    server: NameServer, names: NameClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The program of a dead port was started again, and does not listen yet."""
+    monkeypatch.setattr(server_module, "YOUNG", -1.0)
+    number = free_port()
+    for _ in range(2):
+        names.register("/robot", "127.0.0.1", number)
+        assert server.collect() == []
+    assert server.collect() == ["/robot"]
+
+
 def test_a_port_that_registers_while_it_is_probed_stays(
     server: NameServer, names: NameClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
