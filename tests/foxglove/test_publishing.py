@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from bridge.client.manual import ManualControl
 from bridge.hub.control import MANUAL_DRIVING_HALTED
 from bridge.messages.json import from_json
 from bridge.web.verbs import hold
@@ -170,6 +171,19 @@ def test_a_halt_on_the_hub_ends_driving_until_the_control_is_released(driven: De
         assert MANUAL_DRIVING_HALTED in [answer.value for answer in driven.far.hub.ask("halt", {})]
         drive_until_refused(app, number, "release the control first")
         until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero is commanded")
+
+
+def test_driving_is_refused_while_a_person_drives_with_another_program(driven: Desk) -> None:
+    subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
+    other = ManualControl(driven.far.hub, "/cmd_vel")
+    with driven.app() as app:
+        number = app.advertise("/cmd_vel", TWIST, "json")
+        other.begin("anna (web)")
+        until(lambda: driven.live.host.node.hub.graph.drivers("/cmd_vel"), "the server knows the driver")
+        drive_until_refused(app, number, "anna (web) drives manually")
+        assert driven.far.wait(subscription, 1, 0.1) == []
+        other.end()
+        drive_until_received(driven, app, number, subscription)
 
 
 @pytest.mark.parametrize("end", ["unadvertise", "leave", "cut", "the server stops"])

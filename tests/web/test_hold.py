@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from bridge.client.manual import ManualControl
 from bridge.clock import steady
 from bridge.hub.control import MANUAL_DRIVING_HALTED
 from bridge.hub.wire.qos import Qos
@@ -127,6 +128,37 @@ def test_one_page_drives_at_a_time(desk: Desk) -> None:
             other.read(0.05)
         assert "drives manually" in other.errors()[0]
         assert all(x >= 0.0 for _, x, _ in base.received)
+
+
+@pytest.mark.usefixtures("patience")
+def test_a_hold_is_refused_while_a_person_drives_with_another_program(desk: Desk) -> None:
+    base, other = Base(desk), ManualControl(desk.far.hub, "/cmd_vel")
+    with TestPage(desk.port) as page:
+        other.begin("anna (foxglove)")
+        graph = desk.console.host.node.hub.graph
+        until(lambda: graph.drivers("/cmd_vel"), "the console knows the driver")
+        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+        page.until(page.errors, "the hold is refused")
+        assert (page.errors(), base.received) == (["anna (foxglove) drives manually"], [])
+        other.end()
+        until(lambda: not graph.drivers("/cmd_vel"), "the console knows that control is free")
+        hold(page, base)
+        until(lambda: other.rival().endswith("(web) drives manually"), "the other program is refused meanwhile")
+        page.send(op="release")
+        until(lambda: not other.rival(), "control is free after the release")
+
+
+@pytest.mark.usefixtures("patience")
+def test_zero_is_not_repeated_against_the_next_driver(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.web.verbs.hold.STOP_SECONDS", 3600.0)
+    base, other = Base(desk), ManualControl(desk.far.hub, "/cmd_vel")
+    with TestPage(desk.port) as page:
+        hold(page, base)
+        page.send(op="release")
+        until(base.stands, "the base stands")
+        assert not desk.console._hold.stopped.is_set()
+        other.begin("anna (foxglove)")
+        assert desk.console._hold.stopped.wait(20), "the repetition ends"
 
 
 @pytest.mark.usefixtures("patience")

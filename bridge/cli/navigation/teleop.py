@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import signal
+import socket
 import sys
 import time
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from bridge.cli.graph.goal import Interrupt, Interrupted
 from bridge.cli.keyboard import AVAILABLE, pressed, raw
 from bridge.cli.output import CliError
 from bridge.client.graph import absolute
+from bridge.client.manual import ManualControl
 from bridge.client.types import Types
 from bridge.client.velocity import STOP_SECONDS, VelocityForm, VelocityPublisher, open_velocity
 from bridge.clock import steady
@@ -116,17 +118,14 @@ def run(args: argparse.Namespace) -> int:
         publisher = open_velocity(client, types, form, _warn)
         warn_of_refusals(client, [(topic, publisher.type_name, types.hash_of(publisher.type_name))])
         print(f"{HELP}\n{topic} ({publisher.type_name}):", flush=True)
-        keys = Keys(args.speed, args.turn)
+        keys, driver = Keys(args.speed, args.turn), Driver(publisher, ManualControl(client.hub, topic))
         try:
             with raw(sys.stdin.fileno()) as terminal:
-                _drive(keys, terminal, publisher, interrupt.check)
+                _drive(keys, terminal, driver, interrupt.check)
         except Interrupted as err:
             code = 0 if err.number == signal.SIGINT else err.code
         finally:
-            publisher.publish()
-            for _ in range(keys.zeros):
-                time.sleep(1.0 / RATE)
-                publisher.publish()
+            driver.stop(keys)
             publisher.close()
             print()
     return code
@@ -136,7 +135,42 @@ def _warn(text: str) -> None:
     print(f"\nmidspan: warning: {clean(text)}", file=sys.stderr)
 
 
-def _drive(keys: Keys, terminal: int, publisher: VelocityPublisher, check: Callable[[], None]) -> None:
+class Driver:
+    """Publishes what the keys request, unless another person drives manually."""
+
+    def __init__(self, publisher: VelocityPublisher, control: ManualControl) -> None:
+        self._publisher, self._control = publisher, control
+        self._who = f"midspan teleop ({socket.gethostname()})"
+
+    def publish(self, keys: Keys, now: float) -> str:
+        """Publish the velocity at a time in seconds, or zero for a moment; return what to show."""
+        x, y, turn = velocity = keys.velocity(now)
+        self._publisher.follow()
+        if rival := self._control.rival():
+            self._control.end()
+            keys.zeros = 0  # they would slow the other
+            return f"{clean(rival)}{': not driving' if any(velocity) else ''}"
+        if any(velocity):
+            self._control.begin(self._who)
+            keys.zeros = round(STOP_SECONDS * RATE)
+            self._publisher.publish(*velocity)
+        else:
+            self._control.end()
+            if keys.zeros:  # then silence, so that others can drive
+                keys.zeros -= 1
+                self._publisher.publish()
+        return f"x {x:+.2f} y {y:+.2f} m/s, turn {turn:+.2f} rad/s"
+
+    def stop(self, keys: Keys) -> None:
+        """Repeat zero for a moment after driving, unless another person drives."""
+        keys.ended = True
+        keys.zeros += 1
+        while keys.zeros:
+            self.publish(keys, steady())
+            time.sleep(1.0 / RATE if keys.zeros else 0.0)
+
+
+def _drive(keys: Keys, terminal: int, driver: Driver, check: Callable[[], None]) -> None:
     due = time.monotonic()
     while not keys.ended:
         check()
@@ -145,18 +179,5 @@ def _drive(keys: Keys, terminal: int, publisher: VelocityPublisher, check: Calla
         if time.monotonic() < due:
             continue
         due = max(due + 1.0 / RATE, time.monotonic())
-        velocity = keys.velocity(steady())
-        publisher.follow()
-        if any(velocity):
-            keys.zeros = round(STOP_SECONDS * RATE)
-            publisher.publish(*velocity)
-        elif keys.zeros:  # then silence, so that others can drive
-            keys.zeros -= 1
-            publisher.publish()
-        _show(keys, velocity)
-
-
-def _show(keys: Keys, velocity: tuple[float, float, float]) -> None:
-    x, y, turn = velocity
-    now = f"x {x:+.2f} y {y:+.2f} m/s, turn {turn:+.2f} rad/s"
-    print(f"\r{now}   (speed {keys.speed:.2f}, turn {keys.turn:.2f}) ", end="", flush=True)
+        now = driver.publish(keys, steady())
+        print(f"\r\x1b[K{now}   (speed {keys.speed:.2f}, turn {keys.turn:.2f}) ", end="", flush=True)

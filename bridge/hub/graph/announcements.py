@@ -1,14 +1,16 @@
-"""What Midspan sessions announce: their origin, the members of their network, velocities and versions."""
+"""What Midspan sessions announce: origin, members of their network, velocities, manual drivers and versions."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from typing import Any
 
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph.tokens import (
     MIDSPAN_SPACE,
     Origin,
+    parse_driver,
     parse_member,
     parse_near,
     parse_origin,
@@ -32,6 +34,7 @@ class SessionAnnouncements:
         spaces: key expressions of the tokens.
         origins: the origin of each session that announces one, by zid.
         velocities: session (zid), hub topic and type of each velocity topic to which a side's own nodes subscribe.
+        drivers: session (zid), velocity topic and name of each person who drives manually.
         relays: the sessions (zid) that may relay, with the time of the start (wall clock, ns) and the router of each.
         near: the direct links that these announce: session, and the other session.
         sessions: the sessions (zid) of all Midspan programs.
@@ -40,15 +43,21 @@ class SessionAnnouncements:
     def __init__(self, domain: int, max_tokens: int, settle: Callable[[str], None]) -> None:
         space = f"{MIDSPAN_SPACE}/{domain}"
         self._max_tokens, self._settle_endpoints = max_tokens, settle
-        self._member_space, self._velocity_space = f"{space}/member/", f"{space}/velocity/"
-        self._wire_space = f"{space}/wire/"
-        self._relay_space, self._near_space = f"{space}/relay/", f"{space}/near/"
-        self.spaces = tuple(f"{space}/{kind}/**" for kind in ("wire", "origin", "member", "velocity", "relay", "near"))
+        self._member_space, self._wire_space = f"{space}/member/", f"{space}/wire/"
+        self._relay_space = f"{space}/relay/"
+        kinds = ("wire", "origin", "member", "velocity", "driver", "relay", "near")
+        self.spaces = tuple(f"{space}/{kind}/**" for kind in kinds)
         self.origins: dict[str, Origin] = {}
         self.velocities: set[tuple[str, str, str]] = set()
+        self.drivers: set[tuple[str, str, str]] = set()
         self.relays: dict[str, tuple[int, str]] = {}
         self.near: set[tuple[str, str]] = set()
         self.sessions: set[str] = set()
+        self._sets: dict[str, tuple[Callable[[str], Any], set[Any], str]] = {
+            f"{space}/velocity/": (parse_velocity, self.velocities, "topics of velocities"),
+            f"{space}/driver/": (parse_driver, self.drivers, "manual drivers"),
+            f"{space}/near/": (parse_near, self.near, "direct links"),
+        }
         self._tokens: dict[str, dict[str, Origin]] = {}
         self._members: dict[str, dict[str, None]] = {}
         self._strangers: set[str] = set()
@@ -61,21 +70,18 @@ class SessionAnnouncements:
         """Add a token; return whether anything changed. Raises `HubWireError` if malformed or above the limit."""
         if key.startswith(self._member_space):
             return self._put_member(*parse_member(key))
-        if key.startswith(self._velocity_space):
-            velocity = parse_velocity(key)
-            self._check_room(len(self.velocities), "topics of velocities")
-            self.velocities.add(velocity)
-            return True
+        for space, (parse, values, kind) in self._sets.items():
+            if key.startswith(space):
+                value = parse(key)
+                self._check_room(len(values), kind)
+                values.add(value)
+                return True
         if key.startswith(self._wire_space):
             return self._put_wire(*parse_wire(key))
         if key.startswith(self._relay_space):
             relay, since, router = parse_relay(key)
             self._check_room(len(self.relays), "relays")
             self.relays[relay] = since, router
-            return True
-        if key.startswith(self._near_space):
-            self._check_room(len(self.near), "direct links")
-            self.near.add(parse_near(key))
             return True
         token = parse_origin(key)
         if token.zid not in self._tokens:
@@ -91,11 +97,12 @@ class SessionAnnouncements:
         """Remove a token; return whether anything changed. Raises `HubWireError` if it is malformed."""
         if key.startswith(self._member_space):
             return self._delete_member(*parse_member(key))
-        if key.startswith(self._velocity_space):
-            velocity = parse_velocity(key)
-            known = velocity in self.velocities
-            self.velocities.discard(velocity)
-            return known
+        for space, (parse, values, _) in self._sets.items():
+            if key.startswith(space):
+                value = parse(key)
+                known = value in values
+                values.discard(value)
+                return known
         if key.startswith(self._wire_space):
             return self._delete_wire(parse_wire(key)[0])
         if key.startswith(self._relay_space):
@@ -104,11 +111,6 @@ class SessionAnnouncements:
                 return False
             del self.relays[relay]
             return True
-        if key.startswith(self._near_space):
-            link = parse_near(key)
-            known = link in self.near
-            self.near.discard(link)
-            return known
         zid = parse_origin(key).zid
         tokens = self._tokens.get(zid, {})
         if tokens.pop(key, None) is None:

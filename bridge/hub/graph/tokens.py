@@ -12,11 +12,12 @@ while its session has an origin has the enclave ``/midspan``, so that a particip
 that an origin will follow. An active worker also announces the workers on its network, including itself, with one token
 per worker: ``@midspan/<domain>/member/<zid>/<zid of the worker>``. These tokens show that two hubs share a network. For
 each velocity topic to which its side's own nodes subscribe, it announces
-``@midspan/<domain>/velocity/<zid>/<topic on the hub>/<type>``. A worker that may relay between nodes of the hub
-announces ``@midspan/<domain>/relay/<zid>/<time of its start>/<router>``, and a candidate of the election for its direct
-links ``@midspan/<domain>/near/<zid>/<other zid>`` (`bridge.routing.relay.election`). Before anything else, each
-Midspan session announces its protocol version: ``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>``
-(`bridge.hub.wire.version`).
+``@midspan/<domain>/velocity/<zid>/<topic on the hub>/<type>``. A program with which a person drives announces
+``@midspan/<domain>/driver/<zid>/<topic on the hub>/<person>`` meanwhile (`bridge.client.manual`). A worker that may
+relay between nodes of the hub announces ``@midspan/<domain>/relay/<zid>/<time of its start>/<router>``, and a candidate
+of the election for its direct links ``@midspan/<domain>/near/<zid>/<other zid>`` (`bridge.routing.relay.election`).
+Before anything else, each Midspan session announces its protocol version:
+``@midspan/<domain>/wire/<zid>/<version>/<Midspan's release>`` (`bridge.hub.wire.version`).
 """
 
 from __future__ import annotations
@@ -215,6 +216,19 @@ def parse_velocity(key: str) -> tuple[str, str, str]:
     topic, type_name = check_topic(_unquote(parts[4])), _unquote(parts[5])
     dds_type_name(type_name)  # raises HubWireError for an invalid name
     return parts[3], topic, type_name
+
+
+def driver_key(domain: int, zid: str, topic: str, who: str) -> str:
+    """Return the key of the token with which a session announces that ``who`` drives manually on a velocity topic."""
+    return f"{MIDSPAN_SPACE}/{domain}/driver/{zid}/{_quote(topic)}/{_quote(who)}"
+
+
+def parse_driver(key: str) -> tuple[str, str, str]:
+    """Parse a manual driver's token: the session, the velocity topic and who drives; raises `HubWireError`."""
+    parts = _split(key, MIDSPAN_SPACE)
+    if len(parts) != 6 or parts[2] != "driver":
+        raise HubWireError("not a driver token")
+    return parts[3], check_topic(_unquote(parts[4])), _unquote(parts[5])
 
 
 def relay_key(domain: int, zid: str, since: int, router: str) -> str:

@@ -17,6 +17,7 @@ from bridge.hub.graph.tokens import (
     MIDSPAN_SPACE,
     EndpointKind,
     Origin,
+    driver_key,
     member_key,
     near_key,
     parse_token,
@@ -105,6 +106,16 @@ class HubGraph:
     def announce_velocity(self, topic: str, type_name: str) -> Callable[[], None]:
         """Announce that our side's own nodes subscribe to a velocity topic, until the returned function is called."""
         return self.announce(velocity_key(self._domain, self._zid, topic, type_name))
+
+    def drivers(self, topic: str) -> dict[str, str]:
+        """Return, by session (zid), who drives manually on a velocity topic in other sessions."""
+        with self._lock:
+            drivers = sorted(self._announced.drivers)
+        return {zid: who for zid, name, who in drivers if name == topic and zid != self._zid}
+
+    def announce_driver(self, topic: str, who: str) -> Callable[[], None]:
+        """Announce that ``who`` drives manually on a velocity topic, until the returned function is called."""
+        return self.announce(driver_key(self._domain, self._zid, topic, who))
 
     def relays(self) -> dict[str, tuple[int, str]]:
         """Return the sessions (zid) that may relay between nodes, each with its start (wall clock, ns) and router."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from threading import Event
 from typing import Protocol
 
+from bridge.client.manual import ManualControl
 from bridge.client.velocity import STOP_SECONDS, VelocityPublisher
 from bridge.clock import steady
 from bridge.modules.host import Host
@@ -46,7 +47,8 @@ class HandDriving:
         busy: returns why manual driving is refused; "" if it is allowed.
         on_begin: called when a page starts to drive.
 
-    A planner that starts meanwhile ends the hold, and the repetition of zero, once the gateway's status shows it.
+    Only one person on the hub drives, whichever program they use (`bridge.client.manual.ManualControl`). A planner that
+    starts meanwhile ends the hold, and the repetition of zero, once the gateway's status shows it.
 
     Attributes:
         stopped: set while neither a velocity nor zero is being published.
@@ -63,6 +65,7 @@ class HandDriving:
         self._host, self._topic, self._most, self._busy, self._on_begin = host, topic, most, busy, on_begin
         self.stopped = Event()
         self.stopped.set()
+        self._control = ManualControl(host.node.hub, topic)
         self._holder: HandDriver | None = None
         self._halted_at = -math.inf
         self._ended = False
@@ -86,7 +89,7 @@ class HandDriving:
         if self._ended or steady() - arrived > HOLD_SECONDS:
             return
         holder = self._holder
-        reason = self._busy() if holder in (None, page) else f"{holder.who} drives manually"
+        reason = self._others() if holder in (None, page) else f"{holder.who} drives manually"
         if not self._topic:
             reason = "no velocity topic is configured (navigation.velocity)"
         if pressed <= self._halted_at:
@@ -98,6 +101,7 @@ class HandDriving:
         if self._holder is None:
             self._host.log.info("%s drives manually", page.who)
             self._holder = page
+            self._control.begin(f"{page.who} ({self._host.name})")
             self.stopped.clear()
             self._out = self._out or velocity_publisher(self._host, self._topic)
             self._timer = self._timer or self._host.loop.every(_PERIOD, self._repeat)
@@ -131,8 +135,13 @@ class HandDriving:
         page, self._holder, self._velocity = self._holder, None, _ZERO
         self._zeros = round(STOP_SECONDS / _PERIOD)
         self._publish()
+        self._control.end()
         page.held(*_ZERO)
         self._host.log.info("%s no longer drives manually", page.who)
+
+    def _others(self) -> str:
+        """Return which other program or planner drives; "" if none does."""
+        return self._control.rival() or self._busy()
 
     def _repeat(self) -> None:
         if self._holder is not None:
@@ -140,7 +149,7 @@ class HandDriving:
                 self.stop()
             else:
                 self._publish()
-        elif self._zeros and not self._busy():  # zeros would slow a planner
+        elif self._zeros and not self._others():  # zeros would slow a planner or another driver
             self._zeros -= 1
             self._publish()
         else:

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from bridge.cli.navigation.teleop import HOLD_SECONDS, Keys
+from bridge.client.manual import ManualControl
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
@@ -141,6 +142,26 @@ def test_teleop_follows_a_base_that_changes_its_form(
         old.close()
         until(lambda: (driver.press(b"i"), (0.2, 0.0) in new.sent)[1], "velocities continue in the other type")
         until(lambda: new.sent[-1] == (0.0, 0.0), "the base stops when no key is held")
+
+
+def test_teleop_does_not_drive_against_another_person(
+    driver: Driver, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    base = Base(network, registry, TWIST)
+    closing.append(base)
+    with Hub.open(network.settings("web")) as hub:
+        other = ManualControl(hub, "/cmd_vel")
+        other.begin("anna (web)")
+        with driver.drive():
+            until(lambda: hub.graph.publishers("/cmd_vel"), "teleop has started")
+            for _ in range(5):
+                driver.press(b"i")
+            assert other.rival() == ""
+            other.end()
+            until(lambda: (driver.press(b"i"), (0.2, 0.0) in base.sent)[1], "teleop drives once control is free")
+            until(lambda: other.rival().startswith("midspan teleop"), "the other is refused meanwhile")
+    (done,) = driver.done
+    assert "anna (web) drives manually: not driving" in done.out
 
 
 def test_teleop_publishes_the_chosen_form(

@@ -164,6 +164,7 @@ def test_malformed_tokens_are_left_out(network: HubNetwork, caplog: pytest.LogCa
             f"{space}/z/0/1/MP/%/%/n/%a b/a::msg::dds_::B_/{HASH}/::,7:,:,:,,",
             f"@midspan/{a.domain}/velocity/z/%2F%2A%2Fcmd_vel/a%2Fmsg%2FB",
             f"@midspan/{a.domain}/velocity/z/%2Fcmd_vel/nonsense",
+            f"@midspan/{a.domain}/driver/z/%2F%2A%2Fcmd_vel/anna",
             f"@midspan/{a.domain}/origin/z",
             f"@midspan/{a.domain}/origin/z/a/b/c/d/e",
         ]

@@ -19,10 +19,12 @@ from bridge.hub.graph.tokens import (
     NodeToken,
     Origin,
     OriginToken,
+    driver_key,
     endpoint_key,
     gid_of,
     node_key,
     origin_key,
+    parse_driver,
     parse_origin,
     parse_token,
     parse_velocity,
@@ -130,6 +132,14 @@ def test_malformed_tokens_are_rejected(key: str):
 def test_velocity_tokens_survive_the_round_trip():
     key = velocity_key(5, "abc", "/robot_1/cmd_vel", "geometry_msgs/msg/Twist")
     assert parse_velocity(key) == ("abc", "/robot_1/cmd_vel", "geometry_msgs/msg/Twist")
+
+
+@given(WORDS)
+def test_driver_tokens_survive_the_round_trip_as_legal_keys(who: str):
+    key = driver_key(5, "abc", "/robot_1/cmd_vel", who)
+    assert parse_driver(key) == ("abc", "/robot_1/cmd_vel", who)
+    assert not set("*$?#") & set(key)
+    assert "//" not in key
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,39 @@
+"""Control of a base for manual driving: on each velocity topic of the hub, only one person drives at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bridge.hub.session import Hub
+
+_MOST_NAME = 200
+
+
+class ManualControl:
+    """The right of one program to publish velocities for a person: the console, the Foxglove server or `teleop`.
+
+    The program announces the person on the hub while the person drives. zenoh withdraws the announcement when the
+    program exits, or a few seconds after its process or its machine hangs. If two persons begin at the same moment, the
+    program with the lower zid has precedence. Use it on one thread.
+    """
+
+    def __init__(self, hub: Hub, topic: str) -> None:
+        self._hub, self._topic = hub, topic
+        self._withdraw: Callable[[], None] | None = None
+
+    def rival(self) -> str:
+        """Return who drives instead; "" if this program may drive."""
+        drivers = self._hub.graph.drivers(self._topic)
+        rivals = [who for zid, who in drivers.items() if self._withdraw is None or zid < self._hub.zid]
+        return f"{rivals[0]} drives manually" if rivals else ""
+
+    def begin(self, who: str) -> None:
+        """Announce that ``who`` drives, until `end`."""
+        if self._withdraw is None:
+            self._withdraw = self._hub.graph.announce_driver(self._topic, who[:_MOST_NAME])
+
+    def end(self) -> None:
+        """Let others drive. Safe to call twice."""
+        withdraw, self._withdraw = self._withdraw, None
+        if withdraw is not None:
+            withdraw()
