@@ -53,10 +53,11 @@ class SessionAnnouncements:
         self.relays: dict[str, tuple[int, str]] = {}
         self.near: set[tuple[str, str]] = set()
         self.sessions: set[str] = set()
-        self._sets: dict[str, tuple[Callable[[str], Any], set[Any], str]] = {
-            f"{space}/velocity/": (parse_velocity, self.velocities, "topics of velocities"),
-            f"{space}/driver/": (parse_driver, self.drivers, "manual drivers"),
-            f"{space}/near/": (parse_near, self.near, "direct links"),
+        # drivers are polled: they come and go with each press of a control, for which no route needs to be checked
+        self._sets: dict[str, tuple[Callable[[str], Any], set[Any], str, bool]] = {
+            f"{space}/velocity/": (parse_velocity, self.velocities, "topics of velocities", True),
+            f"{space}/driver/": (parse_driver, self.drivers, "manual drivers", False),
+            f"{space}/near/": (parse_near, self.near, "direct links", True),
         }
         self._tokens: dict[str, dict[str, Origin]] = {}
         self._members: dict[str, dict[str, None]] = {}
@@ -67,15 +68,15 @@ class SessionAnnouncements:
         return {zid: frozenset(members) for zid, members in self._members.items()}
 
     def put(self, key: str) -> bool:
-        """Add a token; return whether anything changed. Raises `HubWireError` if malformed or above the limit."""
+        """Add a token; return whether the watches are to be called. Raises `HubWireError` if malformed or above the limit."""
         if key.startswith(self._member_space):
             return self._put_member(*parse_member(key))
-        for space, (parse, values, kind) in self._sets.items():
+        for space, (parse, values, kind, watched) in self._sets.items():
             if key.startswith(space):
                 value = parse(key)
                 self._check_room(len(values), kind)
                 values.add(value)
-                return True
+                return watched
         if key.startswith(self._wire_space):
             return self._put_wire(*parse_wire(key))
         if key.startswith(self._relay_space):
@@ -94,15 +95,15 @@ class SessionAnnouncements:
         return True
 
     def delete(self, key: str) -> bool:
-        """Remove a token; return whether anything changed. Raises `HubWireError` if it is malformed."""
+        """Remove a token; return whether the watches are to be called. Raises `HubWireError` if it is malformed."""
         if key.startswith(self._member_space):
             return self._delete_member(*parse_member(key))
-        for space, (parse, values, _) in self._sets.items():
+        for space, (parse, values, _, watched) in self._sets.items():
             if key.startswith(space):
                 value = parse(key)
                 known = value in values
                 values.discard(value)
-                return known
+                return watched and known
         if key.startswith(self._wire_space):
             return self._delete_wire(parse_wire(key)[0])
         if key.startswith(self._relay_space):
