@@ -93,6 +93,33 @@ def test_pongs_that_are_not_read_close_the_connection(desk: Desk) -> None:
     assert ask(desk.port, "/")[0] == 200
 
 
+class LargeFeed(Feed):
+    """A feed whose value is larger than the buffers of a connection."""
+
+    def __init__(self) -> None:
+        super().__init__("maps")
+        self.opened = threading.Event()
+
+    def open(self) -> None:
+        self.put({"names": ["x" * (16 << 20)]})
+        self.opened.set()
+
+    def close(self) -> None:
+        return
+
+
+def test_a_page_that_stands_still_is_disconnected(desk: Desk) -> None:
+    """For example of a laptop that sleeps while a value is being sent: the connection would wait for the rest."""
+    config = desk.console.server._server.config
+    config.ws_ping_interval = config.ws_ping_timeout = 1.0
+    desk.console.feeds.fixed["maps"] = feed = LargeFeed()
+    with connect(desk.port) as sock:
+        sock.sendall(opening(f"127.0.0.1:{desk.port}"))
+        sock.sendall(client_frame(1, b'{"op": "watch", "feed": "maps"}'))
+        assert feed.opened.wait(20)
+        until(lambda: not desk.console.server.pages, "the page is disconnected")
+
+
 def test_pages_per_address_are_limited(desk: Desk) -> None:
     with contextlib.ExitStack() as stack:
         for _ in range(MOST_PAGES_OF_ADDRESS):

@@ -153,7 +153,7 @@ class TimedHttp(H11Protocol):
 
 
 class BoundedWebSocket(WebSocketsSansIOProtocol):
-    """Closes the connection of a page with too much unread data, or with too many parts in a message."""
+    """Closes the connection of a page with too much unread data, too many parts in a message, or without pongs."""
 
     @override
     def handle_ping(self) -> None:
@@ -162,6 +162,12 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
             super().handle_ping()
         if self.transport.get_write_buffer_size() > MOST_UNREAD:
             self.transport.abort()
+
+    @override
+    def keepalive_timeout(self) -> None:
+        """Abort the connection of a page that has not answered a ping; see uvicorn, which would send all data first."""
+        super().keepalive_timeout()
+        self.transport.abort()
 
     @override
     def handle_cont(self, event: Frame) -> None:
