@@ -98,6 +98,11 @@ class Recorder:
         """Start saving the ring's files. The future has their folder, None for an empty ring, or an `OSError`."""
         return self._post(partial(self._files.keep, why))
 
+    def keep(self, why: str) -> Path | None:
+        """Save the ring's files, and return their folder, None for an empty ring; raises `OSError`."""
+        path: Path | None = self._do(partial(self._files.keep, why))
+        return path
+
     def _post(self, action: Callable[[], Any]) -> Future[Any]:
         future: Future[Any] = Future()
         self._commands.append((future, action))
@@ -105,7 +110,15 @@ class Recorder:
         return future
 
     def _do(self, action: Callable[[], Any]) -> Any:
-        return self._post(action).result(_COMMAND_SECONDS)
+        """Run an action on the writer thread; raises its error, or `TimeoutError` if the thread does not run it yet."""
+        future = self._post(action)
+        try:
+            return future.result(_COMMAND_SECONDS)
+        except TimeoutError:
+            if future.done():  # an error of the action, such as ETIMEDOUT
+                raise
+            problem = f"the writer thread has not answered for {_COMMAND_SECONDS:g} s, and does this later"
+            raise TimeoutError(f"{problem}: is the disk slow or unreachable?") from None
 
     def close(self) -> None:
         """Write all waiting messages as long as that makes progress, and stop. Safe to call twice."""

@@ -151,6 +151,8 @@ class RecordWorker(Worker):
         recording.host.answer(VERB, self._do)
         try:
             _log.info("recording into %s", recording.recorder.begin())
+        except TimeoutError as err:
+            _log.warning("recording has not started yet: %s", err)
         except OSError:
             _log.debug("recording did not start, as the recorder logged", exc_info=True)
 
@@ -179,10 +181,10 @@ class RecordWorker(Worker):
             elif verb == "split":
                 path = recorder.split()
             elif verb == "trigger":
-                path = recorder.trigger("midspan record --daemon trigger").result(10.0)
+                path = recorder.keep("midspan record --daemon trigger")
             else:
                 raise HubError(f"{verb!r} is not one of start, stop, split and trigger")
-        except (OSError, TimeoutError) as err:
+        except OSError as err:
             raise HubError(f"{verb}: {err}") from None
         return {"file": str(path or ""), "recording": recorder.status().document()}
 

@@ -20,6 +20,7 @@ from bridge.hub.session import Hub
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.record import file as record_file
 from bridge.record import places as record_places
+from bridge.record import recorder
 from bridge.record import series as record_series
 from bridge.record.arrivals import ArrivalQueue, RecordedMessage, TopicCounts
 from bridge.record.places import PREFIX, BagFolder, Files, KeptFolder
@@ -312,6 +313,21 @@ def test_a_folder_that_cannot_be_created_is_reported_and_retried(
         chat.put(robot.text("after"))
         status = await_written(recorded, 1)
     assert read(Path(status.file)).texts("/said") == ["after"]
+
+
+def test_a_command_that_waits_for_a_slow_disk_is_reported(
+    hubs: QuickHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, "_COMMAND_SECONDS", 0.2)
+    go_on = threading.Event()
+    with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
+        recorded.recorder._post(lambda: go_on.wait(40))
+        try:
+            with pytest.raises(TimeoutError, match=r"has not answered for 0\.2 s, and does this later"):
+                recorded.recorder.begin()
+        finally:
+            go_on.set()
+        until(lambda: (tmp_path / "one.mcap").exists(), "the file is opened later")
 
 
 def test_a_file_that_cannot_be_written_is_named_and_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
