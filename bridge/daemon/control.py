@@ -76,7 +76,11 @@ class DaemonPipe:
                     commands.put(protocol.decode_command(line))
                 except protocol.ProtocolError as err:
                     logger.error("the daemon sent %s", err)  # noqa: TRY400
-            data = os.read(self._input, _READ_SIZE)
+            try:
+                data = os.read(self._input, _READ_SIZE)
+            except OSError as err:
+                logger.error("cannot read the daemon's commands: %s", err)  # noqa: TRY400
+                data = b""
             if not data:
                 break
             self._waiting = self._lines.feed(data)

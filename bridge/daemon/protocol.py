@@ -30,8 +30,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
-from pydantic import ValidationError
-
 from bridge.config.model import Config
 from bridge.daemon.heartbeat import busy_line
 from bridge.progress import Busy
@@ -137,7 +135,7 @@ def decode_command(line: bytes, parse: Callable[[dict[str, Any]], Config] = Conf
     if "config" in data:
         try:
             return NewConfig(parse(data["config"]))
-        except ValidationError as err:
+        except Exception as err:  # also of the code of another package's section
             raise ProtocolError(f"an invalid configuration: {err}") from err
     raise ProtocolError(f"not a command: {line[:200]!r}")
 

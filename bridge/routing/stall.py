@@ -6,12 +6,15 @@ stopped by a signal, suspended or starved), which missed beats of a `StallDetect
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
 from collections.abc import Callable
 
 from bridge.clock import steady, steady_ns
+
+_log = logging.getLogger(__name__)
 
 _BEAT = 0.1
 _REST_BEAT = 0.25
@@ -60,7 +63,10 @@ class StallDetector:
             if self._wake.wait(self.pause):
                 self._wake.clear()
             else:
-                self.beat()
+                try:
+                    self.beat()
+                except Exception:  # without this thread, each command would count as old
+                    _log.exception("recovering from a suspension failed")
                 self.pause = _REST_BEAT if self._last - self._asked > _REST_SECONDS else _BEAT
 
     def beat(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import threading
 from collections.abc import Iterator
@@ -14,7 +15,8 @@ import pytest
 
 from bridge import state_file
 from bridge.config.model import Config
-from bridge.daemon.control import ControlServer
+from bridge.daemon import control, protocol
+from bridge.daemon.control import Commands, ControlServer, DaemonPipe
 from bridge.daemon.local_socket import LocalListener
 from bridge.daemon.protocol import Beat, Hello, NewConfig, decode_command, encode_report
 from bridge.daemon.worker_channel import SocketChannel
@@ -134,3 +136,27 @@ def test_a_configuration_that_a_lost_connection_did_not_deliver_is_sent_again(tm
         daemon.settimeout(20)
         with daemon, daemon.makefile("rb") as lines:
             assert decode_command(lines.readline()) == NewConfig(config)
+
+
+def test_a_worker_stops_if_it_cannot_read_the_daemons_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise it would ignore each later command, and outlive the daemon."""
+    monkeypatch.setattr(control, "end_process_after", lambda _: None)
+    reading, writing = os.pipe()
+    pipe, commands = object.__new__(DaemonPipe), Commands()  # the constructor replaces this process's own descriptors
+    pipe._input, pipe._lines, pipe._waiting = writing, protocol.Lines(), []
+    try:
+        pipe.read_to(commands, stop_at_end=True)
+        assert commands.get(timeout=20) == protocol.Stop("the daemon has exited")
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+def test_a_configuration_that_cannot_be_parsed_is_a_protocol_error() -> None:
+    """The thread that reads the commands must survive errors in the sections of other packages."""
+
+    def parse(_data: dict[str, Any]) -> Config:
+        raise ImportError("no module named 'rover'")
+
+    with pytest.raises(protocol.ProtocolError, match="an invalid configuration: no module named 'rover'"):
+        decode_command(b'{"config": {}}', parse)

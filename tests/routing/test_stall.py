@@ -145,6 +145,24 @@ def test_pulse_reports_a_suspension_once_the_process_continues(monkeypatch: pyte
         stall_detector.stop()
 
 
+def test_beats_continue_after_an_error_in_the_recovery(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise each later command would count as old, and be dropped."""
+    clock, reported = ProcessClock(monkeypatch), queue.SimpleQueue[float]()
+
+    def recover(seconds: float) -> None:
+        reported.put(seconds)
+        raise OSError("no such directory")
+
+    stall_detector = stall.StallDetector(recover)
+    stall_detector.start()
+    try:
+        for _ in range(2):
+            clock.now += 20.0
+            assert reported.get(timeout=40) == pytest.approx(20.0)
+    finally:
+        stall_detector.stop()
+
+
 def test_pulse_pauses_without_readers_and_resumes_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stall, "_REST_SECONDS", 0.0)
     stall_detector = stall.StallDetector()
