@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
+from bridge.hub.control import MANUAL_DRIVING_HALTED
 from bridge.hub.session import Hub
 
 _MOST_NAME = 200
@@ -21,15 +23,20 @@ class ManualControl:
         self._hub, self._topic = hub, topic
         self._withdraw: Callable[[], None] | None = None
 
+    @property
+    def held(self) -> bool:
+        """Whether this program has announced that it drives."""
+        return self._withdraw is not None
+
     def rival(self) -> str:
         """Return who drives instead; "" if this program may drive."""
         drivers = self._hub.graph.drivers(self._topic)
-        rivals = [who for zid, who in drivers.items() if self._withdraw is None or zid < self._hub.zid]
+        rivals = [who for zid, who in drivers.items() if not self.held or zid < self._hub.zid]
         return f"{rivals[0]} drives manually" if rivals else ""
 
     def begin(self, who: str) -> None:
         """Announce that ``who`` drives, until `end`."""
-        if self._withdraw is None:
+        if not self.held:
             self._withdraw = self._hub.graph.announce_driver(self._topic, who[:_MOST_NAME])
 
     def end(self) -> None:
@@ -37,3 +44,13 @@ class ManualControl:
         withdraw, self._withdraw = self._withdraw, None
         if withdraw is not None:
             withdraw()
+
+
+def on_halt(hub: Hub, stop: Callable[[], None]) -> Callable[[], None]:
+    """Call ``stop``, on a thread of the hub, for each halt of all bases, until the returned function is called."""
+
+    def answer(_params: dict[str, Any]) -> dict[str, Any]:
+        stop()
+        return MANUAL_DRIVING_HALTED
+
+    return hub.serve("halt", answer)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import math
 import signal
 import socket
 import sys
+import threading
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,7 +18,7 @@ from bridge.cli.graph.goal import Interrupt, Interrupted
 from bridge.cli.keyboard import AVAILABLE, pressed, raw
 from bridge.cli.output import CliError
 from bridge.client.graph import absolute
-from bridge.client.manual import ManualControl
+from bridge.client.manual import ManualControl, on_halt
 from bridge.client.types import Types
 from bridge.client.velocity import STOP_SECONDS, VelocityForm, VelocityPublisher, open_velocity
 from bridge.clock import steady
@@ -65,10 +67,13 @@ class Keys:
         self.zeros = 1
         self._wish = HeldKeys()
         self._until = 0.0
+        self._blocked = -math.inf  # until this time, a key counts as held since the last halt
 
     def press(self, key: str, now: float) -> None:
         """Handle a key that arrives at a time in seconds."""
-        if key in KEYS:
+        if key in KEYS and now <= self._blocked:
+            self._blocked = now + HOLD_SECONDS
+        elif key in KEYS:
             self._wish, self._until = HeldKeys(*KEYS[key]), now + HOLD_SECONDS
         elif key in "qz":
             factor = STEP if key == "q" else 1.0 / STEP
@@ -76,6 +81,10 @@ class Keys:
         else:
             self._wish = HeldKeys()  # any other key stops the base
             self.ended = key in ("x", "\x03", "\x04")
+
+    def halt(self, now: float) -> None:
+        """Stop at a time in seconds; a key that is held must be released before it drives again."""
+        self._wish, self._blocked = HeldKeys(), now + HOLD_SECONDS
 
     def velocity(self, now: float) -> tuple[float, float, float]:
         """Return the velocity at a time, m/s and rad/s: zero unless a key is held."""
@@ -118,14 +127,16 @@ def run(args: argparse.Namespace) -> int:
         publisher = open_velocity(client, types, form, _warn)
         warn_of_refusals(client, [(topic, publisher.type_name, types.hash_of(publisher.type_name))])
         print(f"{HELP}\n{topic} ({publisher.type_name}):", flush=True)
-        keys, driver = Keys(args.speed, args.turn), Driver(publisher, ManualControl(client.hub, topic))
+        driver = Driver(Keys(args.speed, args.turn), publisher, ManualControl(client.hub, topic))
+        end = on_halt(client.hub, driver.halt)
         try:
             with raw(sys.stdin.fileno()) as terminal:
-                _drive(keys, terminal, driver, interrupt.check)
+                _drive(driver, terminal, interrupt.check)
         except Interrupted as err:
             code = 0 if err.number == signal.SIGINT else err.code
         finally:
-            driver.stop(keys)
+            driver.stop()
+            end()
             publisher.close()
             print()
     return code
@@ -136,48 +147,63 @@ def _warn(text: str) -> None:
 
 
 class Driver:
-    """Publishes what the keys request, unless another person drives manually."""
+    """Publishes what the keys request, unless another person drives manually. `halt` may be called on any thread."""
 
-    def __init__(self, publisher: VelocityPublisher, control: ManualControl) -> None:
+    def __init__(self, keys: Keys, publisher: VelocityPublisher, control: ManualControl) -> None:
+        self.keys = keys
         self._publisher, self._control = publisher, control
         self._who = f"midspan teleop ({socket.gethostname()})"
+        self._lock = threading.Lock()  # so that no velocity follows a confirmed halt
 
-    def publish(self, keys: Keys, now: float) -> str:
-        """Publish the velocity at a time in seconds, or zero for a moment; return what to show."""
-        x, y, turn = velocity = keys.velocity(now)
+    def press(self, key: str) -> None:
+        """Handle a key."""
+        with self._lock:
+            self.keys.press(key, steady())
+
+    def halt(self) -> None:
+        """Stop until the key is released."""
+        with self._lock:
+            self.keys.halt(steady())
+
+    def publish(self) -> str:
+        """Publish the velocity that the keys request, or zero for a moment; return what to show."""
         self._publisher.follow()
-        if rival := self._control.rival():
-            self._control.end()
-            keys.zeros = 0  # they would slow the other
-            return f"{clean(rival)}{': not driving' if any(velocity) else ''}"
-        if any(velocity):
-            self._control.begin(self._who)
-            keys.zeros = round(STOP_SECONDS * RATE)
-            self._publisher.publish(*velocity)
-        else:
-            self._control.end()
-            if keys.zeros:  # then silence, so that others can drive
-                keys.zeros -= 1
-                self._publisher.publish()
+        with self._lock:
+            x, y, turn = velocity = self.keys.velocity(steady())
+            if rival := self._control.rival():
+                if self._control.held:  # both began at the same moment
+                    self._publisher.publish()
+                self._control.end()
+                self.keys.zeros = 0  # they would slow the other
+                return f"{clean(rival)}{': not driving' if any(velocity) else ''}"
+            if any(velocity):
+                self._control.begin(self._who)
+                self.keys.zeros = round(STOP_SECONDS * RATE)
+                self._publisher.publish(*velocity)
+            else:
+                self._control.end()
+                if self.keys.zeros:  # then silence, so that others can drive
+                    self.keys.zeros -= 1
+                    self._publisher.publish()
         return f"x {x:+.2f} y {y:+.2f} m/s, turn {turn:+.2f} rad/s"
 
-    def stop(self, keys: Keys) -> None:
+    def stop(self) -> None:
         """Repeat zero for a moment after driving, unless another person drives."""
-        keys.ended = True
-        keys.zeros += 1
-        while keys.zeros:
-            self.publish(keys, steady())
-            time.sleep(1.0 / RATE if keys.zeros else 0.0)
+        self.keys.ended = True
+        self.keys.zeros += 1
+        while self.keys.zeros:
+            self.publish()
+            time.sleep(1.0 / RATE if self.keys.zeros else 0.0)
 
 
-def _drive(keys: Keys, terminal: int, driver: Driver, check: Callable[[], None]) -> None:
-    due = time.monotonic()
+def _drive(driver: Driver, terminal: int, check: Callable[[], None]) -> None:
+    due, keys = time.monotonic(), driver.keys
     while not keys.ended:
         check()
         for key in pressed(terminal, max(0.0, due - time.monotonic())):
-            keys.press(key, steady())
+            driver.press(key)
         if time.monotonic() < due:
             continue
         due = max(due + 1.0 / RATE, time.monotonic())
-        now = driver.publish(keys, steady())
+        now = driver.publish()
         print(f"\r\x1b[K{now}   (speed {keys.speed:.2f}, turn {keys.turn:.2f}) ", end="", flush=True)

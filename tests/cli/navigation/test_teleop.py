@@ -16,6 +16,7 @@ import pytest
 
 from bridge.cli.navigation.teleop import HOLD_SECONDS, Keys
 from bridge.client.manual import ManualControl
+from bridge.hub.control import MANUAL_DRIVING_HALTED
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
@@ -58,6 +59,18 @@ def test_keys_change_the_speed_within_bounds() -> None:
     assert (keys.speed, keys.turn) == (2.0, 3.0)
     keys.press("z", 1.0)
     assert keys.speed < 2.0
+
+
+def test_a_key_must_be_released_after_a_halt() -> None:
+    keys = Keys(0.2, 0.5)
+    keys.press("i", 1.0)
+    keys.halt(1.1)
+    assert keys.velocity(1.1) == (0.0, 0.0, 0.0)
+    for now in (1.2, 1.2 + HOLD_SECONDS, 1.2 + 2 * HOLD_SECONDS):  # a keyboard repeats a held key
+        keys.press("i", now)
+        assert keys.velocity(now) == (0.0, 0.0, 0.0)
+    keys.press("i", 1.3 + 3 * HOLD_SECONDS)
+    assert keys.velocity(1.3 + 3 * HOLD_SECONDS)[0] == 0.2
 
 
 class Base:
@@ -162,6 +175,18 @@ def test_teleop_does_not_drive_against_another_person(
             until(lambda: other.rival().startswith("midspan teleop"), "the other is refused meanwhile")
     (done,) = driver.done
     assert "anna (web) drives manually: not driving" in done.out
+
+
+def test_a_halt_on_the_hub_ends_driving(
+    driver: Driver, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    base = Base(network, registry, TWIST)
+    closing.append(base)
+    with Hub.open(network.settings("halting")) as hub, driver.drive():
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in base.sent)[1], "the base drives")
+        driver.press(b"i")
+        assert MANUAL_DRIVING_HALTED in [answer.value for answer in hub.ask("halt", {})]
+        until(lambda: base.sent[-1] == (0.0, 0.0), "the base stands")
 
 
 def test_teleop_publishes_the_chosen_form(
