@@ -88,9 +88,9 @@ class StreamReader(Reader):
     def __init__(
         self, source: str, name: str = "", carrier: str = "", *, strict: bool = False, naming: Naming | None = None
     ) -> None:
+        self._wake = threading.Event()
         super().__init__(name, strict=strict, naming=naming, on_event=lambda _event: self._wake.set())
         self._source, self._carrier = source, carrier
-        self._wake = threading.Event()
         self._thread: threading.Thread | None = None
 
     @override

@@ -126,12 +126,12 @@ def run(args: argparse.Namespace) -> int:
         form = VelocityForm(topic, _STAMPED.get(args.stamped, section.stamped), section.base_frame)
         publisher = open_velocity(client, types, form, _warn)
         warn_of_refusals(client, [(topic, publisher.type_name, types.hash_of(publisher.type_name))])
-        print(f"{HELP}\n{topic} ({publisher.type_name}):", flush=True)
+        print(HELP, flush=True)
         driver = Driver(Keys(args.speed, args.turn), publisher, ManualControl(client.hub, topic))
         end = on_halt(client.hub, driver.halt)
         try:
             with raw(sys.stdin.fileno()) as terminal:
-                _drive(driver, terminal, interrupt.check)
+                _drive(driver, topic, terminal, interrupt.check)
         except Interrupted as err:
             code = 0 if err.number == signal.SIGINT else err.code
         finally:
@@ -165,6 +165,11 @@ class Driver:
         with self._lock:
             self.keys.halt(steady())
 
+    @property
+    def type_name(self) -> str:
+        """The type of the velocities, which changes with the base's subscription."""
+        return self._publisher.type_name
+
     def publish(self) -> str:
         """Publish the velocity that the keys request, or zero for a moment; return what to show."""
         self._publisher.follow()
@@ -196,8 +201,8 @@ class Driver:
             time.sleep(1.0 / RATE if self.keys.zeros else 0.0)
 
 
-def _drive(driver: Driver, terminal: int, check: Callable[[], None]) -> None:
-    due, keys = time.monotonic(), driver.keys
+def _drive(driver: Driver, topic: str, terminal: int, check: Callable[[], None]) -> None:
+    due, keys, shown = time.monotonic(), driver.keys, ""
     while not keys.ended:
         check()
         for key in pressed(terminal, max(0.0, due - time.monotonic())):
@@ -206,4 +211,7 @@ def _drive(driver: Driver, terminal: int, check: Callable[[], None]) -> None:
             continue
         due = max(due + 1.0 / RATE, time.monotonic())
         now = driver.publish()
+        if driver.type_name != shown:
+            shown = driver.type_name
+            print(f"\r\x1b[K{topic} ({shown}):", flush=True)
         print(f"\r\x1b[K{now}   (speed {keys.speed:.2f}, turn {keys.turn:.2f}) ", end="", flush=True)

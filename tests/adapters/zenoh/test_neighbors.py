@@ -48,7 +48,6 @@ def test_the_query_for_all_sessions_is_handled_on_another_thread(place: Place, m
             for session in (stack.enter_context(open_session(place.router.endpoint, id=new_zid())) for _ in range(2))
         ]
         until(first.sightings, "the other session is seen")
-        asked = time.monotonic()
-        until(lambda: first.settled(asked), "the query has ended")
-    assert threads
+        # while zenoh links the two sessions directly, a query may find no token
+        until(lambda: (first.settled(time.monotonic()), threads)[1], "a query has found the other session")
     assert threading.current_thread() not in threads
