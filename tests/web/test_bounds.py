@@ -115,6 +115,7 @@ def test_a_page_that_stands_still_is_disconnected(desk: Desk) -> None:
     desk.console.feeds.fixed["maps"] = feed = LargeFeed()
     with connect(desk.port) as sock:
         sock.sendall(opening(f"127.0.0.1:{desk.port}"))
+        assert sock.recv(4096).startswith(b"HTTP/1.1 101")
         sock.sendall(client_frame(1, b'{"op": "watch", "feed": "maps"}'))
         assert feed.opened.wait(20)
         until(lambda: not desk.console.server.pages, "the page is disconnected")

@@ -68,7 +68,7 @@ class SessionAnnouncements:
         return {zid: frozenset(members) for zid, members in self._members.items()}
 
     def put(self, key: str) -> bool:
-        """Add a token; return whether the watches are to be called. Raises `HubWireError` if malformed or above the limit."""
+        """Add a token; return whether to call the watches. Raises `HubWireError` if malformed or above the limit."""
         if key.startswith(self._member_space):
             return self._put_member(*parse_member(key))
         for space, (parse, values, kind, watched) in self._sets.items():

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from bridge.cli.navigation import teleop
 from bridge.cli.navigation.teleop import HOLD_SECONDS, Keys
 from bridge.client.manual import ManualControl
 from bridge.hub.control import MANUAL_DRIVING_HALTED
@@ -158,23 +159,24 @@ def test_teleop_follows_a_base_that_changes_its_form(
 
 
 def test_teleop_does_not_drive_against_another_person(
-    driver: Driver, network: HubNetwork, registry: Registry, closing: list[Any]
+    driver: Driver, network: HubNetwork, registry: Registry, closing: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    base = Base(network, registry, TWIST)
+    base, publish = Base(network, registry, TWIST), teleop.Driver.publish
     closing.append(base)
+    shown: list[str] = []
+    monkeypatch.setattr(teleop.Driver, "publish", lambda this: (shown.append(publish(this)), shown[-1])[1])
     with Hub.open(network.settings("web")) as hub:
         other = ManualControl(hub, "/cmd_vel")
         other.begin("anna (web)")
         with driver.drive():
-            until(lambda: hub.graph.publishers("/cmd_vel"), "teleop has started")
-            for _ in range(5):
-                driver.press(b"i")
+            until(lambda: "anna (web) drives manually" in shown, "teleop shows who drives")
+            refused = "anna (web) drives manually: not driving"
+            until(lambda: (driver.press(b"i"), refused in shown)[1], "teleop shows that it does not drive")
+            assert (0.2, 0.0) not in base.sent
             assert other.rival() == ""
             other.end()
             until(lambda: (driver.press(b"i"), (0.2, 0.0) in base.sent)[1], "teleop drives once control is free")
             until(lambda: other.rival().startswith("midspan teleop"), "the other is refused meanwhile")
-    (done,) = driver.done
-    assert "anna (web) drives manually: not driving" in done.out
 
 
 def test_a_halt_on_the_hub_ends_driving(

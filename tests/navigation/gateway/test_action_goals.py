@@ -30,7 +30,7 @@ class Server:
             hub=SimpleNamespace(graph=SimpleNamespace(publishers=lambda _topic: [SimpleNamespace(gid=self.sender)])),
         )
         self.goals = ActionGoals(cast("Any", SimpleNamespace(node=node)), "/act", always=True, changed=lambda _: None)
-        self.list()
+        self.publish_list()
 
     def _subscribe(self, _topic: str, _type: str, receive: Callable[[Any], None], _qos: object) -> Server:
         self._receive = receive
@@ -39,7 +39,7 @@ class Server:
     def call(self, request: dict[str, Any], replied: Callable[[Any], None]) -> None:
         self.requests.append((bytes(request["goal_info"]["goal_id"]["uuid"]), replied))
 
-    def list(self, *goals: bytes) -> None:
+    def publish_list(self, *goals: bytes) -> None:
         """Publish a list of executing goals."""
         entries = [{"goal_info": {"goal_id": {"uuid": list(goal)}}, "status": GoalState.EXECUTING} for goal in goals]
         self._receive({"status_list": entries})
@@ -67,10 +67,10 @@ def test_a_failed_request_to_cancel_all_goals_is_repeated(server: Server, failur
     server.goals.refresh()
     assert server.asked == [ALL, ALL]
     server.requests[1][1](failure)
-    server.list(LATE)
+    server.publish_list(LATE)
     assert server.asked[2:] == [ALL, LATE]
     server.requests[2][1](DONE)
-    server.list()
+    server.publish_list()
     assert server.goals.released
     assert len(server.requests) == 4
 
@@ -93,6 +93,6 @@ def test_goals_that_are_sent_after_the_stop_are_not_canceled(server: Server, *, 
     steps = [lambda: server.requests[0][1](LOST), lambda: server.goals.spare(OWN)]
     for step in steps if replied_before else reversed(steps):
         step()
-    server.list(OWN)
+    server.publish_list(OWN)
     assert server.asked == [ALL]
     assert server.goals.released
