@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 
 from bridge.hub.session import Hub
 from bridge.routing.peer_watch import HUB_AGAIN, HubViews
@@ -69,26 +69,20 @@ class RelayElection:
         if not self._settled:
             self._settled = self._views.now(now).settled
             return self._settled
-        return len(self._candidates()) > 1 and (
+        return len(_candidates(self._hub.graph.relays())) > 1 and (
             any(now - seen < 2 * GRACE for seen in (*self._seen.values(), *self._won.values()))
             or any(zid not in self._near for zid in self._hub.neighbors() & self._seen.keys())
         )
 
-    def _candidates(self) -> set[str]:
-        """Return the session (zid) of each machine's candidate."""
-        first: dict[str, tuple[int, str]] = {}
-        for zid, (since, router) in self._hub.graph.relays().items():
-            first[router] = min(first.get(router, (since, zid)), (since, zid))
-        return {zid for _, zid in first.values()}
-
     @property
     def is_candidate(self) -> bool:
         """Whether this worker may relay for any session."""
-        return self._settled and self._hub.zid in self._candidates()
+        return self._settled and self._hub.zid in _candidates(self._hub.graph.relays())
 
     def elect(self, sessions: Collection[str]) -> frozenset[str]:
         """Return for which of these sessions (zid) this worker relays."""
-        now, me, candidates = time.monotonic(), self._hub.zid, self._candidates()
+        relays = self._hub.graph.relays()  # read once, because a worker may leave at any time
+        now, me, candidates = time.monotonic(), self._hub.zid, _candidates(relays)
         if not self._settled or me not in candidates:
             self._seen, self._winners, self._won = {}, None, {}
             self._follow_near(())
@@ -100,7 +94,7 @@ class RelayElection:
             return frozenset(sessions)
         # a link that is lost for a moment must not end a call that waits for its reply
         self._follow_near((self._hub.neighbors() | self._near.keys()) & set(sessions))
-        relays, near = self._hub.graph.relays(), self._hub.graph.near()
+        near = self._hub.graph.near()
 
         def winner(session: str) -> str:
             linked = [zid for zid in candidates if (zid, session) in near]
@@ -129,3 +123,11 @@ class RelayElection:
             self._near.pop(zid)()
         for zid in set(sessions) - self._near.keys():
             self._near[zid] = self._hub.graph.announce_near(zid)
+
+
+def _candidates(relays: Mapping[str, tuple[int, str]]) -> set[str]:
+    """Return the session (zid) of each machine's candidate, from the announcements of `HubGraph.relays`."""
+    first: dict[str, tuple[int, str]] = {}
+    for zid, (since, router) in relays.items():
+        first[router] = min(first.get(router, (since, zid)), (since, zid))
+    return {zid for _, zid in first.values()}

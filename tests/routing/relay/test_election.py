@@ -170,3 +170,17 @@ def test_a_worker_that_hung_joins_again_as_the_last_one(monkeypatch: pytest.Monk
     first.election.rejoin()
     assert elected([first]) == []
     assert elected([second]) == ["b"]
+
+
+def test_a_worker_may_leave_while_another_one_elects(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread of zenoh removes the worker from the graph between two reads."""
+    graph = Graph()
+    first, second = Worker(graph, "a", "one"), Worker(graph, "b", "two")
+
+    def leave() -> set[str]:
+        first.election.stop()
+        return set()
+
+    monkeypatch.setattr(second, "neighbors", leave)
+    assert not second.election.elect([SESSION]), "the other worker was there at its start"
+    assert second.election.elect([SESSION])
