@@ -49,7 +49,8 @@ class Lease:
 _log = logging.getLogger(__name__)
 
 FENCE = 0.7
-"""Seconds for which a worker stays active after its last round; less than `bridge.routing.election.SILENCE`."""
+"""Seconds after a round within which the next one has to begin, less than `bridge.routing.election.SILENCE`. Otherwise
+an active worker is no longer active, and no worker may count the records that it has not read yet as missing."""
 
 ALONE = 1.5
 """Like `FENCE`, if no other worker is on the network; a worker that joins meanwhile waits longer than this."""
@@ -119,6 +120,7 @@ class PeerWatch:
         self.changes = 0  #: how often this worker became active or stopped being active
         self._outcome_before_hang: Outcome | None = None
         self._since = self._last_round = time.monotonic()
+        self._next_by = self._last_round + ALONE  # a later round follows a hang
         self._slept = steady() - time.monotonic()  # the time for which the monotonic clock has stood
         self._due = 0.0
         self._step = StepWatch(_ROUND_SECONDS)
@@ -133,6 +135,7 @@ class PeerWatch:
     def start(self) -> None:
         """Start the thread; call it after the start of the edge."""
         self._since = self._last_round = now = time.monotonic()
+        self._next_by = now + ALONE
         self._views.restart(now)
         self._thread.start()
 
@@ -177,9 +180,10 @@ class PeerWatch:
         now = time.monotonic()
         slept = max(awake - now - self._slept, 0.0)  # meanwhile the monotonic clock and the lease stood
         self._slept += slept
-        if self._election.outcome.active and (self.lease.over or now + slept > self.lease.until):
+        if now + slept > self._next_by or (self._election.outcome.active and self.lease.over):
             hang = now - self._last_round + slept
-            _log.warning("%s: suspended for %.1f s; checking for another active worker", self._edge.side, hang)
+            level = logging.WARNING if self._election.outcome.active else logging.DEBUG
+            _log.log(level, "%s: suspended for %.1f s; checking for another active worker", self._edge.side, hang)
             alone = len(self._outcome.members) == 1
             self._outcome_before_hang = self._outcome if alone else None
             self._election.lapse(now, same_term=alone)
@@ -195,8 +199,9 @@ class PeerWatch:
             self._due = now + PERIOD - _PAUSE
             self._edge.announce(record.encode())
             self._election.sent(record)
+        self._next_by = now + (FENCE if len(decided.members) > 1 else ALONE)
         if decided.active:
-            self.lease.extend(now + (FENCE if len(decided.members) > 1 else ALONE))
+            self.lease.extend(self._next_by)
         else:
             self.lease.end()
         outcome = self._with_routes_before_hang(decided)

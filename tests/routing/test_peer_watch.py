@@ -21,6 +21,7 @@ class World:
         self.now, self.slept, self.linked = 100.0, 0.0, True
         self.told: list[Record] = []
         self.b_holds, self.b_lives, self.b_since = False, True, 5
+        self.b_received: float | None = None  # when the last record was received; None for now
         clock = SimpleNamespace(monotonic=lambda: self.now, time_ns=lambda: int(self.now * 1e9))
         monkeypatch.setattr(peer_watch, "time", clock)
         monkeypatch.setattr(peer_watch, "steady", lambda: self.now + self.slept)
@@ -52,7 +53,7 @@ class World:
         sessions = frozenset("ab") if self.linked else frozenset("b")
         role = Claim(self.b_since if self.b_holds else 10**18, held=self.b_holds, first=1)
         record = Record("b", "B", len(self.told) + 1, acks, sessions, "", role, {})
-        return [Sighting("b", record.encode(), self.now)]
+        return [Sighting("b", record.encode(), self.now if self.b_received is None else self.b_received)]
 
     def run(self, seconds: float) -> None:
         """Run the watch for a time, in steps of 0.1 s."""
@@ -91,6 +92,27 @@ def test_worker_whose_machine_slept_does_not_take_the_network_back(monkeypatch: 
     world.b_lives = False
     world.run(5.0)
     assert world.watch.outcome.active, "it may take over as usual"
+
+
+@pytest.mark.parametrize("hang", [1.5, 30.0])
+def test_suspended_standby_worker_does_not_count_its_suspension_as_the_silence_of_another(
+    monkeypatch: pytest.MonkeyPatch, hang: float
+) -> None:
+    """Its first round may begin before another thread reads the other worker's records."""
+    world = World(monkeypatch)
+    world.b_holds = True
+    world.run(4.0)
+    assert world.watch.outcome.standing_by == "B"
+    world.b_received = world.now
+    world.now += hang
+    world.watch.run_round()
+    assert not world.watch.outcome.active
+    world.b_received = None
+    world.run(2.0)
+    assert world.watch.outcome.standing_by == "B"
+    world.b_received = world.now
+    world.run(2.0)
+    assert world.watch.outcome.active, "the other worker is silent while this one runs"
 
 
 def test_hub_is_known_after_a_short_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
