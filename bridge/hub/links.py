@@ -65,6 +65,10 @@ _HOPELESS_SECONDS = 10.0
 _REMEMBERED_SECONDS = 60.0
 """Seconds for which a lost session is searched for, because it may return to the router."""
 
+_SEARCH_AGAIN_SECONDS = 300.0
+"""Seconds until the next search for a session that stays at the router, because what kept it from linking, such as a
+firewall or a lack of file descriptors, may be over."""
+
 _COMPARE_SECONDS = 5.0
 """Seconds between comparisons with the router's peers; a peer without a link in two successive comparisons is lost."""
 
@@ -97,7 +101,7 @@ class Mesh:
         self._rejoin = rejoin
         self._lost: dict[str, float] = {}
         self._unlinked: set[str] = set()  # according to the last comparison
-        self._unreachable: frozenset[str] = frozenset()
+        self._unreachable: dict[str, float] = {}  # when to search for each session again
         self._compare_at = time.monotonic() + _COMPARE_SECONDS
         self._router_lost_at = float("-inf")
         self._closed = Event()
@@ -123,14 +127,20 @@ class Mesh:
 
     def _run(self) -> None:
         while not self._closed.wait(_POLL_SECONDS):  # zenoh's own wait for events polls ten times a second
-            try:
-                self._handle_events()
-                self._compare()
-            except zenoh.ZError:  # the session is closed
-                return
-            except HubError as err:  # the file of `hub.zenoh` is invalid at the moment
-                _log.debug("cannot compare links: %s", err)
+            self._attempt(self._handle_events, self._compare)
             self._search()
+
+    @staticmethod
+    def _attempt(*steps: Callable[[], None]) -> None:
+        """Run steps; a failure must not end the thread, since the next attempt may succeed."""
+        try:
+            for step in steps:
+                step()
+        except (zenoh.ZError, HubError) as err:
+            # the session is being closed, another cannot be opened, or the file of `hub.zenoh` is invalid at the moment
+            _log.debug("cannot follow links: %s", zenoh_reason(err))
+        except Exception:
+            _log.exception("following the links failed")
 
     def _handle_events(self) -> None:
         while (event := self._events.try_recv()) is not None:
@@ -140,12 +150,7 @@ class Mesh:
         """Introduce the lost sessions until each of them is linked or given up."""
         pause = _SOON_SECONDS
         while self._lost and not self._closed.wait(pause):
-            try:
-                self._handle_events()
-                self._compare()
-                self._restore_links()
-            except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
-                _log.debug("cannot restore lost links: %s", zenoh_reason(err))
+            self._attempt(self._handle_events, self._compare, self._restore_links)
             self._give_up(time.monotonic() - _REMEMBERED_SECONDS)
             pause = min(2 * pause, _LONGEST_SECONDS)
 
@@ -153,7 +158,7 @@ class Mesh:
         """Stop searching for sessions that were lost before the time ``oldest``."""
         expired = {zid for zid, at in self._lost.items() if at <= oldest}
         self._lost = {zid: at for zid, at in self._lost.items() if zid not in expired}
-        self._unreachable |= expired
+        self._unreachable |= dict.fromkeys(expired, time.monotonic() + _SEARCH_AGAIN_SECONDS)
 
     @functools.cached_property
     def _is_client(self) -> bool:
@@ -167,10 +172,11 @@ class Mesh:
         self._compare_at = now + _COMPARE_SECONDS
         peers = None if self._is_client else self._peers()
         if peers is None:
-            self._unlinked, self._unreachable = set(), frozenset()
+            self._unlinked, self._unreachable = set(), {}
             return
-        self._unreachable &= peers  # a session that has left may return
-        linked = self._linked_peers() | self._unreachable | {str(self._session.zid())}
+        # a session that has left may return
+        self._unreachable = {zid: due for zid, due in self._unreachable.items() if zid in peers and now < due}
+        linked = self._linked_peers() | self._unreachable.keys() | {str(self._session.zid())}
         unlinked = {zid for zid in peers - linked if not zid.startswith(_MARK)}
         for zid in unlinked & self._unlinked:
             self._lost.setdefault(zid, now - _FIRST_SECONDS)

@@ -11,6 +11,7 @@ from typing import Any
 
 import psutil
 import pytest
+import zenoh
 
 from bridge.hub import links
 from bridge.hub.errors import HubConfigError
@@ -108,6 +109,19 @@ def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pyt
         assert not hub.mesh.lost
 
 
+def test_an_unreachable_session_is_searched_for_again(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What kept it from linking may be over while it is still at the router."""
+    monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
+    monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
+    monkeypatch.setattr(links, "_INTRODUCTION_SECONDS", 0.1)
+    monkeypatch.setattr(links, "_SEARCH_AGAIN_SECONDS", 0.5)
+    with Hub.open(hubs.settings("one")) as hub:
+        hubs.list_also("abcd")
+        for _ in range(2):
+            until(lambda: "abcd" in hub.mesh.lost, "the unreachable session is searched for", 30)
+            until(lambda: not hub.mesh.lost, "the search ends")
+
+
 def test_router_without_a_response_is_queried_again(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
         until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "the sessions are linked")
@@ -150,12 +164,15 @@ def test_session_may_close_before_its_mesh_thread_starts(hubs: QuickHub, monkeyp
     assert [mesh_thread.is_alive() for mesh_thread in threads] == [False]
 
 
-def test_links_are_compared_again_after_an_error_of_the_settings(
-    hubs: QuickHub, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    "error", [HubConfigError("hub.zenoh: not JSON5"), zenoh.ZError("timeout"), RuntimeError("can't start new thread")]
+)
+def test_links_are_compared_again_after_an_error(
+    hubs: QuickHub, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    """The file of ``hub.zenoh`` may be invalid for a moment."""
+    """The file of ``hub.zenoh`` may be invalid, and the system short of resources, for a moment."""
     compared = threading.Event()
-    errors = [HubConfigError("hub.zenoh: not JSON5")]
+    errors = [error]
 
     def compare(_mesh: object) -> None:
         if errors:
