@@ -276,6 +276,9 @@ class LinkLimits:
     """Sets the time limit on new connections, on a separate thread, which then calls ``check`` each second."""
 
     def __init__(self, check: Callable[[], None]) -> None:
+        import psutil  # on the caller's thread, which can report that it fails
+
+        self._process = psutil.Process()
         self._check = check
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hub-link-limits", daemon=True)
@@ -286,10 +289,11 @@ class LinkLimits:
         self._thread.join(2.0)
 
     def _run(self) -> None:
-        import psutil
-
-        process = psutil.Process()
         while not self._end.wait(_EVERY):
-            limit_links(process)
-            with contextlib.suppress(zenoh.ZError):  # the session is being closed
+            try:
+                limit_links(self._process)
                 self._check()
+            except zenoh.ZError:  # the session is being closed
+                pass
+            except Exception:
+                _log.exception("checking the links to other machines failed")

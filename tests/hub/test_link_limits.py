@@ -8,8 +8,10 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from bridge.hub.links import limit_links
+from bridge.hub import links
+from bridge.hub.links import LinkLimits, limit_links
 from bridge.hub.zenoh_config import LEASE_MS
+from tests.support.wait import until
 
 
 @pytest.fixture
@@ -31,3 +33,19 @@ def test_tcp_closes_dead_links_to_other_machines(link: socket.socket) -> None:
 def test_local_links_are_unchanged(link: socket.socket) -> None:
     limit_links(psutil.Process())
     assert limit(link) == 0
+
+
+def test_links_are_checked_again_after_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(links, "_EVERY", 0.01)
+    checks: list[int] = []
+
+    def fail() -> None:
+        checks.append(len(checks))
+        msg = "can't start new thread"
+        raise RuntimeError(msg)
+
+    limits = LinkLimits(fail)
+    try:
+        until(lambda: len(checks) > 1, "the links are checked again")
+    finally:
+        limits.close()

@@ -9,6 +9,7 @@ filter, and every line is passed on to stderr.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
@@ -174,7 +175,8 @@ class ZenohLog:
             while line := lines.readline(_LONGEST):
                 text = _COLORS.sub("", line.decode(errors="replace")).strip()
                 if self._passes_on or not _ZENOH.match(text):
-                    os.write(2, line)
+                    with contextlib.suppress(OSError):  # stderr is full, or its reader has exited
+                        os.write(2, line)
                 self.feed(text)
 
 

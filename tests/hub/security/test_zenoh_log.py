@@ -91,6 +91,23 @@ def logged(caplog: pytest.LogCaptureFixture) -> list[tuple[int, str]]:
     return lines
 
 
+def test_log_is_read_although_stderr_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The router survives the daemon, which reads its stderr."""
+
+    def write(_descriptor: int, _data: bytes) -> int:
+        raise BrokenPipeError
+
+    output, to_log = os.pipe()
+    at = "2026-01-01T00:00:00.000000Z DEBUG ThreadId(02) zenoh::net::runtime::orchestrator:"
+    with os.fdopen(to_log, "wb") as pipe:
+        pipe.write(b"a line of the program\n")
+        pipe.write(f"{at} Unable to connect to configured peer tcp/127.0.0.1:1! refused\n".encode())
+    monkeypatch.setattr(zenoh_log.os, "write", write)
+    log = zenoh_log.ZenohLog()
+    log._run(output)
+    assert log.failure("tcp/127.0.0.1:1", 0) == "refused"
+
+
 def test_each_kind_of_warning_is_logged_once_a_minute(caplog: pytest.LogCaptureFixture) -> None:
     warnings = zenoh_log.ZenohWarnings()
     for number in range(100):
