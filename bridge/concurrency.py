@@ -220,6 +220,20 @@ class DelayedCalls(_OneThread):
             if self._due[0][1] == number:
                 self._condition.notify()
 
+    def every(self, seconds: float, call: Job, first: float | None = None) -> None:
+        """Make a call regularly until `close`, ``seconds`` after the end of the last one, also if that one failed.
+
+        The first call is made after ``first`` seconds, by default after ``seconds``.
+        """
+
+        def repeat() -> None:
+            try:
+                call()
+            finally:
+                self.after(seconds, repeat)
+
+        self.after(seconds if first is None else first, repeat)
+
     def close(self, seconds: float | None = None) -> None:
         """Cancel all calls; wait up to ``seconds`` for the running call, by default until it ends."""
         with self._condition:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import threading
 
 import pytest
@@ -122,6 +123,18 @@ def test_a_job_that_hangs_does_not_delay_closing_the_pool() -> None:
     assert pool.submit(lambda: None).cancelled()
     until(waiting.cancelled, "the waiting job is canceled")
     until(lambda: not [t for t in threading.enumerate() if t.name.startswith("pool")], "the executor's threads end")
+
+
+def test_a_regular_call_is_repeated_after_a_failure() -> None:
+    calls, made = DelayedCalls("delayed"), list[int]()
+
+    def fail() -> None:
+        made.append(len(made))
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    with contextlib.closing(calls):
+        calls.every(0.01, fail, first=0.0)
+        until(lambda: len(made) > 2, "the call is repeated")
 
 
 def test_a_call_requested_twice_with_once_runs_once() -> None:

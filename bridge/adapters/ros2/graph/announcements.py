@@ -115,7 +115,7 @@ class Announcements:
         self, own: bytes, domain: int, present: Callable[[], frozenset[bytes]], prompt: Callable[[int], None],
         later: DelayedCalls, *, localhost_only: bool,
     ) -> None:  # fmt: skip
-        self._own, self._present, self._prompt, self._later = own, present, prompt, later
+        self._own, self._present, self._prompt = own, present, prompt
         self._lock = threading.Lock()
         self._versions: dict[bytes, str] = {}
         self._prompts: dict[bytes, int] = {}
@@ -127,7 +127,7 @@ class Announcements:
         with contextlib.suppress(OSError):
             multicast = self._open_socket((spdp.MULTICAST, spdp.multicast_port(domain)))
             _join(multicast, localhost_only=localhost_only)
-        later.after(_PERIOD, self._poll, once=True)
+        later.every(_PERIOD, self._poll)
 
     def _open_socket(self, address: tuple[str, int]) -> socket.socket:
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -159,7 +159,6 @@ class Announcements:
             wanted = any(count <= _PROMPTS for count in self._prompts.values())
         if wanted and self.port:
             self._prompt(self.port)
-        self._later.after(_PERIOD, self._poll, once=True)
 
     def _drain(self) -> None:
         for sock in self._sockets:

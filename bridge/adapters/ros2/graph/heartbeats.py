@@ -98,7 +98,9 @@ class Heartbeats:
             pending = self._pending  # also if the time is over: this thread may not have run before
             self._pending = {writer: prepared for writer, prepared in pending.items() if now < prepared.end}
             again = bool(self._pending)
-        if pending:
-            self._send_all(spdp.heartbeats({writer: prepared.last for writer, prepared in pending.items()}))
-        if again:
-            self._later.after(PAUSE_SECONDS, self._send, once=True)
+        try:
+            if pending:
+                self._send_all(spdp.heartbeats({writer: prepared.last for writer, prepared in pending.items()}))
+        finally:
+            if again:
+                self._later.after(PAUSE_SECONDS, self._send, once=True)

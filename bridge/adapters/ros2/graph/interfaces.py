@@ -43,10 +43,11 @@ class InterfaceWatch:
         self, appeared: Callable[[str], None], later: DelayedCalls, known: Addresses,
         addresses: Callable[[], Addresses] = ipv4_addresses,
     ) -> None:  # fmt: skip
-        self._appeared, self._later, self._addresses = appeared, later, addresses
+        self._appeared, self._addresses = appeared, addresses
         self._known = known
         self._new: Addresses = frozenset()
-        self._later.after(PERIOD, self._check)
+        self._reported = False
+        later.every(PERIOD, self._check)
 
     @property
     def text(self) -> str:
@@ -55,8 +56,9 @@ class InterfaceWatch:
         return f"this machine has a new address that the ROS 2 side does not use: {new}" if new else ""
 
     def _check(self) -> None:
+        if self._reported:
+            return
         before, self._new = self._new, self._addresses() - self._known
         if self._new and self._new == before:
+            self._reported = True
             self._appeared(self.text)
-        else:
-            self._later.after(PERIOD, self._check)

@@ -82,15 +82,11 @@ class PortWatch:
     ) -> None:
         self._on_lost, self._later, self._lost = on_lost, later, lost
         self._suspects: frozenset[str] = frozenset()
-        self._later.after(PERIOD, self._check_regularly)
+        later.every(PERIOD, self._check)
 
     def check(self) -> None:
         """Check soon, because this process was suspended."""
         self._later.after(CONFIRM_SECONDS, self._check, once=True)
-
-    def _check_regularly(self) -> None:
-        self._check()
-        self._later.after(PERIOD, self._check_regularly)
 
     def _check(self) -> None:
         self._suspects = self._lost()

@@ -100,10 +100,12 @@ class HeldRequests:
             self._later.after(RETRY_SECONDS, self._retry, once=True)
 
     def _retry(self) -> None:
-        for prefix in tuple(self._held):
-            self._release(prefix)
-        if self._held:
-            self._later.after(RETRY_SECONDS, self._retry, once=True)
+        try:
+            for prefix in tuple(self._held):
+                self._release(prefix)
+        finally:  # also after an error, since nothing else releases the requests
+            if self._held:
+                self._later.after(RETRY_SECONDS, self._retry, once=True)
 
     def _release(self, prefix: bytes) -> None:
         """Execute a participant's requests, until none is left or its origin is still unknown."""

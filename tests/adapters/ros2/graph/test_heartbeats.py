@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
@@ -92,6 +93,22 @@ def test_a_heartbeat_is_sent_even_if_its_thread_did_not_run_in_time(monkeypatch:
     beats.prepare(WRITER, 2, [READER])
     clock.run(late=60.0)
     assert sent == [spdp.heartbeats({WRITER: 2})]
+
+
+def test_heartbeats_are_repeated_after_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, sent = Clock(monkeypatch), list[Sequence[bytes]]()
+
+    def send(messages: Sequence[bytes]) -> None:
+        sent.append(messages)
+        if len(sent) == 1:
+            raise OSError(errno.EMFILE, "Too many open files")
+
+    Heartbeats(send, cast("DelayedCalls", clock)).prepare(WRITER, 2, [READER])
+    with pytest.raises(OSError, match="Too many"):
+        clock.run()
+    clock.run()
+    assert sent[-1] == spdp.heartbeats({WRITER: 2})
+    assert len(sent) > 1
 
 
 def test_readers_of_one_writer_are_prepared_together(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import socket
 from types import SimpleNamespace
 
@@ -16,7 +18,7 @@ TEXT = "this machine has a new address that the ROS 2 side does not use: "
 
 
 class Calls(DelayedCalls):
-    """Runs delayed calls on the test's command."""
+    """Runs delayed calls on the test's command; their errors only end them, as in the base class."""
 
     def __init__(self) -> None:
         super().__init__("test")
@@ -28,7 +30,8 @@ class Calls(DelayedCalls):
     def pass_period(self) -> None:
         calls, self.waiting = self.waiting, []
         for call in calls:
-            call()  # type: ignore[operator]
+            with contextlib.suppress(OSError):
+                call()  # type: ignore[operator]
 
 
 class Machine:
@@ -39,7 +42,13 @@ class Machine:
         self.reported: list[str] = []
         self.calls = Calls()
         known = frozenset(addresses)
-        self.watch = InterfaceWatch(self.reported.append, self.calls, known, lambda: frozenset(self.addresses))
+        self.errors: list[OSError] = []
+        self.watch = InterfaceWatch(self.reported.append, self.calls, known, self._read)
+
+    def _read(self) -> frozenset[tuple[str, str]]:
+        if self.errors:
+            raise self.errors.pop()
+        return frozenset(self.addresses)
 
     def checks(self, count: int) -> None:
         for _ in range(count):
@@ -57,6 +66,15 @@ def test_a_new_address_is_reported_once() -> None:
     assert machine.reported == []
     machine.checks(5)
     assert machine.reported == [f"{TEXT}10.8.0.3 on tun0, 192.168.1.7 on wlan0"]
+
+
+def test_addresses_are_read_again_after_an_error() -> None:
+    machine = Machine(WIRED)
+    machine.errors = [OSError(errno.EMFILE, "Too many open files")]
+    machine.checks(1)
+    machine.addresses |= {WIFI}
+    machine.checks(2)
+    assert machine.reported == [f"{TEXT}192.168.1.7 on wlan0"]
 
 
 def test_an_address_that_disappears_and_returns_is_not_new() -> None:

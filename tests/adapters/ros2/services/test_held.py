@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -124,6 +125,21 @@ def test_held_requests_are_dropped_with_a_reason_after_some_seconds(world: World
     world.advance(0.2)
     assert world.failures == ["the origin of its client is still unknown"]
     assert (world.executed, world.due) == ([], [])
+
+
+def test_held_requests_are_served_after_an_error_of_the_graph(world: World) -> None:
+    def read(_service: str, _prefix: bytes) -> MadeBy:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    world.receive(1)
+    graph: Any = world
+    client_made_by, graph.client_made_by = graph.client_made_by, read
+    with pytest.raises(OSError, match="Too many"):
+        world.advance(0.1)
+    graph.client_made_by = client_made_by
+    world.listed = MadeBy.NATIVE
+    world.advance(0.1)
+    assert world.executed == [("/lamp", 1)]
 
 
 def test_the_number_of_held_requests_is_limited(world: World) -> None:
