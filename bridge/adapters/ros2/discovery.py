@@ -174,14 +174,20 @@ class _Watched:
     """
 
     def __init__(self, server: Server) -> None:
-        self._server = _resolved(server)
-        self._probe = Probe(self._server)
+        self._server = server
+        self._probe: Probe | None = None  # None before the first look-up of its name
         self._sockets: frozenset[str] | None = None  # None before it was seen
         self._refused_since: float | None = None
         self.fails = False
 
     def has_restarted(self) -> bool:
-        """Probe the server; return whether it has been restarted so quickly that Fast DDS has not forgotten it."""
+        """Probe the server; return whether it has been restarted so quickly that Fast DDS has not forgotten it.
+
+        Blocks while a look-up of its name takes.
+        """
+        if self._probe is None:
+            self._server = _resolved(self._server)
+            self._probe = Probe(self._server)
         now = time.monotonic()
         self.fails = self._probe.fails()
         if self.fails:
@@ -195,25 +201,30 @@ class _Watched:
         return now - since < LEASE if since is not None else self._sockets != before
 
     def close(self) -> None:
-        self._probe.close()
+        if self._probe is not None:
+            self._probe.close()
 
 
 class ServerWatch:
-    """Probes servers regularly; ``localhost_only`` is whether the participant stays on this machine."""
+    """Probes servers regularly; ``localhost_only`` is whether the participant stays on this machine.
 
-    def __init__(self, listed: Collection[Server], later: DelayedCalls, *, localhost_only: bool) -> None:
-        self._excluded = excluded(listed) if localhost_only else ""
+    It has a separate thread, because looking up a name may take half a minute on a robot without its network.
+    """
+
+    def __init__(self, listed: Collection[Server], *, localhost_only: bool) -> None:
+        self._localhost_only, self._excluded = localhost_only, ""
         self._servers = {server: _Watched(server) for server in listed}
         self._restarted: set[Server] = set()
-        self._later = later
+        self._checks = DelayedCalls("midspan-ros2-servers")
         if self._servers:
-            later.after(0.0, self._check)
+            self._checks.every(PERIOD, self._check, first=0.0)
 
     def _check(self) -> None:
+        if self._localhost_only and not self._excluded:
+            self._excluded = excluded(self._servers)
         for server, watched in self._servers.items():
             if watched.has_restarted():
                 self._restarted.add(server)
-        self._later.after(PERIOD, self._check)
 
     @property
     def texts(self) -> list[str]:
@@ -224,6 +235,7 @@ class ServerWatch:
         return texts + [f"the discovery server at {server} {RESTARTED}; {RESTARTED_CURE}" for server in restarted]
 
     def close(self) -> None:
-        """Close the sockets; call this after the delayed calls have ended."""
+        """End the checks, without waiting for a look-up, and close the sockets."""
+        self._checks.close(1.0)
         for watched in self._servers.values():
             watched.close()

@@ -115,7 +115,7 @@ class Ros2Edge(SideEdge):
             self._interfaces = InterfaceWatch(self._use_new_addresses, later, addresses)
         if self._config.ros2.rmw != CYCLONE:
             self._ports = PortWatch(self._replace_lost_port, later)
-            self._servers = ServerWatch(servers(os.environ), later, localhost_only=self._localhost_only)
+            self._servers = ServerWatch(servers(os.environ), localhost_only=self._localhost_only)
         try:
             self._types.prepare_services()
         except MessageTypeError as err:

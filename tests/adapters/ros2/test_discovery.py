@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import sys
-from collections.abc import Iterator
+import threading
 from pathlib import Path
 
 import pytest
 
 from bridge.adapters.ros2 import discovery
 from bridge.adapters.ros2.discovery import Server, ServerWatch
-from bridge.concurrency import DelayedCalls
 from tests.adapters.ros2.test_new_interface import STRING, edge, machines
 from tests.peers.peer import on_machine
 from tests.peers.ros2.network import ROS2_PEER, SERVER, ros2_environment, ros2_python
@@ -22,13 +22,6 @@ from tests.support.wait import until
 __all__ = ["machines"]
 FAR = "192.0.2.1"
 """An address for documentation (RFC 5737), which no machine has."""
-
-
-@pytest.fixture
-def later() -> Iterator[DelayedCalls]:
-    calls = DelayedCalls("test-later")
-    yield calls
-    calls.close()
 
 
 @pytest.mark.parametrize(
@@ -46,34 +39,31 @@ def test_discovery_servers_are_read_from_the_environment(text: str, servers: lis
     assert discovery.servers({}) == []
 
 
-def test_servers_on_other_machines_are_excluded_by_localhost_only(later: DelayedCalls) -> None:
+def test_servers_on_other_machines_are_excluded_by_localhost_only() -> None:
     listed = [Server("127.0.0.1", 1), Server("localhost", 1), Server(FAR, 11811)]
     text = discovery.excluded(listed)
     assert text.startswith(f"ROS_DISCOVERY_SERVER names {FAR}:11811, but ros2.localhost_only keeps")
     assert discovery.excluded(listed[:2]) == ""
-    watch = ServerWatch(listed[2:], later, localhost_only=True)
-    assert watch.texts[0] == f"{text}; set ros2.localhost_only: false"
-    later.close()
+    watch = ServerWatch(listed[2:], localhost_only=True)
+    texts = until(lambda: watch.texts, "the exclusion is reported")
+    assert texts[0] == f"{text}; set ros2.localhost_only: false"
     watch.close()
 
 
 @pytest.mark.parametrize("server", [Server("127.0.0.1", 99999), Server("robot..local", 11811), Server(64 * "a", 1)])
-def test_a_server_with_an_invalid_name_or_port_is_reported(
-    later: DelayedCalls, monkeypatch: pytest.MonkeyPatch, server: Server
-) -> None:
+def test_a_server_with_an_invalid_name_or_port_is_reported(monkeypatch: pytest.MonkeyPatch, server: Server) -> None:
     """Neither ends the worker, or the probes of the other servers."""
     monkeypatch.setattr(discovery, "PERIOD", 0.05)
     assert discovery.failing([server]) == [server]
-    watch = ServerWatch([server, Server("127.0.0.1", free_port())], later, localhost_only=True)
+    watch = ServerWatch([server, Server("127.0.0.1", free_port())], localhost_only=True)
     until(lambda: sum("no discovery server receives at" in text for text in watch.texts) == 2, "both are reported")
-    later.close()
     watch.close()
 
 
-def test_a_server_that_does_not_run_is_reported(later: DelayedCalls, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_that_does_not_run_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(discovery, "PERIOD", 0.05)
     server = Server("127.0.0.1", free_port())
-    watch = ServerWatch([server], later, localhost_only=True)
+    watch = ServerWatch([server], localhost_only=True)
     (text,) = until(lambda: watch.texts, "the server is reported")
     assert text.startswith(f"no discovery server receives at {server} (ROS_DISCOVERY_SERVER)")
     assert discovery.failing([server]) == [server]
@@ -87,7 +77,6 @@ def test_a_server_that_does_not_run_is_reported(later: DelayedCalls, monkeypatch
         (text,) = until(lambda: [text for text in watch.texts if "restarted" in text], "the restart is reported")
         assert text.startswith(f"the discovery server at {server} was restarted after the ROS 2 side")
     assert discovery.failing([Server("no-such-machine.invalid", 1)])
-    later.close()
     watch.close()
 
 
@@ -109,6 +98,41 @@ def test_a_restart_is_reported_unless_fast_dds_has_forgotten_the_server(
             assert watched.fails
     assert first is (lease > 0 or not noticed)
     watched.close()
+
+
+def test_a_slow_look_up_delays_neither_the_start_nor_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot without its network may wait half a minute for each answer of its name server."""
+    asked, answered = threading.Event(), threading.Event()
+
+    def look_up(_name: str) -> str:
+        asked.set()
+        assert answered.wait(40)
+        raise socket.gaierror
+
+    monkeypatch.setattr(discovery.socket, "gethostbyname", look_up)
+    watch = ServerWatch([Server("planner.local", 11811)], localhost_only=False)
+    try:
+        assert asked.wait(40)
+        assert watch.texts == [], "nothing is known yet"
+        watch.close()
+    finally:
+        answered.set()
+
+
+def test_servers_are_probed_again_after_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(discovery, "PERIOD", 0.05)
+    errors = [OSError(errno.EMFILE, "Too many open files")]
+    has_restarted = discovery._Watched.has_restarted
+
+    def check(watched: discovery._Watched) -> bool:
+        if errors:
+            raise errors.pop()
+        return has_restarted(watched)
+
+    monkeypatch.setattr(discovery._Watched, "has_restarted", check)
+    watch = ServerWatch([Server("127.0.0.1", free_port())], localhost_only=False)
+    until(lambda: watch.texts, "the server is reported")
+    watch.close()
 
 
 def test_a_server_on_another_machine_is_reached_if_not_localhost_only(
