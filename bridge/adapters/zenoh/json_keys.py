@@ -8,6 +8,7 @@ request.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import threading
@@ -26,7 +27,9 @@ from bridge.adapters.zenoh.topics import Announcement, KeyContext, KeyPublisher,
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect, DialectKey
 from bridge.hub.endpoints.calls import Call
+from bridge.hub.endpoints.latched import AGAIN_SECONDS
 from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.hub.zenoh_compat import undeclare
 from bridge.messages.errors import ConversionError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
@@ -103,19 +106,8 @@ class JsonKeysEdge(KeyEdge):
         """Subscribe to a key; if it is latched, also query programs and zenoh storages with a ``get``."""
         key = self._in[topic]
         name = str(key.key)
-        if not (key.latched and qos.latched):
-            return self.register(KeySubscription(self.context, name, qos, deliver, lambda _: name, Announcement()))
-        part = self.register(LatchedKeySubscription(self.context, name, qos, deliver, lambda _: name, Announcement()))
-        self._query_latched(name, part)
-        return part
-
-    def _query_latched(self, key: str, part: LatchedKeySubscription) -> None:
-        def on_reply(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
-                part.on_stored(reply.ok)
-
-        handler, remote = zenoh.handlers.Callback(on_reply, indirect=False), zenoh.Locality.REMOTE
-        self.context.session.get(key, handler, timeout=_QUERY_SECONDS, allowed_destination=remote)
+        kind = LatchedKeySubscription if key.latched and qos.latched else KeySubscription
+        return self.register(kind(self.context, name, qos, deliver, lambda _: name, Announcement()))
 
     @override
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> KeyPublisher:
@@ -136,7 +128,10 @@ class JsonKeysEdge(KeyEdge):
 
 
 class LatchedKeySubscription(KeySubscription):
-    """A subscription to a latched key, whose programs and storages also reply with stored values.
+    """A subscription to a latched key, which also queries the programs and storages that store its value.
+
+    It queries them when the first of them appears, for example with the router or after a link was lost, and repeats
+    the query while nothing replies, since a reply may be lost.
 
     A stored value never follows a newer one, since the hub retains the last. A published value is newer than a stored
     one unless the time stamps show otherwise, and of two stored values the later reply counts unless they do.
@@ -148,7 +143,44 @@ class LatchedKeySubscription(KeySubscription):
         self._order = threading.Lock()
         self._published = False
         self._newest = 0
+        self._context = context
         super().__init__(context, key, qos, deliver, source_of, announcement)
+        self._querier = context.session.declare_querier(key, allowed_destination=zenoh.Locality.REMOTE)
+        handler = zenoh.handlers.Callback(self._on_match_changed, indirect=False)
+        self._listener = self._querier.declare_matching_listener(handler)
+
+    @override
+    def close(self) -> None:
+        if self._open:
+            undeclare(self._listener, self._querier)
+        super().close()
+
+    def _on_match_changed(self, status: zenoh.MatchingStatus) -> None:
+        """Query the stored value if there is now a program or storage to query; runs on a zenoh thread."""
+        if status.matching:
+            with self._order:
+                self._published = False  # newer values may have been missed while the link was lost
+            self._context.executor.submit(partial(self._query, AGAIN_SECONDS))
+
+    def _query(self, pauses: tuple[float, ...]) -> None:
+        """Query the stored value, and again after each of the ``pauses`` in seconds until there is a reply."""
+        if not self._open:
+            return
+        replied = threading.Event()
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                replied.set()
+                self.on_stored(reply.ok)
+
+        def on_done() -> None:
+            if pauses and not replied.is_set():
+                again = partial(self._query, pauses[1:])
+                self._context.delays.after(pauses[0], partial(self._context.executor.submit, again))
+
+        handler, remote = zenoh.handlers.Callback(on_reply, on_done, indirect=False), zenoh.Locality.REMOTE
+        with contextlib.suppress(zenoh.ZError):  # the session is being closed
+            self._context.session.get(self.key, handler, timeout=_QUERY_SECONDS, allowed_destination=remote)
 
     @override
     def accept(self, sample: zenoh.Sample, source: str) -> None:

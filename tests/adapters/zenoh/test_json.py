@@ -112,6 +112,39 @@ def test_a_latched_key_is_queried_for_earlier_values(place: Place) -> None:
     kept.undeclare()
 
 
+def test_a_latched_key_is_queried_when_a_program_with_its_value_appears(place: Place) -> None:
+    """The program may start later, or its router may be linked later, or again after a link was lost."""
+    place.bridge(keys({"key": "mode", "direction": "in", "latched": True}))
+    subscription = place.far.subscribe("/mode", STRING, latched=True)
+    place.until_route(SIDE, "/mode", "in")
+    program = place.json()
+    for value in ("first", "missed"):
+        text = json.dumps({"data": value}).encode()
+        kept = program.session.declare_queryable("mode", lambda query, text=text: query.reply("mode", text))
+        until(lambda value=value: ended(place.far.wait(subscription, 1, 0.1), value), "the value arrives")
+        kept.undeclare()
+        program.session.put("mode", json.dumps({"data": f"{value} is over"}).encode())
+        until(
+            lambda value=value: ended(place.far.wait(subscription, 1, 0.1), f"{value} is over"), "the next one arrives"
+        )
+
+
+def test_a_latched_key_is_queried_again_after_a_lost_reply(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(json_keys, "AGAIN_SECONDS", (0.05, 0.05))
+    program, queries = place.json(), list[str]()
+
+    def answer(query: zenoh.Query) -> None:
+        queries.append(str(query.key_expr))
+        if len(queries) > 2:
+            query.reply("mode", b'{"data": "kept"}')
+
+    kept = program.session.declare_queryable("mode", zenoh.handlers.Callback(answer, indirect=True))
+    place.bridge(keys({"key": "mode", "direction": "in", "latched": True}))
+    subscription = place.far.subscribe("/mode", STRING, latched=True)
+    assert place.far.wait(subscription, 1, 15) == [{"data": "kept"}]
+    kept.undeclare()
+
+
 def test_a_stored_value_never_follows_a_newer_one(place: Place) -> None:
     """A program may publish a newer value before the stored one arrives."""
     program = place.json()
@@ -132,7 +165,7 @@ def test_a_stored_value_never_follows_a_newer_one(place: Place) -> None:
 
 
 def ended(received: list[Any], last: str) -> list[Any]:
-    return received if received[-1] == {"data": last} else []
+    return received if received[-1:] == [{"data": last}] else []
 
 
 Stored = tuple[str, bool, int]
