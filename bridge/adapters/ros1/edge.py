@@ -235,6 +235,7 @@ class Ros1Edge(SideEdge):
             links = publishers | state.subscribers | state.servers if state else frozenset()
             self._names.learn({k.topic for k in links} | self._actions.names())
             self._pool.retain({k.uri for k in links})
+        self._pool.resume()
         self._topics.update(self._publishers)
         self._services.on_master_read(state)
         self._actions.on_master_read()

@@ -42,13 +42,25 @@ class PeerPool:
             peer.running += 1
         self._start_next(address, peer)
 
+    def resume(self) -> None:
+        """Start the jobs for which the system had no threads left; called regularly."""
+        with self._lock:
+            waiting = [(address, peer) for address, peer in self._peers.items() if not peer.running]
+            for _, peer in waiting:
+                peer.running += 1
+        for address, peer in waiting:
+            self._start_next(address, peer)
+
     def _start_next(self, address: str, peer: _PeerJobs) -> None:
         if self._is_doubtful(address):
-            self._doubtful.submit(lambda: self._run_next(address, peer))
+            started = self._doubtful.submit(lambda: self._run_next(address, peer))
         else:
-            self._fresh.submit(
+            started = self._fresh.submit(
                 lambda: self._start_next(address, peer) if self._is_doubtful(address) else self._run_next(address, peer)
             )
+        if started.cancelled():
+            with self._lock:
+                peer.running -= 1
 
     def _run_next(self, address: str, peer: _PeerJobs) -> None:
         with self._lock:

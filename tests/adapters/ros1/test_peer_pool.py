@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from bridge.adapters.ros1.peer_pool import AT_ONCE, PeerPool
+from tests.support.no_threads import no_threads
 from tests.support.wait import until
 
 NODE, OTHER = "http://127.0.0.1:1/", "http://127.0.0.1:2/"
@@ -67,6 +68,22 @@ def test_a_failed_request_frees_its_place(pool: PeerPool, doubtful: bool) -> Non
     until(lambda: talks.now == AT_ONCE, "as many requests as before run")
     talks.go_on.set()
     until(lambda: talks.done == AT_ONCE, "all requests have ended")
+
+
+@pytest.mark.parametrize("name", ["fresh", "doubtful"])
+def test_requests_are_started_once_the_system_has_threads_again(pool: PeerPool, name: str) -> None:
+    if name == "doubtful":
+        pool.failed(NODE)
+    talks = Talks()
+    talks.go_on.set()
+    with no_threads(f"midspan-ros1-{name}"):
+        for _ in range(2 * AT_ONCE):
+            pool.submit(NODE, talks.talk)
+        pool.resume()
+        assert not talks.done
+    pool.resume()
+    until(lambda: talks.done == 2 * AT_ONCE, "all requests have ended")
+    until(lambda: not pool._peers, "no request is waiting")
 
 
 def test_waiting_requests_to_a_failed_node_move_to_the_other_pool(pool: PeerPool) -> None:
