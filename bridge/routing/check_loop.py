@@ -29,8 +29,8 @@ _STEP_SECONDS = 3.0
 class CheckLoop:
     """Runs ``check`` when woken and at least every minute, and ``tick`` each second, on a separate thread.
 
-    ``check`` returns whether to repeat it soon, because refused routes may work by then. If it fails, the thread calls
-    ``failed`` and ends. Any thread may call `wake`.
+    ``check`` returns whether to repeat it soon, because refused routes may work by then. If either fails, the thread
+    calls ``failed`` and ends. Any thread may call `wake`.
     """
 
     def __init__(
@@ -70,19 +70,23 @@ class CheckLoop:
             if self._stopping.is_set():
                 return
             now = time.monotonic()
-            if woken or now >= check:
-                self._wake.clear()
-                cost = time.thread_time()
-                try:
-                    again = self._check()
-                except Exception as err:
-                    _log.exception("%s: following the graphs failed", self._side)
-                    self._failed(f"following the graphs failed: {err}")
-                    return
-                cost = time.thread_time() - cost
-                check = now + (_RETRY if again else max(POLL, min(_SHARE * cost, _LONGEST)))
-                self._stopping.wait(_SETTLE)
-            if now >= tick:
-                tick = now + TICK
-                self._tick()
+            try:
+                if woken or now >= check:
+                    check = now + self._check_now()
+                    self._stopping.wait(_SETTLE)
+                if now >= tick:
+                    tick = now + TICK
+                    self._tick()
+            except Exception as err:
+                _log.exception("%s: following the graphs failed", self._side)
+                self._failed(f"following the graphs failed: {err}")
+                return
             self._beat = time.monotonic()
+
+    def _check_now(self) -> float:
+        """Check, and return the seconds until a check without a wake-up."""
+        self._wake.clear()
+        cost = time.thread_time()
+        again = self._check()
+        cost = time.thread_time() - cost
+        return _RETRY if again else max(POLL, min(_SHARE * cost, _LONGEST))

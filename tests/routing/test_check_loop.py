@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
@@ -77,13 +78,15 @@ def test_missed_notification_is_recovered_after_the_poll_period(monkeypatch: pyt
         until(lambda: len(checks) > 3, "checks run without a wake-up")
 
 
-def test_failed_check_ends_the_thread_with_its_reason() -> None:
+@pytest.mark.parametrize("part", ["check", "tick"])
+def test_failed_check_or_tick_ends_the_thread_with_its_reason(part: str) -> None:
     reasons = list[str]()
 
-    def check() -> bool:
+    def fail() -> bool:
         raise ValueError("no such graph")
 
-    with running(check, failed=reasons.append):
+    parts: dict[str, Any] = {"check": lambda: False, "tick": lambda: None, part: fail}
+    with running(**parts, failed=reasons.append):
         until(lambda: reasons, "the failure is reported")
         until(lambda: all(t.name != "midspan-test-engine" for t in threading.enumerate()), "the thread has ended")
     assert reasons == ["following the graphs failed: no such graph"]

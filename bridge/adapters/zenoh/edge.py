@@ -156,7 +156,7 @@ class KeyEdge(SideEdge):
             assert self._listener is not None
             self._listener.edge_failed(f"joining the network failed: {err}")
         self._graph_changed()
-        return True
+        return self._context is not None
 
     def _join(self, session: zenoh.Session) -> None:
         assert self._listener is not None
@@ -220,7 +220,12 @@ class KeyEdge(SideEdge):
 
     def _tick_on(self) -> None:
         while self._context is None:
-            if self._stopping.is_set() or (not self._open_again() and self._stopping.wait(RETRY_SECONDS)):
+            try:
+                opened = not self._stopping.is_set() and self._open_again()
+            except Exception:
+                _log.exception("%s: opening the session failed", self.side)
+                opened = False
+            if not opened and self._stopping.wait(RETRY_SECONDS):
                 return
         while not self._stopping.wait(TICK):
             context, neighbors = self._context, self._presence

@@ -48,6 +48,7 @@ class LaneWriter:
         self._closed = False
         self._dropped = 0
         self._joins = SerialExecutor("hub-lane-joins")  # a busy publisher may delay a join
+        self._joins.submit(lambda: None)  # starts the thread now, since the system may be out of threads later
         self._poll = select.epoll()
         self._poll.register(self._listener, select.EPOLLIN)
         self._listens = True
@@ -99,7 +100,11 @@ class LaneWriter:
                     self._listens = True
                     self._poll.register(self._listener, select.EPOLLIN)
                 for number, event in events:
-                    self._on_event(number, event)
+                    try:
+                        self._on_event(number, event)
+                    except Exception:
+                        _log.exception("a reader of the lane is disconnected")
+                        self._end(number)
         finally:
             for number in list(self._links):
                 self._end(number)
@@ -138,9 +143,8 @@ class LaneWriter:
             return
         sock.setblocking(False)
         number = sock.fileno()
-        link = ReaderLink(sock, partial(self._watch, number))
-        self._links[number] = link
         self._poll.register(number, select.EPOLLIN)
+        self._links[number] = ReaderLink(sock, partial(self._watch, number))
 
     def _watch(self, number: int, waits: bool) -> None:
         with contextlib.suppress(OSError, ValueError):  # the link has just ended
