@@ -82,9 +82,11 @@ class LaneConnections:
             ended = current and inlet.zid not in self._refused
         if current:
             self._gone(inlet.zid)
-        if ended:
-            self._refuse(inlet.zid, "the lane ended")
-        self._disconnected(inlet)
+        try:
+            if ended:
+                self._refuse(inlet.zid, "the lane ended")
+        finally:  # the subscriptions have to change to zenoh, even if no thread can be started for the next attempt
+            self._disconnected(inlet)
 
     def _refuse(self, zid: str, why: str, *, may_recover: bool = True) -> None:
         with self._lock:
