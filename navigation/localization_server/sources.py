@@ -144,7 +144,7 @@ class AmclSource(FrameSource):
         self._due: tuple[MapGrid2D, Start | None] | None = None
         self._map_trouble = ""
         self._has_map = True  # False from a change of the map until amcl accepts the new map
-        self._outdated: int | None = None  # the stamp of amcl's last transform on the previous map
+        self._outdated: int | None = None  # stamp of the last transform that amcl published on the previous map
         self._send_after = -math.inf  # when the map may be sent, monotonic seconds
         self._set_map = node.client(section.set_map, "nav_msgs/srv/SetMap") if section.set_map else None
         node.subscription(section.amcl_pose, estimates.POSE_COVARIANCE, self._on_pose, LATCHED)
@@ -194,7 +194,7 @@ class AmclSource(FrameSource):
         return Part(set_map=self._map_trouble or ("done" if self._has_map else "waits"))
 
     def _correction_stamp(self) -> int | None:
-        """Return the stamp of amcl's newest transform, None if it is unknown."""
+        """Return the stamp of the newest transform from amcl, None if it is unknown."""
         try:
             return self._frames.correction().stamp_ns
         except FramesError:

@@ -187,7 +187,7 @@ class OwnPorts:
     def _free_name(self, name: str) -> str:
         """Return the name for a port; only names of dead or stalled Midspan workers and dead ports are taken over.
 
-        A port that does not answer may be alive, behind a slow network or while this process is suspended.
+        A port that does not answer may be alive: its network may be slow, or this process may have been suspended.
         """
         for wanted in (name, self._context.names.alternative(name)):
             known = self._naming.query(wanted)
@@ -336,7 +336,7 @@ class OwnPorts:
                 connections.connect(self._naming, peer, port.core.name, link.carrier, timeout=_CONNECT_SECONDS)
             if not problem and "@" in peer:
                 self._naming.set_property(peer, DAEMON, self._context.daemon)
-        except NoNameServerError as err:  # this says nothing about the peer
+        except NoNameServerError as err:  # the peer may be reachable
             problem = str(err)
         except OSError as err:
             problem = str(err)

@@ -109,7 +109,7 @@ def test_a_slow_look_up_delays_neither_the_start_nor_the_end(monkeypatch: pytest
         assert answered.wait(40)
         raise socket.gaierror
 
-    monkeypatch.setattr(discovery.socket, "gethostbyname", look_up)
+    monkeypatch.setattr(socket, "gethostbyname", look_up)
     watch = ServerWatch([Server("planner.local", 11811)], localhost_only=False)
     try:
         assert asked.wait(40)

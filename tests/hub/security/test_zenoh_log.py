@@ -102,7 +102,7 @@ def test_log_is_read_although_stderr_is_closed(monkeypatch: pytest.MonkeyPatch) 
     with os.fdopen(to_log, "wb") as pipe:
         pipe.write(b"a line of the program\n")
         pipe.write(f"{at} Unable to connect to configured peer tcp/127.0.0.1:1! refused\n".encode())
-    monkeypatch.setattr(zenoh_log.os, "write", write)
+    monkeypatch.setattr(os, "write", write)
     log = zenoh_log.ZenohLog()
     log._run(output)
     assert log.failure("tcp/127.0.0.1:1", 0) == "refused"
