@@ -58,6 +58,7 @@ class VelocityCommander:
         self._zeros = 0  # still to be published; not a time, because this process may be starved
         self._timer: Timer | None = None
         self._ended: Callable[[], None] | None = None
+        self._ending = False
 
     @property
     def last(self) -> YarpVelocity | None:
@@ -65,7 +66,12 @@ class VelocityCommander:
         return self._velocity if time.monotonic() <= self._until else None
 
     def command(self, velocity: YarpVelocity, seconds: float) -> None:
-        """Command a velocity for this time, at most `LONGEST_SECONDS`."""
+        """Command a velocity for this time, at most `LONGEST_SECONDS`; raises `RequestError` after `end`."""
+        if self._ending:
+            raise RequestError("the gateway is shutting down")
+        self._begin(velocity, seconds)
+
+    def _begin(self, velocity: YarpVelocity, seconds: float) -> None:
         self._velocity, self._until = velocity, time.monotonic() + min(max(seconds, 0.0), LONGEST_SECONDS)
         self._send(velocity)
         if self._timer is None:
@@ -78,7 +84,8 @@ class VelocityCommander:
             self._send(YarpVelocity())
 
     def end(self, done: Callable[[], None]) -> None:
-        """Stop, and call ``done`` after the last zero."""
+        """Stop, accept no further commands of clients, and call ``done`` after the last zero."""
+        self._ending = True
         self.stop()
         if self._timer is None:
             done()
@@ -87,7 +94,7 @@ class VelocityCommander:
 
     def halt(self) -> None:
         """Command zero for `OVERRIDE_SECONDS`, to override any other source of velocities."""
-        self.command(YarpVelocity(), OVERRIDE_SECONDS)
+        self._begin(YarpVelocity(), OVERRIDE_SECONDS)
 
     def _repeat(self) -> None:
         if self.last is not None:

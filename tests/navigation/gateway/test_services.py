@@ -9,6 +9,7 @@ import pytest
 
 from bridge.client.velocity import STOP_SECONDS
 from navigation.gateway import services
+from navigation.gateway.choice import RequestError
 from navigation.gateway.services import VelocityCommander, YarpVelocity
 from tests.peers.navigation.simulated_hub import Clock, Loop
 
@@ -83,3 +84,12 @@ def test_the_end_waits_for_the_last_zero(base: Base) -> None:
     assert ended == [True]
     base.commander.end(lambda: ended.append(False))
     assert ended == [True, False], "without a command it ends at once"
+
+
+def test_a_client_that_repeats_its_velocity_does_not_delay_the_end(base: Base) -> None:
+    base.commander.command(DRIVE, 0.2)
+    base.commander.end(lambda: None)
+    with pytest.raises(RequestError, match="shutting down"):
+        base.commander.command(DRIVE, 0.2)
+    base.after(5.0)
+    assert base.received == [0.3, *[0.0] * ZEROS]
