@@ -48,7 +48,8 @@ class VelocityCommander:
 
     Args:
         topic: the topic of the base's velocities.
-        busy: whether a planner commands the base, which zeros would slow; a new command ends the zeros, too.
+        busy: whether a planner, or a person who drives manually, commands the base, which zeros would slow; a new
+            command ends the zeros, too.
     """
 
     def __init__(self, host: Host, topic: str, busy: Callable[[], bool]) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ class GotoTopics(PlannerTopics):
     def __init__(self, host: Host, frame: str, cmd_vel: str, prefix: str, period: float) -> None:
         super().__init__(host, "robot_goto", frame)
         self._velocity = velocity_publisher(host, cmd_vel)
+        self._drivers = partial(host.node.hub.graph.drivers, cmd_vel)  # persons who drive manually
         self._map = host.node.publisher(f"{self._prefix}/local_map", GRID, LATCHED, priority="state")
         names = ("control:o", "status:o", "speak:o", "gui:o") if prefix else ()
         self._ports = {name: host.yarp.output(f"{prefix}/{name}") for name in names}
@@ -54,7 +56,12 @@ class GotoTopics(PlannerTopics):
         self._zeros = 0  # how many of the next silent commands are published
 
     def command(self, command: DriveCommand, *, silent: bool) -> None:
-        """Command the base; of successive ``silent`` commands, only those of the first `STOP_SECONDS` are published."""
+        """Command the base; of successive ``silent`` commands, only those of the first `STOP_SECONDS` are published.
+
+        If a person drives manually meanwhile, only the first is published.
+        """
+        if silent and 0 < self._zeros < self._most_zeros and self._drivers():
+            self._zeros = 0  # they would slow the person
         if silent and not self._zeros:
             return
         self._zeros = self._zeros - 1 if silent else self._most_zeros
