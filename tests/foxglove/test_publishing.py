@@ -168,7 +168,7 @@ def test_a_halt_on_the_hub_ends_driving_until_the_control_is_released(driven: De
     with driven.app() as app:
         number = app.advertise("/cmd_vel", TWIST, "json")
         drive_until_received(driven, app, number, subscription)
-        assert MANUAL_DRIVING_HALTED in [answer.value for answer in driven.far.hub.ask("halt", {})]
+        assert MANUAL_DRIVING_HALTED in [answer.value for answer in driven.far.hub.ask("halt", {}, timeout=20.0)]
         drive_until_refused(app, number, "release the control first")
         until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero is commanded")
 

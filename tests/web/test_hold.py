@@ -210,7 +210,7 @@ def test_a_halt_on_the_hub_ends_a_hold(desk: Desk) -> None:
     base = Base(desk)
     with TestPage(desk.port) as page:
         hold(page, base)
-        assert MANUAL_DRIVING_HALTED in [answer.value for answer in desk.far.hub.ask("halt", {})]
+        assert MANUAL_DRIVING_HALTED in [answer.value for answer in desk.far.hub.ask("halt", {}, timeout=20.0)]
         until(base.stands, "the base stands")
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
         page.until(
