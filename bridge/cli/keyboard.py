@@ -34,10 +34,16 @@ def pressed(terminal: int, seconds: float) -> Iterator[str]:
 
 @contextlib.contextmanager
 def raw(terminal: int) -> Iterator[int]:
-    """Put a terminal into cbreak mode: each key at once, without echo; only if `AVAILABLE`."""
+    """Put a terminal into cbreak mode: each key at once, without echo; only if `AVAILABLE`.
+
+    Ctrl-S is a key, too: it would stop the output, and so the command.
+    """
     before = termios.tcgetattr(terminal)
     try:
         tty.setcbreak(terminal)
+        settings = termios.tcgetattr(terminal)
+        settings[0] &= ~termios.IXON
+        termios.tcsetattr(terminal, termios.TCSADRAIN, settings)
         yield terminal
     finally:
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)

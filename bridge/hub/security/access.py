@@ -30,8 +30,8 @@ _STORE = "midspan/store"
 _SPACES = ("**", _CACHES, abandon_key("**"), f"{_STORE}/*/@sync/**", f"{ADMIN_SPACE}/**", f"{MIDSPAN_SPACE}/**")
 """Expressions for all keys; ``**`` alone does not match chunks that begin with ``@``."""
 
-_LISTENING = ("declare_subscriber", "liveliness_token", "liveliness_query", "declare_liveliness_subscriber")
-_EVERYTHING = ("put", "delete", "query", "reply", "declare_queryable", *_LISTENING)
+_LISTENING = ("declare_subscriber", "liveliness_query", "declare_liveliness_subscriber")
+_EVERYTHING = ("put", "delete", "query", "reply", "declare_queryable", "liveliness_token", *_LISTENING)
 
 _HASHES = ("RIHS01_$*", hash_chunk(NO_HASH))
 """Last parts of keys: a type's hash, or Humble's text for a missing hash."""
@@ -44,6 +44,13 @@ QUESTIONS = (
     *(f"*/**/$*::action::dds_::$*_GetResult_/{end}" for end in _HASHES),
 )
 """Keys of services that change nothing: Get, List and Describe services, and the results of actions."""
+
+_TOKENS = (
+    *(space for space in _SPACES if not space.startswith(MIDSPAN_SPACE)),
+    f"{MIDSPAN_SPACE}/external/*",
+    *(f"{MIDSPAN_SPACE}/*/{kind}/**" for kind in ("wire", "origin", "member", "velocity", "relay", "near")),
+)
+"""Keys on which a guest may announce itself: all but ``driver``, with which it would lock out those who may drive."""
 
 _READING = (f"{_STORE}/**", f"{_STORE}/*/@sync/digest/**", f"{_STORE}/*/@sync/fetch/**")
 """Stored values (`bridge.stores`): every machine that may join can read them, but only trusted ones can change them."""
@@ -74,6 +81,7 @@ def access_control(section: OpenSection, routing: RoutingSection, loopback: Sequ
     guest = [
         _rule("hear", "egress", _EVERYTHING, _SPACES),
         _rule("join", "ingress", _LISTENING, _SPACES),
+        _rule("announce", "ingress", ("liveliness_token",), _TOKENS),
         _rule("say", "ingress", ("put", "reply"), (*harmless, *buffered_keys(harmless), control)),
         _rule("answer", "ingress", ("reply",), _ANSWERS),
         # a publisher that is queried for a latched command could reply on any key

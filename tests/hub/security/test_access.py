@@ -169,6 +169,27 @@ def test_without_tls_no_machine_is_trusted_by_name() -> None:
     ],
 )
 def test_untrusted_machine_reads_the_store_but_cannot_change_it(message: str, key: str, may: bool) -> None:
+    check_rights(message, key, may)
+
+
+@pytest.mark.parametrize(
+    ("key", "may"),
+    [
+        ("@ros2_lv/0/a1/0/0/NN/%/%/talker", True),
+        *((f"@midspan/0/{kind}/a1/x", True) for kind in ("wire", "member", "near")),
+        ("@midspan/0/origin/a1/ros1/x/y", True),
+        ("@midspan/0/velocity/a1/%cmd_vel/x", True),
+        ("@midspan/0/relay/a1/1/b2", True),
+        ("@midspan/external/a1", True),
+        ("@midspan/0/driver/a1/%cmd_vel/anna", False),
+    ],
+)
+def test_untrusted_machine_cannot_announce_that_it_drives(key: str, may: bool) -> None:
+    """Its velocities are refused, and the announcement would lock out those who may drive."""
+    check_rights("liveliness_token", key, may)
+
+
+def check_rights(message: str, key: str, may: bool) -> None:
     section = OpenSection.model_validate({"listen": ["tls/0.0.0.0:7448"], "trusted": ["base"]})
     rules = access_control(section, RoutingSection(), ["lo"])
     names = {rule["id"]: rule for rule in rules["rules"]}
