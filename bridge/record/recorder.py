@@ -115,8 +115,8 @@ class Recorder:
         try:
             return future.result(_COMMAND_SECONDS)
         except TimeoutError:
-            if future.done():  # an error of the action, such as ETIMEDOUT
-                raise
+            if future.done():  # just now, or with an error of the action such as ETIMEDOUT
+                return future.result()
             problem = f"the writer thread has not answered for {_COMMAND_SECONDS:g} s, and does this later"
             raise TimeoutError(f"{problem}: is the disk slow or unreachable?") from None
 

@@ -140,13 +140,15 @@ def test_a_configuration_that_a_lost_connection_did_not_deliver_is_sent_again(tm
 
 def test_a_worker_stops_if_it_cannot_read_the_daemons_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     """Otherwise it would ignore each later command, and outlive the daemon."""
-    monkeypatch.setattr(control, "end_process_after", lambda _: None)
+    ended = threading.Event()
+    monkeypatch.setattr(control, "end_process_after", lambda _: ended.set())
     reading, writing = os.pipe()
     pipe, commands = object.__new__(DaemonPipe), Commands()  # the constructor replaces this process's own descriptors
     pipe._input, pipe._lines, pipe._waiting = writing, protocol.Lines(), []
     try:
         pipe.read_to(commands, stop_at_end=True)
         assert commands.get(timeout=20) == protocol.Stop("the daemon has exited")
+        assert ended.wait(40), "later it would end the process of the tests"
     finally:
         os.close(reading)
         os.close(writing)

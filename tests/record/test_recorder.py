@@ -318,13 +318,14 @@ def test_a_folder_that_cannot_be_created_is_reported_and_retried(
 def test_a_command_that_waits_for_a_slow_disk_is_reported(
     hubs: QuickHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recorder, "_COMMAND_SECONDS", 0.2)
     go_on = threading.Event()
     with recording(hubs, tmp_path, Files(tmp_path / "one", split=False)) as recorded:
         recorded.recorder._post(lambda: go_on.wait(40))
         try:
-            with pytest.raises(TimeoutError, match=r"has not answered for 0\.2 s, and does this later"):
-                recorded.recorder.begin()
+            with monkeypatch.context() as patched:  # only here, since the limit also ends the wait for the thread
+                patched.setattr(recorder, "_COMMAND_SECONDS", 0.2)
+                with pytest.raises(TimeoutError, match=r"has not answered for 0\.2 s, and does this later"):
+                    recorded.recorder.begin()
         finally:
             go_on.set()
         until(lambda: (tmp_path / "one.mcap").exists(), "the file is opened later")

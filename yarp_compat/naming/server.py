@@ -44,9 +44,11 @@ def refused(contacts: Iterable[PortContact], seconds: float) -> set[str]:
     dead: set[str] = set()
     todo = [c for c in contacts if _is_address(c.host)]
     end = time.monotonic() + seconds
-    while todo and time.monotonic() < end:
+    while todo:  # the deadline is checked last, because this process may have been suspended until then
         batch, todo = todo[:AT_ONCE], todo[AT_ONCE:]
         dead |= _refused(batch, end)
+        if time.monotonic() >= end:
+            break
     return dead
 
 
@@ -56,8 +58,8 @@ def _refused(batch: list[PortContact], end: float) -> set[str]:
         for contact in batch:
             _begin(contact, selector, dead)
         try:
-            while selector.get_map() and (left := end - time.monotonic()) > 0:
-                for key, _ in selector.select(left):
+            while selector.get_map() and (ready := selector.select(max(0.0, end - time.monotonic()))):
+                for key, _ in ready:
                     probe = key.fileobj
                     assert isinstance(probe, socket.socket)
                     if probe.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) in _REFUSED:

@@ -215,11 +215,21 @@ class ServerWatch:
         self._localhost_only, self._excluded = localhost_only, ""
         self._servers = {server: _Watched(server) for server in listed}
         self._restarted: set[Server] = set()
+        self._checking = self._closed = False
         self._checks = DelayedCalls("midspan-ros2-servers")
         if self._servers:
             self._checks.every(PERIOD, self._check, first=0.0)
 
     def _check(self) -> None:
+        self._checking = True
+        try:
+            self._probe_all()
+        finally:
+            self._checking = False
+            if self._closed:  # `close` has not waited for this check
+                self._close_sockets()
+
+    def _probe_all(self) -> None:
         if self._localhost_only and not self._excluded:
             self._excluded = excluded(self._servers)
         for server, watched in self._servers.items():
@@ -235,7 +245,12 @@ class ServerWatch:
         return texts + [f"the discovery server at {server} {RESTARTED}; {RESTARTED_CURE}" for server in restarted]
 
     def close(self) -> None:
-        """End the checks, without waiting for a look-up, and close the sockets."""
+        """End the checks and close the sockets; a check that waits for a look-up closes them when it ends."""
+        self._closed = True
         self._checks.close(1.0)
+        if not self._checking:
+            self._close_sockets()
+
+    def _close_sockets(self) -> None:
         for watched in self._servers.values():
             watched.close()

@@ -281,7 +281,7 @@ class OwnPorts:
             if owner == [self._owner]:
                 self._naming.unregister(name)
             elif not owner:
-                self._unmarked.setdefault(contact, time.monotonic())
+                self._unmarked[contact] = time.monotonic()  # again at each attempt to join, which is no probe
 
     def unregister_unmarked(self, contacts: Mapping[str, PortContact]) -> None:
         """Unregister the unmarked ports that have refused connections at each update for some seconds.

@@ -107,16 +107,21 @@ def test_a_slow_look_up_delays_neither_the_start_nor_the_end(monkeypatch: pytest
     def look_up(_name: str) -> str:
         asked.set()
         assert answered.wait(40)
-        raise socket.gaierror
+        return "127.0.0.1"
 
     monkeypatch.setattr(socket, "gethostbyname", look_up)
-    watch = ServerWatch([Server("planner.local", 11811)], localhost_only=False)
+    server = Server("planner.local", free_port())
+    watch = ServerWatch([server], localhost_only=False)
     try:
         assert asked.wait(40)
         assert watch.texts == [], "nothing is known yet"
         watch.close()
     finally:
         answered.set()
+    until(lambda: "midspan-ros2-servers" not in {t.name for t in threading.enumerate()}, "the look-up ends")
+    probe = watch._servers[server]._probe
+    assert probe is not None
+    assert probe._socket is None, "the check that had to wait closes its socket"
 
 
 def test_servers_are_probed_again_after_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

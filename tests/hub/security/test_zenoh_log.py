@@ -93,9 +93,12 @@ def logged(caplog: pytest.LogCaptureFixture) -> list[tuple[int, str]]:
 
 def test_log_is_read_although_stderr_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The router survives the daemon, which reads its stderr."""
+    original = os.write
 
-    def write(_descriptor: int, _data: bytes) -> int:
-        raise BrokenPipeError
+    def write(descriptor: int, data: bytes) -> int:
+        if descriptor == 2:
+            raise BrokenPipeError
+        return original(descriptor, data)
 
     output, to_log = os.pipe()
     at = "2026-01-01T00:00:00.000000Z DEBUG ThreadId(02) zenoh::net::runtime::orchestrator:"
