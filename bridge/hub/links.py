@@ -101,7 +101,7 @@ class Mesh:
         self._rejoin = rejoin
         self._lost: dict[str, float] = {}
         self._unlinked: set[str] = set()  # according to the last comparison
-        self._unreachable: dict[str, float] = {}  # when to search for each session again
+        self._unreachable: dict[str, float] = {}  # the sessions given up, and when to search for each again
         self._compare_at = time.monotonic() + _COMPARE_SECONDS
         self._router_lost_at = float("-inf")
         self._closed = Event()
@@ -175,8 +175,9 @@ class Mesh:
             self._unlinked, self._unreachable = set(), {}
             return
         # a session that has left may return
-        self._unreachable = {zid: due for zid, due in self._unreachable.items() if zid in peers and now < due}
-        linked = self._linked_peers() | self._unreachable.keys() | {str(self._session.zid())}
+        linked = self._linked_peers()
+        self._unreachable = {zid: due for zid, due in self._unreachable.items() if zid in peers - linked}
+        linked |= {zid for zid, due in self._unreachable.items() if now < due} | {str(self._session.zid())}
         unlinked = {zid for zid in peers - linked if not zid.startswith(_MARK)}
         for zid in unlinked & self._unlinked:
             self._lost.setdefault(zid, now - _FIRST_SECONDS)
@@ -210,7 +211,9 @@ class Mesh:
         missing = due & members
         if missing and not self._introduce(missing):
             long_ago = time.monotonic() - _HOPELESS_SECONDS
-            hopeless = {zid for zid in missing - self._linked_peers() if self._lost.get(zid, long_ago) < long_ago}
+            # a further search must not end the router's link to a node again and again
+            missing -= self._linked_peers() | self._unreachable.keys()
+            hopeless = {zid for zid in missing if self._lost.get(zid, long_ago) < long_ago}
             if hopeless:
                 self._rejoin(hopeless)
 

@@ -6,7 +6,7 @@ import contextlib
 import os
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import psutil
@@ -110,16 +110,31 @@ def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pyt
 
 
 def test_an_unreachable_session_is_searched_for_again(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What kept it from linking may be over while it is still at the router."""
+    """What kept it from linking may be over while it is still at the router. Only the first search asks it to rejoin."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
-    monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
+    monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 3.0)
+    monkeypatch.setattr(links, "_HOPELESS_SECONDS", 0.0)
     monkeypatch.setattr(links, "_INTRODUCTION_SECONDS", 0.1)
     monkeypatch.setattr(links, "_SEARCH_AGAIN_SECONDS", 0.5)
+    asked, introduced = list[Collection[str]](), list[Collection[str]]()
+    introduce = links.Mesh._introduce
+
+    def count(mesh: links.Mesh, missing: Collection[str]) -> bool:
+        introduced.append(missing)
+        return introduce(mesh, missing)
+
+    monkeypatch.setattr(links.Mesh, "_introduce", count)
     with Hub.open(hubs.settings("one")) as hub:
+        monkeypatch.setattr(hub.mesh, "_rejoin", asked.append)
         hubs.list_also("abcd")
-        for _ in range(2):
-            until(lambda: "abcd" in hub.mesh.lost, "the unreachable session is searched for", 30)
-            until(lambda: not hub.mesh.lost, "the search ends")
+        until(lambda: "abcd" in hub.mesh.lost, "the unreachable session is searched for", 30)
+        until(lambda: not hub.mesh.lost, "the search ends")
+        assert asked, "the session is asked to rejoin"
+        asked.clear()
+        introduced.clear()
+        until(lambda: introduced, "the unreachable session is searched for again", 30)
+        until(lambda: not hub.mesh.lost, "the search ends again")
+        assert not asked
 
 
 def test_router_without_a_response_is_queried_again(hubs: QuickHub) -> None:
