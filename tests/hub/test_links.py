@@ -110,7 +110,7 @@ def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pyt
 
 
 def test_an_unreachable_session_is_searched_for_again(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What kept it from linking may be over while it is still at the router. Only the first search asks it to rejoin."""
+    """What kept it from linking may be over while the router still lists it. It is asked to rejoin only once."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 3.0)
     monkeypatch.setattr(links, "_HOPELESS_SECONDS", 0.0)
