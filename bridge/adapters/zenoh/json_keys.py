@@ -169,9 +169,8 @@ class LatchedKeySubscription(KeySubscription):
         replied = threading.Event()
 
         def on_reply(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
+            if reply.ok is not None and self.on_stored(reply.ok):
                 replied.set()
-                self.on_stored(reply.ok)
 
         def on_done() -> None:
             if pauses and not replied.is_set():
@@ -188,16 +187,17 @@ class LatchedKeySubscription(KeySubscription):
             self._published, self._newest = True, ticks(sample)
             super().accept(sample, source)
 
-    def on_stored(self, sample: zenoh.Sample) -> None:
-        """Queue a stored value, unless it is older than the last one."""
+    def on_stored(self, sample: zenoh.Sample) -> bool:
+        """Queue a stored value, unless it is older than the last one; return whether it is not from a Midspan."""
         source, stamp = self.native(sample), ticks(sample)
         if not source:
-            return
+            return False
         with self._order:
             is_older = stamp <= self._newest if stamp and self._newest else self._published
             if not is_older:
                 self._newest = stamp
                 super().accept(sample, source)
+        return True
 
 
 def text_to_cdr(registry: Registry, type_name: str) -> Callable[[bytes], bytes]:
