@@ -192,11 +192,11 @@ def test_several_daemons_cause_no_loops_and_no_duplicates(place: Place, hubs: st
             from_far = exchange(program, out, subscription, far, have_distinct_names)
             if hubs == "one hub":  # the standby daemon takes over
 
-                def states() -> list[str]:
-                    return [bridge.bridge.health().state for bridge in (first, second)]
+                def states() -> list[str] | None:
+                    current = [bridge.bridge.health().state for bridge in (first, second)]
+                    return current if sorted(current) == ["running", "standby"] else None
 
-                until(lambda: sorted(states()) == ["running", "standby"], "one daemon is active")
-                (first, second)[states().index("running")].stop()
+                (first, second)[until(states, "one daemon is active").index("running")].stop()
                 until_all_receive(
                     program, out, subscription, [(far[0], from_far[0], far[0].subscribe("/both", STRING))]
                 )
