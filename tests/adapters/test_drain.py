@@ -162,7 +162,7 @@ def test_a_robot_that_keeps_moving_delays_the_stop_only_until_the_deadline(
     _serving, calling = side.ask_hub(GATEWAY)
     side.stop()
     side.join()
-    assert 0.3 <= side.seconds < 10.0, "the worker waited for the deadline, and no longer"
+    assert 0.3 <= side.seconds < 60.0, "the worker waited for the deadline, and no longer"
     assert calling.result()["error"]
 
 

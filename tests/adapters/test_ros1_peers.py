@@ -11,10 +11,13 @@ from bridge.adapters.ros1_peers import RefusedError, Ros1ProtocolError, Unreacha
 from tests.peers.ros1.servers import node, tcp_server, until_closed
 from tests.support.ports import free_port
 
+PATIENT = 60.0
+"""Deadline in seconds of requests whose response is expected; the process may stall meanwhile."""
+
 
 def test_calls_return_values_and_raise_refusals():
     with node(one=lambda _caller: [1, "", 7], no=lambda _caller: [-1, "not set", 0]) as uri:
-        client = ros1_peers.XmlRpcClient(uri, 2.0)
+        client = ros1_peers.XmlRpcClient(uri, PATIENT)
         with contextlib.closing(client):
             assert client.call("one", "/me") == 7
             with pytest.raises(RefusedError, match="not set"):
@@ -27,7 +30,7 @@ def test_calls_return_values_and_raise_refusals():
 def test_a_request_is_not_delayed_by_acknowledgements():
     """http.client sends header and body separately, so a delayed acknowledgment would delay the body."""
     with node(one=lambda _caller: [1, "", 7]) as uri:
-        client = ros1_peers.XmlRpcClient(uri, 2.0)
+        client = ros1_peers.XmlRpcClient(uri, PATIENT)
         with contextlib.closing(client):
             client.call("one", "/me")
             assert client._http.sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
@@ -36,7 +39,7 @@ def test_a_request_is_not_delayed_by_acknowledgements():
 def test_an_unchanged_answer_is_the_same_object():
     values = [1, 1, 2]
     with node(value=lambda _caller: [1, "", values.pop(0)]) as uri:
-        client = ros1_peers.XmlRpcClient(uri, 2.0)
+        client = ros1_peers.XmlRpcClient(uri, PATIENT)
         with contextlib.closing(client):
             first, second, third = (client.calls([("value", ("/me",))]) for _ in range(3))
     assert first is second
@@ -45,7 +48,7 @@ def test_an_unchanged_answer_is_the_same_object():
 
 def test_a_stopped_server_is_unreachable():
     with node(one=lambda _caller: [1, "", 1]) as uri:
-        client = ros1_peers.XmlRpcClient(uri, 2.0)
+        client = ros1_peers.XmlRpcClient(uri, PATIENT)
         assert client.call("one", "/me") == 1
     with contextlib.closing(client), pytest.raises(UnreachableError):
         client.call("one", "/me")
@@ -75,25 +78,25 @@ def ok(body):
 
 
 @pytest.mark.parametrize(
-    ("serve", "error"),
+    ("serve", "seconds", "error"),
     [
-        (until_closed, UnreachableError),
-        (trickle, UnreachableError),
-        (answer(b"SSH-2.0-OpenSSH\r\n"), Ros1ProtocolError),
-        (answer(b"HTTP/1.1 500 Oops\r\nContent-Length: 0\r\n\r\n"), Ros1ProtocolError),
-        (ok(b"<html>"), Ros1ProtocolError),
-        (ok(b"<?xml version='1.0'?><methodResponse></methodResponse>"), Ros1ProtocolError),
+        (until_closed, 0.5, UnreachableError),
+        (trickle, 0.5, UnreachableError),
+        (answer(b"SSH-2.0-OpenSSH\r\n"), PATIENT, Ros1ProtocolError),
+        (answer(b"HTTP/1.1 500 Oops\r\nContent-Length: 0\r\n\r\n"), PATIENT, Ros1ProtocolError),
+        (ok(b"<html>"), PATIENT, Ros1ProtocolError),
+        (ok(b"<?xml version='1.0'?><methodResponse></methodResponse>"), PATIENT, Ros1ProtocolError),
     ],
 )
-def test_servers_that_misbehave_are_unreachable_or_violate_the_protocol(serve, error):
+def test_servers_that_misbehave_are_unreachable_or_violate_the_protocol(serve, seconds, error):
     with tcp_server(serve) as (host, port), pytest.raises(error):
-        ros1_peers.ask(f"http://{host}:{port}/", 0.5, "getPid", "/me")
+        ros1_peers.ask(f"http://{host}:{port}/", seconds, "getPid", "/me")
 
 
 def test_responses_above_the_limit_are_refused(monkeypatch):
     monkeypatch.setattr(ros1_peers, "MAX_NODE_ANSWER", 1000)
     with node(big=lambda _caller: [1, "", "x" * 2000]) as uri, pytest.raises(Ros1ProtocolError, match="longer than"):
-        ros1_peers.ask(uri, 2.0, "big", "/me")
+        ros1_peers.ask(uri, PATIENT, "big", "/me")
 
 
 @pytest.mark.parametrize("length", [5, 95_000_000, 2**64])
@@ -103,7 +106,7 @@ def test_truncated_responses_are_refused(length):
         sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n<a>" % length)
 
     with tcp_server(serve) as (host, port), pytest.raises((Ros1ProtocolError, UnreachableError), match="answer"):
-        ros1_peers.ask(f"http://{host}:{port}/", 2.0, "getPid", "/me")
+        ros1_peers.ask(f"http://{host}:{port}/", PATIENT, "getPid", "/me")
 
 
 def response(value: bytes) -> bytes:
@@ -123,7 +126,7 @@ def test_responses_without_xmlrpc_are_refused(body):
         sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % len(body) + body)
 
     with tcp_server(serve) as (host, port), pytest.raises(Ros1ProtocolError, match="does not respond with XML-RPC"):
-        ros1_peers.ask(f"http://{host}:{port}/", 2.0, "getPid", "/me")
+        ros1_peers.ask(f"http://{host}:{port}/", PATIENT, "getPid", "/me")
 
 
 @pytest.mark.parametrize("uri", ["", "rosrpc://a:1", "http://", "http://a:b/", "ftp://a/", "p://[", "http://a\0b:1/"])

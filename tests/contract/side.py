@@ -142,9 +142,9 @@ class WorkerProcess:
         if self.process.popen.poll() is None:
             self._send({"stop": True})
             try:
-                self.process.popen.wait(5)
+                self.process.popen.wait(20)
             except subprocess.TimeoutExpired:
-                raise AssertionError("worker did not stop in 5 s: " + self._stacks()) from None
+                raise AssertionError("worker did not stop in 20 s: " + self._stacks()) from None
             finally:
                 self.process.stop()
 

@@ -1,4 +1,4 @@
-"""Free TCP ports on loopback."""
+"""Free ports on loopback, for TCP and UDP."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _numbers = itertools.count(_begin)
 
 
 def free_port(room: int = 0) -> int:
-    """Return a free TCP port on 127.0.0.1 that this process has not recently received.
+    """Return a free port on 127.0.0.1 that this process has not recently received.
 
     The next ``room`` ports are free and reserved, too, for a YARP name server that assigns them.
     """
@@ -34,9 +34,10 @@ def free_port(room: int = 0) -> int:
 
 
 def _is_free(port: int) -> bool:
-    with socket.socket() as sock:
-        try:
-            sock.bind(("127.0.0.1", port))
-        except OSError:
-            return False
-        return True
+    for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):  # ROS 2 programs of other tests have UDP ports in this range
+        with socket.socket(type=kind) as sock:
+            try:
+                sock.bind(("127.0.0.1", port))
+            except OSError:
+                return False
+    return True

@@ -134,5 +134,8 @@ def outputs() -> list[tuple[str, str]]:
 
 def is_stopped(pid: int) -> bool:
     """Return whether all threads of a process are stopped; some continue for a moment after SIGSTOP."""
-    stats = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/stat")]
+    try:
+        stats = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/stat")]
+    except OSError:  # a thread has ended meanwhile
+        return False
     return all(stat.rpartition(") ")[2].startswith("T") for stat in stats)

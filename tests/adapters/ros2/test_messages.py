@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Callable
@@ -69,9 +70,10 @@ def timer_switches() -> int:
     """Return how often Fast DDS's timer threads of this process have slept."""
     total = 0
     for task in Path("/proc/self/task").iterdir():
-        if (task / "comm").read_text().startswith("dds.ev"):
-            _, _, after = (task / "status").read_text().partition("\nvoluntary_ctxt_switches:")
-            total += int(after.split()[0])
+        with contextlib.suppress(OSError):  # another thread has ended meanwhile
+            if (task / "comm").read_text().startswith("dds.ev"):
+                _, _, after = (task / "status").read_text().partition("\nvoluntary_ctxt_switches:")
+                total += int(after.split()[0])
     return total
 
 

@@ -38,11 +38,11 @@ class YarpPort(Record):
         self.core = PortCore(name, naming=naming or names.client, on_message=self.add, profile=profile)
         self.core.open()
 
-    def messages(self, count: int = 1, seconds: float = 10.0) -> list[PortMessage]:
+    def messages(self, count: int = 1, seconds: float = 40.0) -> list[PortMessage]:
         """Wait for ``count`` messages, at most ``seconds``, and return all received messages."""
         return self.wait(count, seconds)
 
-    def bottles(self, count: int = 1, seconds: float = 10.0) -> list[Any]:
+    def bottles(self, count: int = 1, seconds: float = 40.0) -> list[Any]:
         """Return the values of the received Bottles; waits like `messages`."""
         return [binary.decode(bytes(m.payload), self.profile) for m in self.messages(count, seconds)]
 

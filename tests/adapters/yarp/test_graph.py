@@ -20,6 +20,13 @@ from yarp_compat.wire.contact import PortContact
 PORT = "/map+@/server"
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a port answer late, because it is in this process, which may stall."""
+    monkeypatch.setattr(graph_module, "_ASK_SECONDS", 40.0)
+    monkeypatch.setattr(graph_module, "_ANSWER_SECONDS", 40.0)
+
+
 @pytest.fixture
 def names() -> Iterator[Names]:
     names = Names()

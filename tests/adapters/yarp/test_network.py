@@ -146,7 +146,8 @@ def test_restart_after_a_kill_removes_stale_ports(place: Place) -> None:
 def test_yarp_program_gets_definitions_from_the_daemon(place: Place) -> None:
     place.bridge(name="robot")
     contact = place.names.client.list(PRESENCE.rstrip("/"))[0]
-    assert list(place.names.client.get_property(contact.name, DAEMON)) == ["robot"]
+    # the bridge has joined as soon as this port is open, and then stores its name
+    until(lambda: list(place.names.client.get_property(contact.name, DAEMON)) == ["robot"], "the name is stored")
     answer = text_client.ask(contact, ["definition", "geometry_msgs/Twist"])[0]
     assert answer.startswith("[ok]")
     assert "MSG: geometry_msgs/Vector3" in answer
@@ -190,9 +191,12 @@ def test_several_daemons_cause_no_loops_and_no_duplicates(place: Place, hubs: st
         try:
             from_far = exchange(program, out, subscription, far, have_distinct_names)
             if hubs == "one hub":  # the standby daemon takes over
-                states = [bridge.bridge.health().state for bridge in (first, second)]
-                assert sorted(states) == ["running", "standby"]
-                (first, second)[states.index("running")].stop()
+
+                def states() -> list[str] | None:
+                    current = [bridge.bridge.health().state for bridge in (first, second)]
+                    return current if sorted(current) == ["running", "standby"] else None
+
+                (first, second)[until(states, "one daemon is active").index("running")].stop()
                 until_all_receive(
                     program, out, subscription, [(far[0], from_far[0], far[0].subscribe("/both", STRING))]
                 )

@@ -140,7 +140,7 @@ def test_yarp_side_does_not_read_the_port_of_a_ros1_node(site: Place, master: Ro
 
     until(write_from_both, "the YARP side reads the port of the yarp_compat program", every=0.1)
     write_from_both()
-    assert {message["data"] for message in site.far.wait(subscription, 1)} == {"once"}
+    assert {message["data"] for message in site.far.wait(subscription, 1, 60)} == {"once"}
     assert not talker.port.outputs()
 
 

@@ -14,7 +14,7 @@ def test_yarp_script_publishes_and_subscribes(place: Place) -> None:
     (place.folder / "yarp.conf").write_text(f"{place.names.address.host} {place.names.address.port} yarp\n")
     script = start("ros_topics", place.folder)
     try:
-        velocity = place.far.wait(subscription, 1, 20)[0]
+        velocity = place.far.wait(subscription, 1, 60)[0]
         assert (velocity["linear"]["x"], velocity["angular"]["z"]) == (0.25, -1.5)
         pose = {
             "header": {"stamp": {"sec": 7, "nanosec": 5}, "frame_id": "map"},

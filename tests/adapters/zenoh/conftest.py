@@ -47,7 +47,7 @@ class Place(HubRig):
 
     def on_node(self, action: Callable[[], Any]) -> Any:
         """Run an action on the node's thread, and return its result."""
-        return self.node.loop.call(action)
+        return self.node.loop.call(action, 60.0)
 
     def ros2dds(self, namespace: str = "") -> Ros2ddsBridge:
         """Start a bridge like zenoh-bridge-ros2dds."""

@@ -27,6 +27,10 @@ class Reader:
         handler = zenoh.handlers.Callback(self.samples.append, indirect=False)
         self._end = ext.declare_advanced_subscriber(self._session, key, handler)
 
+    def is_linked(self) -> bool:
+        """Return whether the session is linked to Midspan's directly; a burst may lose a message meanwhile."""
+        return bool(self._session.info.peers_zid())
+
     def close(self) -> None:
         """Leave the network."""
         self._end.undeclare()
@@ -45,6 +49,7 @@ class Reader:
 def test_every_message_of_a_dialect_arrives(place: Place, dialect: dict[str, Any], key: str) -> None:
     reader = Reader(place.router.endpoint, key)
     place.bridge(dialect)
+    until(reader.is_linked, "the reader is linked to Midspan")
     out = place.far.advertise("/orders", STRING)
     place.far.hub_publish_until(out, {"data": "probe"}, lambda: reader.samples)
     for number in range(20):

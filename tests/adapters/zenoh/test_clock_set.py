@@ -50,8 +50,11 @@ class Velocities:
         self._far = place.far
         self._number = self._far.subscribe("/cmd_vel", TWIST)
 
-    def further(self, count: int, seconds: float = 10.0) -> int:
-        """Return how many further velocities have arrived, once there are ``count``, or the time is over."""
+    def further(self, count: int, seconds: float = 30.0) -> int:
+        """Return how many further velocities have arrived, once there are ``count``, or the time is over.
+
+        By default the time is shorter than the shift of a clock, after which velocities would arrive in any case.
+        """
         before = len(self._far.wait(self._number, 0))
         return len(self._far.wait(self._number, before + count, seconds)) - before
 

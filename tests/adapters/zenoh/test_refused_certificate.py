@@ -69,16 +69,20 @@ def test_a_refused_certificate_is_reported(
 ) -> None:  # fmt: skip
     settings = {"mode": mode, "connect": {"endpoints": [endpoint]}, "transport": tls(tmp_path, "b")}
     bridge = start(place, monkeypatch, settings)
-    until(lambda: "is from another authority" in bridge.health().text, "the state gives the reason")
-    health = bridge.health()
+
+    def refused() -> Any:
+        health = bridge.health()
+        return health if "is from another authority" in health.text else None
+
+    health = until(refused, "the state gives the reason")
     assert health.state == "waiting"
     assert endpoint in health.text
     assert CURE in health.text
-    assert health.text in place.answer(bridge.name)["warnings"]
+    until(lambda: health.text in place.answer(bridge.name)["warnings"], "it is a warning", every=0.1)
     lines = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING and endpoint in r.getMessage()]
     assert lines
     assert all(line.startswith(f"{bridge.name}: ") for line in lines)
-    assert CURE in lines[-1]
+    assert any(CURE in line for line in lines)
 
 
 def test_an_accepted_certificate_is_not_reported(
@@ -87,7 +91,8 @@ def test_an_accepted_certificate_is_not_reported(
     settings = {"connect": {"endpoints": [endpoint]}, "transport": tls(tmp_path, "a")}
     bridge = start(place, monkeypatch, settings)
     until(lambda: bridge.health().state == "running", "the dialect joins")
-    assert place.answer(bridge.name)["warnings"] == []
+    # a test connection that a busy machine delayed may be reported until the next one
+    until(lambda: place.answer(bridge.name)["warnings"] == [], "there is no warning", every=0.1)
 
 
 def test_a_machine_that_a_dialect_refuses_is_logged(place: Place, tmp_path: Path) -> None:

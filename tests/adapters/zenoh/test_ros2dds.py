@@ -162,9 +162,9 @@ def test_the_history_of_a_deep_publisher_arrives_complete_and_in_order(place: Pl
     place.far.until_published("/log")
     until(lambda: (place.route(SIDE, "/log", "in") or {}).get("messages", 0) >= 5, "the history has arrived", every=0.1)
     subscription = place.far.subscribe("/log", STRING, latched=True)
-    assert [m["data"] for m in place.far.wait(subscription, 5)] == ["15", "16", "17", "18", "19"]
+    assert [m["data"] for m in place.far.wait(subscription, 5, 60)] == ["15", "16", "17", "18", "19"]
     bridge.publish(out, {"data": "20"})
-    assert place.far.wait(subscription, 6)[-1] == {"data": "20"}
+    assert place.far.wait(subscription, 6, 60)[-1] == {"data": "20"}
     assert len(place.far.wait(subscription, 7, 0.3)) == 6
 
 
@@ -202,9 +202,9 @@ def test_each_sample_of_a_numbering_publisher_arrives_once(place: Place) -> None
             lambda: (place.route(SIDE, "/state", "in") or {}).get("messages"), "the message has arrived", 15, every=0.1
         )
         subscription = place.far.subscribe("/state", STRING, latched=True)
-        assert place.far.wait(subscription, 1) == [{"data": "kept"}]
+        assert place.far.wait(subscription, 1, 60) == [{"data": "kept"}]
         publisher.put(ROS2.encode(STRING, {"data": "new"}))
-        assert place.far.wait(subscription, 2) == [{"data": "kept"}, {"data": "new"}]
+        assert place.far.wait(subscription, 2, 60) == [{"data": "kept"}, {"data": "new"}]
         until(lambda: place.route(SIDE, "/state", "in")["messages"] == 2, "both messages are counted")
         token.undeclare()
         alive.undeclare()

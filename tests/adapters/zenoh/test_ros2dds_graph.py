@@ -19,7 +19,10 @@ SERVICES = {"send_goal": f"{ACTION}_SendGoal", "cancel_goal": "action_msgs/srv/C
 RESULT = {"get_result": f"{ACTION}_GetResult"}
 TOPICS = {"feedback": f"{ACTION}_FeedbackMessage", "status": "action_msgs/msg/GoalStatusArray"}
 END = "the/end"
-"""A topic that is announced last, because tokens of one session arrive in order."""
+"""A topic that is announced last, because tokens of one session arrive in order.
+
+They may not while zenoh links the two sessions directly, because the router still forwards some of them.
+"""
 
 
 class Tokens:
@@ -56,13 +59,13 @@ def test_an_action_server_is_announced_once_it_is_complete(announced: Tokens) ->
     announced.announce(Kind.SERVER, SERVICES | RESULT)
     assert announced.tokens("AS") == 0, "no announcement, because a client that sends a goal now would miss feedback"
     announced.announce(Kind.PUBLISHER, TOPICS)
-    assert announced.tokens("AS") == 1
+    until(lambda: announced.tokens("AS") == 1, "the server is announced")
     for part in ("feedback", "status", "send_goal"):
         announced.withdraw[part]()
     assert announced.tokens("AS") == 1, "results are still available"
     announced.withdraw["cancel_goal"]()
     announced.withdraw["get_result"]()
-    assert announced.tokens("AS") == 0
+    until(lambda: announced.tokens("AS") == 0, "the announcement is withdrawn")
     assert not [t for t in announced.bridge.all_tokens() if "_action" in t], "no part has a separate token"
 
 
@@ -70,6 +73,6 @@ def test_an_action_client_is_announced_with_its_goals_or_results(announced: Toke
     announced.announce(Kind.SUBSCRIPTION, TOPICS)
     assert announced.tokens("AC") == 0
     announced.announce(Kind.CLIENT, RESULT)
-    assert announced.tokens("AC") == 1
+    until(lambda: announced.tokens("AC") == 1, "the client is announced")
     announced.withdraw["get_result"]()
-    assert announced.tokens("AC") == 0
+    until(lambda: announced.tokens("AC") == 0, "the announcement is withdrawn")

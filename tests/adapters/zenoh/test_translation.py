@@ -123,7 +123,7 @@ def test_a_map_that_was_published_once_reaches_late_joiners(ends: dict[str, Any]
             assert holds(replies[0][0], message)
         else:
             late = ends[to].subscribe(name, type_, latched=True, depth=1)
-            assert holds(ends[to].wait(late, 1)[0], message)
+            assert holds(ends[to].wait(late, 1, 60)[0], message)
 
 
 def holds(got: Any, given: Any) -> bool:

@@ -90,7 +90,7 @@ class RealNameServer(NameServer):
     def __init__(self, port: int, master: str = "") -> None:
         super().__init__(port=port, gc_seconds=0)
         self._master = ServerProxy(master) if master else None
-        self.client = NameClient(self.address)
+        self.client = NameClient(self.address, timeout=40.0)
         self.endpoint = f"{self.address.host}:{port}"
         self.clear()
 

@@ -25,13 +25,16 @@ from yarp_compat.ports.port import PortCore
 from yarp_compat.rosmsg.library import MessageLibrary
 from yarp_compat.rosmsg.message import Message, TickTime
 
+PATIENT = 40.0
+"""Seconds for the answer to a command of a test's client: the process may stall meanwhile."""
+
 
 class Names:
     """A name server on a free port, with a client."""
 
     def __init__(self) -> None:
         self.address = Address("127.0.0.1", free_port(room=20))
-        self.client = NameClient(self.address)
+        self.client = NameClient(self.address, timeout=PATIENT)
         self._server: NameServer | None = None
         self.start()
 

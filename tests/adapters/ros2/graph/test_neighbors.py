@@ -65,15 +65,13 @@ def reports_unreachable(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterat
     watches: list[neighbors.MemoryNeighbors] = []
     later = DelayedCalls("test-neighbors")
 
-    def detects(*participants: bytes, then: tuple[bytes, ...] | None = None, seconds: float = 40.0) -> bool:
+    def detects(*participants: bytes, seconds: float = 40.0) -> bool:
         reported = threading.Event()
         watch = neighbors.MemoryNeighbors(OWN, 2, 3, reported.set, later, proc=table.folder, folder=table.shm)
         watches.append(watch)
         detects.watch = watch  # type: ignore[attr-defined]
-        if then is not None:  # they leave before the second check, even on a slow machine
-            monkeypatch.setattr(neighbors, "CONFIRM_SECONDS", seconds / 2)
         watch.follow(participants)
-        watch.follow(participants if then is None else then)
+        watch.follow(participants)
         return reported.wait(seconds)
 
     yield detects
@@ -137,8 +135,17 @@ def test_a_process_with_a_separate_dev_shm_is_reported(
     assert reports_unreachable(prefix(4711))
 
 
-def test_a_program_that_has_just_ended_is_not_reported(reports_unreachable: Callable[..., bool]) -> None:
-    assert not reports_unreachable(prefix(4711), then=(), seconds=2.0)
+def test_a_program_that_has_just_ended_is_not_reported(table: Table) -> None:
+    due: list[Callable[[], object]] = []
+    later: Any = SimpleNamespace(after=lambda _seconds, call: due.append(call))
+    reports: list[bool] = []
+    watch = neighbors.MemoryNeighbors(
+        OWN, 2, 3, lambda: reports.append(True), later, proc=table.folder, folder=table.shm
+    )  # fmt: skip
+    watch.follow([prefix(4711)])
+    watch.follow([])
+    due.pop()()  # the second check
+    assert not reports
 
 
 def test_a_killed_program_is_not_reported_before_its_lease_expires(

@@ -69,7 +69,8 @@ def send(client: Peer, count: int = 1) -> list[int]:
 
 def test_a_goal_gets_its_feedback_and_its_result(edge: RunningEdge, server: Peer, client: Peer) -> None:
     feedback = [{"distance_remaining": float(n)} for n in (3, 2, 1)]
-    repeated = {"times": 100, "period": 0.1}  # the first may precede the match of the client's reader
+    # the first may precede the match of the client's reader, whose history of 100 must suffice if the client stalls
+    repeated = {"times": 100, "period": 0.5}
     acting = act(server, edge, held=True, feedback=feedback, result={"error_msg": "none"}, **repeated)
     (goal,) = send(client)
     state = client.ask("goal", id=goal, until={"accepted": True, "feedback": 4})

@@ -69,7 +69,7 @@ def test_services_cross_between_domains(domains: Domains) -> None:
 def test_actions_cross_between_domains(domains: Domains) -> None:
     far, near = domains.far, domains.near
     feedback = [{"distance_remaining": 1.0}]
-    repeated = {"times": 100, "period": 0.1}  # the first may precede the match of the client's reader
+    repeated = {"times": 100, "period": 0.5}  # the first may precede the match of the client's reader
     acting = far.ask("act", action="/d/drive", type=ACTION, held=True, feedback=feedback, **repeated)["id"]
     doomed = domains.peer("doomed", ROS_DOMAIN_ID=domains.far_domain)
     doomed.ask("act", action="/d/doomed", type=ACTION, held=True)

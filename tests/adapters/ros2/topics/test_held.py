@@ -14,6 +14,7 @@ from bridge.adapters.ros2.topics.publisher import Ros2Publisher
 from bridge.concurrency import DelayedCalls
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.routing.edge import Endpoint, Kind, MadeBy
+from tests.adapters.ros2.graph.test_interfaces import Calls
 from tests.support.wait import until
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=2)
@@ -44,12 +45,14 @@ def advertise(later: DelayedCalls, qos: Qos = LATCHED, *, cyclone: bool = True) 
     return Ros2Publisher("/map", SimpleNamespace(type_name="t"), qos, context, lambda _: None, lambda _: True)
 
 
-def test_latched_messages_wait_and_keep_their_order(later: DelayedCalls, published: list[bytes]) -> None:
+def test_latched_messages_wait_and_keep_their_order(published: list[bytes]) -> None:
+    later = Calls()
     maps = advertise(later)
     for payload in (b"1", b"2", b"3"):
         maps.send(payload, "source")
     assert published == []
-    until(lambda: published == [b"2", b"3"], "the newest messages, up to the history depth, are published")
+    later.pass_period()
+    assert published == [b"2", b"3"], "the newest messages, up to the history depth, are published"
     maps.send(b"4", "source")
     assert published == [b"2", b"3", b"4"]
 
