@@ -34,6 +34,9 @@ _START_SECONDS = 30.0  # a start that makes no progress for this time has failed
 WIND_DOWN_SECONDS = 2.0
 """Seconds for a module to stop its robot before the module is stopped; `bridge.daemon.supervisor` allows 2.8 s."""
 
+STOP_SECONDS = 1.0
+"""Seconds for a module's thread to begin to stop the module; after that, its host is closed nevertheless."""
+
 _SILENCE = 60.0  # seconds before the same failure is logged again
 
 
@@ -163,7 +166,7 @@ class Running:
             done, end = winding_down
             try:
                 done.wait(max(end - time.monotonic(), 0.0))
-                host.loop.call(lambda: _end(module, host), seconds=1.0)
+                host.loop.call(lambda: _end(module, host), seconds=STOP_SECONDS)
             except Exception:
                 _log.exception("%s: error while stopping", self.name)
         if host is not None:

@@ -19,6 +19,8 @@ import bridge.client
 import bridge.hub
 import bridge.modules
 import yarp_compat
+from bridge.client.session import connect
+from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
@@ -41,9 +43,10 @@ def example(package: ModuleType) -> str:
     return textwrap.dedent("\n".join(lines[start:end]))
 
 
-def run(code: str) -> dict[str, Any]:
-    """Run an example in a new module; return its names."""
-    names: dict[str, Any] = {"__name__": "example"}
+def run(code: str, names: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Run an example in a new module, with these names so far; return its names."""
+    names = {} if names is None else names
+    names["__name__"] = "example"
     exec(compile(code, "example", "exec"), names)
     return names
 
@@ -75,6 +78,8 @@ def test_a_program_calls_the_service_of_a_module(
     file = tmp_path / "midspan.yaml"
     file.write_text(json.dumps({"hub": hubs.config()}))
     monkeypatch.setenv("MIDSPAN_CONFIG", str(file))
+    with connect(load()) as client:
+        until(lambda: client.ask("status", worker="lamp"), "the router knows the module")
     run(example(bridge.client))
     assert capsys.readouterr().out == "lamp running\n{'success': True, 'message': ''}\n"
 
@@ -82,16 +87,14 @@ def test_a_program_calls_the_service_of_a_module(
 def test_a_node_publishes_on_the_hub(hubs: QuickHub, host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
     received: list[dict[str, Any]] = []
     host.node.subscription("/lamp/on", BOOL, received.append)
-    graph = host.node.hub.graph
+    names: dict[str, Any] = {}
     monkeypatch.setattr(
-        builtins,
-        "input",
-        lambda _: until(lambda: graph.publishers("/lamp/on"), "the lamp's publisher is discovered"),
+        builtins, "input", lambda _: until(lambda: names["publisher"].matched(), "the publisher has a subscriber")
     )
     code = example(bridge.hub)
     endpoint = "tcp/127.0.0.1:7447"
     assert endpoint in code
-    run(code.replace(endpoint, hubs.endpoint))
+    run(code.replace(endpoint, hubs.endpoint), names)
     assert until(lambda: received, "the message has arrived") == [{"data": True}]
 
 

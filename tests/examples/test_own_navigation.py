@@ -78,9 +78,9 @@ def test_clients_of_all_sides_use_the_planner_and_the_localizer(own: OwnMix) -> 
         client.goto(float(x))
         until(lambda client=client: client.end(), f"the goal of {side} ends", SECONDS)
         assert (client.end(), robot.x) == ("succeeded", pytest.approx(x, abs=0.1)), side
-    answer, location = localization.get_current_position1_RPC()
-    assert answer
-    assert location.x == pytest.approx(4.0, abs=0.1)
+    at = pytest.approx(4.0, abs=0.1)
+    until(lambda: localization.get_current_position1_RPC()[1].x == at, "the localizer has followed the robot", SECONDS)
+    assert localization.get_current_position1_RPC()[0]
 
     ros2, poses = own.clients[ROS2], [pose(5.0), pose(6.0)]
     assert isinstance(ros2, RosClient)
@@ -93,6 +93,7 @@ def test_clients_of_all_sides_use_the_planner_and_the_localizer(own: OwnMix) -> 
     answer_of = own.callers[COMMAND].ask("stop")
     _, trouble = until(answer_of, "the stop is answered", SECONDS)
     assert trouble == ""
+    until(own.clients[ROS2].end, "the stopped goal ends", SECONDS)
     assert own.clients[ROS2].end() == "canceled"
     assert robot.x < 30.0
     own.clients[YARP].goto(900.0)

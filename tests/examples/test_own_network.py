@@ -15,7 +15,8 @@ TOPIC, TYPE = "/state", "std_msgs/msg/String"
 
 
 @pytest.fixture
-def node() -> Iterator[Node]:
+def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
+    monkeypatch.setattr("datagrams.network.SILENT", 600.0)  # the other program sends nothing by itself
     node = Node(free_group(), "127.0.0.1", "/node")
     yield node
     node.close()

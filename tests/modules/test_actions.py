@@ -34,7 +34,7 @@ class NodePair:
         self.server, self.client = (program.node for program in self._programs)
 
     def on(self, node: ModuleNode, action: Callable[[], Any]) -> Any:
-        return node.loop.call(action)
+        return node.loop.call(action, 40.0)
 
     def close(self) -> None:
         for program in self._programs:

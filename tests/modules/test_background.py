@@ -80,7 +80,8 @@ def test_an_error_is_reported_until_a_job_succeeds(loop: EventLoop, caplog: pyte
     background.close()
 
 
-def test_close_waits_for_the_running_job_and_drops_its_result(loop: EventLoop) -> None:
+def test_close_waits_for_the_running_job_and_drops_its_result(loop: EventLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.modules.background._END_SECONDS", 60.0)
     background, jobs = Background(loop, "test"), Jobs()
     loop.call(lambda: jobs.submit(background, "first", "second"))
     until(lambda: jobs.threads, "the first job runs")

@@ -68,9 +68,10 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
 
 
 def test_the_systems_clock_needs_no_simulation(place: Place) -> None:  # noqa: F811
+    earliest = int(time.time())
     place.worker.start(config(place, "system"))
     until(lambda: Ticking.seen, "the module has counted a second")
-    assert abs(int(Ticking.seen[0]) - time.time()) < 5
+    assert earliest <= int(Ticking.seen[0]) <= time.time()
 
 
 def test_clock_reports_only_backward_jumps(caplog: pytest.LogCaptureFixture) -> None:
@@ -88,4 +89,5 @@ def test_clock_reports_only_backward_jumps(caplog: pytest.LogCaptureFixture) -> 
     assert clock.stamp() == {"sec": 0, "nanosec": 0}
     system = RunClock()
     system.receive(bytes([0, 1, 0, 0]) + bytes(8))
-    assert abs(system.now_ns() - time.time_ns()) < 5e9
+    earliest = time.time_ns()
+    assert earliest <= system.now_ns() <= time.time_ns()

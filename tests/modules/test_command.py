@@ -43,7 +43,7 @@ def test_one_module_runs_alone_and_stops_cleanly(tmp_path: Path) -> None:
             with Hub.open(hubs.settings("far")) as far:
                 until(lambda: far.ask("status", {}, worker="echo"), "the module answers", 30)
                 program.send_signal(signal.SIGTERM)
-                assert program.wait(20) == 0
+                assert program.wait(60) == 0
                 until(lambda: not [n for n in far.graph.nodes() if n.node == "echo"], "the module's node has left")
         finally:
             program.kill()

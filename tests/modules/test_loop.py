@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 
@@ -100,8 +101,8 @@ def test_blocked_step_is_reported(loop: EventLoop) -> None:
         loop.call(lambda: None, seconds=0.05)
     until(lambda: hung(loop), "the loop is reported as hanging")
     gate.set()
-    loop.call(lambda: None)
-    assert loop.computes() == ""
+    loop.call(lambda: None, 40.0)
+    until(lambda: not judged(loop), "the step is no longer reported")
 
 
 def compute(done: threading.Event) -> None:
@@ -124,18 +125,29 @@ def hung(loop: EventLoop) -> str:
     return ""
 
 
-def test_computing_step_is_distinguished_from_a_hanging_step(loop: EventLoop) -> None:
+def judged(loop: EventLoop) -> str:
+    """Return the text that reports the current step as computing or hanging; "" if it is not reported."""
+    try:
+        return loop.computes()
+    except TimeoutError as err:
+        return str(err)
+
+
+def test_computing_step_is_distinguished_from_a_hanging_step(loop: EventLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.progress.ENDLESS", 1000.0)
     done = threading.Event()
     loop.post(lambda: compute(done))
+    texts = {f"computes for {seconds} s" for seconds in range(2, 60)}
     try:
+        # a process that stands still for longer than the limit is reported as hanging for a moment
         until(
-            lambda: loop.computes() in {f"computes for {seconds} s" for seconds in range(2, 60)},
+            lambda: judged(loop) in texts,
             "the loop computes for far longer than a step may stand still",
         )
     finally:
         done.set()
-    loop.call(lambda: None)
-    assert loop.computes() == ""
+    loop.call(lambda: None, 40.0)
+    until(lambda: not judged(loop), "the step is no longer reported")
     gate = threading.Event()
     loop.post(lambda: gate.wait(40))
     until(lambda: "computes nothing" in hung(loop), "the loop is reported as hanging")
@@ -152,7 +164,12 @@ def test_endless_step_is_reported(loop: EventLoop, monkeypatch: pytest.MonkeyPat
         done.set()
 
 
-def test_loop_waits_for_work_that_progresses(loop: EventLoop) -> None:
+def test_loop_waits_for_work_that_progresses(loop: EventLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    # a clock that stands still together with this process
+    clock = SimpleNamespace(**{**vars(time), "monotonic": time.process_time})
+    for name in ("bridge.modules.loop.time", "bridge.progress.time"):
+        monkeypatch.setattr(name, clock)
+    monkeypatch.setattr("bridge.progress.ENDLESS", 1000.0)
     done = threading.Event()
     threading.Timer(1.5, done.set).start()
     assert loop.work(lambda: (compute(done), "done")[1]) == "done", (
@@ -177,7 +194,7 @@ def test_work_that_the_main_thread_awaits_counts_as_its_progress(
 ) -> None:
     monkeypatch.setattr("bridge.progress.BUSY_SECONDS", 0.0)
     with working.busy("waiting"):
-        loop.work(lambda: use_processor(0.2))
+        loop.work(lambda: use_processor(0.2), 60.0)
         busy = working.now()
         assert busy is not None
         assert busy.used - time.thread_time() > 0.05

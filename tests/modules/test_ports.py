@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 
 from bridge.config.model import Config
 from bridge.modules.loop import EventLoop
-from bridge.modules.ports import Ports
+from bridge.modules.ports import HostedPort, Ports
 from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.naming import connections
@@ -17,6 +18,12 @@ from yarp_compat.naming.config import Address
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader, Writer, payload_of
 from yarp_compat.wire.values import Vocab
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the name server, which runs in this process, stand still."""
+    monkeypatch.setattr("bridge.modules.ports._ASK_SECONDS", 40.0)
 
 
 @pytest.fixture
@@ -67,7 +74,7 @@ def test_call_to_a_module_without_a_thread_gets_an_error(config: Config) -> None
     loop, ports = EventLoop("the thread"), Ports(config, "test")
     loop.start()
     with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
-        port = ports.respond("/rpc", lambda values: loop.call(lambda: ["heard", *values]))
+        port = ports.respond("/rpc", lambda values: loop.call(lambda: ["heard", *values], 40.0))
         until(lambda: not port.trouble, "the port is open")
         with Client("/rpc", naming=ports.naming) as client:
             assert client.ask(["one"], timeout=40) == ["heard", "one"]
@@ -77,12 +84,19 @@ def test_call_to_a_module_without_a_thread_gets_an_error(config: Config) -> None
 
 
 def test_connection_during_port_registration_loses_nothing(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    ports = Ports(config, "test")
-    # the port is only opened and registered; the steps that follow never run
-    monkeypatch.setattr(ports, "_open", lambda port: port.core.is_open or port.core.open())
+    ports, registered = Ports(config, "test"), threading.Event()
+
+    def open_core(port: HostedPort) -> None:
+        """Only open and register the port; the steps that follow never run."""
+        if not registered.is_set():
+            with contextlib.suppress(OSError):  # the name server may stand still; the thread tries again
+                port.core.open()
+                registered.set()
+
+    monkeypatch.setattr(ports, "_open", open_core)
     with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
         port = ports.output("/said:o")
-        until(lambda: port.core.is_open, "the port is registered")
+        assert registered.wait(40)
         with Reader("/heard:i", naming=ports.naming) as reader:
             connections.connect(ports.naming, "/said:o", "/heard:i")
             assert port.trouble

@@ -63,7 +63,8 @@ def test_a_module_continues_after_a_failed_callback(place: Place, caplog: pytest
     place.until_replied("two", subscription, "two")
 
 
-def test_ports_open_when_a_name_server_starts(place: Place) -> None:
+def test_ports_open_when_a_name_server_starts(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.modules.ports._ASK_SECONDS", 40.0)  # the name server may stand still
     place.worker.start(place.config(echo()))
     until(lambda: "waiting" in str(place.status("echo")), "the status reports waiting ports")
     with NameServer(port=place.port, gc_seconds=0):
@@ -91,6 +92,7 @@ def test_a_stopped_module_runs_no_more_callbacks(place: Place, monkeypatch: pyte
     host, module = running.host, running.module
     executed: list[str] = []
     close = host.yarp.close
+    monkeypatch.setattr("bridge.modules.worker.STOP_SECONDS", 60.0)
 
     def post_and_close() -> None:
         host.loop.post(lambda: executed.append("posted"))

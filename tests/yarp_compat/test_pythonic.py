@@ -89,7 +89,7 @@ def test_a_request_that_another_one_replaces_gets_an_empty_reply(naming: LocalNa
         with Client("/r", naming=naming) as second:
             asks = threading.Thread(target=lambda: answers.update(second=second.ask(["second"], timeout=20)))
             asks.start()
-            waits.join(10)
+            waits.join(20)
             assert answers == {"first": []}
             newest = reader.read()
             assert newest is not None
@@ -123,7 +123,7 @@ def test_failures_raise_exceptions(naming: LocalNaming) -> None:
     with pytest.raises(PortError, match="/nowhere"):
         Client("/nowhere", naming=naming).open()
     waiting = threading.Event()
-    server = Server("/s", lambda _: [waiting.wait(5)], naming=naming)
+    server = Server("/s", lambda _: [waiting.wait(40)], naming=naming)
     with server, Client("/s", naming=naming) as client:
         with pytest.raises(TimeoutError):
             client.ask([1], timeout=0.05)

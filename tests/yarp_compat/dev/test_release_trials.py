@@ -36,7 +36,8 @@ __all__ = ["connect", "loads", "make_port", "naming"]
 
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a trial wait for its reply on a busy machine, because a second trial would send another request."""
+    """Let a trial wait on a busy machine for the client's port, and for its reply; a second trial would ask again."""
+    monkeypatch.setattr(release_trial, "_OPENING", 60.0)
     monkeypatch.setattr(release_trial, "_PATIENCE", 60.0)
 
 

@@ -40,7 +40,7 @@ class Pair:
     """Two connected ports, with a continuous stream of numbers."""
 
     def __init__(self, address: Address) -> None:
-        self.names = NameClient(address, timeout=2.0)
+        self.names = NameClient(address, timeout=20.0)
         self.received: list[int] = []
         self.losses: list[object] = []
         self.reader = PortCore("/reader", on_message=self._on_message, naming=self.names)

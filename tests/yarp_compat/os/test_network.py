@@ -34,7 +34,7 @@ class Ignore(yarp.PortReader):
 def test_connect_and_disconnect(ports: tuple[yarp.Port, yarp.Port]) -> None:
     reader, writer = ports
     assert yarp.Network.checkNetwork()
-    assert yarp.Network.checkNetwork(2.0)
+    assert yarp.Network.checkNetwork(40.0)
     assert yarp.Network.exists("/r")
     assert not yarp.Network.isConnected("/w", "/r")
     assert yarp.Network.connect("/w", "/r")
@@ -118,7 +118,7 @@ def test_a_bottle_is_written_without_a_port(ports: object) -> None:
     for place in ("/server", yarp.Network.queryName("/server")):
         assert yarp.Network.write(place, yarp.Bottle("a 1"), answer)
         assert answer.toString() == "got a 1"
-    assert yarp.Network.write(yarp.Contact("/server"), yarp.Bottle("[ver]"), answer, True, True, 2.0)
+    assert yarp.Network.write(yarp.Contact("/server"), yarp.Bottle("[ver]"), answer, True, True, 40.0)
     assert answer.get(0).asVocab32() == yarp.createVocab32("v", "e", "r")
     assert not yarp.Network.write("/nowhere", yarp.Bottle("a"), answer)
     assert yarp.Network.writeToNameServer(yarp.Bottle("query /server"), answer)

@@ -77,8 +77,14 @@ def other(request: pytest.FixtureRequest) -> Iterator[Other]:
     port.close()
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let ports wait for the answers of others that stand still."""
+    monkeypatch.setattr("yarp_compat.ports.base.ask_profile", lambda contact: ask_profile(contact, timeout=40.0))
+
+
 def test_recorded_answers_are_recognized(other: Other) -> None:
-    assert ask_profile(PortContact("/other", *other.address, "tcp")) is DIALECTS[other.answer]
+    assert ask_profile(PortContact("/other", *other.address, "tcp"), timeout=40.0) is DIALECTS[other.answer]
     assert other.asked == [b"CONNACK admin\r\na\r\ngetPid\r\n"]
 
 
@@ -107,6 +113,7 @@ def test_midspans_ports_answer_their_dialect(make_port: MakePort, profile: Profi
     assert ask_profile(make_port("/p", profile=profile).contact) is profile
 
 
+@pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])
 def test_output_writes_in_its_readers_dialect(
     make_port: MakePort, naming: LocalNaming, other: Other, carrier: str
@@ -142,6 +149,7 @@ def ask(sock: socket.socket, request: bytes, size: int) -> bytes:
     return received
 
 
+@pytest.mark.usefixtures("patient")
 def test_release_is_decided_before_the_client_asks_for_the_version(
     make_port: MakePort, naming: LocalNaming, other: Other
 ) -> None:
@@ -167,6 +175,7 @@ def test_release_is_decided_before_the_client_asks_for_the_version(
     )
 
 
+@pytest.mark.usefixtures("patient")
 def test_replies_are_in_the_clients_dialect(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
     """This holds even if the request has no numbers, whose tags would show the dialect."""
     naming.register("/client", *other.address)

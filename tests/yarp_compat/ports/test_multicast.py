@@ -184,7 +184,7 @@ def test_output_sends_the_same_bytes_as_a_real_one(make: Callable[..., PortCore]
         def accept() -> None:
             while b"mcast" not in b"".join(introductions) and not any(h.startswith(b"YAb") for h in introductions):
                 sock, _ = acceptor.accept()
-                sock.settimeout(2)
+                sock.settimeout(20)
                 with sock:
                     introductions.append(sock.recv(100))
 

@@ -103,7 +103,7 @@ def test_timed_encoders_fill_every_kind_of_vector(driver: yarp.PolyDriver, joint
     timed = driver.viewIEncodersTimed()
     values, times = yarp.DVector(AXES), yarp.DVector(AXES)
     wait_until(lambda: timed.getEncodersTimed(values, times) and list(values) == [1.0, 2.0, 3.0])
-    assert abs(times[0] - yarp.now()) < 5.0
+    assert abs(times[0] - yarp.now()) < 40.0
     assert driver.viewIPreciselyTimed().getLastInputStamp().getTime() >= times[0]
     vector, array = yarp.Vector(AXES), np.zeros(AXES)
     assert timed.getEncoders(vector.data())
