@@ -205,7 +205,7 @@ def test_the_feedback_of_an_approach_has_its_own_navigation_time(place: Goto) ->
     robot, messages = place.robot, list[dict[str, Any]]()
     subscription = robot.loop.call(lambda: robot.node.subscription(topic, kind, messages.append))
     place.module._began = place.module.now() - 1000.0  # the previous goal
-    place.host.loop.call(lambda: place.module.approach(0.0, 0.1, 5.0))
+    place.host.loop.call(lambda: place.module.approach(0.0, 0.1, 60.0))
     until(lambda: messages, "feedback is published", 20)
     robot.loop.call(lambda: robot.node.release(subscription))
     assert messages[0]["feedback"]["navigation_time"]["sec"] < 60
