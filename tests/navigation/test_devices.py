@@ -80,7 +80,7 @@ def test_a_script_sends_the_robot_to_a_place(rig: Served, device: str) -> None:
 
     def localized() -> Map2DLocation | None:
         """Return the robot's position, which is unknown while its transform is late."""
-        position = where.getCurrentPosition()
+        position: Map2DLocation = where.getCurrentPosition()
         return position if position.map_id == "house" else None
 
     position = until(localized, "the robot is localized")
