@@ -70,18 +70,25 @@ def test_a_move_is_dropped_once_its_client_has_timed_out(
 
 
 def test_a_move_that_has_started_is_waited_for() -> None:
-    loop, timed_out = EventLoop("the module"), threading.Event()
+    loop, begun, timed_out = EventLoop("the module"), threading.Event(), threading.Event()
     loop.start()
     withdrawn = loop._withdrawn
 
     def seen(call: Any) -> bool:
+        client = threading.current_thread() is not loop._thread
+        if client:
+            assert begun.wait(40)  # the module's thread may be starved for longer than the client waits
         result = withdrawn(call)
-        if threading.current_thread() is not loop._thread:
+        if client:
             timed_out.set()
         return result
 
+    def move() -> bool:
+        begun.set()
+        return timed_out.wait(40)
+
     loop._withdrawn = seen  # type: ignore[method-assign]
-    assert Calls(loop).move(lambda: timed_out.wait(40), seconds=0.05)
+    assert Calls(loop).move(move, seconds=0.05)
     loop.close()
 
 

@@ -164,7 +164,7 @@ def test_stamps_of_all_topics_are_a_period_apart_in_bursts(place: Place) -> None
         assert len(messages) >= count, topic
         stamps_ns = [stamp_ns(message) for message in messages]
         assert evenly(stamps_ns, every), (topic, stamps_ns)
-        assert -1.0 < time.time() - stamps_ns[-1] / 1e9 < 5.0, topic
+        assert -1.0 < time.time() - stamps_ns[-1] / 1e9 < 60.0, topic
 
 
 def test_yarp_envelopes_are_a_period_apart(place: Place) -> None:

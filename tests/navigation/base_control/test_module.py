@@ -230,8 +230,12 @@ def test_yarp_ports_of_both_generations_are_served(place: Place, wheels: Wheels)
             assert reading is not None
             assert reading[0].odom_x != 0.0
             assert reading[1] == pytest.approx(time.time(), abs=30.0)
-            assert odometry.resetOdometry()
-            until(lambda: odometry.getOdometry()[1].odom_x == 0.0, "the odometry is reset", 20)
+            # repeated, because readings of the encoders from before the wheels stopped may still arrive
+            until(
+                lambda: odometry.resetOdometry() and odometry.getOdometry()[1].odom_x == 0.0,
+                "the odometry is reset",
+                20,
+            )
             outcome, _, stamp = odometry.getOdometry()
             assert outcome
             assert stamp > reading[1]
@@ -324,7 +328,7 @@ def test_odometry_works_without_stamps(place: Place, wheels: Wheels) -> None:
         "odometry follows",
         20,
     )
-    assert stamp_ns(last()) / 1e9 == pytest.approx(time.time(), abs=5.0)
+    assert stamp_ns(last()) / 1e9 == pytest.approx(time.time(), abs=60.0)
     until(lambda: last()["twist"]["twist"]["linear"]["x"] == 0.0, "the odometry stops with the base", 20)
 
 

@@ -20,7 +20,7 @@ from bridge.doctor.checks.daemon import check_workers
 from bridge.messages.actions import GoalState, names
 from bridge.modules.worker import ModulesWorker
 from bridge.status import read_status
-from navigation.gateway.entry import NavigateAction
+from navigation.gateway.entry import STOP_SERVICE, NavigateAction
 from navigation.status import State
 from tests.doctor.parts import around, every, hub
 from tests.peers.hub.endpoints import endpoint
@@ -267,5 +267,6 @@ def test_two_gateways_on_one_hub_both_serve_the_name(rig: Rig, tmp_path: Path) -
 
 
 def sees(running: Any, gateways: list[Any]) -> bool:
-    servers = running.host.node.hub.graph.servers(PARTS.send_goal)
-    return {server.zid for server in servers} >= {other.host.node.hub.zid for other in gateways}
+    """Return whether a gateway knows the actions of all, and the services by which gateways are recognized."""
+    graph, zids = running.host.node.hub.graph, {other.host.node.hub.zid for other in gateways}
+    return all({server.zid for server in graph.servers(name)} >= zids for name in (PARTS.send_goal, STOP_SERVICE))

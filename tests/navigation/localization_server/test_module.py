@@ -202,7 +202,7 @@ def test_yarp_ports_serve_the_pose(place: Place, robot: Robot) -> None:
 
             until(localized, "the robot is localized", 20)
             until(near(place, true), "the pose is the true one", 20)
-            assert client.getCurrentPosition(location, covariance)
+            until(lambda: client.getCurrentPosition(location, covariance), "the pose is known", 20)
             assert location.map_id == "lab"
             assert math.hypot(location.x - true.x, location.y - true.y) < 0.15
             assert abs(math.remainder(location.theta - math.degrees(true.theta), 360.0)) < 5.0
