@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from bridge.boards import module
 from tests.peers.hub.modules import Place
 from tests.peers.yarp.joints import Joints
 from tests.support.wait import until
@@ -124,7 +125,8 @@ def test_a_position_command_moves_the_joint(robot: Robot) -> None:
     assert robot.board.of("target") == pytest.approx([0.0, 45.0, 0.0])
 
 
-def test_invalid_commands_are_refused_and_halt_stops_all_joints(robot: Robot) -> None:
+def test_invalid_commands_are_refused_and_halt_stops_all_joints(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_HALT_SECONDS", 20.0)
     robot.board.modes[:] = [modes.VOCAB_CM_VELOCITY] * 3
 
     def refused() -> bool:
@@ -135,7 +137,7 @@ def test_invalid_commands_are_refused_and_halt_stops_all_joints(robot: Robot) ->
     until(refused, "the command is refused")
     assert robot.speeds == [0.0, 0.0, 0.0]
     robot.speeds[:] = [5.0, 5.0, 5.0]  # moved by a YARP client
-    answers = robot.far.hub.ask("halt", {}, worker="control_boards")
+    answers = robot.far.hub.ask("halt", {}, worker="control_boards", timeout=40.0)
     assert [answer.value for answer in answers] == [{"halted": True}]
     until(lambda: robot.speeds == [0.0, 0.0, 0.0], "all joints are stopped")
 
@@ -147,7 +149,7 @@ def test_a_board_that_cannot_be_halted_does_not_keep_the_others_moving(tmp_path:
         robot.state()
         robot.board.modes[:] = [modes.VOCAB_CM_VELOCITY] * 3
         robot.speeds[:] = [5.0, 5.0, 5.0]  # moved by a YARP client
-        (answer,) = robot.far.hub.ask("halt", {}, worker="control_boards")
+        (answer,) = robot.far.hub.ask("halt", {}, worker="control_boards", timeout=40.0)
         assert "/robot/leg cannot be stopped" in answer.error
         until(lambda: robot.speeds == [0.0, 0.0, 0.0], "all joints of the other board are stopped")
         robot.worker.stop()

@@ -78,7 +78,7 @@ def interrupted(code: str, *arguments: str, until: str, folder: Path) -> int:
                 seen += line
             program.stdin.write("\n")
             program.stdin.flush()
-            return program.wait(10 * SLOWNESS)
+            return program.wait(40 * SLOWNESS)
         finally:
             program.kill()
 

@@ -26,8 +26,8 @@ MANY = 8
 
 
 def worker_status(daemon: Daemon, name: str) -> dict[str, Any]:
-    """Return the daemon's status of a worker; it is empty if the daemon does not respond."""
-    status = ask_daemon(Config(name="test", state=daemon.folder / "state"))
+    """Return the daemon's status of a worker; it is empty if the daemon does not run."""
+    status = ask_daemon(Config(name="test", state=daemon.folder / "state"), 20.0)
     return {} if status is None else next(report.document() for report in status.workers if report.worker == name)
 
 
@@ -99,7 +99,7 @@ def test_a_worker_in_an_endless_loop_is_killed(seconds: float, phase: Phase, cap
 
 def test_a_single_core_starts_workers_one_after_the_other(daemon: Daemon) -> None:
     daemon.order("ros1", "compute-at-start")
-    process = daemon.quick(1)
+    process = daemon.quick(1, patience=60.0)  # a starved worker does not count as one that hangs
     until(
         lambda: worker_status(daemon, "ros2").get("text") == "waiting for ros1 to start", "the second worker is queued"
     )
@@ -112,7 +112,7 @@ def test_a_single_core_starts_workers_one_after_the_other(daemon: Daemon) -> Non
 
 
 def test_a_restarted_worker_is_queued_too(daemon: Daemon) -> None:
-    process = daemon.quick(1)
+    process = daemon.quick(1, patience=60.0)
     daemon.expect_output(process, "ready: ")
     daemon.order("ros2", "compute-at-start")
     os.kill(daemon.wait_started("ros2"), signal.SIGKILL)

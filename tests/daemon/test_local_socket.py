@@ -66,7 +66,7 @@ def port_of(path: Path) -> int:
 
 def connect_without_secret(path: Path) -> socket.socket:
     """Connect without the secret, as any user of the machine can."""
-    return socket.create_connection(("127.0.0.1", port_of(path)), 5.0)
+    return socket.create_connection(("127.0.0.1", port_of(path)), 20.0)
 
 
 @pytest.mark.usefixtures("_transport")
@@ -121,8 +121,9 @@ def test_a_file_without_an_address_is_not_a_listener(tmp_path: Path, content: st
 
 @pytest.mark.usefixtures("_transport")
 def test_closing_ends_a_waiting_thread(tmp_path: Path) -> None:
+    before = set(threading.enumerate())  # the thread of a server that has just closed may still be ending
     server = ControlServer(tmp_path / "socket", "daemon", lambda _: None)
-    (accepting,) = (thread for thread in threading.enumerate() if thread.name == "control")
+    (accepting,) = (thread for thread in threading.enumerate() if thread.name == "control" and thread not in before)
     server.close()
     until(lambda: not accepting.is_alive(), "the thread ends")
 

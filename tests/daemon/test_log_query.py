@@ -111,7 +111,7 @@ def test_the_log_of_a_daemon_can_be_queried(daemon: Daemon) -> None:
     daemon.wait_ready(process)
 
     def texts() -> list[tuple[str, str]]:
-        return [(line["worker"], line["text"]) for line in (ask_log(config, 0) or {"lines": []})["lines"]]
+        return [(line["worker"], line["text"]) for line in (ask_log(config, 0, 20.0) or {"lines": []})["lines"]]
 
     until(
         lambda: any("ros1 cannot work" in text for worker, text in texts() if worker == OWN),

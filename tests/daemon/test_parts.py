@@ -171,6 +171,7 @@ def test_relayed_lines_are_queued_until_they_are_delivered(capsys: pytest.Captur
 
 
 def test_log_records_are_dropped_and_counted_while_the_reader_is_suspended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log, "FLUSH_SECONDS", 20.0)  # the thread that writes may be starved
     reader, writer = os.pipe()
     with os.fdopen(writer, "w") as stderr, os.fdopen(reader) as lines:
         os.set_blocking(writer, False)
@@ -196,6 +197,7 @@ def test_log_records_are_dropped_and_counted_while_the_reader_is_suspended(monke
 
 def test_logging_works_without_stderr(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", None)
+    monkeypatch.setattr(log, "FLUSH_SECONDS", 40.0)
     handler = log.StderrHandler()
     handler.handle(logging.LogRecord("x", logging.INFO, "", 0, "line", None, None))
     start = time.monotonic()

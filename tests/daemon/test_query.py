@@ -31,7 +31,7 @@ def test_the_daemon_also_reports_workers_that_do_not_run(daemon: Daemon) -> None
     daemon.configure("ros2: {enabled: false}\n")
     process = daemon.start()
     daemon.wait_ready(process)
-    status = ask_daemon(config)
+    status = ask_daemon(config, 20.0)
     assert status is not None
     assert (status.daemon, status.pid, status.refused) == ("test", process.pid, "")
     assert status.config == str(daemon.file)
@@ -52,7 +52,7 @@ def test_refused_reload_and_restarts_are_reported(daemon: Daemon) -> None:
     daemon.configure("hubb: 1\n")
     process.signal(signal.SIGHUP)
     until(lambda: (status := ask_daemon(config)) is not None and status.refused, "refused")
-    status = ask_daemon(config)
+    status = ask_daemon(config, 20.0)
     assert status is not None
     assert "unknown key 'hubb'" in status.refused
     assert [report.restarts for report in status.workers if report.worker == "ros1"] == [1]
@@ -139,7 +139,7 @@ def test_the_daemon_reports_why_the_state_folder_is_unusable(daemon: Daemon) -> 
     )
     (daemon.folder / "elsewhere").rename(daemon.folder / "state")
     daemon.expect_output(process, "the state folder is writable again")
-    status = ask_daemon(config)
+    status = ask_daemon(config, 20.0)
     assert status is not None
     assert "state folder" not in status.status
 

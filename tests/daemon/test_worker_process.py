@@ -116,8 +116,8 @@ def test_a_worker_reports_its_steps_from_the_start(daemon: Daemon, supervised: S
     daemon.order("ros1", "compute-at-start")
     supervised.send(config(daemon))
     until(lambda: supervised.read_any()["busy"] == "computing on purpose", "the report names the current step")
-    first, second = supervised.read_any(), supervised.read_any()
-    assert second["used"] > first["used"], "the processor time of the thread that works"
+    first = supervised.read_any()["used"]
+    until(lambda: supervised.read_any()["used"] > first, "the processor time of the thread that works grows")
     daemon.order("ros1")
     assert supervised.read()["beat"] == 1
 
@@ -276,7 +276,7 @@ def test_a_service_continues_if_its_new_process_cannot_start(daemon: Daemon) -> 
     daemon.expect_output(service, "hub: ")
     daemon.file.write_text(good)
     assert service.popen.poll() is None
-    assert service.stop() == 0
+    assert service.stop(40.0) == 0
 
 
 def test_the_daemon_waits_for_a_service_that_starts_later(daemon: Daemon) -> None:

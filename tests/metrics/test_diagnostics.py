@@ -223,9 +223,11 @@ def test_publishes_only_with_subscribers_and_at_once_on_a_change(
     publishing: PublishingSide, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     until(lambda: any(node.node == "far" for node in publishing.hub.graph.nodes()), "the other node is discovered")
-    threads = threading.active_count()
+    before = set(threading.enumerate())
     assert not publishing.is_announced()
-    assert (publishing.asked, threading.active_count()) == (0, threads)
+    # zenoh's threads appear when they first call Python
+    started = [t for t in threading.enumerate() if t not in before and not isinstance(t, threading._DummyThread)]
+    assert (publishing.asked, started) == (0, [])
     subscription = publishing.far.subscribe(TOPIC, ARRAY)
     until(publishing.is_announced, "the topic is on the hub", 10)
     first = until(lambda: publishing.far.wait(subscription, 1, 0.2), "diagnostics are published", 10)[0]
@@ -234,8 +236,8 @@ def test_publishes_only_with_subscribers_and_at_once_on_a_change(
     assert {pair["key"]: pair["value"] for pair in named["midspan here: worker ros1"]["values"]}["restarts"] == "1"
     assert first["header"]["stamp"]["sec"] > 1e9
     count = len(publishing.far.wait(subscription, 1, 0.0))
-    monkeypatch.setattr(diagnostics, "PERIOD", 60.0)
-    assert len(publishing.far.wait(subscription, count + 1, 10.0)) > count, "the message that was already due arrives"
+    monkeypatch.setattr(diagnostics, "PERIOD", 3600.0)
+    assert len(publishing.far.wait(subscription, count + 1, 40.0)) > count, "the message that was already due arrives"
     publishing.daemon_document = {
         "pid": 1,
         "workers": [worker_document("ros1"), worker_document("ros2", "restarting", None, "signal 9")],
@@ -246,7 +248,7 @@ def test_publishes_only_with_subscribers_and_at_once_on_a_change(
         last = publishing.far.wait(subscription, 1, 0.0)[-1]
         return {s["name"]: s["level"] for s in last["status"]}.get("midspan here: worker ros2") == Level.ERROR
 
-    until(is_reported, "the change is published before the period is over", 9)
+    until(is_reported, "the change is published before the period is over")
 
 
 def test_publishes_for_a_sides_subscriber_and_yields_to_the_metrics_worker(publishing: PublishingSide) -> None:
@@ -297,7 +299,7 @@ def test_ros_subscribers_receive_all_parts_without_console_and_metrics(tmp_path:
                 "the message has all parts with their levels",
                 30,
             )
-        assert publishing_worker(ask_daemon(load(deployment.file))) == "ros1"
+        assert publishing_worker(ask_daemon(load(deployment.file), 20.0)) == "ros1"
         program, subscription = subscribers[1]
 
         def is_reported_down() -> bool:

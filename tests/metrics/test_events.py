@@ -56,8 +56,8 @@ class MeteredDaemon(MidspanDaemon):
         return {sample.labels.get(label, ""): sample.value for sample in samples}
 
     def value(self, family: str) -> float:
-        """Return the value of a family with one sample."""
-        (value,) = self.values(family, "").values()
+        """Return the value of a family with one sample; a busy worker may answer too late for some scrapes."""
+        (value,) = until(lambda: self.values(family, ""), f"{family} is reported", 40, every=0.2).values()
         return value
 
     def until(self, family: str, label: str = "", **wanted: float) -> None:

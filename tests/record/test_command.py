@@ -226,7 +226,9 @@ def test_halt_failed_goal_call_and_verb_keep_the_ring(
     until(lambda: has_subscriber(robot, "/navigation/status"), "the gateway's status is subscribed")
     caller = HubSide(robot.hub, robot.registry)
     steps = {
-        "halt": lambda: [a.value for a in robot.hub.ask("halt", {})] == [RECORDED] or pytest.fail("not recorded"),
+        "halt": lambda: (
+            [a.value for a in robot.hub.ask("halt", {}, timeout=20.0)] == [RECORDED] or pytest.fail("not recorded")
+        ),
         "goal": lambda: [
             status.put(robot.message(STATUS, {"state": state, "reason": "no way"})) for state in ("moving", "aborted")
         ],
@@ -267,7 +269,7 @@ def test_only_the_daemons_recorder_exports_metrics(hubs: QuickHub, robot: Robot,
 
 
 def worker_status(robot: Robot) -> dict:  # type: ignore[type-arg]
-    return next(a.value for a in robot.hub.ask("status", {}, worker="record"))["recording"]  # type: ignore[no-any-return]
+    return next(a.value for a in robot.hub.ask("status", {}, worker="record", timeout=20.0))["recording"]  # type: ignore[no-any-return]
 
 
 def test_health_and_metrics_show_what_is_written(worker: RecordWorker, robot: Robot) -> None:
@@ -278,7 +280,7 @@ def test_health_and_metrics_show_what_is_written(worker: RecordWorker, robot: Ro
     health = worker.health()
     assert health.state == "running"
     assert "1 messages" in health.text
-    document = next(a.value for a in robot.hub.ask("status", {}, worker="record"))
+    document = next(a.value for a in robot.hub.ask("status", {}, worker="record", timeout=20.0))
     check_document(document, "record")
     assert document["metrics"]["written_messages_total"] == 1
     assert document["metrics"]["dropped_disk_total"] == 0

@@ -170,13 +170,13 @@ def test_a_pause_unsubscribes_and_a_start_continues_in_another_file(
 
 
 def test_a_trigger_saves_the_rings_last_moments(hubs: QuickHub, robot: Robot, tmp_path: Path) -> None:
-    section = RecordSection.model_validate({"ring": {"seconds": 5.0}})
+    section = RecordSection.model_validate({"ring": {"seconds": 60.0}})
     ring = Ring(KeptFolder(tmp_path, section.keep), section.ring)
     chat, latched = robot.publisher("/said"), robot.publisher("/map", LATCHED)
     bumper = robot.publisher("/bumper")
     latched.put(robot.text("map"))
-    section = RecordSection.model_validate({"ring": {"seconds": 5.0}, "trigger": {"topics": ["/bumper"]}})
-    with recording(hubs, tmp_path, ring, ring={"seconds": 5.0}) as recorded:
+    section = RecordSection.model_validate({"ring": {"seconds": 60.0}, "trigger": {"topics": ["/bumper"]}})
+    with recording(hubs, tmp_path, ring, ring={"seconds": 60.0}) as recorded:
         recorded.add_triggers(section)
         recorded.recorder.begin()
         until(chat.matched, "the topic is subscribed")

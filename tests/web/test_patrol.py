@@ -278,7 +278,8 @@ def test_an_unreachable_place_ends_the_patrol(page: TestPage, gateway: FakeGatew
 
 @pytest.mark.parametrize("where", ["driving", "at a place", "between places"])
 def test_a_patrol_is_paused_and_resumed(page: TestPage, gateway: FakeGateway, where: str) -> None:
-    begin(page, "a", "b", wait=0.0 if where == "between places" else 1.0)
+    # at a place, the pause must arrive before the next goal is sent
+    begin(page, "a", "b", wait={"between places": 0.0, "at a place": 60.0}.get(where, 1.0))
     gateway.goal_xs(1)
     page.value("driving", lambda value: value["state"] == "moving")
     if where == "at a place":

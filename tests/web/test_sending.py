@@ -97,7 +97,8 @@ def test_velocities_are_refused(desk: Desk, topic: str, type_name: str) -> None:
         assert not desk.far.hub.graph.publishers(topic)
 
 
-def test_a_message_is_published_once_and_not_latched(desk: Desk) -> None:
+def test_a_message_is_published_once_and_not_latched(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bridge.client.publishing.MATCH_SECONDS", 20.0)
     subscription = desk.far.subscribe("/said", "std_msgs/String")
     with TestPage(desk.port) as page:
         page.until(lambda: desk.console.host.node.hub.graph.subscriptions("/said"), "the subscriber is discovered")

@@ -193,7 +193,10 @@ def test_hz_measures_the_rate(midspan: Midspan, worker: EngineWorker, registry: 
     assert (silent.code, "no message of /chatter arrived" in silent.err) == (1, True), silent
 
 
-def test_pub_reaches_the_side(midspan: Midspan, worker: EngineWorker, registry: Registry) -> None:
+def test_pub_reaches_the_side(
+    midspan: Midspan, worker: EngineWorker, registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bridge.client.publishing.MATCH_SECONDS", 40.0)
     received: list[bytes] = []
     worker.side.read_from(
         "/cmd", STRING, Qos(), MadeBy.NATIVE, "/robot", lambda cdr, _source, _time: received.append(cdr)
@@ -204,7 +207,10 @@ def test_pub_reaches_the_side(midspan: Midspan, worker: EngineWorker, registry: 
     assert [to_json(registry, STRING, cdr) for cdr in received] == [{"data": "go"}]
 
 
-def test_pub_counts_and_latches(midspan: Midspan, network: HubNetwork, closing: list[Any], registry: Registry) -> None:
+def test_pub_counts_and_latches(
+    midspan: Midspan, network: HubNetwork, closing: list[Any], registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bridge.client.publishing.MATCH_SECONDS", 40.0)
     listener = FakeWorker(network, "native")
     closing.append(listener)
     received = listener.subscribe("/count", STRING, Qos())

@@ -72,6 +72,12 @@ class Robot:
             node.hub.close()
 
 
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait longer for the replies of action servers: on a busy machine, one may take more than 1 s."""
+    monkeypatch.setattr("bridge.client.halt._REPLY_SECONDS", 40.0)
+
+
 @pytest.fixture
 def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
     fake_robot = Robot(network, registry)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -96,8 +97,9 @@ class Daemon:
             process.stop()
         for worker in ("router", "ros1", "ros2", "sim"):
             for pid in self.pids(worker):
-                if alive(pid):
-                    os.kill(pid, signal.SIGKILL)
+                with contextlib.suppress(ProcessLookupError):  # it may exit meanwhile
+                    if alive(pid):
+                        os.kill(pid, signal.SIGKILL)
 
 
 def alive(pid: int) -> bool:

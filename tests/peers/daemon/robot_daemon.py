@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 from pathlib import Path
@@ -73,13 +74,15 @@ class RobotDaemon(MidspanDaemon):
 
     def close(self) -> None:
         """Stop all processes, including a router that has outlived its daemon."""
-        workers = [
-            psutil.Process(process.pid).children() for process in self._processes if process.popen.poll() is None
-        ]
+        workers: list[psutil.Process] = []
+        for process in self._processes:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                if process.popen.poll() is None:
+                    workers += psutil.Process(process.pid).children()
         for process in self._processes:
             process.signal(signal.SIGCONT)
             process.stop()
-        for pid in {child.pid for children in workers for child in children}:
-            if psutil.pid_exists(pid):
+        for pid in {child.pid for child in workers}:
+            with contextlib.suppress(ProcessLookupError):  # it has exited
                 os.kill(pid, signal.SIGKILL)
         end_router(self.folder / "state")

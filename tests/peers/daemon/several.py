@@ -135,7 +135,8 @@ class Daemon:
         """Send a signal to all the daemon's processes, the daemon itself first; return the time."""
         at = time.monotonic()
         for process in self.processes():
-            os.kill(process.pid, number)
+            with contextlib.suppress(ProcessLookupError):  # it may exit meanwhile
+                os.kill(process.pid, number)
         return at
 
     def end(self) -> None:
