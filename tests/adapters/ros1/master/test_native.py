@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from bridge.adapters.ros1.master import api
 from bridge.adapters.ros1.master.embedded import EmbeddedMaster
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
@@ -154,7 +155,10 @@ rospy.spin()
 """
 
 
-def test_a_rospy_subscriber_connects_though_an_update_overtook_the_reply_to_its_registration(network: Network):
+def test_a_rospy_subscriber_connects_though_an_update_overtook_the_reply_to_its_registration(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(api, "NEW_SECONDS", 60.0)  # the publisher may register late after the subscriber
     with Process([ROS1_PYTHON, "-c", OVERTAKEN], network.env):
         until(lambda: network.master.api.parameters.has("/received"), "the message of the publisher arrives")
 
