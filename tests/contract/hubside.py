@@ -81,13 +81,13 @@ class HubSide:
             return list(self._received[endpoint])
 
     def wait_without(self, endpoint: int, probe: str, count: int) -> list[dict[str, Any]]:
-        """Return all messages but the probes, once ``count`` others have arrived, or after 10 s."""
+        """Return all messages but the probes, once ``count`` others have arrived, or after a minute."""
 
         def others() -> list[dict[str, Any]]:
             return [m for m in self._received[endpoint] if m["data"] != probe]
 
         with self._changed:
-            self._changed.wait_for(lambda: len(others()) >= count, 10.0)
+            self._changed.wait_for(lambda: len(others()) >= count, 60.0)
             return others()
 
     def drop(self, endpoint: int) -> None:

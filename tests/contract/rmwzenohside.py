@@ -48,7 +48,7 @@ class RmwZenohSide(HubSide):
 
     @override
     def wait_without(self, endpoint: int, probe: str, count: int) -> list[dict[str, Any]]:
-        deadline, others, wanted = time.monotonic() + 10.0, [], count
+        deadline, others, wanted = time.monotonic() + 60.0, [], count
         while len(others) < count and (left := deadline - time.monotonic()) > 0:
             messages = self._program.wait(endpoint, wanted, left)
             others = [message for message in messages if message["data"] != probe]

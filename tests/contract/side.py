@@ -20,6 +20,7 @@ from bridge.daemon.heartbeat import DUMP_STACKS
 from tests.peers.peer import stop_all
 from tests.support.hidden import as_on
 from tests.support.process import Process
+from tests.support.processor_share import ProcessorShare
 from tests.support.wait import until
 
 CUSTOM_FOLDER = Path(__file__).parent / "msgs"
@@ -140,13 +141,21 @@ class WorkerProcess:
     def stop(self) -> None:
         """Stop the worker as the supervisor does."""
         if self.process.popen.poll() is None:
+            share = ProcessorShare()
             self._send({"stop": True})
             try:
-                self.process.popen.wait(20)
+                self._await_exit(5.0, share)
             except subprocess.TimeoutExpired:
                 raise AssertionError("worker did not stop in 20 s: " + self._stacks()) from None
             finally:
                 self.process.stop()
+
+    def _await_exit(self, seconds: float, share: ProcessorShare) -> None:
+        """Wait for the exit, and longer if other programs left few processors; raises `subprocess.TimeoutExpired`."""
+        try:
+            self.process.popen.wait(seconds)
+        except subprocess.TimeoutExpired:
+            self.process.popen.wait(seconds / share.least() - seconds)
 
     def _stacks(self) -> str:
         """Return the end of the worker's output, with the stacks of its threads unless it ends now."""

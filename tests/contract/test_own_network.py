@@ -11,6 +11,12 @@ from tests.contract.ownside import Node, free_group
 from tests.support.wait import until
 
 
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the publisher live although it announces itself only once."""
+    monkeypatch.setattr("datagrams.network.SILENT", 600.0)
+
+
 def test_a_latched_message_that_arrives_by_two_paths_is_delivered_once() -> None:
     """A message may arrive live and from the cache, in either order. An older message after a newer one is dropped."""
     group = free_group()

@@ -53,7 +53,7 @@ def test_a_clean_stop_leaves_nothing(master, tmp_path):
                 edge.ask("advertise", topic=f"/clean/out{n}", type="std_msgs/String", latched=True)
             until(lambda: "/clean/out19" in master.state()["publishers"], "all topics are registered")
             assert (master.state(), master.parameters()) != before
-            assert edge.ask("stop")["seconds"] < AT_ONCE, "Edge.stop returns within twice its limit"
+            assert edge.leave() < AT_ONCE, "Edge.stop returns within twice its limit"
             assert (master.state(), master.parameters()) == before
             assert edge.ask("network")["network"] is None
             edge.ask("stop")
@@ -85,7 +85,7 @@ def test_registrations_of_a_killed_edge_are_removed(master, tmp_path):
             assert "/first_name" not in master.nodes()
             until(lambda: "second_name" in presence(master), "the new edge's entry exists")
             assert "first_name" not in presence(master)
-            again.ask("stop")
+            again.leave()
         assert (master.state(), master.parameters()) == before
 
 

@@ -85,6 +85,10 @@ class EdgeUnderTest(Peer):
         """Wait until ``count`` subscribers are connected."""
         until(lambda: self.ask("subscribers", id=publisher)["count"] == count, f"{count} subscribers are connected")
 
+    def leave(self) -> float:
+        """Stop the edge, and return the duration in seconds; a master on a busy machine may respond late."""
+        return float(self.ask("stop", patience=40.0)["seconds"])
+
     def send(self, publisher: int, text_: str, source: str = "a") -> None:
         """Publish a std_msgs/String."""
         self.ask("send", id=publisher, payload=string(text_), source=source)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.adapters.ros1.edge import Ros1Edge
+from bridge.adapters.ros1.graph import master
 from bridge.config.model import Config
 from bridge.hub.endpoints.calls import CallError
 from bridge.hub.graph.tokens import Origin
@@ -221,7 +222,10 @@ class Program(Commands):
         self.edge._timer.after = lambda *_: None  # type: ignore[method-assign]
         return {}
 
-    def stop(self) -> dict[str, Any]:
+    def stop(self, patience: float | None = None) -> dict[str, Any]:
+        """Stop; a master that does not respond within ``patience`` seconds keeps the registrations."""
+        if patience is not None:
+            master._STOP_TIMEOUT = patience
         begin = time.monotonic()
         self.edge.stop()
         return {"seconds": time.monotonic() - begin}

@@ -135,10 +135,15 @@ class RosMaster:
         return Peer(ROS1_PEER, ROS1_PYTHON, self.env, name)
 
     def _ready(self) -> bool:
+        """Return whether roscore responds, and rosout has made all of its registrations, which come one by one."""
         try:
-            return bool(self.call("getParam", "/run_id")) and "/rosout" in self.nodes()
+            if not self.call("getParam", "/run_id"):
+                return False
+            state = self.state()
         except OSError:
             return False
+        links = (state["publishers"].get("/rosout_agg", []), state["subscribers"].get("/rosout", []))
+        return all("/rosout" in nodes for nodes in links)
 
     def __enter__(self) -> Self:
         self.start()

@@ -89,7 +89,8 @@ class ParameterNode:
 
     def _list_parameters(self, request: Any) -> Any:
         self.asked += 1
-        wanted = [n for n in self.values if not request["prefixes"] or n.startswith(request["prefixes"][0])]
+        names = list(self.values)  # the test may change them meanwhile
+        wanted = [n for n in names if not request["prefixes"] or n.startswith(request["prefixes"][0])]
         return {"result": {"names": wanted}}
 
     def _describe_parameters(self, request: Any) -> Any:

@@ -10,6 +10,7 @@ from xmlrpc.client import ServerProxy
 
 import pytest
 
+from bridge.adapters.ros1.graph import prompts as prompts_module
 from bridge.adapters.ros1.graph.presence import NodeEntry
 from bridge.adapters.ros1.graph.prompts import FIRST, LONGEST, Prompts
 from bridge.adapters.ros1.graph.registrations import NodeRegistrations
@@ -28,7 +29,9 @@ RVIZ = Registration("/rviz", "/scan", "http://r:1/")
 
 
 @pytest.fixture
-def pool() -> Iterator[PeerPool]:
+def pool(monkeypatch: pytest.MonkeyPatch) -> Iterator[PeerPool]:
+    """A pool whose calls do not expire on a busy machine: the next call is due only as the test's clock advances."""
+    monkeypatch.setattr(prompts_module, "_SECONDS", 60.0)
     pool = PeerPool()
     yield pool
     pool.stop()

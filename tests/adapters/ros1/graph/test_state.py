@@ -59,7 +59,7 @@ def master():
 @pytest.fixture
 def reader(master):
     with node(**master.methods()) as uri:
-        client = XmlRpcClient(uri, 5.0)
+        client = XmlRpcClient(uri, 40.0)
         with contextlib.closing(client):
             yield MasterReader(client, "/me")
 
@@ -155,7 +155,7 @@ def test_a_master_with_a_large_state_is_read_less_often(master, reader, topics, 
 def test_an_unreachable_master_is_retried_at_the_normal_rate(master):
     master.publishers = [[f"/a_topic_of_many/{number}", ["/a"]] for number in range(5000)]
     with node(**master.methods()) as uri:
-        client = XmlRpcClient(uri, 5.0)
+        client = XmlRpcClient(uri, 40.0)
         reader = MasterReader(client, "/me")
         reader.read()
     with contextlib.closing(client), pytest.raises(Ros1Error):

@@ -81,7 +81,7 @@ def test_a_node_that_registers_again_is_reported_again(checked: Checked):
     checked.liveness.start({})
     until(lambda: checked.alive, "the node has responded")
     checked.alive.clear()
-    until(lambda: checked.alive, "the node is reported again", 5)
+    until(lambda: checked.alive, "the node is reported again")
     node.close()
 
 
@@ -97,7 +97,7 @@ def test_a_check_that_fails_is_repeated(checked: Checked, monkeypatch: pytest.Mo
     node = FakeNode()
     checked.nodes = {"/node": node.api}
     checked.liveness.start({})
-    until(lambda: checked.alive, "the node has responded", 5)
+    until(lambda: checked.alive, "the node has responded")
     node.close()
 
 

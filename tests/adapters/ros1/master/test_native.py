@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from bridge.adapters.ros1.master import api
 from bridge.adapters.ros1.master.embedded import EmbeddedMaster
 from tests.peers.peer import Peer
 from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
@@ -46,6 +47,10 @@ class Network:
         assert result.returncode == 0, f"{command}: {result.stdout}{result.stderr}"
         return result.stdout
 
+    def until_ping(self, node: str) -> None:
+        """Ping a node until it answers; rosnode waits only three seconds."""
+        until(lambda: "xmlrpc reply from" in self.tool("rosnode", "ping", "-c", "1", node), f"{node} answers")
+
     def close(self) -> None:
         self.master.close()
 
@@ -75,7 +80,7 @@ def test_rosnode_lists_describes_and_pings_nodes(network: Network, talker: Peer)
     info = network.tool("rosnode", "info", "/talker")
     for part in ("* /chatter [std_msgs/String]", "* /words", "* /toggle", "Pid:"):
         assert part in info
-    assert "xmlrpc reply from" in network.tool("rosnode", "ping", "-c", "1", "/talker")
+    network.until_ping("/talker")
     assert f"{network.master.nodes()['/talker']}" in network.tool("rosnode", "list", "-a").replace(" \t", "")
 
 
@@ -154,7 +159,10 @@ rospy.spin()
 """
 
 
-def test_a_rospy_subscriber_connects_though_an_update_overtook_the_reply_to_its_registration(network: Network):
+def test_a_rospy_subscriber_connects_though_an_update_overtook_the_reply_to_its_registration(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(api, "NEW_SECONDS", 60.0)  # the publisher may register late after the subscriber
     with Process([ROS1_PYTHON, "-c", OVERTAKEN], network.env):
         until(lambda: network.master.api.parameters.has("/received"), "the message of the publisher arrives")
 
@@ -194,7 +202,7 @@ def _relayed(node: Peer, listener: Peer, logs: int, text: str = "to be relayed")
 
 def test_logs_are_collected(network: Network, talker: Peer):
     assert "/rosout" in network.tool("rosnode", "list").split()
-    assert "xmlrpc reply from" in network.tool("rosnode", "ping", "-c", "1", "/rosout")
+    network.until_ping("/rosout")
     listener = network.peer("collector")
     try:
         logs = listener.subscribe("/rosout_agg", "rosgraph_msgs/Log")

@@ -86,7 +86,7 @@ def test_nodes_that_never_answer_do_not_delay_others_and_are_called_again(
         started = time.monotonic()
         calls.publisher_update(other.api, "/t", ["http://1/"])
         until(lambda: other.calls, "the other node has been called")
-        assert time.monotonic() - started < 10
+        assert time.monotonic() - started < 30
         for node in silent:
             node.answers.set()
         until(lambda: all(node.calls for node in silent), "the silent nodes have been called again")

@@ -58,7 +58,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    monkeypatch.setattr(greeting, "_SECONDS", 60.0)  # peers that wait for others must not expire on a busy machine
     bench = Bench()
     yield bench
     bench.close()
@@ -140,7 +141,7 @@ def test_500_silent_clients_cost_no_thread_and_delay_no_other_client(bench: Benc
     for sock in silent:
         sock.close()
     until(lambda: not bench.server._open, "the disconnections are noticed")
-    assert bench.server._bytes == 0
+    until(lambda: bench.server._bytes == 0, "the bytes of the last connection are counted out")
 
 
 def test_500_clients_at_once_are_all_admitted(bench: Bench) -> None:

@@ -170,7 +170,7 @@ def test_a_server_that_is_too_busy_to_connect_keeps_its_pending_calls(bench, mon
     with tcp_server(serve) as address:
         bench.toward(address)
         bench.warm()
-        monkeypatch.setattr(caller_module, "_CONNECT_SECONDS", 0.3)
+        monkeypatch.setattr(caller_module, "_CONNECT_SECONDS", 1.0)
         long = bench.call(b"long")
         assert "sends no connection header in time" in bench.call().error()
         assert not bench.doubts, "the route to the server would be closed"

@@ -348,7 +348,7 @@ def test_a_clean_stop_ends_calls_and_leaves_nothing(master, tmp_path):
             requests_at(edge, served, 1)
             caller = caller_of(edge, "/stays")
             call(edge, caller)
-            assert edge.ask("stop")["seconds"] < AT_ONCE, "Edge.stop returns within twice its limit"
+            assert edge.leave() < AT_ONCE, "Edge.stop returns within twice its limit"
             assert "/stopped is no longer served" in peer.ask("result", id=request)["error"]
             assert edge.ask("calls", id=served)["abandoned"] == [0]
             assert ends(edge, caller) == {"0": ["error: /stays is no longer bridged"]}
@@ -366,7 +366,7 @@ def test_services_of_a_killed_edge_are_removed(master, tmp_path):
     assert "/left/behind" in master.state()["services"], "the master does not notice"
     with edge_on(master, tmp_path, "mine", node="mine_b") as again:
         assert "/left/behind" not in master.state()["services"]
-        again.ask("stop")
+        again.leave()
     assert master.state() == before
 
 
