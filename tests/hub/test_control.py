@@ -62,10 +62,11 @@ def test_malformed_query_is_rejected(network: HubNetwork, question: bytes):
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b, network.program() as program:
         a.serve("verb", lambda _params: 1)
         key = f"@midspan/{a.domain}/test/test/verb"
-        until(lambda: b.ask("verb", {}), "the session is reachable")
-        (reply,) = program.get(key, payload=question, timeout=40)
+        ask = lambda: list(program.get(key, payload=question, timeout=40))  # noqa: E731
+        (reply,) = until(ask, "the program's router knows the session")
         assert b"error" in reply.ok.payload.to_bytes()
-        assert [x.value for x in b.ask("verb", {})] == [1]
+        (answer,) = until(lambda: b.ask("verb", {}), "the session is reachable")
+        assert answer.value == 1
 
 
 def test_slow_answer_does_not_delay_samples_or_other_verbs(network: HubNetwork):

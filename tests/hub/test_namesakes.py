@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -45,8 +46,11 @@ class Machine:
     def warning(self) -> str:
         """Return the router's warning in its status document."""
         self.router.health()
-        (document,) = [a.value for a in self.answers() if a.worker == "router" and a.value["listen"] == self.endpoint]
+        (document,) = until(self._documents, "the router reports its status")  # the session may not be linked yet
         return "; ".join(document["warnings"])
+
+    def _documents(self) -> list[dict[str, Any]]:
+        return [a.value for a in self.answers() if a.worker == "router" and a.value["listen"] == self.endpoint]
 
     def close(self) -> None:
         self.hub.close()
@@ -169,11 +173,11 @@ def test_daemons_with_the_same_name_at_one_router_are_reported(
     with ExitStack() as inner:
         second = Daemon(inner, endpoint, tmp_path / "b", 2)
         for daemon, other in ((first, second), (second, first)):
-            text = until(lambda d=daemon: "named 'robot1'" in d.warning() and d.warning(), "the router warns")
+            text = until(lambda d=daemon: "named 'robot1'" in (w := d.warning()) and w, "the router warns")
             assert "another daemon on this hub is also named 'robot1'" in text
             assert "set another 'name'" in text
             assert daemon is second or other.identity.place in text
-            numbers = until(lambda d=daemon: len(d.numbers()) == 2 and d.numbers(), "both workers respond")
+            numbers = until(lambda d=daemon: len(n := d.numbers()) == 2 and n, "both workers respond")
             own_number, other_number = {first: (1, 2), second: (2, 1)}[daemon]
             assert numbers == {"robot1": own_number, f"robot1 ({other.identity.place})": other_number}
             answers = daemon.hub.ask("status", {}, daemon="robot1")

@@ -288,7 +288,7 @@ def test_stalled_reader_does_not_block_other_nodes(network: HubNetwork) -> None:
             sending.start()
             for number in range(100):
                 odometry.put(b"%d" % number)
-                until(lambda number=number: len(subscriber.samples) > number, f"message {number} arrives", 5.0)
+                until(lambda number=number: len(subscriber.samples) > number, f"message {number} arrives", 9.0)
             assert not ended.is_set(), "the link was not congested, so the test shows nothing"
         finally:
             read.set()

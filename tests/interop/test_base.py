@@ -262,7 +262,7 @@ def test_the_base_stops_when_its_commanders_worker_is_killed_and_resumes_with_th
 
     def stands() -> bool:
         """Kill the worker, and return whether the robot stands before the next worker takes over."""
-        os.kill(deployment.worker("ros1")["pid"], signal.SIGKILL)
+        os.kill(deployment.answer("ros1")["pid"], signal.SIGKILL)
         end = time.monotonic() + 2.0
         while time.monotonic() < end:
             if turns() < 1e-5:

@@ -51,7 +51,7 @@ def test_programs_of_a_discovery_server_are_bridged(deployment: Deployment, serv
         until(received, f"messages cross {word}", 40)
 
     crosses("at first")
-    pid = deployment.worker("ros2")["pid"]
+    pid = deployment.answer("ros2")["pid"]
     os.kill(pid, signal.SIGKILL)
     until(lambda: deployment.worker("ros2").get("pid") not in (None, pid), "another worker runs", 40, every=0.1)
     crosses("after the kill")
@@ -83,7 +83,7 @@ def test_programs_are_bridged_after_a_restart_of_the_server(
         until(arrived, f"messages cross: {word}", 40)
 
     crosses(older, out, ros1, received, "before")
-    pid = deployment.worker("ros2")["pid"]
+    pid = deployment.answer("ros2")["pid"]
     first.signal(end)
     first.popen.wait()
     server()
@@ -100,4 +100,4 @@ def test_programs_are_bridged_after_a_restart_of_the_server(
     ros1.ask("await_service", service="/lamp", seconds=20)
     call = ros1.ask("call", service="/lamp", type="std_srvs/SetBool", request={"data": True})["id"]
     assert ros1.ask("result", id=call, seconds=20)["reply"]["message"] == "lit"
-    assert deployment.worker("ros2")["pid"] == pid
+    assert deployment.answer("ros2")["pid"] == pid

@@ -228,8 +228,8 @@ def test_map_server_and_map2d_server_run_together_without_a_problem(fresh: Begin
     )
     site.ros1("ros1/map_server.py", APARTMENT)
     site.until_all_is_well()
-    findings = [f["seen"] for f in site.doctor("types")]
-    until(lambda: any("/change_map, /static_map: the map server" in text for text in findings), str(findings), 0.0)
+    seen = lambda: str([finding["seen"] for finding in site.doctor("types")])  # noqa: E731
+    until(lambda: "/change_map, /static_map: the map server" in seen(), "doctor names the services", SECONDS, every=0.5)
 
 
 def test_a_robot_on_yarp_has_no_problem(fresh: Begin) -> None:
@@ -272,4 +272,4 @@ def test_a_robot_and_its_operator_have_no_problem(fresh: Begin, tmp_path: Path) 
     robot_site = fresh(robot)
     robot_site.until_all_is_well()
     until(lambda: "robot1/ros1" in str(station.doctor("daemon")), "the operator sees the robot", SECONDS, every=0.5)
-    assert station.problems(*ALL_CHECKS) == []
+    station.until_all_is_well(ALL_CHECKS)

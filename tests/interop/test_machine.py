@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -90,7 +91,12 @@ class Flow:
 def pids(deployment: Deployment) -> set[int]:
     """Return the process ids of the daemon and its workers."""
     assert deployment.daemon is not None
-    return {deployment.daemon.pid, *(int(d["pid"]) for d in deployment.status())}
+
+    def complete() -> list[dict[str, Any]] | None:  # a busy worker may not respond in time
+        status = deployment.status()
+        return status if {document.get("side") for document in status} >= {"router", "ros1", "ros2"} else None
+
+    return {deployment.daemon.pid, *(int(document["pid"]) for document in until(complete, "all workers respond"))}
 
 
 def broken(number: int, good: str) -> str:
@@ -163,7 +169,7 @@ def fill(disk: Path) -> Path:
 def kill_each_worker(deployment: Deployment, flow: Flow) -> None:
     """Kill the worker of each side, and wait until it and its routes are back."""
     for side in ("ros1", "ros2"):
-        pid = int(deployment.worker(side)["pid"])
+        pid = int(deployment.answer(side)["pid"])
         os.kill(pid, 9)
 
         def restarted(side: str = side, pid: int = pid) -> bool:
@@ -252,7 +258,7 @@ def test_a_worker_without_descriptors_recovers(running: Deployment) -> None:
     processes = pids(running)
     ros1, ros2 = running.ros1(), running.ros2()
     for side, program, receiver in (("ros1", ros1, ros2), ("ros2", ros2, ros1)):
-        pid = int(running.worker(side)["pid"])
+        pid = int(running.answer(side)["pid"])
         used = len(list(Path(f"/proc/{pid}/fd").iterdir()))
         limits = resource.prlimit(pid, resource.RLIMIT_NOFILE)
         resource.prlimit(pid, resource.RLIMIT_NOFILE, (used + 4, limits[1]))
@@ -290,7 +296,7 @@ def test_a_router_without_descriptors_recovers(running: Deployment) -> None:
     assert running.daemon is not None
     daemon = running.daemon
     flow = Flow(running)
-    pid = int(running.worker("router")["pid"])
+    pid = int(running.answer("router")["pid"])
     limits = resource.prlimit(pid, resource.RLIMIT_NOFILE)
     used = len(list(Path(f"/proc/{pid}/fd").iterdir()))
     resource.prlimit(pid, resource.RLIMIT_NOFILE, (used, limits[1]))
@@ -300,4 +306,4 @@ def test_a_router_without_descriptors_recovers(running: Deployment) -> None:
     resource.prlimit(pid, resource.RLIMIT_NOFILE, limits)
     until(lambda: running.command("topic", "list").returncode == 0, "programs can join again", 30)
     flow.check()
-    assert running.worker("router")["pid"] == pid
+    assert running.answer("router")["pid"] == pid

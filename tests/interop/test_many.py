@@ -27,7 +27,7 @@ def test_a_thousand_latched_topics_are_bridged(running: Deployment) -> None:
 
     for side in ("ros1", "ros2"):
         until(lambda s=side: crossed(s) == COUNT, f"all {COUNT} cross the {side} worker", 90, every=1.0)
-        process = psutil.Process(running.worker(side)["pid"])
+        process = psutil.Process(running.answer(side)["pid"])
         limit = process.rlimit(psutil.RLIMIT_NOFILE)[0]
         assert process.num_fds() < limit * 0.8, f"{side}: {process.num_fds()} of {limit} descriptors"
     subscription = ros2.subscribe(f"/many/t{COUNT - 1}", STRING, latched=True)

@@ -59,8 +59,14 @@ class Direct:
 
     def is_in(self, name: str, state: int) -> str:
         """Return the text of a goal, once the goal is in this state."""
-        until(lambda: self.listed().get(name, (-1, ""))[0] == state, f"{name} is in state {state}", SECONDS)
-        return self.listed()[name][1]
+        listed: dict[str, tuple[int, str]] = {}
+
+        def reached() -> bool:
+            listed.update(self.listed())
+            return listed.get(name, (-1, ""))[0] == state
+
+        until(reached, f"{name} is in state {state}", SECONDS)
+        return listed[name][1]
 
     def result(self, name: str) -> dict[str, Any]:
         """Return a goal's result."""

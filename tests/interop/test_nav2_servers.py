@@ -143,7 +143,7 @@ def test_a_stop_ends_docking_and_waypoints(rig: Nav2Rig, midspan: Midspan, words
     assert not rig.base.moves, "the stop was confirmed"
     until(lambda: program.popen.poll() is not None, "the program has ended", SECONDS)
     assert (program.popen.returncode, "midspan: canceled" in program.output()) == (1, True), program.output()
-    assert midspan("nav", "status").out.startswith("idle")
+    until(lambda: midspan("nav", "status").out.startswith("idle"), "the gateway reports the end", SECONDS)
     assert midspan("location", "remove", "far").code == 0
 
 

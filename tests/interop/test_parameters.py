@@ -38,7 +38,7 @@ def test_parameters_are_shared_in_both_directions(deployment: Deployment) -> Non
     assert_ros1_parameters_appear_on_a_node(ros1, ros2)
     assert_node_parameters_appear_in_ros1(ros1, ros2)
     _unusual_names_are_reported(deployment, ros1, ros2)
-    parameters = {item["ros1"]: item["shared"] for item in deployment.worker("ros1")["parameters"]}
+    parameters = {item["ros1"]: item["shared"] for item in deployment.answer("ros1")["parameters"]}
     assert parameters["/robot"] == 5
     assert parameters["/nav/controller"] >= 4
     # parameter services do not cross to ROS 1

@@ -106,8 +106,8 @@ def test_each_side_and_the_mapper_receive_a_ros_1_bag_on_its_time(site: Deployme
 def test_requested_velocities_reach_each_side_and_end_with_zero(site: Deployment, bag: Path) -> None:
     rviz, rospy = site.ros2(), site.ros1()
     ends = [(peer, peer.subscribe("/cmd_vel", TWIST)) for peer in (rviz, rospy)]
-    with play(site, bag, "--commands", "--topics", "/cmd_vel", "--duration", "1") as player:
-        for peer, end in ends:
+    with play(site, bag, "--commands", "--topics", "/cmd_vel", "--duration", "3") as player:
+        for peer, end in ends:  # the first velocities may precede the routes
             until(lambda peer=peer, end=end: zero(peer.wait(end, 1)), "zero is received", 30)  # type: ignore[misc]
             speeds = [item["linear"]["x"] for item in peer.wait(end, 1)]
             assert (set(speeds), speeds[-1]) == ({0.25, 0.0}, 0.0)  # zero is repeated

@@ -106,7 +106,7 @@ def test_rosbags_and_mcaps_decoder_read_messages_from_all_sides(recorded: Deploy
     until_written(recorded, publish, "/kept", *(f"/from_{side}" for side in programs))
     done = recorded.command("record", "--daemon", "split", "--json")
     assert done.returncode == 0, done.stderr
-    file = Path(recorded.worker("record")["recording"]["file"])
+    file = Path(recorded.answer("record")["recording"]["file"])
     assert str(file) in done.stdout
     with AnyReader([file]) as bag:
         messages: dict[str, Any] = {c.topic: bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages()}
@@ -152,7 +152,7 @@ def test_a_recorded_goal_is_converted_for_rosbag_and_for_rosbags(recorded: Deplo
 
     until_written(recorded, send_goals, *topics)
     assert recorded.command("record", "--daemon", "split").returncode == 0
-    file = recorded.worker("record")["recording"]["file"]
+    file = recorded.answer("record")["recording"]["file"]
     for name in ("new.mcap", "new.db3", "new.bag"):
         done = recorded.command("bag", "convert", file, str(tmp_path / name), "--config", str(recorded.file))
         assert done.returncode == 0, done.stderr
@@ -211,8 +211,8 @@ def test_messages_reported_as_written_survive_kill_9_and_the_daemon_continues(re
         return many(recorded.worker("record").get("recording", {})) >= 500
 
     until(written, "500 messages are written", 20)
-    pid = recorded.worker("record")["pid"]
-    recording = recorded.worker("record")["recording"]
+    pid = recorded.answer("record")["pid"]
+    recording = recorded.answer("record")["recording"]
     os.kill(pid, signal.SIGKILL)
     contents = read(Path(recording["file"]))
     assert not contents.whole
@@ -226,7 +226,7 @@ def test_messages_reported_as_written_survive_kill_9_and_the_daemon_continues(re
         return document.get("pid", pid) != pid and document["recording"]["file"] != recording["file"]
 
     until(again, "the daemon records again", 30, every=0.1)
-    assert recorded.worker("ros1")["state"] == "running"
+    assert recorded.answer("ros1")["state"] == "running"
 
 
 def written_by_verb(deployment: Deployment, file: Path) -> bool:

@@ -85,8 +85,9 @@ def test_services_cross_to_nodes_of_other_releases(programs: ReleasePrograms, na
         programs.deployment.until_route("ros1", name, "out", state="active")
         client.ask("await_service", service=name, seconds=20)
     if native == "server":
-        users = [user for decision in programs.deployment.explain(name) for user in decision["users"]]
-        assert users == ["served by /controller_server on Fast DDS 3.2.2 (Kilted)"]
+        users = lambda: [user for d in programs.deployment.explain(name) for user in d["users"]]  # noqa: E731
+        served_by = ["served by /controller_server on Fast DDS 3.2.2 (Kilted)"]
+        until(lambda: users() == served_by, "explain names the server's node", 20, every=0.1)
     call = client.ask("call", service=name, type=SERVICE, request={"data": True})["id"]
     assert client.ask("result", id=call, seconds=40)["reply"] == reply
     assert server.ask("requests", id=served, count=1, seconds=20)["requests"] == [{"data": True}]

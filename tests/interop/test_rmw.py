@@ -138,9 +138,13 @@ def test_nav2_of_lyrical_is_driven_from_ros1_and_ros2(shared: Deployment) -> Non
         assert len(server.goals) == number
         assert server.goals[-1]["goal"]["pose"]["pose"]["position"]["x"] == 5.0
     assert (state["status"], state["result"]["error_code"], state["result"]["error_msg"]) == (4, 9003, "late")
-    explained = shared.command("explain", "/lyrical").stdout
-    assert explained.count("NavigateToPose_Feedback.position_tracking_error") == 2  # one for each side
-    assert "bt_navigator has lyrical's version" in explained
+
+    def explained() -> bool:
+        text = shared.command("explain", "/lyrical").stdout
+        both = text.count("NavigateToPose_Feedback.position_tracking_error") == 2  # one for each side
+        return both and "bt_navigator has lyrical's version" in text
+
+    until(explained, "explain names the field and the version for each side", 30)
     server.close()
     node.close()
 

@@ -154,7 +154,11 @@ def test_messages_are_bridged_in_every_direction_without_the_lane(deployment: De
         out = sender.advertise(topic, STRING)
         assert cross(sender, out, receiver, subscription, {"data": topic}) == {"data": topic}
         assert deployment.until_route(to, topic, "out", way="zenoh")["why"] == "this worker has no lane"
-        assert deployment.command("explain", topic).stdout.count("over zenoh, as this worker has no lane") == 2
+
+        def explained(topic: str = topic) -> bool:  # a busy worker may not respond to the command in time
+            return deployment.command("explain", topic).stdout.count("over zenoh, as this worker has no lane") == 2
+
+        until(explained, "explain names the transport of both routes")
 
 
 def test_explain_lists_the_connections_of_ros1(shared: Deployment) -> None:
@@ -164,7 +168,12 @@ def test_explain_lists_the_connections_of_ros1(shared: Deployment) -> None:
     ):  # fmt: skip
         subscription = receiver.subscribe(topic, STRING)
         cross(sender, sender.advertise(topic, STRING), receiver, subscription, {"data": "x" * 100})
-        (connection,) = json.loads(shared.command("explain", topic, "--json").stdout)["connections"]
+
+        def connections(topic: str = topic) -> list[dict[str, Any]]:
+            listed: list[dict[str, Any]] = json.loads(shared.command("explain", topic, "--json").stdout)["connections"]
+            return listed
+
+        (connection,) = until(connections, "explain lists the connection")
         kind = "publishers" if direction == "in" else "subscribers"
         names = [name for name in shared.master.state()[kind][topic] if name != "/midspan"]
         assert names == [connection["node"]]

@@ -248,7 +248,7 @@ def test_parameters_are_shared_both_ways_on_cyclone_dds(deployment: Deployment) 
     deployment.run()
     assert_ros1_parameters_appear_on_a_node(ros1, node)
     assert_node_parameters_appear_in_ros1(ros1, node)
-    shared = {item["ros1"]: item["shared"] for item in deployment.worker("ros1")["parameters"]}
+    shared = {item["ros1"]: item["shared"] for item in deployment.answer("ros1")["parameters"]}
     assert shared["/robot"] == 5
     assert shared["/nav/controller"] >= 4
 

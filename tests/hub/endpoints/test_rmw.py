@@ -281,4 +281,4 @@ def test_a_frozen_node_leaves_after_the_lease_of_its_own_session(network: HubNet
         until(lambda: present() == {"long"}, "the node with the short lease leaves", every=0.05)
         until(lambda: not present(), "the node with the long lease leaves", every=0.05)
         assert time.monotonic() - frozen > LEASE_MS / 1000 + 1.0
-        assert not a.graph.subscriptions()
+        until(lambda: not a.graph.subscriptions(), "all subscriptions leave")

@@ -273,7 +273,7 @@ def test_calls_under_another_hash_share_the_clients_numbers_and_are_abandoned(ne
         numbers = [number for serving in (hashless, same) for _, number in serving.server._callers]
         assert len(set(numbers)) == 2, numbers
         abandon()
-        until(lambda: hashless.abandoned == [b"1"], "the call is abandoned", 5)
+        until(lambda: hashless.abandoned == [b"1"], "the call is abandoned")
         assert same.abandoned == []
 
 

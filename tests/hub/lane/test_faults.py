@@ -64,7 +64,7 @@ def test_killed_reader_is_removed_and_the_next_reader_is_served(network: HubNetw
                 publisher.put(b"x")
                 assert reader.ask("wait", id=number, count=1, seconds=40.0)["texts"] == ["x"]
                 os.kill(reader.pid, signal.SIGKILL)
-            until(lambda: publisher.way()[0] != "lane", "the reader's lane is gone", 1.0)
+            until(lambda: publisher.way()[0] != "lane", "the reader's lane is gone")
 
 
 def test_killed_writer_leaves_only_whole_messages(network: HubNetwork, tmp_path: Path) -> None:

@@ -221,7 +221,7 @@ def test_subscription_that_is_closed_while_it_joins_a_lane_leaves_it(
     monkeypatch.setattr(Inlet, "join", close_then_join)
     Subscriber(reader, "/t")
     assert joined.wait(20.0)
-    until(lambda: not publisher.matched(), "the publisher is no longer matched", 5.0)
+    until(lambda: not publisher.matched(), "the publisher is no longer matched")
 
 
 class EndingInlet:

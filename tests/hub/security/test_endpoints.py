@@ -197,17 +197,17 @@ def test_a_resolver_that_hangs_blocks_nothing(keys: Path, monkeypatch: pytest.Mo
 
     def resolve(*_: object, **__: object) -> list[Any]:
         entered.set()
-        hangs.wait(30.0)
+        hangs.wait(60.0)
         return []
 
     monkeypatch.setattr("bridge.hub.security.handshake.socket.getaddrinfo", resolve)
     with Machine("operator1", keys / "a", connect=["tls/robot1.invalid:7448"]) as operator:
-        assert entered.wait(10.0)
+        assert entered.wait(40.0)
         before = time.monotonic()
         assert operator.router.health().state == "running"
         assert operator_status(operator)[0]["state"] == "connecting"
         operator.router.stop()
-        assert time.monotonic() - before < 5.0
+        assert time.monotonic() - before < 30.0, "nothing waits for the resolver"
     hangs.set()
 
 

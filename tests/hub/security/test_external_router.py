@@ -97,9 +97,9 @@ class RobotProgram:
 
     def __init__(self, session: zenoh.Session) -> None:
         self.received: list[tuple[str, str]] = []
-        self._open = [
-            session.declare_subscriber("**", self._on_sample),
+        self._open = [  # whoever knows the subscriber, also knows the queryable
             session.declare_queryable("0/**", self._on_query, complete=True),
+            session.declare_subscriber("**", self._on_sample),
         ]
 
     def _on_sample(self, sample: zenoh.Sample) -> None:

@@ -104,6 +104,11 @@ class Deployment(MidspanDaemon):
         """Return the status of one side's worker, or an empty one if it does not respond."""
         return next((d for d in self.status() if d.get("side") == side), {})
 
+    def answer(self, side: str) -> dict[str, Any]:
+        """Wait for the status of one side's worker, because a busy worker may not respond at once."""
+        status: dict[str, Any] = until(lambda: self.worker(side), f"{side} reports its status")
+        return status
+
     def route(self, side: str, topic: str, direction: str) -> Any:
         """Return one route of one worker as a dictionary, or None if it does not exist."""
         routes = self.worker(side).get("routes", [])

@@ -99,7 +99,7 @@ def test_a_call_that_follows_the_token_of_a_server_at_once_is_answered(relay: Re
     handler = zenoh.handlers.Callback(on_token, indirect=False)
     humble.session.liveliness().declare_subscriber("@ros2_lv/**", handler)
     end = server(jazzy, SET_BOOL, {"success": True})
-    assert seen.wait(10)
+    assert seen.wait(40)
     assert len(calls.call(ReleaseTypes(humble).encode(SET_BOOL, {"data": True}, "Request"))) == 1
     assert len(end.requests) == 1
 

@@ -194,7 +194,8 @@ def test_a_large_reply_arrives_complete_and_delays_no_small_one(rig: Rig) -> Non
     assert [len(call.result()["reply"]["message"]) for call in calls] == [1_000_000] * 5
 
 
-def test_call_without_the_lease_is_served_when_the_lease_is_back(rig: Rig) -> None:
+def test_call_without_the_lease_is_served_when_the_lease_is_back(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(held, "HOLD_SECONDS", 60.0)  # no matter how slow the machine is
     serving = rig.serve(reply={"message": "done"})
     client = rig.client()
     lease = rig.without_lease()
@@ -249,6 +250,7 @@ def test_call_that_may_have_waited_while_the_machine_slept_is_refused_unless_it_
 
 def test_call_survives_a_watch_that_does_not_run(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """One thread of a starved worker stands still until its lease expires, while its other threads receive calls."""
+    monkeypatch.setattr(held, "HOLD_SECONDS", 60.0)
     rig.serve(reply={"message": "done"})
     client = rig.client()
     runs, lease = threading.Event(), rig.engine._context.lease
@@ -261,7 +263,8 @@ def test_call_survives_a_watch_that_does_not_run(rig: Rig, monkeypatch: pytest.M
     assert call.result()["reply"]["message"] == "done"
 
 
-def test_held_call_ends_when_its_route_closes(rig: Rig) -> None:
+def test_held_call_ends_when_its_route_closes(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(held, "HOLD_SECONDS", 60.0)
     rig.serve()
     client = rig.client()
     rig.without_lease()
