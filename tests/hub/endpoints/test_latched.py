@@ -322,7 +322,7 @@ def test_stalled_peer_does_not_delay_closing_a_latched_publisher(network: HubNet
 
 def test_publisher_without_a_reply_is_queried_again(network: HubNetwork, monkeypatch: pytest.MonkeyPatch):
     """While a link is being established, the publisher's token may be visible before its cache can be reached."""
-    monkeypatch.setattr(latched, "AGAIN_SECONDS", (0.2, 0.2, 0.2))
+    monkeypatch.setattr(latched, "AGAIN_SECONDS", (0.2, 5.0, 5.0))
     key, events = "late/cache", Events()
     executor, ends, delays = SerialExecutor("test-asking"), SerialExecutor("test-ends"), DelayedCalls("test-delays")
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
