@@ -57,7 +57,7 @@ class Ros1:
 
 
 class Ros2:
-    """rclpy's action client used as in ROS 2's tf2_ros.BufferClient, for which there is no wheel."""
+    """rclpy's action client used as in ROS 2's tf2_ros.BufferClient, which is not published as a wheel."""
 
     ERRORS = ("", "LookupException", "ConnectivityException", "ExtrapolationException", "InvalidArgumentException")
 

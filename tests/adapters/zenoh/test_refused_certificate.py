@@ -92,7 +92,7 @@ def test_an_accepted_certificate_is_not_reported(
     bridge = start(place, monkeypatch, settings)
     until(lambda: bridge.health().state == "running", "the dialect joins")
     # a test connection that a busy machine delayed may be reported until the next one
-    until(lambda: place.answer(bridge.name)["warnings"] == [], "there is no warning", every=0.1)
+    until(lambda: place.answer(bridge.name)["warnings"] == [], "the warning ends", every=0.1)
 
 
 def test_a_machine_that_a_dialect_refuses_is_logged(place: Place, tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def hold_up(place: Place) -> None:
 
 
 def stand_still(place: Place) -> None:
-    """Block the simulation's thread for so long that it refuses commands afterwards, and the motors stop the wheels."""
+    """Block the simulation's thread until it refuses commands and the motors stop the wheels."""
     running = place.worker._running
     assert running is not None
     running.host.loop.post(lambda: threading.Event().wait(0.4))
@@ -152,7 +152,7 @@ def test_odometry_of_a_simulator_that_ticks_in_bursts_has_the_true_velocities(pl
         """Return 60 odometry messages from after the base has stood still for 20 messages of the truth."""
         still = lambda: all(max(map(abs, speeds(m))) < 1e-6 for m in far.wait(truth, 1)[-20:])  # noqa: E731
         until(still, "the base stands", 20)
-        stood_ns = stamp_ns(far.wait(truth, 1)[-1])  # earlier odometry may still be on its way
+        stood_ns = stamp_ns(far.wait(truth, 1)[-1])  # earlier odometry may still arrive
 
         def later() -> list[dict[str, Any]]:
             messages = [message for message in far.wait(odometry, 1) if stamp_ns(message) > stood_ns][:60]
