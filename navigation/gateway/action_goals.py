@@ -82,7 +82,7 @@ class ActionGoals:
             for goal in self.list.active:
                 self.end(goal)
             if now >= self._ask_all_at:
-                self._end_next = False
+                self._ask_all_at = now + _CANCEL_PERIOD
                 self._ask_all()
         left = self.left
         self._asked = {goal: due for goal, due in self._asked.items() if goal in left}
@@ -100,13 +100,20 @@ class ActionGoals:
             self._client.call({"goal_info": {"goal_id": {"uuid": list(goal)}}}, replied)
 
     def _ask_all(self) -> None:
-        """Request to cancel all goals; if that fails, goals may continue that the list does not show yet."""
+        """Request to cancel all goals; if that fails, goals may continue that the list does not show yet.
+
+        After a failure, and for a server that was absent, its reply is awaited: an empty list does not replace it.
+        """
         request = self._all_request = object()
+        known = self.list.known  # otherwise goals of the next valid list have to end, whatever the reply
 
         def replied(reply: Any) -> None:
-            failed = isinstance(reply, CallError) or reply["return_code"] == CancelCode.REJECTED
-            if failed and self._all_request is request:
+            if self._all_request is not request:
+                return
+            if isinstance(reply, CallError) or reply["return_code"] == CancelCode.REJECTED:
                 self._end_next, self._ask_all_at = True, time.monotonic() + _CANCEL_PERIOD
+            elif known:
+                self._end_next = False
 
         self._ask(bytes(16), replied)
 

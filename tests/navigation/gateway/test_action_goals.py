@@ -66,6 +66,7 @@ def test_a_failed_request_to_cancel_all_goals_is_repeated(server: Server, failur
     assert not server.goals.released
     server.goals.refresh()
     assert server.asked == [ALL, ALL]
+    assert not server.goals.released, "an empty list does not replace the reply"
     server.requests[1][1](failure)
     server.publish_list(LATE)
     assert server.asked[2:] == [ALL, LATE]
@@ -84,6 +85,8 @@ def test_a_request_to_cancel_all_goals_is_sent_to_a_server_that_returns(server: 
     server.ready = True
     server.goals.refresh()
     assert server.asked == [ALL]
+    assert not server.goals.released
+    server.requests[0][1](DONE)
     assert server.goals.released
 
 
