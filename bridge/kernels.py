@@ -12,6 +12,7 @@ import hashlib
 import importlib.machinery
 import importlib.metadata
 import json
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -46,9 +47,12 @@ SHARED = "bridge.shared_kernel_code"
 """The module with the code that all kernels share, so that this is compiled only once."""
 
 C_MODULES: tuple[str, ...] = (
+    "bridge.adapters.ros1.intake",
     "bridge.adapters.ros2.reader_filter",
     "bridge.adapters.ros2.service_callbacks",
     "bridge.adapters.ros2.taking",
+    "bridge.hub.lane.links",
+    "bridge.routing.doorway",
 )
 """Modules in C, each next to the module that uses it; they are missing if there was no compiler."""
 
@@ -118,10 +122,13 @@ def built(module: str) -> Path | None:
 
 
 def digest(module: str, compiler: str) -> str:
-    """Return the digest of everything on which a module's build depends: source, Cython's version and flags."""
+    """Return the digest of everything on which a module's build depends: sources, Cython's version and flags."""
     content = hashlib.sha256(repr((compiler, FLAGS, SHARED_FLAGS)).encode())
     if module != SHARED:
-        content.update(source(module).read_bytes())
+        text = source(module).read_bytes()
+        content.update(text)
+        for header in re.findall(rb'^#include "(.+)"$', text, re.MULTILINE) if module in C_MODULES else ():
+            content.update((source(module).parent / header.decode()).read_bytes())
     return content.hexdigest()
 
 

@@ -27,24 +27,27 @@ class Backlog(Generic[Message]):
 
     It holds at most ``most`` messages and ``room`` bytes (not counting the newest message), and calls ``dropped`` for
     each message that it drops.
+
+    Attributes:
+        line: the held messages; never another object.
     """
 
     def __init__(self, most: int, room: int, dropped: Callable[[], None]) -> None:
         self._most, self._room, self._dropped = most, room, dropped
         self._lock = threading.Lock()
-        self._line: deque[HeldMessage[Message]] = deque()
+        self.line: deque[HeldMessage[Message]] = deque()
         self._bytes = 0
         self._judged = 0.0
 
     def __len__(self) -> int:
-        return len(self._line)
+        return len(self.line)
 
     def holds(self, source: Hashable) -> bool:
         """Return whether messages of a publisher are held."""
-        if not self._line:
+        if not self.line:
             return False
         with self._lock:
-            return any(waiting.source == source for waiting in self._line)
+            return any(waiting.source == source for waiting in self.line)
 
     def add(self, source: Hashable, message: Message, size: int) -> None:
         """Append a message of ``size`` bytes."""
@@ -53,19 +56,19 @@ class Backlog(Generic[Message]):
     def put_back(self, waiting: HeldMessage[Message]) -> None:
         """Append a message that was held before."""
         with self._lock:
-            self._line.append(waiting)
+            self.line.append(waiting)
             self._bytes += waiting.size
-            while len(self._line) > self._most or (self._bytes > self._room and len(self._line) > 1):
-                self._bytes -= self._line.popleft().size
+            while len(self.line) > self._most or (self._bytes > self._room and len(self.line) > 1):
+                self._bytes -= self.line.popleft().size
                 self._dropped()
 
     def keep(self, source: Hashable, message: Message, size: int, depth: int) -> int:
         """Append a message, keep only the publisher's newest ``depth`` messages, and return how many were removed."""
         with self._lock:
-            older = [waiting for waiting in self._line if waiting.source == source]
+            older = [waiting for waiting in self.line if waiting.source == source]
             excess = older[: max(len(older) - depth + 1, 0)]
             for waiting in excess:
-                self._line.remove(waiting)
+                self.line.remove(waiting)
                 self._bytes -= waiting.size
         self.add(source, message, size)
         return len(excess)
@@ -82,11 +85,11 @@ class Backlog(Generic[Message]):
 
     def pop_matching(self, wanted: Callable[[HeldMessage[Message]], bool]) -> list[HeldMessage[Message]]:
         """Remove and return the messages for which ``wanted`` returns True, in their order."""
-        if not self._line:
+        if not self.line:
             return []
         with self._lock:
-            popped = [waiting for waiting in self._line if wanted(waiting)]
-            removed = set(popped)
-            self._line = deque(waiting for waiting in self._line if waiting not in removed)
+            popped = [waiting for waiting in self.line if wanted(waiting)]
+            for waiting in popped:
+                self.line.remove(waiting)
             self._bytes -= sum(waiting.size for waiting in popped)
         return popped

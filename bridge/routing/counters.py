@@ -9,6 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from bridge.routing.shortcut import Doorway
+
 DROPS = ("queue", "rate", "stale", "bad", "large", "lost", "slow", "unknown", "standby", "held")
 """Reasons for drops, in this order: queue full, rate limit, command too old, message refused, message larger than the
 limit, lost inside zenoh or DDS, missed by a slow subscriber on the side, source unknown, this worker not (or no longer)
@@ -29,15 +31,20 @@ CARRY_BOUNDS = (2e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 2.5e-2
 
 
 class Counters:
-    """One route's counters. The route's threads write them, and any thread reads them, one value after the other."""
+    """One route's counters. The route's threads write them, and any thread reads them, one value after the other.
+
+    Attributes:
+        doorway: counts the messages that it sends, in addition.
+    """
 
     __slots__ = (
-        "_buckets", "_carried", "_carrying", "_failed_at", "_latencies", "_logged", "_mark", "_rate", "_waited",
-        "bytes", "drops", "error", "error_at", "last", "messages",
+        "_buckets", "_carried", "_carrying", "_failed_at", "_latencies", "_logged", "_mark", "_messages", "_rate",
+        "_waited", "bytes", "doorway", "drops", "error", "error_at", "last",
     )  # fmt: skip
 
     def __init__(self) -> None:
-        self.messages = 0
+        self.doorway: Doorway | None = None
+        self._messages = 0
         self.bytes = 0
         self.last = 0.0
         self.error = ""
@@ -53,9 +60,14 @@ class Counters:
         self._mark = (time.monotonic(), 0)
         self._rate = 0.0
 
+    @property
+    def messages(self) -> int:
+        """Number of messages."""
+        return self._messages if self.doorway is None else self._messages + self.doorway.messages
+
     def crossed(self, size: int) -> None:
         """Count one message of ``size`` bytes."""
-        self.messages += 1
+        self._messages += 1
         self.bytes += size
         self.last = time.monotonic()
 
@@ -64,7 +76,7 @@ class Counters:
 
         This takes 0.24 us, twice as long as `crossed`.
         """
-        self.messages += 1
+        self._messages += 1
         self.bytes += size
         now = self.last = time.monotonic()
         duration = now - since
@@ -124,16 +136,20 @@ class Counters:
         """
         late = sorted(self._latencies.copy())
         quantiles = {}
+        passed, last, carrying, carried = self.bytes, self.last, self._carrying, self._carried
+        if (doorway := self.doorway) is not None:
+            passed, last, carrying = passed + doorway.bytes, max(last, doorway.last), carrying + doorway.carrying
+            carried = [own + others for own, others in zip(carried, doorway.carried, strict=True)]
         if late:
             quantiles = {"p50": late[len(late) // 2] / 1e6, "p99": late[int(len(late) * 0.99)] / 1e6}
         return {
             "messages": self.messages,
-            "bytes": self.bytes,
+            "bytes": passed,
             "rate": round(self._rate, 2),
-            "age": round(time.monotonic() - self.last, 3) if self.last else None,
+            "age": round(time.monotonic() - last, 3) if last else None,
             "latency_ms": quantiles,
             "latency": {"buckets": list(self._buckets), "seconds": self._waited / 1e9} if late else {},
-            "carry": {"buckets": list(self._carried), "seconds": self._carrying} if self._carrying else {},
+            "carry": {"buckets": list(carried), "seconds": carrying} if carrying else {},
             "drops": dict(self.drops),
             "error": self.error,
         }

@@ -16,16 +16,17 @@ from bridge.progress import StepWatch
 from bridge.routing.edge import Edge
 from bridge.routing.election import FOREIGN, PERIOD, Election, HubView, Outcome, join
 from bridge.routing.processes import has_ended, process_name
+from bridge.routing.shortcut import Deadline
 
 
-class Lease:
+class Lease(Deadline):
     """The time ``until`` which messages may be bridged (monotonic seconds).
 
     The lease of a worker that hangs expires, so that the worker drops its backlog afterwards. ``extended`` is called
     after each extension, on the thread that extends, and may only wake other threads.
     """
 
-    __slots__ = ("extended", "until")
+    __slots__ = ("extended",)
 
     def __init__(self) -> None:
         self.until = 0.0

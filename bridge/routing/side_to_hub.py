@@ -18,8 +18,10 @@ from bridge.hub.graph.tokens import TAPS
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import LATCHED, Durability, Qos, Reliability
 from bridge.messages.errors import MessageError
-from bridge.messages.transcode.conversion import Conversion
+from bridge.messages.transcode.conversion import Conversion, native_program
+from bridge.messages.velocities import VELOCITIES
 from bridge.routing.backlog import Backlog
+from bridge.routing.counters import CARRY_BOUNDS
 from bridge.routing.decision import RouteDecision, RouteKey, native_groups
 from bridge.routing.edge import EdgeSubscription, Endpoint, Kind
 from bridge.routing.gates import EntryGate
@@ -27,6 +29,7 @@ from bridge.routing.limits import BULK, MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, P
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
+from bridge.routing.shortcut import Doorway
 from bridge.routing.stall import AgeGate
 from bridge.routing.velocities import velocity_to_hub
 from bridge.status import RouteStatus
@@ -108,6 +111,17 @@ class SideToHubRoute(TopicRoute):
         name = f"midspan-in{self.side_topic}"
         self._queues = False  # until the first large message
         self._large = BoundedQueue(name, depth, QUEUE_BYTES, self._carry_large, self.crowded_out)
+        self._doorway = self.counters.doorway = self._make_doorway()
+
+    def _make_doorway(self) -> Doorway | None:
+        """Return the shorter path for small messages; None if each message needs a check that only Python makes."""
+        convert = self.conversion.convert
+        program = None if convert is None else native_program(convert)
+        if Doorway is None or self._limit is not None or self._tells_time or self.hub_type in VELOCITIES:
+            return None
+        if convert is not None and program is None:
+            return None
+        return Doorway(self.deliver, self._lease, self.pending.line, program, self._max_payload, CARRY_BOUNDS)
 
     def update(self, endpoints: Sequence[Endpoint]) -> None:
         """Follow the side's publishers of this topic; called only by the engine's loop."""
@@ -129,6 +143,14 @@ class SideToHubRoute(TopicRoute):
             self._subscribe()
         self._followed = endpoints
         self._flush_pending()
+        self._admit_plain()
+
+    def _admit_plain(self) -> None:
+        """Let the doorway send the messages of publishers that need no special care."""
+        if self._doorway is not None and self._priority is not Priority.COMMAND:
+            for source, publisher in self._sources.items():
+                if not publisher.latched:
+                    self._doorway.admit(source, publisher.hub_publisher.sender)
 
     def _add(self, endpoint: Endpoint) -> None:
         latched = self.latches(endpoint.qos)
@@ -156,6 +178,8 @@ class SideToHubRoute(TopicRoute):
         )
 
     def _remove(self, source: str) -> None:
+        if self._doorway is not None:
+            self._doorway.dismiss(source)
         publisher = self._sources.pop(source)
         self.pending.pop_matching(lambda waiting: waiting.source == source)
         if self._static is not None and publisher.hub_publisher is self._static.publisher:
@@ -181,7 +205,8 @@ class SideToHubRoute(TopicRoute):
             depth=1 if command else stream_depth(self.conversion.target.definition),
         )
         wanted = self.policy.override(wanted)
-        self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wanted, self.deliver)
+        deliver = self._doorway or self.deliver
+        self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wanted, deliver)
 
     def _flush_pending(self) -> None:
         """Publish the held messages of known publishers, and drop the overdue ones of unknown publishers."""
@@ -189,10 +214,21 @@ class SideToHubRoute(TopicRoute):
             return
         before = self.pending.overdue(PENDING_SECONDS)
         if self.pending:
-            with self._releasing:
-                self._release()
+            self._release_first()
             for _ in self.pending.pop_matching(lambda w: w.source not in self._sources and w.since < before):
                 self.counters.dropped("unknown")
+
+    def _release_first(self, then: Callable[[], None] = lambda: None) -> None:
+        """Publish the held messages of known publishers, before all newer ones."""
+        with self._releasing:
+            if self._doorway is not None:
+                self._doorway.releasing = True
+            try:
+                self._release()
+                then()
+            finally:
+                if self._doorway is not None:
+                    self._doorway.releasing = False
 
     def _release(self) -> None:
         for waiting in self.pending.pop_matching(lambda w: w.source in self._sources):
@@ -240,9 +276,7 @@ class SideToHubRoute(TopicRoute):
         elif publisher is None:
             counters.dropped("held")
         elif self.pending or self._releasing.locked():
-            with self._releasing:
-                self._release()
-                self._pass(publisher, source, payload, time_ns, time.monotonic())
+            self._release_first(lambda: self._pass(publisher, source, payload, time_ns, time.monotonic()))
         else:
             self._pass(publisher, source, payload, time_ns, time.monotonic())
 
@@ -260,6 +294,8 @@ class SideToHubRoute(TopicRoute):
             return
         elif size > BULK or (self._queues and self._large.busy):
             self._queues = True
+            if self._doorway is not None:
+                self._doorway.open = False  # small messages would overtake this one
             self._large.put(_Message(payload, publisher, source, time_ns, since), size)
         else:
             self._carry(payload, publisher, time_ns, since)

@@ -13,6 +13,7 @@ from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, SideType
 from bridge.routing.decision import RouteKey
 from bridge.routing.hub_to_side import HubToSideRoute
+from bridge.routing.peer_watch import Lease
 from bridge.routing.rewrites import POSE_TYPE, filled_in, with_spread
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.side_to_hub import SideToHubRoute
@@ -31,7 +32,7 @@ JOINT = cast(
         small=None,
         bulk=None,
         hold=None,
-        lease=None,
+        lease=Lease(),
         stall_detector=None,
         hub=SimpleNamespace(max_payload=1000),
         edge=SimpleNamespace(clock=SimpleNamespace(simulated=False)),

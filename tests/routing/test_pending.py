@@ -419,7 +419,7 @@ def test_held_message_crosses_once_though_a_new_subscription_receives_it_again(h
     latched.put(line("2"))
 
     def held_texts() -> list[bytes]:
-        return [waiting.message.data() for waiting in tuple(route.held.latched._line)]
+        return [waiting.message.data() for waiting in tuple(route.held.latched.line)]
 
     # the first text may have been sent, and be held, twice
     until(lambda: held_texts() == [line("1"), line("2")], "both messages are held")

@@ -9,17 +9,24 @@ from __future__ import annotations
 import contextlib
 import logging
 import select
+import selectors
 import socket
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from typing_extensions import override
 
-from bridge.hub.lane.joining import Joining
+from bridge.hub.lane.joining import Joining, flush_joined
 from yarp_compat.threaded_loop import ThreadedLoop
+
+try:
+    from bridge.adapters.ros1.intake import Intake, Stream
+except ImportError:  # there was no compiler, or the system has no epoll
+    if not TYPE_CHECKING:
+        Intake = Stream = None
 
 _log = logging.getLogger(__name__)
 
@@ -38,6 +45,9 @@ class PolledConnection(ABC):
 
     joins: ClassVar[bool] = False
     """Whether reading takes so little time that earlier messages may wait meanwhile (`bridge.hub.lane.joining`)."""
+
+    stream: Stream | None = None
+    """Reads the messages, while it is direct, instead of `on_ready`."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.listens, self.paused = True, False
@@ -122,6 +132,10 @@ class ConnectionLoop(ThreadedLoop):
         super().__init__(name, self._abandon, _log)
         self._sources: dict[int, PolledConnection] = {}
         self._joining: Joining | None = None
+        self._intake: Intake | None = None
+        if Intake is not None and isinstance(self._selector, selectors.EpollSelector):
+            self._intake = Intake(self._selector.fileno(), flush_joined)
+            self._select = self._wait
 
     def add(self, source: PolledConnection) -> bool:
         """Start reading a source; return False if it is closed or the loop is stopped. Raises `OSError`."""
@@ -133,9 +147,11 @@ class ConnectionLoop(ThreadedLoop):
             # before `watch`, because the thread may call the source at once, and the source may use the loop
             self._sources[number] = source
             try:
+                if self._intake is not None and source.stream is not None:
+                    self._intake.add(number, source.stream)
                 self.watch(number, partial(self._on_ready, source))
             except BaseException:
-                del self._sources[number]
+                self._forget(number)
                 raise
             return True
 
@@ -165,8 +181,25 @@ class ConnectionLoop(ThreadedLoop):
         with self._lock:
             number = source.fileno()
             if self._sources.get(number) is source:
-                del self._sources[number]
+                self._forget(number)
                 self.unwatch(number)
+
+    def _forget(self, number: int) -> None:
+        del self._sources[number]
+        if self._intake is not None:
+            self._intake.remove(number)
+
+    def _wait(self, pause: float | None) -> list[tuple[selectors.SelectorKey, int]]:
+        """Wait like the selector, but leave only those connections to Python that need it (``intake.c``)."""
+        assert self._intake is not None
+        files, ready = self._selector.get_map(), []
+        for number, events in self._intake.wait(pause):
+            with contextlib.suppress(KeyError):  # it was removed meanwhile
+                key = files[number]
+                readable = selectors.EVENT_READ if events & ~select.EPOLLOUT else 0
+                writable = selectors.EVENT_WRITE if events & ~select.EPOLLIN else 0
+                ready.append((key, (readable | writable) & key.events))
+        return ready
 
     @override
     def step(self, seconds: float | None = None) -> None:

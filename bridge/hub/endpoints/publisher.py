@@ -14,6 +14,7 @@ from bridge.hub.endpoints.sinks import LatchedSink, PlainSink, PublisherOptions,
 from bridge.hub.endpoints.variants import Variants
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.graph.tokens import gid_of
+from bridge.hub.lane.numbering import Sender
 from bridge.hub.lane.outlet import Outlet
 from bridge.hub.lane.writer import LaneWriter
 from bridge.hub.wire.keys import ATTACHMENT, GID_SIZE, key_type, key_variant
@@ -35,7 +36,7 @@ class HubPublisher:
 
     Attributes:
         gid: the 16 bytes that identify the publisher in its samples.
-        by_lane: number of messages sent on at least one lane.
+        sender: numbers the samples. While it is ``direct`` and not ``busy``, routes may send by it instead of `put`.
     """
 
     def __init__(
@@ -53,11 +54,11 @@ class HubPublisher:
         self._outlets: tuple[Outlet, ...] = ()
         self._writer: LaneWriter | None = None
         self._why = NO_LANE
-        self.by_lane = 0
         self._limit, self._on_close = context.limit, context.closed
         self._lock = Lock()
-        self._sequence = 0
-        self._plain = partial(PlainSink, context, options=options)
+        self._graph = context.graph
+        self.sender = Sender(self.gid, context.graph.epoch)
+        self._plain = partial(PlainSink, context, options=options, matched=self.sender.match)
         self._stored: LatchedSink | None = None
         if qos.latched:
             self._latched = partial(LatchedSink, context, options=options, qos=qos)
@@ -78,6 +79,13 @@ class HubPublisher:
         if self._writer is not None:
             self._writer.add(self)
         self._withdraw = context.graph.announce(token)
+        with self._lock:
+            self._set_direct()
+
+    @property
+    def by_lane(self) -> int:
+        """Number of messages sent on at least one lane."""
+        return self.sender.by_lane
 
     def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
         """Publish CDR bytes, which begin with the encapsulation header.
@@ -91,21 +99,33 @@ class HubPublisher:
         LARGE_MESSAGES.passed(size)
         if source_time_ns is None:
             source_time_ns = time.time_ns()
+        sender = self.sender
         # the lock is held while sending, so that the numbers arrive in order
         with self._lock:
             if not self._sinks:
                 raise HubClosedError(f"publisher of {self.topic} is closed")
-            self._sequence += 1
-            attachment = _pack(self._sequence, source_time_ns, GID_SIZE, self.gid)
-            if self._outlets:
-                self.by_lane += 1
-                for outlet in self._outlets:
-                    outlet.send(attachment, payload)
+            sender.busy = True
             try:
-                for sink in self._sinks:
-                    sink.send(payload, attachment)
-            except zenoh.ZError as err:
-                raise HubClosedError(f"cannot publish on {self.topic}: {zenoh_reason(err)}") from None
+                attachment = _pack(sender.next(), source_time_ns, GID_SIZE, self.gid)
+                if self._outlets:
+                    sender.by_lane += 1
+                    for outlet in self._outlets:
+                        outlet.send(attachment, payload)
+                if not sender.is_quiet():
+                    self._send_on_keys(payload, attachment)
+            finally:
+                sender.busy = False
+
+    def _send_on_keys(self, payload: bytes, attachment: bytes) -> None:
+        matches, epoch, reached = self.sender.matches, self._graph.epoch.value, False
+        try:
+            for sink in self._sinks:
+                if sink.send(payload, attachment):
+                    reached = True
+        except zenoh.ZError as err:
+            raise HubClosedError(f"cannot publish on {self.topic}: {zenoh_reason(err)}") from None
+        if not reached:
+            self.sender.rest(epoch, matches)
 
     def pass_over(self) -> bool:
         """Count a message without encoding it, if no subscription exists; return False if it has to be `put`.
@@ -118,7 +138,7 @@ class HubPublisher:
                 raise HubClosedError(f"publisher of {self.topic} is closed")
             if self._outlets or self._stored is not None or self._any_matched():
                 return False
-            self._sequence += 1
+            self.sender.next()
             return True
 
     def matched(self) -> bool:
@@ -154,12 +174,23 @@ class HubPublisher:
             outlet.depth = max(outlet.depth, self._queue)
             if outlet not in self._outlets:
                 self._outlets += (outlet,)
-            outlet.mark(self.gid, self._sequence)
+            self.sender.direct = False
+            outlet.mark(self.gid, self.sender.sequence)
+            self._set_direct()
 
     def detach(self, outlet: Outlet) -> None:
         """Stop sending on a lane."""
         with self._lock:
             self._outlets = tuple(other for other in self._outlets if other is not outlet)
+            self._set_direct()
+
+    def _set_direct(self) -> None:
+        """Let routes send by the lanes of all readers, unless the messages are commands, or stored for late joiners."""
+        links = [(outlet.link.fast, outlet.number) for outlet in self._outlets if not outlet.command]
+        known = tuple((link, number) for link, number in links if link is not None)
+        self.sender.send_to(known)
+        plain = self._stored is None and not self._command and len(known) == len(self._outlets)
+        self.sender.direct = plain and bool(self._sinks)
 
     def follow_variants(self, variants: Variants) -> None:
         """Publish also under the other hashes that subscriptions announce, with the cached samples for latched ones."""
@@ -193,6 +224,7 @@ class HubPublisher:
                 self._more[type_hash] = sink
             if not closed:
                 self._sinks = (self._base, *self._more.values())
+                self.sender.match()
         if before is not None:
             before.close()
         if sink is not None and closed:
@@ -204,6 +236,7 @@ class HubPublisher:
             sinks, self._sinks = self._sinks, ()
             self._more.clear()
             self._outlets = ()
+            self._set_direct()
         if sinks:
             self._variants.remove(self)
             if self._writer is not None:

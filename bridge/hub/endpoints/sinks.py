@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from enum import Enum
 from functools import partial
 from typing import Any, ClassVar, Protocol
@@ -51,8 +51,11 @@ class Sink(Protocol):
     keeps: ClassVar[bool]
     """Whether it caches samples for late joiners."""
 
-    def send(self, payload: bytes, attachment: bytes) -> None:
-        """Send a sample; raises `zenoh.ZError` if the session is closed."""
+    def send(self, payload: bytes, attachment: bytes) -> bool:
+        """Send a sample; raises `zenoh.ZError` if the session is closed.
+
+        False: no other session subscribes to the key, until the graph has a new epoch or the sink reports a match.
+        """
 
     def matched(self) -> bool:
         """Return whether another session subscribes to the key."""
@@ -77,17 +80,17 @@ class Matching:
     subscriber follows its declaration.
     """
 
-    def __init__(self, publisher: zenoh.Publisher, graph: HubGraph) -> None:
-        self._publisher, self._graph = publisher, graph
+    def __init__(self, publisher: zenoh.Publisher, graph: HubGraph, matched: Callable[[], None]) -> None:
+        self._publisher, self._graph, self._matched = publisher, graph, matched
         self._listener: Any = None
         self._reported: dict[str, bool] = {}
-        self._absent: object = None
+        self._absent: int | None = None
         """The graph's epoch in which a query found no subscriber."""
 
     def reaches(self) -> bool:
         """Return whether a put might reach a subscriber; not safe for two threads at once."""
-        epoch = self._graph.epoch
-        if self._absent is epoch and not self._reported[""]:
+        epoch = self._graph.epoch.value
+        if self._absent == epoch and not self._reported[""]:
             return False
         if self.now():
             return True
@@ -106,6 +109,7 @@ class Matching:
             return True
         if _matching(self._publisher):
             self._absent = None
+            self._matched()
             return True
         return False
 
@@ -113,6 +117,7 @@ class Matching:
         """Store a reported change; runs on a zenoh thread."""
         keep_thread_state()
         self._reported[""] = bool(status.matching)
+        self._matched()
 
     def close(self) -> None:
         if self._listener is not None:
@@ -149,6 +154,7 @@ class PlainSink(Sink):
         options: PublisherOptions,
         convert: Convert | None = None,
         encoding: zenoh.Encoding | None = None,
+        matched: Callable[[], None] = lambda: None,
     ) -> None:
         self._convert = None if convert is None else _Version(key, convert)
         self._declare = partial(
@@ -161,22 +167,22 @@ class PlainSink(Sink):
             congestion_control=options.congestion, priority=options.priority, express=options.express
         )
         self._large: zenoh.Publisher | None = None
-        self._matching = Matching(self._publisher, context.graph)
+        self._matching = Matching(self._publisher, context.graph, matched)
         self._blocks = options.congestion is zenoh.CongestionControl.BLOCK
         self._put = self._publisher.put
         # the large publisher continues the count under the same id, so that subscribers see one source without gaps
         self._infos = source_infos(self._publisher)
 
     @override
-    def send(self, payload: bytes, attachment: bytes) -> None:
+    def send(self, payload: bytes, attachment: bytes) -> bool:
         if self._blocks:
             flush_joined()
         if not self._matching.reaches():
-            return
+            return False
         if self._convert is not None:
             converted = self._convert(payload)
             if converted is None:
-                return
+                return True
             payload = converted
         if len(payload) > LARGE and self._large is None and not self._blocks:
             # later messages use this publisher too, so that none overtakes the large message
@@ -184,6 +190,7 @@ class PlainSink(Sink):
             self._put = self._large.put
         prepare_to_send(len(payload))
         self._put(payload, attachment=attachment, source_info=next(self._infos))
+        return True
 
     @override
     def matched(self) -> bool:
@@ -231,8 +238,9 @@ class LatchedSink(Sink):
         self._shadow = context.session.declare_publisher(key, allowed_destination=context.reach)
 
     @override
-    def send(self, payload: bytes, attachment: bytes) -> None:
+    def send(self, payload: bytes, attachment: bytes) -> bool:
         self._send(zenoh.ZBytes(payload), attachment)
+        return True
 
     def _send(self, payload: zenoh.ZBytes, attachment: bytes) -> None:
         self.stored.append((payload, attachment))

@@ -24,6 +24,7 @@ from bridge.hub.graph.tokens import (
     relay_key,
     velocity_key,
 )
+from bridge.hub.lane.numbering import Epoch
 from bridge.hub.zenoh_compat import follow_tokens, undeclare
 
 _log = logging.getLogger(__name__)
@@ -33,7 +34,7 @@ class HubGraph:
     """Nodes, endpoints and origins. Safe to use from any thread.
 
     Attributes:
-        epoch: an object that is replaced after each token that appears or disappears, and by `renew`.
+        epoch: changes after each token that appears or disappears, and by `renew`.
         refused: number of tokens that were ignored because they are malformed or exceed the limit.
         trouble: the reason why the last of these tokens was ignored, "" if there are none.
     """
@@ -47,7 +48,7 @@ class HubGraph:
         self._origins, self._zids = announced.origins, self._table.zids  # read for each sample, without the lock
         self._own: dict[str, zenoh.LivelinessToken] = {}
         self._watches: dict[object, Callable[[], None]] = {}
-        self.epoch = object()
+        self.epoch = Epoch()
         self.refused = 0
         self.trouble = ""
         self._liveliness = session.liveliness()
@@ -250,7 +251,7 @@ class HubGraph:
 
     def renew(self) -> None:
         """Begin a new epoch, because another session may have declared subscribers."""
-        self.epoch = object()
+        self.epoch.renew()
 
     def _notify(self, changed: bool) -> None:
         self.renew()

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from functools import partial
 from threading import Lock
 
-from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES, send_later
-from bridge.hub.lane.wire import BOUND, DATA, FENCE, HEAD, MARK, PART, PIECE, SIZE, TOKEN
-from bridge.hub.wire.keys import pack_attachment
+from bridge.hub.lane.joining import MAX_JOINED_BYTES
+from bridge.hub.lane.numbering import Link
+from bridge.hub.lane.wire import BOUND, DATA, FENCE, HEAD, MARK, PART, PIECE, SAMPLE, SIZE, TOKEN
+from bridge.hub.wire.keys import ATTACHMENT_SIZE, pack_attachment
 
 _size = SIZE.pack
 _NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM)
@@ -35,6 +36,7 @@ class Outlet:
     """The lane of one key to one reader, which the publishers of that key share.
 
     Attributes:
+        number: the number that the reader assigned to the key.
         command: whether its messages are sent before all others.
         depth: maximum number of queued messages.
         dropped: number of dropped messages.
@@ -67,6 +69,9 @@ class Outlet:
 class ReaderLink:
     """A reader's connection. Safe to use from any thread; never blocks.
 
+    Attributes:
+        fast: joins and sends small messages, while it is ``ready``: nothing is queued, and the link is open.
+
     Args:
         sock: a connected, non-blocking socket.
         watch: called with True when data is queued or the link has ended, and with False when the queues are empty
@@ -81,9 +86,9 @@ class ReaderLink:
         self._lock = Lock()
         self._queued: dict[Outlet, None] = {}
         self._notes: deque[bytes] = deque()
-        self._joined: list[tuple[Outlet, bytes, bytes]] = []  # empty while anything is queued
         self._bytes = 0
         self._closed = False
+        self.fast = None if Link is None else Link(sock.fileno(), self._unsent)
 
     def send(self, outlet: Outlet, attachment: bytes, payload: bytes) -> None:
         """Send a message; see `Outlet.send`."""
@@ -91,56 +96,67 @@ class ReaderLink:
         with self._lock:
             if self._closed:
                 return
-            small = size <= MAX_JOINED_BYTES and not outlet.command
-            if small and not self._queued and not self._notes and send_later(self):
-                self._joined.append((outlet, attachment, payload))
-                if len(self._joined) >= MAX_JOINED:
-                    self._send_joined()
+            if self.fast is not None and self.fast.ready and size <= MAX_JOINED_BYTES and not outlet.command:
+                self._queue_joined(self.fast.join(outlet.number, attachment, payload))
                 return
-            if self._joined:
-                self._send_joined()
+            self._flush_joined()
             if not self._queued and not self._notes and size <= BOUND and self._put(outlet.record(attachment, payload)):
                 return
             if not self._closed:
                 self._wait(outlet, LaneMessage(attachment, payload))
 
-    def send_joined(self) -> None:
-        """Send the messages that were joined until now."""
+    def _unsent(self, record: bytes) -> None:
+        """Queue the joined messages of a record that ``fast`` could not send."""
         with self._lock:
-            if self._joined:
-                self._send_joined()
+            self._queue_joined(record)
 
-    def _send_joined(self) -> None:
-        joined, self._joined = self._joined, []
-        parts: list[bytes] = []
-        for outlet, attachment, payload in joined:
-            parts += (outlet.head, _size(len(payload)), attachment, payload)
-        if not self._put(b"".join(parts)):
-            for outlet, attachment, payload in () if self._closed else joined:
-                self._wait(outlet, LaneMessage(attachment, payload))
+    def _queue_joined(self, record: bytes | None) -> None:
+        """Queue the messages of a record, unless it can be sent now; None: there is none."""
+        if record is None or self._closed:
+            return
+        if not self._queued and not self._notes and self._put(record):
+            self._ready()
+            return
+        at, whole = 0, len(record)
+        while at < whole and not self._closed:
+            _, number, size, *_ = SAMPLE.unpack_from(record, at)
+            begin = at + SAMPLE.size
+            outlet = self.outlets.get(number)
+            if outlet is not None:
+                self._wait(outlet, LaneMessage(record[begin - ATTACHMENT_SIZE : begin], record[begin : begin + size]))
+            at = begin + size
+
+    def _flush_joined(self) -> None:
+        if self.fast is not None:
+            self._queue_joined(self.fast.flush())
+
+    def _ready(self) -> None:
+        """Let ``fast`` send, unless something else has to be sent before."""
+        if self.fast is not None:
+            self.fast.ready = not (self._closed or self._queued or self._notes)
 
     def note(self, record: bytes) -> None:
         """Send a record before all queued messages."""
         with self._lock:
-            if self._joined:
-                self._send_joined()
+            self._flush_joined()
             if self._closed:
                 return
             if self._notes or not self._put(record):
                 self._notes.append(record)
+                self._ready()
                 self._watch(True)
 
     def fence(self, outlet: Outlet, record: bytes) -> None:
         """Send a fence; see `Outlet.fence`."""
         with self._lock:
-            if self._joined:
-                self._send_joined()
+            self._flush_joined()
             if self._closed:
                 return
             if outlet.queue or not self._put(record):
                 outlet.queue.append(LaneMessage(b"", b"", record))
                 outlet.fences += 1
                 self._queued[outlet] = None
+                self._ready()
                 self._watch(True)
 
     def flush(self) -> None:
@@ -155,6 +171,7 @@ class ReaderLink:
                     if not self._send_next(outlet):
                         return
                 del self._queued[outlet]
+            self._ready()
             self._watch(False)
 
     def drop_queue(self, outlet: Outlet) -> None:
@@ -164,6 +181,7 @@ class ReaderLink:
             self._bytes -= sum(len(message.payload) for message in outlet.queue)
             outlet.queue.clear()
             outlet.fences = 0
+            self._ready()
 
     def close(self) -> None:
         """Close the connection, which the reader detects. Safe to call twice."""
@@ -171,7 +189,8 @@ class ReaderLink:
             self._closed = True
             self._queued.clear()
             self._notes.clear()
-            self._joined.clear()
+            if self.fast is not None:
+                self.fast.close()
         with contextlib.suppress(OSError):
             self.sock.shutdown(socket.SHUT_RDWR)
 
@@ -188,6 +207,7 @@ class ReaderLink:
         if not self._queued:
             self._watch(True)
         self._queued[outlet] = None
+        self._ready()
 
     def _send_next(self, outlet: Outlet) -> bool:
         """Send the first message of a queue; return False if the socket is full."""
@@ -223,6 +243,7 @@ class ReaderLink:
         except OSError as err:
             if err.errno not in _NO_MEMORY:
                 self._closed = True
+                self._ready()
                 self._watch(True)
             return False
         return True

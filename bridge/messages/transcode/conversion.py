@@ -97,6 +97,16 @@ def make_vm(program: ConversionProgram) -> VirtualMachine:
     return VirtualMachine(*program.assemble(), partial(_error, program))
 
 
+def native_program(convert: Convert) -> tuple[bool, int, int, bytes, bytes] | None:
+    """Return what C code needs for a conversion: whether it only checks, and `VirtualMachine.program`.
+
+    None: the conversion needs Python.
+    """
+    machine = getattr(convert, "__self__", None)
+    program = machine.program if isinstance(machine, VirtualMachine) else None
+    return None if program is None else (convert == machine.check, *program)  # type: ignore[union-attr]  # not None
+
+
 def _error(program: ConversionProgram, fault: int) -> ConversionError:
     number = (-fault >> FAULT_BITS) & ((1 << INSTRUCTION_BITS) - 1)
     byte = -fault >> (FAULT_BITS + INSTRUCTION_BITS)

@@ -450,6 +450,13 @@ class VirtualMachine:
         # a message that is not dirty differs from its normal form only by the slack after it
         return self._write(message, size & ~_DIRTY) if size & _DIRTY else message[:size]
 
+    @property
+    def program(self) -> tuple[int, int, bytes, bytes] | None:
+        """For C code: the address of `_run`, `opcodes.DIRTY`, and the first two arguments; None in uncompiled code."""
+        if not cython.compiled:
+            return None
+        return cython.cast(cython.size_t, cython.cast(cython.p_void, _run)), _DIRTY, self._words, self._literals
+
     @cython.cfunc
     def _measure(self, message: bytes) -> cython.longlong:
         """Check a message; return the size of its converted form, with `opcodes.DIRTY` set if the message is dirty."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import selectors
 import socket
 import struct
@@ -14,8 +15,7 @@ import pytest
 from bridge.adapters.ros1.connection_loop import ConnectionLoop, PolledConnection, receive_now
 from bridge.adapters.ros1.topics.connection import PublisherConnection
 from bridge.adapters.ros1_peers import DeadlineSocket
-from bridge.hub.lane.joining import send_later
-from tests.peers.hub.lane import Link
+from tests.peers.hub.lane import JoinedLane
 from tests.support.wait import until
 
 
@@ -68,7 +68,8 @@ class Crowd:
             DeadlineSocket(fileno=ours.detach()),
             f"/t{number}",
             "http://x/",
-            deliver or on_message,
+            lambda payload, _source, _time: (deliver or on_message)(payload),
+            "the publisher",
             lambda trouble: self.ended.append((number, trouble)),
             lambda *_: None,
             loop=self.loop,
@@ -115,14 +116,19 @@ def test_one_thread_reads_all_connections(crowd: Crowd) -> None:
 
 
 def test_messages_are_joined_until_the_loop_waits_again(crowd: Crowd) -> None:
-    sent = threading.Event()
-    joined: list[bool] = []
+    sent: list[bool] = []
 
-    link = Link(sent.set)
-    crowd.add(lambda _: joined.append(send_later(link))).sendall(frame(b"x"))
-    assert sent.wait(20.0)
-    assert joined == [True]
-    assert not send_later(link), "this thread does not join messages"
+    def deliver(_: bytes) -> None:
+        lane.put()
+        sent.append(lane.sent())
+
+    with contextlib.closing(JoinedLane()) as lane:
+        crowd.add(deliver).sendall(frame(b"x"))
+        until(lane.sent, "the joined message is sent", 20)
+        assert sent == [False]
+    with contextlib.closing(JoinedLane()) as lane:
+        lane.put()
+        assert lane.sent(), "this thread does not join messages"
 
 
 def test_joined_messages_do_not_wait_for_a_service_call(crowd: Crowd) -> None:
@@ -131,7 +137,7 @@ def test_joined_messages_do_not_wait_for_a_service_call(crowd: Crowd) -> None:
 
     class Call(PolledConnection):
         def on_ready(self) -> Callable[[], None] | None:
-            sent.append(False)
+            sent.append(lane.sent())
             return self.abandon
 
         def abandon(self) -> None:
@@ -143,13 +149,14 @@ def test_joined_messages_do_not_wait_for_a_service_call(crowd: Crowd) -> None:
     theirs.sendall(b"x")
 
     def deliver(_: bytes) -> None:
-        send_later(link)
+        lane.put()
         crowd.loop._on_ready(call)  # in the same pass of the loop
 
-    link, call = Link(lambda: sent.append(True)), Call(ours)
-    crowd.add(deliver).sendall(frame(b"x"))
-    assert ended.wait(20.0)
-    assert sent == [True, False]
+    call = Call(ours)
+    with contextlib.closing(JoinedLane()) as lane:
+        crowd.add(deliver).sendall(frame(b"x"))
+        assert ended.wait(20.0)
+        assert sent == [True]
 
 
 def test_a_connection_with_a_large_message_gets_a_separate_thread(crowd: Crowd) -> None:

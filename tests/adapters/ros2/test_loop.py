@@ -13,12 +13,11 @@ import pytest
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.loop import TAKES_PER_TURN, EndpointReader, QueueReadLoop
 from bridge.adapters.ros2.topics.subscription import ClassReader
-from bridge.hub.lane.joining import send_later
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import Kind
 from tests.adapters.ros2.conftest import RunningEdge, string, text
-from tests.peers.hub.lane import Link
+from tests.peers.hub.lane import JoinedLane
 from tests.peers.peer import Peer
 from tests.support.wait import until
 
@@ -77,21 +76,26 @@ def test_a_burst_longer_than_one_cycle_arrives_complete(edge: RunningEdge, peer:
 
 
 def test_messages_are_joined_until_the_loop_waits_again(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
-    sent = threading.Event()
-    joined: list[bool] = []
+    sent: list[bool] = []
 
-    link = Link(sent.set)
-    edge.edge.subscribe("/joined", edge.type(STRING), Qos(), lambda _p, _s, _t: joined.append(send_later(link)))
+    def deliver(_payload: bytes, _source: str, _time: int | None) -> None:
+        if not sent:
+            lane.put()
+            sent.append(lane.sent())
+
+    lane = JoinedLane()
+    edge.edge.subscribe("/joined", edge.type(STRING), Qos(), deliver)
     native = peer()
     publisher = native.advertise("/joined", "std_msgs/String")
 
     def received() -> bool:
         native.publish(publisher, {"data": "x"})
-        return bool(joined)
+        return bool(sent)
 
     until(received, "a message arrives")
-    assert joined[0]
-    assert sent.wait(20.0)
+    assert sent == [False]
+    until(lane.sent, "the joined message is sent")
+    lane.close()
 
 
 def test_joined_messages_do_not_wait_for_calls() -> None:
@@ -109,15 +113,15 @@ def test_joined_messages_do_not_wait_for_calls() -> None:
 
         def drain(self, _taker: rcl.Taker, _limit: int) -> None:
             if self.small:
-                send_later(link)
+                lane.put()
             else:
-                order.append("served")
+                order.append("sent" if lane.sent() else "joined")
                 served.set()
 
         def destroy(self) -> None:
             pass
 
-    link, loop = Link(lambda: order.append("sent")), QueueReadLoop()
+    lane, loop = JoinedLane(), QueueReadLoop()
     for reader in (Reader(small=True), Reader(small=False)):
         loop.add(reader)
         assert reader.waker is not None
@@ -126,7 +130,8 @@ def test_joined_messages_do_not_wait_for_calls() -> None:
     loop.start()
     assert served.wait(20.0)
     loop.stop()
-    assert order == ["sent", "served"]
+    lane.close()
+    assert order == ["sent"]
 
 
 def test_large_messages_of_any_size_arrive_whole(edge: RunningEdge, peer: Callable[..., Peer]) -> None:

@@ -73,8 +73,9 @@ def _frames() -> Subject:
         messages: list[bytes] = []
         with _wire(data) as sock:
             reader = module.PublisherConnection(
-                _Addressed.adopt(sock, math.inf), "/t", "http://x/", messages.append, print, print
-            )
+                _Addressed.adopt(sock, math.inf), "/t", "http://x/", lambda payload, *_: messages.append(payload), "",
+                print, print,
+            )  # fmt: skip
             try:
                 reader._read()
             finally:

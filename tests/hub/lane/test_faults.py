@@ -115,7 +115,7 @@ def test_partial_message_is_not_delivered(network: HubNetwork, tmp_path: Path) -
             listener.close()
             goes_by(subscriber, "zenoh")
             matched(publisher)
-            publisher._sequence = 1
+            publisher.sender.sequence = 1
             publisher.put(b"by zenoh")
             subscriber.expect("whole", "by zenoh")
 

@@ -29,6 +29,7 @@ class Pair:
         self.watched: list[bool] = []
         self.link = ReaderLink(self.near, self.watched.append)
         self.stream, self.command = Outlet(self.link, 1, "0/stream/t/h"), Outlet(self.link, 2, "0/command/t/h")
+        self.link.outlets.update({1: self.stream, 2: self.command})
         self.stream.depth, self.command.command = 10, True
 
     def send(self, outlet: Outlet, number: int, size: int = 1000) -> None:
@@ -178,7 +179,7 @@ def test_joined_messages_are_not_overtaken(pair: Pair, joining: Joining) -> None
 
     pair.send(pair.stream, 1)
     elsewhere(lambda: pair.send(pair.stream, 2))
-    assert pair.records() == [[(1, 1)], [(1, 2)]]
+    assert pair.records() == [[(1, 1), (1, 2)]], "a thread that does not join messages sends all of them"
     pair.send(pair.stream, 3)
     pair.send(pair.command, 1)
     assert pair.records() == [[(1, 3)], [(2, 1)]], "a command does not wait"

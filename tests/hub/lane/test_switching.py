@@ -14,13 +14,13 @@ from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.sinks import Matching
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.lane.inlet import Inlet, LaneReader
-from bridge.hub.lane.joining import Joining, send_later
+from bridge.hub.lane.joining import Joining
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.session import Hub, HubSession
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
 from tests.peers.hub.endpoints import HASH, LATCHED, TYPE, Subscriber, advertise, matched
-from tests.peers.hub.lane import Link, goes_by, subscription, whole
+from tests.peers.hub.lane import goes_by, subscription, whole
 from tests.peers.hub.network import HubNetwork
 from tests.peers.peer import Peer
 from tests.peers.zenoh.rmw import RmwSubscription
@@ -104,14 +104,15 @@ def test_other_subscribers_receive_lane_messages(network: HubNetwork, reader: Hu
             receiver.expect("x")
 
 
-def test_joined_messages_do_not_wait_for_a_publisher_that_blocks(writer: Hub) -> None:
-    sent: list[bool] = []
-
-    joining, blocks = Joining(), advertise(writer, "/t", Qos(history=History.KEEP_ALL))
+def test_joined_messages_do_not_wait_for_a_publisher_that_blocks(reader: Hub, writer: Hub) -> None:
+    subscriber, ours = Subscriber(reader, "/t"), advertise(writer, "/t")
+    blocks = advertise(writer, "/blocks", Qos(history=History.KEEP_ALL))
+    until(lambda: ours.way() == ("lane", ""), "the publisher uses the lane")
+    joining = Joining()
     try:
-        assert send_later(Link(lambda: sent.append(True)))
+        ours.put(b"joined")
         blocks.put(b"x")
-        assert sent
+        subscriber.expect("joined")
     finally:
         joining.end()
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import socket
 from collections import Counter
-from collections.abc import Callable
 from itertools import pairwise
 
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
+from bridge.hub.lane.links import Link
+from bridge.hub.lane.wire import ROOM
+from bridge.hub.wire.keys import ATTACHMENT_SIZE
 from tests.peers.hub.endpoints import Subscriber
 from tests.support.wait import until
 
@@ -40,8 +43,26 @@ def whole(texts: list[str]) -> None:
     assert (missing, twice, back) == ([], [], []), f"of {len(numbers)} missing {missing}, twice {twice}, behind {back}"
 
 
-class Link:
-    """A reader's connection that only reports when its joined messages are sent."""
+class JoinedLane:
+    """A lane with one reader, for messages that a thread joins."""
 
-    def __init__(self, send_joined: Callable[[], object]) -> None:
-        self.send_joined = send_joined
+    def __init__(self) -> None:
+        self._near, self._far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._far.setblocking(False)
+        self._link = Link(self._near.fileno(), lambda _record: None)
+
+    def put(self) -> None:
+        """Send a message, or join it if the thread joins messages."""
+        self._link.join(1, bytes(ATTACHMENT_SIZE), b"x")
+
+    def sent(self) -> bool:
+        """Return whether the reader has a message, which stays there."""
+        try:
+            return bool(self._far.recv(ROOM, socket.MSG_PEEK))
+        except BlockingIOError:
+            return False
+
+    def close(self) -> None:
+        self._link.close()
+        self._near.close()
+        self._far.close()

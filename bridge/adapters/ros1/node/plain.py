@@ -207,7 +207,7 @@ class PlainNode:
             _log.warning("%s publishes a different %s on %s, which is not read", node, header.get("type"), topic)
             return
         reader = PublisherConnection(
-            sock, topic, uri, lambda payload: subscription.deliver(payload, uri),
+            sock, topic, uri, lambda payload, _source, _time: subscription.deliver(payload, uri), uri,
             lambda _trouble: self._on_end(subscription, uri, reader), lambda _reason, _why: None, subscription.limit,
             self._loop,
         )  # fmt: skip

@@ -42,9 +42,7 @@ class SubscribedTopic:
 
     def bus_stats(self) -> list[Any]:
         """Return an entry of ``getBusStats``; messages that are too large to be delivered count as dropped."""
-        connections = [
-            [c.id, figure(c.bytes), figure(c.messages), figure(c.dropped), not c.done] for c in self.connections
-        ]
+        connections = [[c.id, *map(figure, c.counts()), figure(c.dropped), not c.done] for c in self.connections]
         return [self.topic, connections]
 
 

@@ -35,6 +35,10 @@ class TopicConnection(PolledConnection):
         self._far, self._near = sock.getpeername(), sock.getsockname()
         super().__init__(sock)
 
+    def counts(self) -> tuple[int, int]:
+        """Return the numbers of bytes and messages so far."""
+        return self.bytes, self.messages
+
     @property
     def host(self) -> str:
         """The peer's address and port."""

@@ -11,9 +11,10 @@ from collections.abc import Callable
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.connection_loop import ConnectionLoop, is_readable, receiver
+from bridge.adapters.ros1.connection_loop import ConnectionLoop, Stream, is_readable, receiver
 from bridge.adapters.ros1.topics.bus import TopicConnection
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
+from bridge.routing.edge import Deliver
 
 _log = logging.getLogger(__name__)
 
@@ -35,18 +36,21 @@ class PublisherConnection(TopicConnection):
     """Reads one publisher's messages until the connection ends.
 
     The loop's thread reads them until a large message arrives; from then on, or without a loop, a separate thread reads
-    them. ``dropped`` is the number of messages above the limit, which are not delivered.
+    them. ``dropped`` is the number of messages above the limit, which are not delivered. ``source`` identifies the
+    publisher in calls of ``deliver(payload, source, None)``.
     """
 
     direction, joins = "i", True
 
     def __init__(
-        self, sock: DeadlineSocket, topic: str, uri: str, deliver: Callable[[bytes], None],
+        self, sock: DeadlineSocket, topic: str, uri: str, deliver: Deliver, source: str,
         ended: Callable[[str], None], refused: Refused, limit: int = MAX_MESSAGE, loop: ConnectionLoop | None = None,
     ) -> None:  # fmt: skip
         super().__init__(sock, uri)  # its lock decides which thread closes the socket
-        self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
+        self._deliver, self._source, self._ended, self._refused, self._limit = deliver, source, ended, refused, limit
         self._loop, self._partial = loop, b""
+        if Stream is not None and loop is not None:
+            self.stream = Stream(deliver, source, min(limit, _LARGE))
         self._receive = receiver(self._sock, _CHUNK)
         self._started = self._has_partial = False
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
@@ -73,10 +77,18 @@ class PublisherConnection(TopicConnection):
         with self._lock:  # prevents closing the socket meanwhile
             if self.done:
                 return False
-            return not self._started or self._has_partial or bool(self._partial) or is_readable(self._sock)
+            reading = self.stream is not None and self.stream.reading
+            return not self._started or reading or self._has_partial or bool(self._partial) or is_readable(self._sock)
+
+    @override
+    def counts(self) -> tuple[int, int]:
+        size, messages = super().counts()
+        return (size, messages) if self.stream is None else (size + self.stream.bytes, messages + self.stream.messages)
 
     def close(self) -> None:
         """Stop reading; nothing is delivered from now on."""
+        if self.stream is not None:
+            self.stream.direct = False
         with self._lock:
             self.done = True
             with contextlib.suppress(OSError):
@@ -134,24 +146,28 @@ class PublisherConnection(TopicConnection):
 
     def _deliver_small(self) -> bool:
         """Deliver small messages; return whether a large message is next. Raises `BlockingIOError` without data."""
-        more = self._receive()
+        stream, small = self.stream, min(self._limit, MAX_MESSAGE, _LARGE)
+        more = b""
+        if stream is not None and stream.reading:
+            self._has_partial = True
+            more = stream.take()
+        more = more or self._receive()
         if not more:
             raise ConnectionResetError(_CLOSED)
         self._has_partial = True
-        buffer, at, small = self._partial + more if self._partial else more, 0, min(self._limit, MAX_MESSAGE, _LARGE)
+        buffer, at = self._partial + more if self._partial else more, 0
         end = len(buffer)
         while (begin := at + 4) <= end:
             (size,) = _LENGTH.unpack_from(buffer, at)
             if size > small or end - begin < size:
                 break
             at = begin + size
-            self.bytes += size + 4
-            self.messages += 1
-            if not self.done:
-                self._deliver(buffer[begin:at])
+            self._hand_over(buffer[begin:at])
         else:
             size = 0
         self._partial = buffer[at:]
+        if stream is not None:
+            stream.direct = not (self._partial or self.done)
         self._has_partial = bool(size > small)
         return self._has_partial
 
@@ -159,7 +175,7 @@ class PublisherConnection(TopicConnection):
         self.bytes += len(payload) + 4
         self.messages += 1
         if not self.done:
-            self._deliver(payload)
+            self._deliver(payload, self._source, None)
 
     def _read(self, buffer: bytes = b"") -> None:
         """Read small messages in chunks; after a large message, read the next in one piece, without a copy."""

@@ -169,7 +169,7 @@ class Publication:
         return [
             self.topic,
             figure(self.published),
-            [[c.id, figure(c.bytes), figure(c.messages), not c.done] for c in self._connections],
+            [[c.id, *map(figure, c.counts()), not c.done] for c in self._connections],
         ]
 
 

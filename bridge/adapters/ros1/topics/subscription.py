@@ -146,8 +146,7 @@ class Ros1Subscription:
             endpoint = publisher_id(link, latching=facts.latching)
             try:
                 reader = PublisherConnection(
-                    sock, self.topic, link.uri,
-                    lambda payload: self._deliver(payload, endpoint, None),
+                    sock, self.topic, link.uri, self._deliver, endpoint,
                     lambda trouble: self._ended(link, source, reader, trouble),
                     self._refused, self._context.limit, self._context.loop,
                 )  # fmt: skip

@@ -32,7 +32,8 @@ class Connection:
             DeadlineSocket(fileno=ours.detach()),
             "/t",
             "http://x/",
-            self.messages.append,
+            lambda payload, _source, _time: self.messages.append(payload),
+            "the publisher",
             self.ended,
             self.refused,
             limit=limit,
@@ -96,8 +97,7 @@ def test_messages_arrive_complete_and_in_order(connection, sizes, piece):
     for at in range(0, len(stream), piece):
         connection.publisher.sendall(stream[at : at + piece])
     assert connection.finish() == expected
-    assert connection.reader.messages == len(expected)
-    assert connection.reader.bytes == len(stream)
+    assert connection.reader.counts() == (len(stream), len(expected))
     assert "closed" in connection.trouble
 
 
@@ -139,7 +139,8 @@ def test_an_announced_length_allocates_no_memory():
         "with socket.create_server(('127.0.0.1', 0)) as listener:\n"
         "    ours = socket.create_connection(listener.getsockname())\n"
         "    publisher, _ = listener.accept()\n"
-        "reader = PublisherConnection(DeadlineSocket(fileno=ours.detach()), '/t', 'http://x/', print, print, print)\n"
+        "sock = DeadlineSocket(fileno=ours.detach())\n"
+        "reader = PublisherConnection(sock, '/t', 'http://x/', print, '', print, print)\n"
         "pages = int(open('/proc/self/statm').read().split()[0])\n"
         "resource.setrlimit(resource.RLIMIT_AS, (pages * 4096 + (64 << 20), resource.RLIM_INFINITY))\n"
         "publisher.sendall(struct.pack('<I', 500 << 20) + b'x')\n"
@@ -183,6 +184,6 @@ def test_a_reader_that_has_not_been_started_has_unread_messages():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         ours = socket.create_connection(listener.getsockname())
         sock = DeadlineSocket(fileno=ours.detach())
-        reader = PublisherConnection(sock, "/t", "http://x/", bytes, str, lambda *_: None)
+        reader = PublisherConnection(sock, "/t", "http://x/", print, "", str, lambda *_: None)
         assert reader.unread
         reader.close()

@@ -1,0 +1,338 @@
+/* The way of a small message into the hub without the interpreter: the checks of a route, its conversion and counters.
+ *
+ * A route admits its plain publishers to its doorway. Everything runs while the interpreter's lock is held. A message
+ * that is not plain (a held message, an expired lease, a failing conversion, ...) is left to the route's `deliver`.
+ */
+
+#define PY_SSIZE_T_CLEAN
+#include "../hub/lane/links.h"
+#include <string.h>
+#include <structmember.h>
+
+#ifndef _WIN32 /* Windows has no lanes */
+#include <time.h>
+
+enum { MAX_BOUNDS = 15 };
+
+typedef int64_t (*Run)(const int64_t *words, const unsigned char *literals, const unsigned char *source, int64_t size,
+                       unsigned char *target, int write); /* bridge.messages.transcode.vm._run */
+
+typedef struct {
+    PyObject_HEAD
+    double until;
+} Deadline;
+
+typedef struct {
+    PyObject_HEAD
+    PyObject *deliver, *held, *senders, *program;
+    Deadline *lease;
+    Run run; /* NULL if the bytes are the same on the hub */
+    const int64_t *words;
+    const unsigned char *literals;
+    bool checks; /* the bytes are the same if they are not dirty */
+    int64_t dirty;
+    Py_ssize_t limit;
+    char open, releasing;
+    long long messages, bytes;
+    double last, carrying;
+    int bounds;
+    double bound[MAX_BOUNDS];
+    long long carried[MAX_BOUNDS + 1];
+} Doorway;
+
+/* A message that is being converted. */
+typedef struct {
+    const Doorway *doorway;
+    const unsigned char *bytes;
+    int64_t size, converted;
+    bool copies;
+} Message;
+
+static PyTypeObject *deadline_type;
+static const LinksApi *links;
+
+static double seconds(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+static int64_t system_ns(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_REALTIME, &now);
+    return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
+}
+
+static void release(PyObject *self)
+{
+    PyTypeObject *type = Py_TYPE(self);
+    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
+    Py_DECREF(type);
+}
+
+static void count(Doorway *doorway, int64_t size, double since)
+{
+    double now = seconds();
+    int bucket = 0;
+    while (bucket < doorway->bounds && doorway->bound[bucket] < now - since) {
+        bucket++;
+    }
+    doorway->carried[bucket]++;
+    doorway->carrying += now - since;
+    doorway->messages++;
+    doorway->bytes += size;
+    doorway->last = now;
+}
+
+/* Returns the sender of a source if nothing prevents its messages from being sent now. */
+static PyObject *ready_sender(Doorway *doorway, PyObject *source, double now)
+{
+    if (!doorway->open || doorway->releasing || now > doorway->lease->until || PyObject_Size(doorway->held) != 0) {
+        return NULL;
+    }
+    PyObject *sender = PyDict_GetItemWithError(doorway->senders, source);
+    return sender != NULL && links->is_ready(sender) ? sender : NULL;
+}
+
+/* Checks a message and measures its converted form; returns false if Python has to handle it. */
+static bool measure(Message *message)
+{
+    const Doorway *doorway = message->doorway;
+    message->copies = doorway->run == NULL;
+    message->converted = message->size;
+    if (!message->copies) {
+        int64_t measured = doorway->run(doorway->words, doorway->literals, message->bytes, message->size, NULL, 0);
+        if (measured < 0) {
+            return false;
+        }
+        message->copies = doorway->checks && (measured & doorway->dirty) == 0;
+        message->converted = measured & ~doorway->dirty;
+    }
+    return message->converted <= doorway->limit;
+}
+
+static void write_message(void *context, char *place)
+{
+    const Message *message = context;
+    const Doorway *doorway = message->doorway;
+    if (message->copies) {
+        memcpy(place, message->bytes, (size_t)message->converted);
+    } else {
+        doorway->run(doorway->words, doorway->literals, message->bytes, message->size, (unsigned char *)place, 1);
+    }
+}
+
+/* Sends a message, and returns true; or returns false, and has done nothing. */
+static bool send_message(Doorway *doorway, PyObject *payload, PyObject *source, PyObject *time)
+{
+    double since = seconds();
+    Message message = {doorway, (const unsigned char *)PyBytes_AsString(payload), PyBytes_Size(payload), 0, false};
+    PyObject *sender = message.size > doorway->limit ? NULL : ready_sender(doorway, source, since);
+    if (sender == NULL || !measure(&message)) {
+        return false;
+    }
+    int64_t time_ns = time == Py_None ? system_ns() : PyLong_AsLongLong(time);
+    if (time_ns == -1 && PyErr_Occurred()) {
+        return false;
+    }
+    count(doorway, message.converted, since);
+    Py_INCREF(sender);
+    links->send(sender, time_ns, (size_t)message.converted, write_message, &message);
+    Py_DECREF(sender);
+    return true;
+}
+
+static PyObject *doorway_call(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
+{
+    Doorway *doorway = (Doorway *)self;
+    PyObject *payload, *source, *time;
+    if (!PyArg_UnpackTuple(args, "deliver", 3, 3, &payload, &source, &time)) {
+        return NULL;
+    }
+    if (PyBytes_CheckExact(payload) && send_message(doorway, payload, source, time)) {
+        Py_RETURN_NONE;
+    }
+    return PyErr_Occurred() ? NULL : PyObject_CallObject(doorway->deliver, args);
+}
+
+static PyObject *doorway_carried(PyObject *self, void *Py_UNUSED(closure))
+{
+    Doorway *doorway = (Doorway *)self;
+    PyObject *list = PyList_New(doorway->bounds + 1);
+    for (int at = 0; list != NULL && at <= doorway->bounds; at++) {
+        PyObject *number = PyLong_FromLongLong(doorway->carried[at]);
+        if (number == NULL || PyList_SetItem(list, at, number) < 0) {
+            Py_CLEAR(list);
+        }
+    }
+    return list;
+}
+
+static int set_program(Doorway *doorway, PyObject *program)
+{
+    unsigned long long run;
+    long long dirty;
+    int checks;
+    PyObject *words, *literals;
+    if (program == Py_None) {
+        return 0;
+    }
+    if (!PyArg_ParseTuple(program, "pKLSS", &checks, &run, &dirty, &words, &literals)) {
+        return -1;
+    }
+    doorway->checks = checks != 0;
+    doorway->run = (Run)(uintptr_t)run;
+    doorway->dirty = dirty;
+    doorway->words = (const int64_t *)(const void *)PyBytes_AsString(words);
+    doorway->literals = (const unsigned char *)PyBytes_AsString(literals);
+    return 0;
+}
+
+static int doorway_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
+{
+    Doorway *doorway = (Doorway *)self;
+    PyObject *deliver, *lease, *held, *program, *bounds;
+    Py_ssize_t limit;
+    if (!PyArg_ParseTuple(args, "OO!OOnO!", &deliver, deadline_type, &lease, &held, &program, &limit, &PyTuple_Type,
+                          &bounds)) {
+        return -1;
+    }
+    if (PyTuple_Size(bounds) > MAX_BOUNDS || doorway->deliver != NULL) {
+        PyErr_SetString(PyExc_ValueError, "a route has one doorway, with at most 15 bounds");
+        return -1;
+    }
+    for (Py_ssize_t at = 0; at < PyTuple_Size(bounds); at++) {
+        doorway->bound[at] = PyFloat_AsDouble(PyTuple_GetItem(bounds, at));
+    }
+    doorway->bounds = (int)PyTuple_Size(bounds);
+    doorway->senders = PyDict_New();
+    if (PyErr_Occurred() || set_program(doorway, program) < 0) {
+        return -1;
+    }
+    doorway->deliver = Py_NewRef(deliver);
+    doorway->held = Py_NewRef(held);
+    doorway->program = Py_NewRef(program);
+    doorway->lease = (Deadline *)Py_NewRef(lease);
+    doorway->limit = limit < MAX_JOINED_BYTES ? limit : MAX_JOINED_BYTES;
+    doorway->open = 1;
+    return 0;
+}
+
+static PyObject *doorway_admit(PyObject *self, PyObject *args)
+{
+    PyObject *source, *sender;
+    if (!PyArg_ParseTuple(args, "OO!", &source, links->sender_type, &sender) ||
+        PyDict_SetItem(((Doorway *)self)->senders, source, sender) < 0) {
+        return NULL;
+    }
+    Py_RETURN_NONE;
+}
+
+static PyObject *doorway_dismiss(PyObject *self, PyObject *source)
+{
+    PyObject *senders = ((Doorway *)self)->senders;
+    if (PyDict_GetItemWithError(senders, source) != NULL) {
+        PyDict_DelItem(senders, source);
+    }
+    return PyErr_Occurred() ? NULL : Py_NewRef(Py_None);
+}
+
+static int doorway_traverse(PyObject *self, visitproc visit, void *arg)
+{
+    Doorway *doorway = (Doorway *)self;
+    Py_VISIT(doorway->deliver);
+    Py_VISIT(doorway->held);
+    Py_VISIT(doorway->senders);
+    Py_VISIT(Py_TYPE(self));
+    return 0;
+}
+
+static int doorway_clear(PyObject *self)
+{
+    Doorway *doorway = (Doorway *)self;
+    doorway->open = 0;
+    Py_CLEAR(doorway->deliver);
+    Py_CLEAR(doorway->held);
+    Py_CLEAR(doorway->senders);
+    return 0;
+}
+
+static void doorway_dealloc(PyObject *self)
+{
+    PyObject_GC_UnTrack(self);
+    doorway_clear(self);
+    Py_XDECREF(((Doorway *)self)->program);
+    Py_XDECREF((PyObject *)((Doorway *)self)->lease);
+    release(self);
+}
+
+/* -- the module -- */
+
+static PyMemberDef deadline_members[] = {{"until", T_DOUBLE, offsetof(Deadline, until), 0, NULL}, {NULL}};
+static PyType_Slot deadline_slots[] = {
+    {Py_tp_new, PyType_GenericNew}, {Py_tp_dealloc, release}, {Py_tp_members, deadline_members}, {0, NULL},
+};
+static PyType_Spec deadline_spec = {
+    "bridge.routing.doorway.Deadline", sizeof(Deadline), 0, Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE, deadline_slots,
+};
+
+static PyMemberDef doorway_members[] = {
+    {"open", T_BOOL, offsetof(Doorway, open), 0, NULL},
+    {"releasing", T_BOOL, offsetof(Doorway, releasing), 0, NULL},
+    {"messages", T_LONGLONG, offsetof(Doorway, messages), READONLY, NULL},
+    {"bytes", T_LONGLONG, offsetof(Doorway, bytes), READONLY, NULL},
+    {"last", T_DOUBLE, offsetof(Doorway, last), READONLY, NULL},
+    {"carrying", T_DOUBLE, offsetof(Doorway, carrying), READONLY, NULL},
+    {NULL},
+};
+static PyGetSetDef doorway_getters[] = {{"carried", doorway_carried, NULL, NULL, NULL}, {NULL}};
+static PyMethodDef doorway_methods[] = {
+    {"admit", doorway_admit, METH_VARARGS, "Send the messages of a source by a sender, while nothing prevents it."},
+    {"dismiss", doorway_dismiss, METH_O, "End that."},
+    {NULL, NULL, 0, NULL},
+};
+static PyType_Slot doorway_slots[] = {
+    {Py_tp_new, PyType_GenericNew}, {Py_tp_init, doorway_init}, {Py_tp_dealloc, doorway_dealloc},
+    {Py_tp_traverse, doorway_traverse}, {Py_tp_clear, doorway_clear}, {Py_tp_call, doorway_call},
+    {Py_tp_methods, doorway_methods}, {Py_tp_members, doorway_members}, {Py_tp_getset, doorway_getters}, {0, NULL},
+};
+static PyType_Spec doorway_spec = {
+    "bridge.routing.doorway.Doorway", sizeof(Doorway), 0, Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC, doorway_slots,
+};
+
+static int add_types(PyObject *module)
+{
+    PyObject *owner = PyImport_ImportModule("bridge.hub.lane.links"); /* it has the capsule */
+    PyObject *capsule = owner == NULL ? NULL : PyObject_GetAttrString(owner, "api");
+    links = capsule == NULL ? NULL : PyCapsule_GetPointer(capsule, LINKS_API);
+    Py_XDECREF(capsule);
+    Py_XDECREF(owner);
+    deadline_type = links == NULL ? NULL : (PyTypeObject *)PyType_FromSpec(&deadline_spec);
+    PyObject *doorway_type = deadline_type == NULL ? NULL : PyType_FromSpec(&doorway_spec);
+    int failed = doorway_type == NULL || PyModule_AddObjectRef(module, "Deadline", (PyObject *)deadline_type) < 0 ||
+                 PyModule_AddObjectRef(module, "Doorway", doorway_type) < 0;
+    Py_XDECREF(doorway_type);
+    return failed ? -1 : 0;
+}
+
+#else
+
+static int add_types(PyObject *Py_UNUSED(module))
+{
+    return 0;
+}
+
+#endif
+
+static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, .m_name = "doorway", .m_size = -1};
+
+PyMODINIT_FUNC PyInit_doorway(void)
+{
+    PyObject *made = PyModule_Create(&module);
+    if (made != NULL && add_types(made) < 0) {
+        Py_CLEAR(made);
+    }
+    return made;
+}
