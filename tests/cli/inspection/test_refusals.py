@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -146,14 +147,27 @@ def test_router_that_omits_its_command_topics_has_the_default_ones(
     assert "robot2 refuses the commands of operator1 on /scan" not in midspan("status").out
 
 
-@pytest.fixture(scope="module")
-def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
+@contextmanager
+def robot(folder: Path) -> Iterator[Machines]:
     """A robot whose external router trusts only ``friend``."""
-    machines = Machines(make_keys(tmp_path_factory.mktemp("keys")))
+    machines = Machines(make_keys(folder))
     with machines.network:
         machines.network.start_router()
         yield machines
         machines.close()
+
+
+@pytest.fixture(scope="module")
+def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
+    with robot(tmp_path_factory.mktemp("keys")) as machines:
+        yield machines
+
+
+@pytest.fixture
+def new_host(tmp_path: Path) -> Iterator[Machines]:
+    """The same, but no other router has left it: zenoh sends its state to a router that joins."""
+    with robot(tmp_path / "keys") as machines:
+        yield machines
 
 
 def commander(host: Machines, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
@@ -237,18 +251,20 @@ def test_a_command_reports_that_its_machine_is_refused(
 
 
 def test_explain_reports_a_foreign_router_to_the_commanding_machine(
-    host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    new_host: Machines, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The machines are connected through a TLS router like zenohd; `explain` reports it to the commanding machine."""
     place = f"tls/127.0.0.1:{free_port()}"
-    guest = {name: str(host.folder / f"guest.{end}") for name, end in (("certificate", "pem"), ("private_key", "key"))}
+    guest = {
+        name: str(new_host.folder / f"guest.{end}") for name, end in (("certificate", "pem"), ("private_key", "key"))
+    }
     tls = {f"{prefix}_{name}": file for prefix in ("listen", "connect") for name, file in guest.items()}
-    tls |= {"root_ca_certificate": str(host.folder / "ca.pem"), "enable_mtls": True}
+    tls |= {"root_ca_certificate": str(new_host.folder / "ca.pem"), "enable_mtls": True}
     tree = router_tree([place], max_payload=1 << 20)
-    tree["connect"]["endpoints"] = [host.place]
+    tree["connect"]["endpoints"] = [new_host.place]
     middle = zenoh.open(make_config(tree, {"transport": {"link": {"tls": tls}}}))
-    hub = {"connect": [place], "keys": str(host.folder), "certificate": str(host.folder / "friend.pem")}
-    with HubNetwork(run=False, external={**hub, "key": str(host.folder / "friend.key")}) as operator_network:
+    hub = {"connect": [place], "keys": str(new_host.folder), "certificate": str(new_host.folder / "friend.pem")}
+    with HubNetwork(run=False, external={**hub, "key": str(new_host.folder / "friend.key")}) as operator_network:
         operator_network.start_router()
         with Hub.open(operator_network.settings("operator")) as operator:
             operator.publisher("/cmd_vel", TWIST, HASH, Qos())

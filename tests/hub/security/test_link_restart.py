@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -57,6 +58,47 @@ def test_a_neighbor_that_never_had_a_token_keeps_its_link(monkeypatch: pytest.Mo
         restarts.check()
         restarts.check()
         assert addresses(here) == before
+        restarts.close()
+
+
+def test_a_neighbor_that_receives_this_token_but_whose_own_does_not_arrive_is_restarted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(link_restart, "_SECONDS", 0.0)
+    with routers() as (here, other):
+        restarts, before = LinkRestarts(here), addresses(here)
+        until(lambda: list(other.liveliness().get(f"{link_restart._KEY}/{here.zid()}")), "the token arrives")
+        other.put(f"{link_restart._KEY}/{here.zid()}/{other.zid()}", b"")
+        until(lambda: restarts.check() or not before & addresses(here), "the link is closed")
+        restarts.close()
+
+
+def test_a_router_that_takes_the_place_of_another_receives_the_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link_restart, "_SECONDS", 0.5)
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    tree = router_tree([], max_payload=MAX_PAYLOAD)
+    tree["connect"]["endpoints"] = [endpoint]
+    with zenoh.open(make_config(router_tree([endpoint], max_payload=MAX_PAYLOAD), None)) as here:
+        restarts, key = LinkRestarts(here), f"{link_restart._KEY}/{here.zid()}"
+
+        def arrived(session: zenoh.Session, other: LinkRestarts | None = None) -> bool:
+            for each in filter(None, (restarts, other)):
+                each.check()
+            return bool(list(session.liveliness().get(key)))
+
+        for _ in range(3):  # on a busy machine, not each attempt takes less than 0.1 s
+            time.sleep(0.3)  # zenoh computes its trees without the last router
+            leaving = [zenoh.open(make_config(tree, None)) for _ in range(2)]
+            for session in leaving:
+                until(lambda session=session: arrived(session), "the token arrives")
+            time.sleep(0.3)  # zenoh computes its trees with both
+            leaving[0].close()  # zenoh computes them at once, and not again within 0.1 s
+            time.sleep(0.03)
+            leaving[1].close()
+            with zenoh.open(make_config(tree, None)) as new:
+                other = LinkRestarts(new)
+                until(lambda new=new, other=other: arrived(new, other), "the token arrives")
+                other.close()
         restarts.close()
 
 
