@@ -50,6 +50,9 @@ _STOPPED_SECONDS = 3.0
 _LOG_SECONDS = 600.0
 """Minimum seconds between two log lines about the same neighbor."""
 
+_MOST_LOST = 1000
+"""Maximum number of routers whose tokens are expected; more ids are ignored."""
+
 _REMEMBERED_SECONDS = 60.0
 """Seconds for which a lost router may return with the same zenoh id."""
 
@@ -141,7 +144,7 @@ class LinkRestarts:
         keep_thread_state()
         zid = str(sample.key_expr).rpartition("/")[2]
         with self._lock:
-            if zid not in self._present:
+            if zid not in self._present and len(self._lost) < _MOST_LOST:
                 self._lost.setdefault(zid, _Lost(time.monotonic()))
 
     def _on_token(self, sample: zenoh.Sample) -> None:
