@@ -48,11 +48,15 @@ SHARED = "bridge.shared_kernel_code"
 
 C_MODULES: tuple[str, ...] = (
     "bridge.adapters.ros1.intake",
+    "bridge.adapters.ros1.topics.outputs",
     "bridge.adapters.ros2.reader_filter",
     "bridge.adapters.ros2.service_callbacks",
     "bridge.adapters.ros2.taking",
+    "bridge.adapters.ros2.topics.writing",
     "bridge.hub.lane.links",
+    "bridge.hub.lane.receiving",
     "bridge.routing.doorway",
+    "bridge.routing.exit",
 )
 """Modules in C, each next to the module that uses it; they are missing if there was no compiler."""
 

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from bridge.routing.shortcut import Doorway
+from bridge.routing.shortcut import Doorway, Exit
 
 DROPS = ("queue", "rate", "stale", "bad", "large", "lost", "slow", "unknown", "standby", "held")
 """Reasons for drops, in this order: queue full, rate limit, command too old, message refused, message larger than the
@@ -34,16 +34,17 @@ class Counters:
     """One route's counters. The route's threads write them, and any thread reads them, one value after the other.
 
     Attributes:
-        doorway: counts the messages that it sends, in addition.
+        doorway, exit: count the messages that they pass on, in addition.
     """
 
     __slots__ = (
         "_buckets", "_carried", "_carrying", "_failed_at", "_latencies", "_logged", "_mark", "_messages", "_rate",
-        "_waited", "bytes", "doorway", "drops", "error", "error_at", "last",
+        "_waited", "bytes", "doorway", "drops", "error", "error_at", "exit", "last",
     )  # fmt: skip
 
     def __init__(self) -> None:
         self.doorway: Doorway | None = None
+        self.exit: Exit | None = None
         self._messages = 0
         self.bytes = 0
         self.last = 0.0
@@ -63,7 +64,8 @@ class Counters:
     @property
     def messages(self) -> int:
         """Number of messages."""
-        return self._messages if self.doorway is None else self._messages + self.doorway.messages
+        native = self.doorway or self.exit
+        return self._messages if native is None else self._messages + native.messages
 
     def crossed(self, size: int) -> None:
         """Count one message of ``size`` bytes."""
@@ -130,15 +132,21 @@ class Counters:
     def as_dict(self) -> dict[str, Any]:
         """Return the counters for the status document.
 
-        ``latency_ms`` covers the last 512 messages. ``latency`` covers all messages: the count in each bucket of
-        `LATENCY_BOUNDS`, and the sum. ``carry`` has counts and sum of the times that messages to the hub spend in the
-        bridge, in buckets of `CARRY_BOUNDS`.
+        ``latency_ms`` covers the last 512 messages of each path, in C and in Python. ``latency`` covers all messages:
+        the count in each bucket of `LATENCY_BOUNDS`, and the sum. ``carry`` has counts and sum of the times that
+        messages to the hub spend in the bridge, in buckets of `CARRY_BOUNDS`.
         """
-        late = sorted(self._latencies.copy())
+        latencies, buckets, waited = list(self._latencies.copy()), self._buckets, self._waited
+        if (way := self.exit) is not None:
+            latencies, waited = latencies + way.latencies, waited + way.waited
+            buckets = [own + others for own, others in zip(buckets, way.buckets, strict=True)]
+        late = sorted(latencies)
         quantiles = {}
         passed, last, carrying, carried = self.bytes, self.last, self._carrying, self._carried
+        if (native := self.doorway or self.exit) is not None:
+            passed, last = passed + native.bytes, max(last, native.last)
         if (doorway := self.doorway) is not None:
-            passed, last, carrying = passed + doorway.bytes, max(last, doorway.last), carrying + doorway.carrying
+            carrying += doorway.carrying
             carried = [own + others for own, others in zip(carried, doorway.carried, strict=True)]
         if late:
             quantiles = {"p50": late[len(late) // 2] / 1e6, "p99": late[int(len(late) * 0.99)] / 1e6}
@@ -148,7 +156,7 @@ class Counters:
             "rate": round(self._rate, 2),
             "age": round(time.monotonic() - last, 3) if last else None,
             "latency_ms": quantiles,
-            "latency": {"buckets": list(self._buckets), "seconds": self._waited / 1e9} if late else {},
+            "latency": {"buckets": list(buckets), "seconds": waited / 1e9} if late else {},
             "carry": {"buckets": list(carried), "seconds": carrying} if carrying else {},
             "drops": dict(self.drops),
             "error": self.error,

@@ -99,6 +99,7 @@ class RouteQueue:
 
     Attributes:
         priority, depth: class and maximum number of queued messages; the engine's loop sets them.
+        line: the queued messages; never another object.
     """
 
     def __init__(
@@ -110,8 +111,13 @@ class RouteQueue:
         self._dispatcher, self._bulk = small, bulk
         self._publish, self._dropped, self._admits = publish, dropped, admits
         self._lock = threading.Lock()
-        self._messages: deque[HubSample] = deque()
+        self.line: deque[HubSample] = deque()
         self._bytes = 0
+
+    @property
+    def locked(self) -> tuple[Callable[[], bool], ...]:
+        """Calls that return whether a thread queues or publishes a message now."""
+        return self._lock.locked, self.publishing.locked
 
     def receive(self, sample: HubSample) -> None:
         """Publish or queue a message; runs on a receiving thread."""
@@ -119,7 +125,7 @@ class RouteQueue:
         with self._lock:
             if self._admits is not None and not self._admits(sample):
                 return
-            at_once = size <= BULK and not self._messages and self.publishing.acquire(blocking=False)
+            at_once = size <= BULK and not self.line and self.publishing.acquire(blocking=False)
             if not at_once:
                 self._append(sample, size)
             dispatcher = self._dispatcher
@@ -132,30 +138,31 @@ class RouteQueue:
             self.publishing.release()
 
     def _append(self, sample: HubSample, size: int) -> None:
-        self._messages.append(sample)
+        self.line.append(sample)
         self._bytes += size
-        while len(self._messages) > self.depth or (self._bytes > QUEUE_BYTES and len(self._messages) > 1):
-            self._bytes -= len(self._messages.popleft().payload)
+        while len(self.line) > self.depth or (self._bytes > QUEUE_BYTES and len(self.line) > 1):
+            self._bytes -= len(self.line.popleft().payload)
             self._dropped()
-        if size > BULK and len(self._messages) == 1:
+        if size > BULK and len(self.line) == 1:
             self._dispatcher = self._bulk
 
     def _next(self) -> None:
         with self.publishing:
             with self._lock:
-                if not self._messages:
+                if not self.line:
                     return
-                sample = self._messages.popleft()
+                sample = self.line.popleft()
                 self._bytes -= len(sample.payload)
             self._publish(sample)
 
     def remove(self, sources: Collection[bytes]) -> None:
         """Remove the queued messages of publishers, given by GID, without counting them as dropped."""
         with self._lock:
-            self._messages = deque(sample for sample in self._messages if sample.gid not in sources)
-            self._bytes = sum(len(sample.payload) for sample in self._messages)
+            for sample in [sample for sample in self.line if sample.gid in sources]:
+                self.line.remove(sample)
+            self._bytes = sum(len(sample.payload) for sample in self.line)
 
     def clear(self) -> None:
         with self._lock:
-            self._messages.clear()
+            self.line.clear()
             self._bytes = 0

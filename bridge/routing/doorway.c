@@ -6,31 +6,19 @@
 
 #define PY_SSIZE_T_CLEAN
 #include "../hub/lane/links.h"
-#include <string.h>
+#include "output.h"
 #include <structmember.h>
 
 #ifndef _WIN32 /* Windows has no lanes */
-#include <time.h>
+#include "program.h"
 
 enum { MAX_BOUNDS = 15 };
 
-typedef int64_t (*Run)(const int64_t *words, const unsigned char *literals, const unsigned char *source, int64_t size,
-                       unsigned char *target, int write); /* bridge.messages.transcode.vm._run */
-
 typedef struct {
     PyObject_HEAD
-    double until;
-} Deadline;
-
-typedef struct {
-    PyObject_HEAD
-    PyObject *deliver, *held, *senders, *program;
+    PyObject *deliver, *held, *senders, *native;
     Deadline *lease;
-    Run run; /* NULL if the bytes are the same on the hub */
-    const int64_t *words;
-    const unsigned char *literals;
-    bool checks; /* the bytes are the same if they are not dirty */
-    int64_t dirty;
+    Program program;
     Py_ssize_t limit;
     char open, releasing;
     long long messages, bytes;
@@ -40,30 +28,8 @@ typedef struct {
     long long carried[MAX_BOUNDS + 1];
 } Doorway;
 
-/* A message that is being converted. */
-typedef struct {
-    const Doorway *doorway;
-    const unsigned char *bytes;
-    int64_t size, converted;
-    bool copies;
-} Message;
-
 static PyTypeObject *deadline_type;
 static const LinksApi *links;
-
-static double seconds(void)
-{
-    struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
-}
-
-static int64_t system_ns(void)
-{
-    struct timespec now;
-    clock_gettime(CLOCK_REALTIME, &now);
-    return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
-}
 
 static void release(PyObject *self)
 {
@@ -74,7 +40,7 @@ static void release(PyObject *self)
 
 static void count(Doorway *doorway, int64_t size, double since)
 {
-    double now = seconds();
+    double now = monotonic();
     int bucket = 0;
     while (bucket < doorway->bounds && doorway->bound[bucket] < now - since) {
         bucket++;
@@ -96,51 +62,30 @@ static PyObject *ready_sender(Doorway *doorway, PyObject *source, double now)
     return sender != NULL && links->is_ready(sender) ? sender : NULL;
 }
 
-/* Checks a message and measures its converted form; returns false if Python has to handle it. */
-static bool measure(Message *message)
+static void write_message(void *message, char *place)
 {
-    const Doorway *doorway = message->doorway;
-    message->copies = doorway->run == NULL;
-    message->converted = message->size;
-    if (!message->copies) {
-        int64_t measured = doorway->run(doorway->words, doorway->literals, message->bytes, message->size, NULL, 0);
-        if (measured < 0) {
-            return false;
-        }
-        message->copies = doorway->checks && (measured & doorway->dirty) == 0;
-        message->converted = measured & ~doorway->dirty;
-    }
-    return message->converted <= doorway->limit;
-}
-
-static void write_message(void *context, char *place)
-{
-    const Message *message = context;
-    const Doorway *doorway = message->doorway;
-    if (message->copies) {
-        memcpy(place, message->bytes, (size_t)message->converted);
-    } else {
-        doorway->run(doorway->words, doorway->literals, message->bytes, message->size, (unsigned char *)place, 1);
-    }
+    write_converted(message, place);
 }
 
 /* Sends a message, and returns true; or returns false, and has done nothing. */
 static bool send_message(Doorway *doorway, PyObject *payload, PyObject *source, PyObject *time)
 {
-    double since = seconds();
-    Message message = {doorway, (const unsigned char *)PyBytes_AsString(payload), PyBytes_Size(payload), 0, false};
+    double since = monotonic();
+    Message message = {
+        &doorway->program, (const unsigned char *)PyBytes_AsString(payload), PyBytes_Size(payload), 0, false,
+    };
     PyObject *sender = message.size > doorway->limit ? NULL : ready_sender(doorway, source, since);
-    if (sender == NULL || !measure(&message)) {
+    if (sender == NULL || !measure(&message) || message.converted > doorway->limit) {
         return false;
     }
-    int64_t time_ns = time == Py_None ? system_ns() : PyLong_AsLongLong(time);
+    int64_t time_ns = time == Py_None ? nanoseconds(CLOCK_REALTIME) : PyLong_AsLongLong(time);
     if (time_ns == -1 && PyErr_Occurred()) {
         return false;
     }
-    count(doorway, message.converted, since);
     Py_INCREF(sender);
     links->send(sender, time_ns, (size_t)message.converted, write_message, &message);
     Py_DECREF(sender);
+    count(doorway, message.converted, since);
     return true;
 }
 
@@ -170,32 +115,12 @@ static PyObject *doorway_carried(PyObject *self, void *Py_UNUSED(closure))
     return list;
 }
 
-static int set_program(Doorway *doorway, PyObject *program)
-{
-    unsigned long long run;
-    long long dirty;
-    int checks;
-    PyObject *words, *literals;
-    if (program == Py_None) {
-        return 0;
-    }
-    if (!PyArg_ParseTuple(program, "pKLSS", &checks, &run, &dirty, &words, &literals)) {
-        return -1;
-    }
-    doorway->checks = checks != 0;
-    doorway->run = (Run)(uintptr_t)run;
-    doorway->dirty = dirty;
-    doorway->words = (const int64_t *)(const void *)PyBytes_AsString(words);
-    doorway->literals = (const unsigned char *)PyBytes_AsString(literals);
-    return 0;
-}
-
 static int doorway_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
 {
     Doorway *doorway = (Doorway *)self;
-    PyObject *deliver, *lease, *held, *program, *bounds;
+    PyObject *deliver, *lease, *held, *native, *bounds;
     Py_ssize_t limit;
-    if (!PyArg_ParseTuple(args, "OO!OOnO!", &deliver, deadline_type, &lease, &held, &program, &limit, &PyTuple_Type,
+    if (!PyArg_ParseTuple(args, "OO!OOnO!", &deliver, deadline_type, &lease, &held, &native, &limit, &PyTuple_Type,
                           &bounds)) {
         return -1;
     }
@@ -208,12 +133,12 @@ static int doorway_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(name
     }
     doorway->bounds = (int)PyTuple_Size(bounds);
     doorway->senders = PyDict_New();
-    if (PyErr_Occurred() || set_program(doorway, program) < 0) {
+    if (PyErr_Occurred() || set_program(&doorway->program, native) < 0) {
         return -1;
     }
     doorway->deliver = Py_NewRef(deliver);
     doorway->held = Py_NewRef(held);
-    doorway->program = Py_NewRef(program);
+    doorway->native = Py_NewRef(native);
     doorway->lease = (Deadline *)Py_NewRef(lease);
     doorway->limit = limit < MAX_JOINED_BYTES ? limit : MAX_JOINED_BYTES;
     doorway->open = 1;
@@ -263,7 +188,7 @@ static void doorway_dealloc(PyObject *self)
 {
     PyObject_GC_UnTrack(self);
     doorway_clear(self);
-    Py_XDECREF(((Doorway *)self)->program);
+    Py_XDECREF(((Doorway *)self)->native);
     Py_XDECREF((PyObject *)((Doorway *)self)->lease);
     release(self);
 }

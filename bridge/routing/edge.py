@@ -135,7 +135,11 @@ class EdgeSubscription(Protocol):
 
 
 class EdgePublisher(Protocol):
-    """A publisher that the bridge holds on the side."""
+    """A publisher that the bridge holds on the side.
+
+    It may have an attribute ``native``: None, or an object with the attribute ``output``, by which C code sends small
+    messages instead of `send` (``output.h``).
+    """
 
     @property
     def dropped(self) -> int:

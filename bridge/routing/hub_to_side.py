@@ -13,8 +13,10 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.errors import MessageError
-from bridge.messages.transcode.conversion import Conversion
+from bridge.messages.transcode.conversion import Conversion, native_program
+from bridge.messages.velocities import VELOCITIES
 from bridge.routing.backlog import HeldMessage
+from bridge.routing.counters import LATENCY_BOUNDS
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
 from bridge.routing.dispatcher import RouteQueue
 from bridge.routing.edge import EdgePublisher, Endpoint
@@ -25,6 +27,7 @@ from bridge.routing.limits import QUEUE_DEPTH, Priority, combined_qos, stream_de
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms, with_spread
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
+from bridge.routing.shortcut import Exit
 from bridge.routing.velocities import native_velocities, preferred_type, velocity_to_side
 from bridge.status import RouteStatus
 
@@ -135,6 +138,19 @@ class HubToSideRoute(TopicRoute):
         admits = None if self._limit is None else self._admits
         self.queue = RouteQueue(context.small, context.bulk, self.handle, self.crowded_out, admits)
         self.held = HeldSamples(self.crowded_out)
+        self._exit = self.counters.exit = self._make_exit()
+
+    def _make_exit(self) -> Exit | None:
+        """Return the shorter path for small messages; None if each message needs a check that only Python makes."""
+        convert = self.conversion.convert
+        program = None if convert is None else native_program(convert)
+        if Exit is None or self._limit is not None or self.hub_type in VELOCITIES:
+            return None
+        if convert is not None and program is None:
+            return None
+        waiting = (self.queue.line, self.held.unknown.line)
+        context = self._context
+        return Exit(self._lease, context.hold, waiting, self.queue.locked, program, self._max_payload, LATENCY_BOUNDS)
 
     # -- the engine's loop ---------------------------------------------------------------------------------------------
 
@@ -160,8 +176,11 @@ class HubToSideRoute(TopicRoute):
     ) -> None:
         before = self._sources.allowed
         sources = self._sources.updated(allowed, refused, waiting, self.latches)
+        if self._exit is not None:
+            self._exit.allow(())
         self._open_publishers(sources.allowed.values())  # before a message of a new source needs one
         self._sources = sources
+        self._allow_plain()
         for gid in before.keys() - self._sources.allowed.keys():
             if before[gid].latched and not self.static:
                 self._publishers.drop_source(gid, sources.allowed)
@@ -169,6 +188,12 @@ class HubToSideRoute(TopicRoute):
         if allowed and not self._subscription.paused:
             self._receive_from(allowed)
         self._subscription.request_returned(self._sources.allowed, self.queue.publishing, self._remove_held)
+
+    def _allow_plain(self) -> None:
+        """Let the exit send the messages of publishers that need no special care."""
+        if self._exit is not None and self._priority is not Priority.COMMAND:
+            self._exit.send_by(getattr(self._publishers.volatile, "native", None))
+            self._exit.allow(frozenset(gid for gid, source in self._sources.allowed.items() if not source.latched))
 
     def _open_publishers(self, sources: Iterable[HubSource]) -> None:
         latched = [s.endpoint.qos.depth for s in sources if s.latched]
@@ -214,9 +239,13 @@ class HubToSideRoute(TopicRoute):
             with self.queue.publishing:
                 self._remove_held({e.gid for e in endpoints if e.qos.latched and e.qos.depth <= qos.depth})
         source = self.conversion.source
-        return self._context.hub.subscription(
+        subscription = self._context.hub.subscription(
             self.hub_topic, source.name, self.key.type_id, qos, self.queue.receive, self._refused_by_hub
         )
+        if self._exit is not None:
+            self._exit.since = self._subscription.since
+            subscription.hand_to(self._exit)
+        return subscription
 
     def _release_latched(self) -> None:
         if self._lease.over or not self.held.latched:
@@ -352,6 +381,9 @@ class HubToSideRoute(TopicRoute):
 
     @override
     def close(self, why: str = "") -> None:  # only pending calls need the reason
+        if self._exit is not None:
+            self._exit.open = False
+            self._exit.send_by(None)
         self._subscription.close()
         self._publishers.close()
         self.queue.clear()

@@ -1,4 +1,4 @@
-"""The shorter path of small messages into the hub, in C (``doorway.c``); None if it was not compiled."""
+"""The shorter path of small messages, in C (``doorway.c``, ``exit.c``); None if it was not compiled."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 try:
     from bridge.routing.doorway import Deadline, Doorway
+    from bridge.routing.exit import Exit
 except ImportError:  # there was no compiler, or the system has no lanes
     if not TYPE_CHECKING:
-        Doorway = None
+        Doorway = Exit = None
 
         class Deadline:
             """A time on the monotonic clock, in seconds."""
@@ -17,4 +18,4 @@ except ImportError:  # there was no compiler, or the system has no lanes
             until: float
 
 
-__all__ = ["Deadline", "Doorway"]
+__all__ = ["Deadline", "Doorway", "Exit"]

@@ -397,7 +397,7 @@ def test_queued_message_of_a_publisher_that_returns_crosses_once(hub_route: HubR
     route.update([], [endpoint])
     with route.queue.publishing:
         publisher.put(line("2"))
-        until(lambda: len(route.queue._messages) == 1, "the message is queued")
+        until(lambda: len(route.queue.line) == 1, "the message is queued")
     hub_route.received.clear()
     route.update([endpoint], [])
     until(lambda: route.queue._next() or len(hub_route.received) >= 2, "the messages are bridged")

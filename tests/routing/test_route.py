@@ -295,7 +295,7 @@ class FailingOnce:
         self.subscriptions += 1
         if self.subscriptions == 2:
             raise OSError("no room")
-        return SimpleNamespace(close=lambda: None, lost=0, by_lane=0)
+        return SimpleNamespace(close=lambda: None, lost=0, by_lane=0, hand_to=lambda _: None)
 
 
 def test_paused_stream_is_subscribed_again_after_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:

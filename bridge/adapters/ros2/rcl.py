@@ -39,6 +39,10 @@ try:
     from bridge.adapters.ros2 import service_callbacks, taking
 except ImportError:  # set up without a compiler
     service_callbacks = taking = None  # type: ignore[assignment]
+try:
+    from bridge.adapters.ros2.topics import writing
+except ImportError:
+    writing = None  # type: ignore[assignment]
 
 RET_OK = 0
 RET_TAKE_FAILED = 401
@@ -191,6 +195,11 @@ def _publish_by_ctypes(_function: int, publisher: int, payload: bytes, large: in
 
 
 _publish = _publish_by_ctypes if taking is None else taking.publish
+
+
+def new_writer(publisher: int, locked: Callable[[], bool]) -> writing.Writer | None:
+    """Return what publishes through ``rcl_publisher_t *`` in C, while ``locked`` returns False; None: no compiler."""
+    return None if writing is None else writing.Writer(_PUBLISH, publisher, (locked,))
 
 
 def serialized(payload: bytes) -> Any:

@@ -27,7 +27,7 @@ from bridge.hub.endpoints.subscription import (
 )
 from bridge.hub.endpoints.variants import ConvertedSample
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.lane.inlet import Inlet
+from bridge.hub.lane.inlet import Inlet, Receiver
 from bridge.hub.lane.lane import Lane
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.wire.keys import ANY_HASH, key_type
@@ -157,7 +157,12 @@ class LaneSubscription(HubSubscription):
         self._delivery = Lock()
         self._lanes = Lanes()
         self._large = False
+        self._by_lane = 0
+        self.receiver: Receiver | None = None
         super().__init__(context, token, key, topic, callback, on_refused, exact=exact)
+        if Receiver is not None:
+            locked = (self._delivery.locked, self._lock.locked)
+            self.receiver = Receiver(self.sources, locked, self._reader.limit)
         self.why = "the graph is not evaluated yet"
         lane.add(self)
 
@@ -167,8 +172,20 @@ class LaneSubscription(HubSubscription):
         self._zenoh = ZenohSubscriber(context, key, self._on_sample, self._lock)
         return self._zenoh.close
 
+    @property
+    def by_lane(self) -> int:
+        """Number of samples that arrived over the lane."""
+        return self._by_lane if self.receiver is None else self._by_lane + self.receiver.by_lane
+
+    @override
+    def hand_to(self, acceptor: object) -> None:
+        if self.receiver is not None:
+            self.receiver.hand_to(acceptor)
+
     @override
     def close(self) -> None:
+        if self.receiver is not None:
+            self.receiver.open = False
         self._lane.remove(self)
         super().close()
         self._leave_all()
@@ -224,9 +241,9 @@ class LaneSubscription(HubSubscription):
                 joined = self._lanes.joined.get(gid)
                 ready = self._sequencer.accept(source, message, first=0 if joined is None else joined.mark)
                 if ready:
-                    self.by_lane += 1
+                    self._by_lane += 1
                 elif source.held.get(sequence) is message:
-                    self.by_lane += 1
+                    self._by_lane += 1
                     self._schedule()
             for ready_message in ready:
                 self._callback(ready_message)

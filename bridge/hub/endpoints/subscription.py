@@ -16,6 +16,7 @@ from bridge.hub.endpoints.subscribed_keys import SubscribedKeys
 from bridge.hub.endpoints.variants import CONVERTED, RELAYED, Convert, ConvertedSample
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph import HubGraph
+from bridge.hub.lane.inlet import Track
 from bridge.hub.wire.keys import ANY_HASH, GID_SIZE, key_type, unpack_attachment
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe, undeclare
 from bridge.messages.errors import ConversionError
@@ -67,23 +68,24 @@ class HubSample:
         return payload if isinstance(payload, bytes) else payload.to_bytes()
 
 
-class PublisherState:
+class PublisherState(Track):
     """The state that a subscription stores for one publisher.
 
     Attributes:
+        sequence, time_ns: number and source time of the last sample that was delivered; None before.
+        held: the samples that wait for earlier ones, by number.
         paired: the publisher belongs to a worker of this daemon, and may use both transports at the same time.
         sparse: the publisher's numbers also count samples that it sends to other keys, so that gaps are not losses.
         queried: number of the newest sample before which missing samples were queried.
     """
 
-    __slots__ = ("held", "paired", "queried", "sequence", "sparse", "time_ns", "zid")
+    __slots__ = ("paired", "queried", "sparse", "zid")
 
     def __init__(self, zid: str) -> None:
+        super().__init__()
         self.zid = zid
         self.paired = self.sparse = False
-        self.sequence: int | None = None
-        self.time_ns = self.queried = 0
-        self.held: dict[int, HubSample] = {}
+        self.queried = 0
 
     def accept(self, sample: HubSample) -> int | None:
         """Mark a sample as delivered unless it already was; return the result of `gap`."""
@@ -266,12 +268,10 @@ class HubSubscription:
         sources: the state of each publisher.
         way: the transport, ``lane`` or ``zenoh``.
         why: the reason for using zenoh, "" for the lane.
-        by_lane: number of samples that arrived over the lane.
     """
 
     way = "zenoh"
     why = NO_LANE
-    by_lane = 0
 
     def __init__(
         self,
@@ -342,6 +342,14 @@ class HubSubscription:
             self._reader.refuse("bad", str(err))
             return
         receive(converted)
+
+    @property
+    def by_lane(self) -> int:
+        """Number of samples that arrived over the lane."""
+        return 0
+
+    def hand_to(self, acceptor: object) -> None:
+        """Let an object with the attribute ``acceptor`` handle the plain messages of a lane (``receiving.h``)."""
 
     def close(self) -> None:
         """Stop receiving. Safe to call twice."""

@@ -8,7 +8,7 @@ import socket
 import time
 from collections.abc import Callable
 from threading import Lock, Thread
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from bridge.hub.errors import HubWireError
 from bridge.hub.lane.wire import (
@@ -28,6 +28,21 @@ from bridge.hub.lane.wire import (
 from bridge.hub.wire.keys import unpack_attachment
 from bridge.hub.zenoh_config import MAX_PAYLOAD
 
+try:
+    from bridge.hub.lane.receiving import Receiver, Track, read_lane
+except ImportError:  # there was no compiler, or the system has no lanes
+    if not TYPE_CHECKING:
+        Receiver = read_lane = None
+
+        class Track:
+            """What a subscription knows about a publisher's samples; see `bridge.hub.endpoints.subscription`."""
+
+            def __init__(self) -> None:
+                self.sequence = None
+                self.time_ns = 0
+                self.held = {}
+
+
 _log = logging.getLogger(__name__)
 
 
@@ -35,6 +50,8 @@ class LaneReader(Protocol):
     """A subscription that receives from lanes; called on the connection's thread."""
 
     key: str
+    receiver: Receiver | None
+    """Handles plain messages instead of `on_message`, if it is the only subscription to its key."""
 
     def on_message(self, inlet: Inlet, attachment: tuple[int, int, bytes], payload: bytes) -> None:
         """Handle a message; ``attachment`` is its number, source time and publisher (GID), ``payload`` is CDR."""
@@ -78,6 +95,7 @@ class Inlet:
         self._lock = Lock()
         self._keys: dict[str, _Key] = {}
         self._numbers: dict[int, _Key] = {}
+        self._receivers: dict[int, Receiver] = {}
         self._fences: dict[int, LaneReader] = {}
         self._next = 0
         self._thread = Thread(target=self._run, name="hub-lane-read", daemon=True)
@@ -92,6 +110,7 @@ class Inlet:
                 key = self._keys[reader.key] = self._numbers[self._next] = _Key(self._next)
             if reader not in key.readers:
                 key.readers += (reader,)
+            self._set_receiver(key)
             self._send(HEAD.pack(ON, key.number) + reader.key.encode())
 
     def fence(self, reader: LaneReader) -> None:
@@ -110,9 +129,17 @@ class Inlet:
             if key is None:
                 return
             key.readers = tuple(other for other in key.readers if other is not reader)
+            self._set_receiver(key)
             if not key.readers:
                 del self._keys[reader.key], self._numbers[key.number]
                 self._send(HEAD.pack(OFF, key.number))
+
+    def _set_receiver(self, key: _Key) -> None:
+        receiver = key.readers[0].receiver if len(key.readers) == 1 else None
+        if receiver is not None:
+            self._receivers[key.number] = receiver
+        else:
+            self._receivers.pop(key.number, None)
 
     def close(self) -> None:
         """Close the connection. Safe to call twice."""
@@ -128,16 +155,12 @@ class Inlet:
             self.close()
 
     def _run(self) -> None:
-        receive, numbers = self._sock.recv, self._numbers
         try:
-            while record := receive(ROOM):
-                kind, number = HEAD.unpack_from(record)
-                if kind == DATA:
-                    self._messages(record)
-                elif (key := numbers.get(number)) is not None:
-                    self.answered = True
-                    self._other(kind, key, record[HEAD.size : BODY], record)
-        except (OSError, HubWireError) as err:
+            if read_lane is not None:
+                read_lane(self._sock.fileno(), ROOM, self._receivers, self._message, self._record)
+            else:
+                self._read()
+        except (OSError, HubWireError, ValueError) as err:
             _log.debug("the lane from %s ends: %s", self.zid, err)
         except Exception:
             _log.exception("the lane from %s failed", self.zid)
@@ -146,18 +169,36 @@ class Inlet:
             self._sock.close()
             self._lost(self)
 
+    def _read(self) -> None:
+        while record := self._sock.recv(ROOM):
+            if record[0] == DATA:
+                self._messages(record)
+            else:
+                self._record(record)
+
+    def _record(self, record: bytes) -> None:
+        """Handle a record without messages."""
+        kind, number = HEAD.unpack_from(record)
+        key = self._numbers.get(number)
+        if key is not None:
+            self.answered = True
+            self._other(kind, key, record[HEAD.size : BODY], record)
+
     def _messages(self, record: bytes) -> None:
         """Deliver the messages in a record."""
-        end, whole, keys = 0, len(record), self._numbers
+        end, whole = 0, len(record)
         while end < whole:
             begin = end + SAMPLE.size
             _, number, size, sequence, time_ns, gid = SAMPLE.unpack_from(record, end)
             end = begin + size
             if end > whole:
                 raise HubWireError(f"a record of {whole} bytes ends within a message")
-            key = keys.get(number)
-            if key is not None:
-                self._hand(key, (sequence, time_ns, gid), record[begin:end])
+            self._message(number, (sequence, time_ns, gid), record[begin:end])
+
+    def _message(self, number: int, attachment: tuple[int, int, bytes], payload: bytes) -> None:
+        key = self._numbers.get(number)
+        if key is not None:
+            self._hand(key, attachment, payload)
 
     def _hand(self, key: _Key, message: tuple[int, int, bytes], payload: bytes) -> None:
         for reader in key.readers:

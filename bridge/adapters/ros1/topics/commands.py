@@ -24,6 +24,8 @@ class CommandConnection(SubscriberConnection):
     `send` and `check` are called by one thread at a time.
     """
 
+    native = False
+
     def __init__(
         self, sock: socket.socket, name: str, node: str, ended: Callable[[SubscriberConnection], None],
         type_name: str, lifespan: float,

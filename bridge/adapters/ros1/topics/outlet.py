@@ -9,11 +9,18 @@ import struct
 import threading
 from collections import Counter, deque
 from collections.abc import Callable
+from typing import TYPE_CHECKING, ClassVar
 
 from typing_extensions import override
 
 from bridge.adapters.ros1.connection_loop import receive_now, send_now
 from bridge.adapters.ros1.topics.bus import TopicConnection
+
+try:
+    from bridge.adapters.ros1.topics.outputs import Outputs, Socket
+except ImportError:  # there was no compiler, or the system lacks such sockets
+    if not TYPE_CHECKING:
+        Outputs = Socket = None
 
 _log = logging.getLogger(__name__)
 
@@ -35,10 +42,12 @@ class SubscriberConnection(TopicConnection):
     While the socket's buffer has room, the sender's thread writes. A slower subscriber gets a separate thread and a
     queue of at most ``depth`` messages per source and `MAX_WAITING` bytes; beyond that, the oldest messages of the same
     source are dropped. ``node`` is the subscriber's name; ``ended`` is called when reading or the separate thread
-    detects that the connection has ended.
+    detects that the connection has ended. ``socket`` also sends, in C, while it is ``free``: nothing waits.
     """
 
     direction = "o"
+    native: ClassVar[bool] = True
+    """Whether messages may be sent in C."""
 
     def __init__(
         self, sock: socket.socket, name: str, node: str = "",
@@ -55,6 +64,9 @@ class SubscriberConnection(TopicConnection):
         self._rest: bytes | memoryview = b""
         self._writing = False
         self._thread: threading.Thread | None = None
+        self.socket: Socket | None = None
+        if Socket is not None and self.native:
+            self.socket = Socket(self._sock.fileno(), (self._lock.locked,), self._resume)
 
     @property
     def waiting(self) -> int:
@@ -64,7 +76,7 @@ class SubscriberConnection(TopicConnection):
     @property
     def busy(self) -> bool:
         """Whether a message waits, or has been sent in part."""
-        return bool(self._writing or self._rest or self._queue)
+        return bool(self._writing or self._rest or self._queue or (self.socket is not None and self.socket.cut))
 
     def send(self, payload: bytes, source: str, depth: int) -> bool:
         """Send or queue one message; return False if the connection is broken."""
@@ -73,6 +85,7 @@ class SubscriberConnection(TopicConnection):
                 return False
             if self.busy:
                 self._enqueue(payload, source, depth)
+                self._set_free()
                 if self._thread is None:
                     self._wake()
                 return True
@@ -86,6 +99,7 @@ class SubscriberConnection(TopicConnection):
             self.bytes += sent
             if sent < len(payload) + 4:
                 self._rest = header[sent:] + payload if sent < 4 else memoryview(payload)[sent - 4 :]
+                self._set_free()
                 self._wake()
             else:
                 self.messages += 1
@@ -97,6 +111,7 @@ class SubscriberConnection(TopicConnection):
             if self.done:
                 return
             self.done = True
+            self._set_free()
             self._queue.clear()
             self._waiting.clear()
             self._bytes = 0
@@ -124,6 +139,26 @@ class SubscriberConnection(TopicConnection):
             self._ended(self)
         else:
             self.close()
+
+    @override
+    def counts(self) -> tuple[int, int]:
+        size, messages = super().counts()
+        return (size, messages) if self.socket is None else (size + self.socket.bytes, messages + self.socket.messages)
+
+    def _set_free(self) -> None:
+        """Let the socket send if nothing waits; the lock is held."""
+        if self.socket is not None:
+            self.socket.free = not (self.done or self.busy)
+
+    def _resume(self) -> None:
+        """Send the rest of a message that the socket has cut, or end a connection that has failed."""
+        assert self.socket is not None
+        if self.socket.failed:
+            self.abandon()
+            return
+        with self._lock:
+            if not self.done:
+                self._wake()
 
     def _enqueue(self, payload: bytes, source: str, depth: int) -> None:
         while self._waiting[source] and (self._waiting[source] >= depth or self._bytes + len(payload) > MAX_WAITING):
@@ -156,10 +191,12 @@ class SubscriberConnection(TopicConnection):
 
     def _next(self) -> bytes | memoryview | None:
         """Wait for data to write; return None once closed. The lock is held."""
-        while not self.done and not self._rest and not self._queue:
+        while not (self.done or self.busy):
             self._condition.wait()
         if self.done:
             return None
+        if self.socket is not None and self.socket.cut:
+            return self.socket.take()
         if self._rest:
             unsent, self._rest = self._rest, b""
             return unsent
@@ -192,6 +229,7 @@ class SubscriberConnection(TopicConnection):
                 if not broken:
                     self.bytes += len(data)
                     self.messages += 1
+                    self._set_free()
             if broken:
                 self.abandon()
                 return

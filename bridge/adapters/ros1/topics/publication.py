@@ -15,7 +15,7 @@ from typing import Any
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, encode
 from bridge.adapters.ros1.topics.commands import CommandConnection
-from bridge.adapters.ros1.topics.outlet import SubscriberConnection
+from bridge.adapters.ros1.topics.outlet import Outputs, SubscriberConnection
 from bridge.adapters.ros1_peers import DeadlineSocket
 from bridge.concurrency import DelayedCalls
 from bridge.messages.transcode.conversion import SideType
@@ -34,6 +34,7 @@ class Publication:
         latches: number of these publishers that latch.
         published: bytes of all published messages.
         lifespan: time in seconds after which a message is too old, for commands; None for other topics.
+        outputs: sends small messages in C; None for commands, or without a compiler.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Publication:
         self._closed = False
         self._dropped_before = 0
         self._connections: tuple[SubscriberConnection, ...] = ()
+        self.outputs = None if Outputs is None or lifespan is not None else Outputs((self._lock.locked,))
         self._retained: dict[str, deque[bytes]] = {}
 
     @property
@@ -98,6 +100,7 @@ class Publication:
             closed = self._closed
             if not closed:
                 self._connections = (*self._connections, connection)
+                self._set_outputs()
                 for source, payloads in self._retained.items():
                     for payload in payloads:
                         connection.send(payload, source, len(payloads))
@@ -122,6 +125,7 @@ class Publication:
             listed = connection in self._connections
             if listed:
                 self._connections = tuple(c for c in self._connections if c is not connection)
+                self._set_outputs()
                 self._dropped_before += connection.dropped
         self._loop.remove(connection)
         connection.close()
@@ -129,9 +133,15 @@ class Publication:
             _log.debug("%s: the subscriber %s has disconnected", self.topic, connection.peer)
             self._changed()
 
+    def _set_outputs(self) -> None:
+        if self.outputs is not None:
+            self.outputs.set(tuple(c.socket for c in self._connections if c.socket is not None))
+
     def close(self) -> None:
         with self._lock:
             self._closed = True
+            if self.outputs is not None:
+                self.outputs.open = False
         for connection in self._connections:
             self.remove(connection)
 
@@ -168,7 +178,7 @@ class Publication:
         """Return an entry of ``getBusStats``."""
         return [
             self.topic,
-            figure(self.published),
+            figure(self.published if self.outputs is None else self.published + self.outputs.bytes),
             [[c.id, *map(figure, c.counts()), not c.done] for c in self._connections],
         ]
 

@@ -49,6 +49,11 @@ class Ros1Publisher:
         self._book.unpublish(self._publication, latched=self._latched)
 
     @property
+    def native(self) -> object:
+        """Sends small messages in C (``outputs.c``); None for latched messages and commands."""
+        return None if self._latched else self._publication.outputs
+
+    @property
     def subscribers(self) -> Mapping[str, int]:
         """The nodes that are connected to the topic, with the number of each node's connection."""
         return {connection.peer: connection.id for connection in self._publication.connections}

@@ -30,6 +30,13 @@ class _Writer:
         self._lock = threading.Lock()
         self._written = self._readers = 0
         self._held: deque[bytes] | None = None
+        self.native = rcl.new_writer(self._pointer, self._lock.locked)
+        self._set_open()
+
+    def _set_open(self) -> None:
+        """Let C code publish, unless messages are held or the writer is closed; the lock is held."""
+        if self.native is not None:
+            self.native.open = self._held is None and self._handle is not None
 
     def send(self, payload: bytes) -> None:
         with self._lock:
@@ -56,6 +63,7 @@ class _Writer:
         """Keep the last ``depth`` messages until `release`."""
         with self._lock:
             self._held = deque(maxlen=depth)
+            self._set_open()
 
     def release(self) -> None:
         """Publish the kept messages."""
@@ -63,18 +71,21 @@ class _Writer:
             held, self._held = self._held or (), None
             for payload in held:
                 self._publish(payload)
+            self._set_open()
 
     def prepare(self, heartbeats: Heartbeats, readers: frozenset[bytes]) -> None:
         """Prepare new readers on Cyclone DDS for the next message."""
         with self._lock:
             if self._handle is not None:
-                heartbeats.prepare(rmw.publisher_gid(self._pointer), self._written, readers)
+                written = self._written if self.native is None else self._written + self.native.written
+                heartbeats.prepare(rmw.publisher_gid(self._pointer), written, readers)
 
     def close(self) -> None:
         """Destroy the writer, after it has published the kept messages."""
         self.release()
         with self._lock:
             handle, self._handle = self._handle, None
+            self._set_open()
         if handle is not None:
             self._participant.destroy(handle)
 
@@ -124,6 +135,11 @@ class Ros2Publisher:
     def dropped(self) -> int:
         """Always 0: DDS does not report what a slow reader missed."""
         return 0
+
+    @property
+    def native(self) -> object:
+        """Publishes small messages in C (``writing.c``); None for latched messages, or if they have to be converted."""
+        return None if self._only is None or self._for_readers is not None else self._only.native
 
     @property
     def has_subscribers(self) -> bool:

@@ -1,0 +1,9 @@
+from collections.abc import Callable
+
+class Writer:
+    open: bool
+    @property
+    def written(self) -> int: ...
+    @property
+    def output(self) -> object: ...
+    def __init__(self, publish: int, publisher: int, locked: tuple[Callable[[], bool], ...], /) -> None: ...

@@ -1,0 +1,42 @@
+/* The interface through which a side's publishers send without the interpreter, and the deadline of a lease. */
+
+#ifndef MIDSPAN_OUTPUT_H
+#define MIDSPAN_OUTPUT_H
+
+#include <Python.h>
+#include <stdbool.h>
+#include <stddef.h>
+
+#define OUTPUT "bridge.routing.output"
+
+enum { PREFIX = 4 }; /* bytes before a message, which an output may overwrite */
+
+/* What the attribute `output` of an object contains, in a capsule. Neither function may be called with an exception. */
+typedef struct {
+    /* Returns whether a message can be sent now; runs no Python code. */
+    bool (*is_ready)(PyObject *owner);
+    /* Sends a message and returns true; or returns false, and has neither done anything nor run Python code. */
+    bool (*send)(PyObject *owner, char *message, size_t size);
+} Output;
+
+/* bridge.routing.doorway.Deadline */
+typedef struct {
+    PyObject_HEAD
+    double until;
+} Deadline;
+
+/* Returns whether one of the calls, each the method `locked` of a lock, returns true or fails. */
+static inline bool is_any_locked(PyObject *calls)
+{
+    for (Py_ssize_t at = 0; at < PyTuple_Size(calls); at++) {
+        PyObject *answer = PyObject_CallNoArgs(PyTuple_GetItem(calls, at));
+        bool locked = answer != Py_False;
+        Py_XDECREF(answer);
+        if (locked) {
+            return true;
+        }
+    }
+    return false;
+}
+
+#endif
