@@ -13,7 +13,7 @@ MAX_JOINED = 8
 """Maximum number of messages in one record; as in ``links.c``."""
 
 MAX_JOINED_BYTES = 4096
-"""Maximum size in bytes of a payload that is joined with others; as in ``links.c``."""
+"""Maximum size in bytes of a payload that is joined with others; as in ``links.h``."""
 
 
 def flush_joined() -> None:
