@@ -16,7 +16,7 @@ enum { MAX_BOUNDS = 15 };
 
 typedef struct {
     PyObject_HEAD
-    PyObject *deliver, *held, *senders, *native;
+    PyObject *deliver, *hold, *held, *senders, *native;
     Deadline *lease;
     Program program;
     Py_ssize_t limit;
@@ -55,7 +55,8 @@ static void count(Doorway *doorway, int64_t size, double since)
 /* Returns the sender of a source if nothing prevents its messages from being sent now. */
 static PyObject *ready_sender(Doorway *doorway, PyObject *source, double now)
 {
-    if (!doorway->open || doorway->releasing || now > doorway->lease->until || PyObject_Size(doorway->held) != 0) {
+    if (!doorway->open || doorway->releasing || now > doorway->lease->until || PyObject_Size(doorway->held) != 0 ||
+        is_held(doorway->hold)) {
         return NULL;
     }
     PyObject *sender = PyDict_GetItemWithError(doorway->senders, source);
@@ -96,7 +97,12 @@ static PyObject *doorway_call(PyObject *self, PyObject *args, PyObject *Py_UNUSE
     if (!PyArg_UnpackTuple(args, "deliver", 3, 3, &payload, &source, &time)) {
         return NULL;
     }
-    if (PyBytes_CheckExact(payload) && send_message(doorway, payload, source, time)) {
+    if (doorway->deliver == NULL) {
+        PyErr_SetString(PyExc_RuntimeError, "the doorway is not initialized, or was cleared");
+        return NULL;
+    }
+    bool plain = PyBytes_CheckExact(payload) && (time == Py_None || PyLong_CheckExact(time));
+    if (plain && send_message(doorway, payload, source, time)) {
         Py_RETURN_NONE;
     }
     return PyErr_Occurred() ? NULL : PyObject_CallObject(doorway->deliver, args);
@@ -118,10 +124,10 @@ static PyObject *doorway_carried(PyObject *self, void *Py_UNUSED(closure))
 static int doorway_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
 {
     Doorway *doorway = (Doorway *)self;
-    PyObject *deliver, *lease, *held, *native, *bounds;
+    PyObject *deliver, *lease, *hold, *held, *native, *bounds;
     Py_ssize_t limit;
-    if (!PyArg_ParseTuple(args, "OO!OOnO!", &deliver, deadline_type, &lease, &held, &native, &limit, &PyTuple_Type,
-                          &bounds)) {
+    if (!PyArg_ParseTuple(args, "OO!OOOnO!", &deliver, deadline_type, &lease, &hold, &held, &native, &limit,
+                          &PyTuple_Type, &bounds)) {
         return -1;
     }
     if (PyTuple_Size(bounds) > MAX_BOUNDS || doorway->deliver != NULL) {
@@ -137,6 +143,7 @@ static int doorway_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(name
         return -1;
     }
     doorway->deliver = Py_NewRef(deliver);
+    doorway->hold = Py_NewRef(hold);
     doorway->held = Py_NewRef(held);
     doorway->native = Py_NewRef(native);
     doorway->lease = (Deadline *)Py_NewRef(lease);
@@ -168,6 +175,8 @@ static int doorway_traverse(PyObject *self, visitproc visit, void *arg)
 {
     Doorway *doorway = (Doorway *)self;
     Py_VISIT(doorway->deliver);
+    Py_VISIT((PyObject *)doorway->lease);
+    Py_VISIT(doorway->hold);
     Py_VISIT(doorway->held);
     Py_VISIT(doorway->senders);
     Py_VISIT(Py_TYPE(self));
@@ -179,6 +188,8 @@ static int doorway_clear(PyObject *self)
     Doorway *doorway = (Doorway *)self;
     doorway->open = 0;
     Py_CLEAR(doorway->deliver);
+    Py_CLEAR(doorway->lease);
+    Py_CLEAR(doorway->hold);
     Py_CLEAR(doorway->held);
     Py_CLEAR(doorway->senders);
     return 0;
@@ -189,7 +200,6 @@ static void doorway_dealloc(PyObject *self)
     PyObject_GC_UnTrack(self);
     doorway_clear(self);
     Py_XDECREF(((Doorway *)self)->native);
-    Py_XDECREF((PyObject *)((Doorway *)self)->lease);
     release(self);
 }
 

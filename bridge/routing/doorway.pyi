@@ -24,6 +24,7 @@ class Doorway:
         self,
         deliver: Callable[[Any, str, int | None], None],
         lease: Deadline,
+        hold: object,
         held: deque[Any],
         program: tuple[object, int, int, Any, Any] | None,
         limit: int,

@@ -36,7 +36,6 @@ typedef struct {
     char open;
 } Exit;
 
-static PyObject *held_name;
 static char buffer[PREFIX + MAX_SIZE]; /* guarded by the interpreter's lock */
 
 static void release(PyObject *self)
@@ -62,17 +61,6 @@ static void count(Exit *way, int64_t size, int64_t time_ns)
     way->messages++;
     way->bytes += size;
     way->last = now;
-}
-
-static bool is_held(PyObject *hold)
-{
-    if (hold == Py_None) {
-        return false;
-    }
-    PyObject *held = PyObject_GetAttr(hold, held_name);
-    bool is = held != Py_False;
-    Py_XDECREF(held);
-    return is;
 }
 
 static bool is_plain(Exit *way, PyObject *gid)
@@ -206,6 +194,7 @@ static int exit_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
 static int exit_traverse(PyObject *self, visitproc visit, void *arg)
 {
     Exit *way = (Exit *)self;
+    Py_VISIT((PyObject *)way->lease);
     Py_VISIT(way->hold);
     Py_VISIT(way->waiting);
     Py_VISIT(way->locked);
@@ -220,6 +209,7 @@ static int exit_clear(PyObject *self)
     Exit *way = (Exit *)self;
     way->open = 0;
     way->output = NULL;
+    Py_CLEAR(way->lease);
     Py_CLEAR(way->hold);
     Py_CLEAR(way->waiting);
     Py_CLEAR(way->locked);
@@ -234,7 +224,6 @@ static void exit_dealloc(PyObject *self)
     PyObject_GC_UnTrack(self);
     exit_clear(self);
     Py_XDECREF(((Exit *)self)->native);
-    Py_XDECREF((PyObject *)((Exit *)self)->lease);
     release(self);
 }
 
@@ -269,8 +258,7 @@ static PyType_Spec exit_spec = {
 
 static int add_types(PyObject *module)
 {
-    held_name = PyUnicode_InternFromString("held");
-    PyObject *type = held_name == NULL ? NULL : PyType_FromSpec(&exit_spec);
+    PyObject *type = PyType_FromSpec(&exit_spec);
     int failed = type == NULL ? -1 : PyModule_AddObjectRef(module, "Exit", type);
     Py_XDECREF(type);
     return failed;

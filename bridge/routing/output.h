@@ -1,4 +1,4 @@
-/* The interface through which a side's publishers send without the interpreter, and the deadline of a lease. */
+/* The interface through which a side's publishers send without the interpreter, and conditions that both ways share. */
 
 #ifndef MIDSPAN_OUTPUT_H
 #define MIDSPAN_OUTPUT_H
@@ -24,6 +24,19 @@ typedef struct {
     PyObject_HEAD
     double until;
 } Deadline;
+
+/* Returns whether velocities are held: the attribute `held` of an object (bridge.routing.hold), False for None. */
+static inline bool is_held(PyObject *hold)
+{
+    if (hold == Py_None) {
+        return false;
+    }
+    PyObject *held = PyObject_GetAttrString(hold, "held");
+    bool is = held != Py_False;
+    Py_XDECREF(held);
+    PyErr_Clear();
+    return is;
+}
 
 /* Returns whether one of the calls, each the method `locked` of a lock, returns true or fails. */
 static inline bool is_any_locked(PyObject *calls)

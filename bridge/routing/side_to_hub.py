@@ -121,7 +121,8 @@ class SideToHubRoute(TopicRoute):
             return None
         if convert is not None and program is None:
             return None
-        return Doorway(self.deliver, self._lease, self.pending.line, program, self._max_payload, CARRY_BOUNDS)
+        conditions = (self._lease, self._hold, self.pending.line)
+        return Doorway(self.deliver, *conditions, program, self._max_payload, CARRY_BOUNDS)
 
     def update(self, endpoints: Sequence[Endpoint]) -> None:
         """Follow the side's publishers of this topic; called only by the engine's loop."""

@@ -133,8 +133,8 @@ class ConnectionLoop(ThreadedLoop):
         self._sources: dict[int, PolledConnection] = {}
         self._joining: Joining | None = None
         self._intake: Intake | None = None
-        if Intake is not None and isinstance(self._selector, selectors.EpollSelector):
-            self._intake = Intake(self._selector.fileno(), flush_joined)
+        if Intake is not None and type(self._selector).__name__ == "EpollSelector":  # other systems lack the class
+            self._intake = Intake(self._selector.fileno(), flush_joined)  # type: ignore[attr-defined]
             self._select = self._wait
 
     def add(self, source: PolledConnection) -> bool:

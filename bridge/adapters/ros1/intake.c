@@ -243,6 +243,8 @@ static PyObject *intake_wait(PyObject *self, PyObject *pause)
         ended = until >= 0.0 && seconds() >= until;
         for (int at = 0; at < count; at++) {
             if (read_here(intake, events[at].data.fd, events[at].events)) {
+                Py_BEGIN_ALLOW_THREADS /* for a thread that has waited long enough */
+                Py_END_ALLOW_THREADS
                 continue;
             }
             PyObject *other = Py_BuildValue("iI", events[at].data.fd, (unsigned int)events[at].events);
@@ -278,8 +280,9 @@ static PyObject *intake_add(PyObject *self, PyObject *args)
         intake->streams = streams;
         intake->room = room;
     }
-    Py_XDECREF((PyObject *)intake->streams[descriptor]);
+    PyObject *before = (PyObject *)intake->streams[descriptor];
     intake->streams[descriptor] = (Stream *)Py_NewRef(stream);
+    Py_XDECREF(before);
     Py_RETURN_NONE;
 }
 

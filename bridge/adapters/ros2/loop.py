@@ -19,11 +19,16 @@ from typing_extensions import override
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.participant import Participant
 from bridge.hub.lane.joining import Joining
+from bridge.routing.edge import Deliver
 
 TAKES_PER_TURN = 32
 """Messages taken from one subscription before the loop serves the others."""
 
 _log = logging.getLogger(__name__)
+
+
+Delivers = tuple[Deliver, dict[bytes, str], dict[str, int]]
+"""The call that delivers, the ids of publishers by their GIDs, and the last number of each publisher."""
 
 
 class EndpointReader(ABC):
@@ -42,6 +47,11 @@ class EndpointReader(ABC):
     def taken_from(self) -> int:
         """The ``rcl_subscription_t *`` of a reader that gets its messages by `accept`; 0 if `drain` takes them."""
         return 0
+
+    @property
+    def delivers(self) -> Delivers | None:
+        """How the queue delivers small messages of known publishers instead of `accept`; None: not at all."""
+        return None
 
     def wake(self, waker: rcl.Waker | None) -> None:
         """Report new messages to a waker from now on; with None, stop the reports before returning."""
@@ -130,6 +140,8 @@ class QueueReadLoop(ReadLoop):
     def add(self, reader: EndpointReader) -> None:
         data = self._queue.add(reader, reader.taken_from)
         self._readers[data] = reader
+        if reader.delivers is not None and reader.taken_from:
+            self._queue.deliver(data, *reader.delivers)
         reader.wake(rcl.queue_waker(data))
 
     @override

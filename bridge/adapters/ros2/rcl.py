@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 
 from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.tracing import allow_tracing_if_room
+from bridge.hub.lane.joining import flush_joined
 from bridge.kernels import CURE
 from bridge.messages.errors import MessageTypeError
 
@@ -248,7 +249,7 @@ def new_queue() -> taking.Queue:
         _rcutils.rcutils_get_default_allocator,
     )  # fmt: skip
     take_serialized, take, reset_error, default_allocator = map(_address, functions)
-    return taking.Queue(take_serialized, take, reset_error, default_allocator, LARGE)
+    return taking.Queue(take_serialized, take, reset_error, default_allocator, LARGE, flush_joined)
 
 
 def queue_waker(data: int) -> Waker:

@@ -59,6 +59,9 @@ typedef struct Node {
     void *subscription; /* rcl_subscription_t *; NULL if the reader takes by itself */
     size_t last;        /* bytes of the last message, if it was large */
     bool steady;        /* whether the message before the last had as many bytes */
+    PyObject *deliver;   /* deliver(payload, source, time) for small messages; NULL: the reader accepts them */
+    PyObject *sources;   /* dict: the publishers whose messages are delivered, by GID */
+    PyObject *sequences; /* dict: the last number of each publisher */
 } Node;
 
 typedef struct {
@@ -75,6 +78,7 @@ struct Queue {
     Take take;            /* rcl_take */
     void (*reset_error)(void); /* rcutils_reset_error */
     size_t large;
+    PyObject *flush;           /* called before waiting; NULL: nothing */
     PyThread_type_lock lock;   /* guards the following and the nodes; never held while calling ROS or Python */
     PyThread_type_lock signal; /* a semaphore: released once for each time that `waits` becomes false */
     bool waits;
@@ -294,9 +298,79 @@ static PyObject *entry(Slot *slot)
                          (long long)slot->info.source_ns, (long long)slot->info.sequence);
 }
 
-static PyObject *queue_wait(PyObject *self, PyObject *Py_UNUSED(unused))
+/* Notes a publisher's number; the reader counts missing messages. */
+static void note_sequence(Node *node, PyObject *source, uint64_t sequence)
 {
-    Queue *queue = (Queue *)self;
+    PyObject *last = PyDict_GetItemWithError(node->sequences, source);
+    PyObject *number = PyLong_FromUnsignedLongLong(sequence);
+    bool next = last != NULL && sequence > 0 && PyLong_AsUnsignedLongLong(last) == sequence - 1;
+    PyErr_Clear();
+    PyObject *done = number == NULL ? NULL : Py_NewRef(Py_None);
+    if (number != NULL && (!next || PyDict_SetItem(node->sequences, source, number) < 0)) {
+        Py_DECREF(done);
+        done = PyObject_CallMethod(node->reader, "count", "OO", source, number);
+    }
+    if (done == NULL) {
+        PyErr_WriteUnraisable(node->reader);
+    }
+    Py_XDECREF(done);
+    Py_XDECREF(number);
+}
+
+/* Has the reader log the exception of a message. */
+static void report_error(Node *node, PyObject *source)
+{
+    PyObject *type, *value, *traceback;
+    PyErr_Fetch(&type, &value, &traceback);
+    PyErr_NormalizeException(&type, &value, &traceback);
+    PyObject *done = value == NULL ? NULL : PyObject_CallMethod(node->reader, "failed", "OO", source, value);
+    if (done == NULL) {
+        PyErr_WriteUnraisable(node->reader);
+    }
+    Py_XDECREF(done);
+    Py_XDECREF(type);
+    Py_XDECREF(value);
+    Py_XDECREF(traceback);
+}
+
+/* Delivers a small message of a known publisher; returns false if the reader has to accept it. */
+static bool deliver(Queue *queue, Slot *slot)
+{
+    Node *node = slot->node;
+    if (slot->count > 0 || slot->payload != NULL || node->deliver == NULL || slot->bytes.length >= queue->large) {
+        return false;
+    }
+    PyObject *gid = PyBytes_FromStringAndSize(slot->info.gid, GID_BYTES);
+    PyObject *source = gid == NULL ? NULL : Py_XNewRef(PyDict_GetItemWithError(node->sources, gid));
+    Py_XDECREF(gid);
+    if (source == NULL) {
+        PyErr_Clear();
+        return false;
+    }
+    PyObject *payload = PyBytes_FromStringAndSize(slot->bytes.buffer, (Py_ssize_t)slot->bytes.length);
+    PyObject *time = payload == NULL ? NULL : PyLong_FromLongLong(slot->info.source_ns);
+    PyObject *done = time == NULL ? NULL : PyObject_CallFunctionObjArgs(node->deliver, payload, source, time, NULL);
+    if (done == NULL) {
+        report_error(node, source);
+    }
+    note_sequence(node, source, slot->info.sequence);
+    Py_XDECREF(done);
+    Py_XDECREF(time);
+    Py_XDECREF(payload);
+    Py_DECREF(source);
+    return true;
+}
+
+static int flush(Queue *queue)
+{
+    PyObject *done = queue->flush == NULL ? Py_NewRef(Py_None) : PyObject_CallNoArgs(queue->flush);
+    Py_XDECREF(done);
+    return done == NULL ? -1 : 0;
+}
+
+/* Waits once, and appends to the batch what the readers have to accept; returns -1 with an exception. */
+static int wait_once(Queue *queue, PyObject *batch)
+{
     size_t filled;
     Node *large;
     Py_BEGIN_ALLOW_THREADS
@@ -305,18 +379,48 @@ static PyObject *queue_wait(PyObject *self, PyObject *Py_UNUSED(unused))
     if (large != NULL) {
         filled = take_exact(queue, large, &queue->slots[0]) ? 1 : 0;
     }
-    PyObject *batch = PyList_New(0);
-    if (batch == NULL) {
-        return NULL;
-    }
+    bool delivers = true; /* until a reader has to accept a message, which none may overtake */
     for (size_t at = 0; at < filled; at++) {
+        delivers = delivers && deliver(queue, &queue->slots[at]);
+        if (delivers) {
+            continue;
+        }
         PyObject *taken = entry(&queue->slots[at]);
         if (taken == NULL || PyList_Append(batch, taken) < 0) {
-            PyErr_WriteUnraisable(self); /* no memory: this message is lost, the others are not */
+            PyErr_WriteUnraisable((PyObject *)queue); /* no memory: this message is lost, the others are not */
         }
         Py_XDECREF(taken);
     }
+    return filled == 0 ? 1 : 0;
+}
+
+static PyObject *queue_wait(PyObject *self, PyObject *Py_UNUSED(unused))
+{
+    PyObject *batch = PyList_New(0);
+    int ended = batch == NULL ? -1 : 0;
+    while (ended == 0 && PyList_Size(batch) == 0) {
+        ended = flush((Queue *)self) < 0 ? -1 : wait_once((Queue *)self, batch);
+    }
+    if (ended < 0) {
+        Py_CLEAR(batch);
+    }
     return batch;
+}
+
+static PyObject *queue_deliver(PyObject *Py_UNUSED(self), PyObject *args)
+{
+    PyObject *address, *call, *sources, *sequences;
+    if (!PyArg_ParseTuple(args, "OOO!O!", &address, &call, &PyDict_Type, &sources, &PyDict_Type, &sequences)) {
+        return NULL;
+    }
+    Node *node = PyLong_AsVoidPtr(address);
+    if (node == NULL) {
+        return NULL;
+    }
+    node->deliver = Py_NewRef(call);
+    node->sources = Py_NewRef(sources);
+    node->sequences = Py_NewRef(sequences);
+    Py_RETURN_NONE;
 }
 
 static PyObject *queue_wake(PyObject *self, PyObject *Py_UNUSED(unused))
@@ -370,6 +474,9 @@ static PyObject *queue_remove(PyObject *self, PyObject *address)
     unlock(queue);
     Py_END_ALLOW_THREADS
     Py_DECREF(gone->reader);
+    Py_XDECREF(gone->deliver);
+    Py_XDECREF(gone->sources);
+    Py_XDECREF(gone->sequences);
     free(gone);
     Py_RETURN_NONE;
 }
@@ -379,9 +486,12 @@ static int queue_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names)
     Queue *queue = (Queue *)self;
     unsigned long long take_serialized, take, reset_error, default_allocator;
     Py_ssize_t large;
-    if (!PyArg_ParseTuple(args, "KKKKn", &take_serialized, &take, &reset_error, &default_allocator, &large)) {
+    PyObject *before_wait = NULL;
+    if (!PyArg_ParseTuple(args, "KKKKn|O", &take_serialized, &take, &reset_error, &default_allocator, &large,
+                          &before_wait)) {
         return -1;
     }
+    queue->flush = Py_XNewRef(before_wait);
     queue->take_serialized = (Take)(uintptr_t)take_serialized;
     queue->take = (Take)(uintptr_t)take;
     queue->reset_error = (void (*)(void))(uintptr_t)reset_error;
@@ -414,6 +524,7 @@ static void queue_dealloc(PyObject *self)
     for (size_t at = 0; at < BATCH; at++) {
         free(queue->slots[at].bytes.buffer);
     }
+    Py_XDECREF(queue->flush);
     release(self);
     Py_DECREF(type);
 }
@@ -422,6 +533,8 @@ static PyMethodDef queue_methods[] = {
     {"wait", queue_wait, METH_NOARGS, "Wait for messages or `wake`; return the messages."},
     {"wake", queue_wake, METH_NOARGS, "End `wait`."},
     {"add", queue_add, METH_VARARGS, "Add a reader and its rcl_subscription_t *; return the callback's data."},
+    {"deliver", queue_deliver, METH_VARARGS,
+     "Deliver a reader's small messages of some publishers (a dict from GIDs to ids) by a call, without the reader."},
     {"remove", queue_remove, METH_O, "Remove the reader with this data, whose callback is no longer set."},
     {NULL, NULL, 0, NULL},
 };

@@ -14,6 +14,7 @@ from bridge.hub.endpoints.sinks import LatchedSink, PlainSink, PublisherOptions,
 from bridge.hub.endpoints.variants import Variants
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.graph.tokens import gid_of
+from bridge.hub.lane.joining import MAX_LINKS
 from bridge.hub.lane.numbering import Sender
 from bridge.hub.lane.outlet import Outlet
 from bridge.hub.lane.writer import LaneWriter
@@ -188,8 +189,9 @@ class HubPublisher:
         """Let routes send by the lanes of all readers, unless the messages are commands, or stored for late joiners."""
         links = [(outlet.link.fast, outlet.number) for outlet in self._outlets if not outlet.command]
         known = tuple((link, number) for link, number in links if link is not None)
-        self.sender.send_to(known)
-        plain = self._stored is None and not self._command and len(known) == len(self._outlets)
+        plain = self._stored is None and not self._command and len(known) == len(self._outlets) <= MAX_LINKS
+        self.sender.direct = False
+        self.sender.send_to(known if plain else ())
         self.sender.direct = plain and bool(self._sinks)
 
     def follow_variants(self, variants: Variants) -> None:

@@ -12,6 +12,9 @@ from bridge.hub.lane import numbering
 MAX_JOINED = 8
 """Maximum number of messages in one record; as in ``links.c``."""
 
+MAX_LINKS = 8
+"""Maximum number of readers to which C sends a publisher's messages; as in ``links.c``."""
+
 MAX_JOINED_BYTES = 4096
 """Maximum size in bytes of a payload that is joined with others; as in ``links.h``."""
 

@@ -98,33 +98,38 @@ static char *begin(Link *link, uint32_t number, const char *attachment, size_t s
     return head + SAMPLE;
 }
 
-/* Returns the joined record if it could not be sent, else NULL; also NULL with an exception. */
-static PyObject *flush_link(Link *link)
+/* Sends the joined record and returns true; if that fails, the record stays, so that no message overtakes it. */
+static bool flush_link(Link *link)
 {
-    if (link->count == 0) {
-        return NULL;
+    if (link->count > 0 && send(link->fd, link->joined, link->used, MSG_DONTWAIT | MSG_NOSIGNAL) < 0) {
+        link->ready = 0;
+        return false;
     }
-    size_t used = link->used;
     link->count = 0;
     link->used = 0;
-    if (send(link->fd, link->joined, used, MSG_DONTWAIT | MSG_NOSIGNAL) >= 0) {
-        return NULL;
-    }
-    link->ready = 0; /* so that no later message overtakes these */
-    return PyBytes_FromStringAndSize(link->joined, (Py_ssize_t)used);
+    return true;
+}
+
+/* Sends the joined record; returns it if that fails, else None. The caller holds the owner's lock. */
+static PyObject *flush_or_take(Link *link)
+{
+    PyObject *record = flush_link(link) ? Py_NewRef(Py_None)
+                                        : PyBytes_FromStringAndSize(link->joined, (Py_ssize_t)link->used);
+    link->count = 0;
+    link->used = 0;
+    return record;
 }
 
 /* Sends the joined record, or has the owner queue it. */
 static void flush_or_queue(Link *link)
 {
-    PyObject *record = flush_link(link), *unsent = Py_XNewRef(link->unsent);
-    PyObject *done = record == NULL || unsent == NULL ? NULL : PyObject_CallFunctionObjArgs(unsent, record, NULL);
+    PyObject *unsent = flush_link(link) ? NULL : Py_XNewRef(link->unsent);
+    PyObject *done = unsent == NULL ? NULL : PyObject_CallNoArgs(unsent);
     if (PyErr_Occurred()) {
         PyErr_WriteUnraisable((PyObject *)link);
     }
     Py_XDECREF(done);
     Py_XDECREF(unsent);
-    Py_XDECREF(record);
 }
 
 static bool is_due(Link *link)
@@ -157,15 +162,17 @@ static PyObject *link_join(PyObject *self, PyObject *args)
         PyErr_SetString(PyExc_ValueError, "a message on the lane is too large, or its attachment has another size");
         return NULL;
     }
+    if (link->count >= MAX_JOINED) {
+        PyErr_SetString(PyExc_ValueError, "the joined messages have to be flushed first");
+        return NULL;
+    }
     memcpy(begin(link, number, attachment, (size_t)size), payload, (size_t)size);
-    PyObject *record = is_due(link) ? flush_link(link) : NULL;
-    return record != NULL || PyErr_Occurred() ? record : Py_NewRef(Py_None);
+    return is_due(link) ? flush_or_take(link) : Py_NewRef(Py_None);
 }
 
 static PyObject *link_flush(PyObject *self, PyObject *Py_UNUSED(unused))
 {
-    PyObject *record = flush_link((Link *)self);
-    return record != NULL || PyErr_Occurred() ? record : Py_NewRef(Py_None);
+    return flush_or_take((Link *)self);
 }
 
 static PyObject *link_close(PyObject *self, PyObject *Py_UNUSED(unused))
@@ -299,7 +306,8 @@ static bool is_ready(PyObject *self)
     Sender *sender = (Sender *)self;
     bool ready = sender->direct && !sender->busy && is_quiet(sender);
     for (Py_ssize_t at = 0; at < sender->count; at++) {
-        ready = ready && sender->targets[at].link->ready;
+        const Link *link = sender->targets[at].link;
+        ready = ready && link->ready && link->count < MAX_JOINED;
     }
     return ready;
 }

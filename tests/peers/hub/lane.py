@@ -49,7 +49,7 @@ class JoinedLane:
     def __init__(self) -> None:
         self._near, self._far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._far.setblocking(False)
-        self._link = Link(self._near.fileno(), lambda _record: None)
+        self._link = Link(self._near.fileno(), lambda: None)
 
     def put(self) -> None:
         """Send a message, or join it if the thread joins messages."""

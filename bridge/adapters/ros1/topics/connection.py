@@ -77,8 +77,9 @@ class PublisherConnection(TopicConnection):
         with self._lock:  # prevents closing the socket meanwhile
             if self.done:
                 return False
+            readable = not self._started or is_readable(self._sock)  # first: what is read from now on shows below
             reading = self.stream is not None and self.stream.reading
-            return not self._started or reading or self._has_partial or bool(self._partial) or is_readable(self._sock)
+            return readable or reading or self._has_partial or bool(self._partial)
 
     @override
     def counts(self) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from typing_extensions import override
 
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.context import Closed, Ros2Context
-from bridge.adapters.ros2.loop import EndpointReader
+from bridge.adapters.ros2.loop import Delivers, EndpointReader
 from bridge.adapters.ros2.participant import Participant
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing.edge import Deliver, Endpoint, MadeBy
@@ -101,6 +101,8 @@ class Ros2Subscription:
                 self._readers[new] = self._open(new)
             for old in self._readers.keys() - wanted if wanted else ():
                 self._loop.remove(self._readers.pop(old))
+            for reader_class, reader in self._readers.items():
+                reader.set_sources({g: s.id for g, s in self._sources.items() if s.reader_class == reader_class})
 
     def _open(self, reader_class: ReaderClass) -> ClassReader:
         min_depth = LATCHED_DEPTH if reader_class.durability is Durability.TRANSIENT_LOCAL else VOLATILE_DEPTH
@@ -157,11 +159,11 @@ class Ros2Subscription:
                 self._sources[gid] = source
         return source
 
-    def failed(self, source: str) -> None:
+    def failed(self, source: str, error: Exception) -> None:
         """Log the exception of one message, at a limited rate; later messages are still delivered."""
         if time.monotonic() - self._logged_at > _LOG_SECONDS:
             self._logged_at = time.monotonic()
-            _log.exception("%s: a message of %s is dropped", self.topic, source)
+            _log.error("%s: a message of %s is dropped", self.topic, source, exc_info=error)
 
     def close(self) -> None:
         """Stop delivering, and destroy the readers. Safe to call twice."""
@@ -171,6 +173,7 @@ class Ros2Subscription:
             self.closed = True
             readers, self._readers = list(self._readers.values()), {}
         for reader in readers:
+            reader.set_sources({})
             self._loop.remove(reader)
         self._on_closed(self)
 
@@ -184,6 +187,7 @@ class ClassReader(EndpointReader):
         super().__init__(participant, handle)
         self._owner, self._class, self.topic = owner, reader_class, owner.topic
         self._large = False
+        self._plain: dict[bytes, str] = {}
         self._sequences: dict[str, int] = {}
         self._room = _SEQUENCES
 
@@ -192,6 +196,16 @@ class ClassReader(EndpointReader):
     def taken_from(self) -> int:
         resolves = self._participant.resolve is not None  # which only the loop's `Taker` does
         return 0 if resolves else self.pointer
+
+    @property
+    @override
+    def delivers(self) -> Delivers:
+        return self._owner.deliver, self._plain, self._sequences
+
+    def set_sources(self, sources: Mapping[bytes, str]) -> None:
+        """Set the ids of the publishers of this class, by GID; `accept` handles the messages of others."""
+        self._plain.clear()
+        self._plain.update(sources)
 
     @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
@@ -213,14 +227,19 @@ class ClassReader(EndpointReader):
             return
         try:
             owner.deliver(payload, source, source_ns)
-        except Exception:
-            owner.failed(source)
-        self._count(source, sequence)
+        except Exception as err:
+            owner.failed(source, err)
+        self.count(source, sequence)
 
-    def _count(self, source: str, sequence: int) -> None:
+    def failed(self, source: str, error: Exception) -> None:
+        """Log the exception of a message that the queue has delivered."""
+        self._owner.failed(source, error)
+
+    def count(self, source: str, sequence: int) -> None:
         """Count a publisher's messages missing since its last one: overwritten in a full history, or never received."""
         if source not in self._sequences and len(self._sequences) >= self._room:
-            self._sequences = {s: self._sequences[s] for s in self._sequences.keys() & self._owner.sources()}
+            for departed in self._sequences.keys() - self._owner.sources():
+                del self._sequences[departed]
             self._room = 2 * len(self._sequences) + _SEQUENCES
         last = self._sequences.get(source, sequence)
         self._owner.lost += max(sequence - last - 1, 0)
