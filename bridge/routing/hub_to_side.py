@@ -13,8 +13,7 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.errors import MessageError
-from bridge.messages.transcode.conversion import Conversion, native_program
-from bridge.messages.velocities import VELOCITIES
+from bridge.messages.transcode.conversion import Conversion
 from bridge.routing.backlog import HeldMessage
 from bridge.routing.counters import LATENCY_BOUNDS
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
@@ -142,15 +141,10 @@ class HubToSideRoute(TopicRoute):
 
     def _make_exit(self) -> Exit | None:
         """Return the shorter path for small messages; None if each message needs a check that only Python makes."""
-        convert = self.conversion.convert
-        program = None if convert is None else native_program(convert)
-        if Exit is None or self._limit is not None or self.hub_type in VELOCITIES:
+        if Exit is None or not self._is_plain():
             return None
-        if convert is not None and program is None:
-            return None
-        waiting = (self.queue.line, self.held.unknown.line)
-        context = self._context
-        return Exit(self._lease, context.hold, waiting, self.queue.locked, program, self._max_payload, LATENCY_BOUNDS)
+        conditions = self._lease, self._context.hold, (self.queue.line, self.held.unknown.line), self.queue.locked
+        return Exit(*conditions, self._program, self._max_payload, LATENCY_BOUNDS)
 
     # -- the engine's loop ---------------------------------------------------------------------------------------------
 

@@ -12,7 +12,8 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import split
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
-from bridge.messages.transcode.conversion import Conversion
+from bridge.messages.transcode.conversion import Conversion, native_program
+from bridge.messages.velocities import VELOCITIES
 from bridge.resources import OUT, RAISE
 from bridge.routing.admission import TopicAdmission
 from bridge.routing.counters import Counters
@@ -150,9 +151,15 @@ class TopicRoute(Route, TopicAdmission):
         super().__init__(key, names, (hub.name, side.name), policy, context)
         TopicAdmission.__init__(self, (names[0], hub.name), policy, self.counters, context.stall_detector)
         self.conversion = conversion
+        self._program = None if conversion.convert is None else native_program(conversion.convert)
         self._priority = Priority.STREAM
         self._qos = Qos()
         self._lease = context.lease
+
+    def _is_plain(self) -> bool:
+        """Return whether C code can handle small messages: conversion in C, no rate, and no velocities."""
+        converts = self.conversion.convert is None or self._program is not None
+        return converts and self._limit is None and self.hub_type not in VELOCITIES
 
     @property
     def static(self) -> bool:

@@ -18,8 +18,7 @@ from bridge.hub.graph.tokens import TAPS
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import LATCHED, Durability, Qos, Reliability
 from bridge.messages.errors import MessageError
-from bridge.messages.transcode.conversion import Conversion, native_program
-from bridge.messages.velocities import VELOCITIES
+from bridge.messages.transcode.conversion import Conversion
 from bridge.routing.backlog import Backlog
 from bridge.routing.counters import CARRY_BOUNDS
 from bridge.routing.decision import RouteDecision, RouteKey, native_groups
@@ -115,14 +114,10 @@ class SideToHubRoute(TopicRoute):
 
     def _make_doorway(self) -> Doorway | None:
         """Return the shorter path for small messages; None if each message needs a check that only Python makes."""
-        convert = self.conversion.convert
-        program = None if convert is None else native_program(convert)
-        if Doorway is None or self._limit is not None or self._tells_time or self.hub_type in VELOCITIES:
-            return None
-        if convert is not None and program is None:
+        if Doorway is None or not self._is_plain() or self._tells_time:
             return None
         conditions = (self._lease, self._hold, self.pending.line)
-        return Doorway(self.deliver, *conditions, program, self._max_payload, CARRY_BOUNDS)
+        return Doorway(self.deliver, *conditions, self._program, self._max_payload, CARRY_BOUNDS)
 
     def update(self, endpoints: Sequence[Endpoint]) -> None:
         """Follow the side's publishers of this topic; called only by the engine's loop."""

@@ -15,18 +15,13 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from typing_extensions import override
 
+from bridge.adapters.ros1.compiled import Intake, Stream
 from bridge.hub.lane.joining import Joining, flush_joined
 from yarp_compat.threaded_loop import ThreadedLoop
-
-try:
-    from bridge.adapters.ros1.intake import Intake, Stream
-except ImportError:  # there was no compiler, or the system has no epoll
-    if not TYPE_CHECKING:
-        Intake = Stream = None
 
 _log = logging.getLogger(__name__)
 
@@ -134,7 +129,7 @@ class ConnectionLoop(ThreadedLoop):
         self._joining: Joining | None = None
         self._intake: Intake | None = None
         if Intake is not None and type(self._selector).__name__ == "EpollSelector":  # other systems lack the class
-            self._intake = Intake(self._selector.fileno(), flush_joined)  # type: ignore[attr-defined]
+            self._intake = Intake(self._selector.fileno(), flush_joined)
             self._select = self._wait
 
     def add(self, source: PolledConnection) -> bool:

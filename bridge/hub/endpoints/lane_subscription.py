@@ -27,8 +27,9 @@ from bridge.hub.endpoints.subscription import (
 )
 from bridge.hub.endpoints.variants import ConvertedSample
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.lane.inlet import Inlet, Receiver
+from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.lane import Lane
+from bridge.hub.lane.numbering import Receiver
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.wire.keys import ANY_HASH, key_type
 from bridge.hub.wire.qos import History, Qos
@@ -173,8 +174,8 @@ class LaneSubscription(HubSubscription):
         return self._zenoh.close
 
     @property
+    @override
     def by_lane(self) -> int:
-        """Number of samples that arrived over the lane."""
         return self._by_lane if self.receiver is None else self._by_lane + self.receiver.by_lane
 
     @override

@@ -16,7 +16,7 @@ from bridge.hub.endpoints.subscribed_keys import SubscribedKeys
 from bridge.hub.endpoints.variants import CONVERTED, RELAYED, Convert, ConvertedSample
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph import HubGraph
-from bridge.hub.lane.inlet import Track
+from bridge.hub.lane.numbering import Track
 from bridge.hub.wire.keys import ANY_HASH, GID_SIZE, key_type, unpack_attachment
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe, undeclare
 from bridge.messages.errors import ConversionError
@@ -167,7 +167,7 @@ class PublisherStates(dict[bytes, PublisherState]):
 
     def pop_held(self, source: PublisherState, number: int) -> HubSample:
         """Remove and return one held sample."""
-        message = source.held.pop(number)
+        message: HubSample = source.held.pop(number)
         self.held_bytes -= len(message.payload) + OVERHEAD
         return message
 

@@ -8,9 +8,10 @@ import socket
 import time
 from collections.abc import Callable
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from bridge.hub.errors import HubWireError
+from bridge.hub.lane.numbering import Receiver, read_lane
 from bridge.hub.lane.wire import (
     BODY,
     DATA,
@@ -27,21 +28,6 @@ from bridge.hub.lane.wire import (
 )
 from bridge.hub.wire.keys import unpack_attachment
 from bridge.hub.zenoh_config import MAX_PAYLOAD
-
-try:
-    from bridge.hub.lane.receiving import Receiver, Track, read_lane
-except ImportError:  # there was no compiler, or the system has no lanes
-    if not TYPE_CHECKING:
-        Receiver = read_lane = None
-
-        class Track:
-            """What a subscription knows about a publisher's samples; see `bridge.hub.endpoints.subscription`."""
-
-            def __init__(self) -> None:
-                self.sequence = None
-                self.time_ns = 0
-                self.held = {}
-
 
 _log = logging.getLogger(__name__)
 

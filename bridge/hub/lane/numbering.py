@@ -1,4 +1,4 @@
-"""The numbers of a publisher's samples, in C if possible (``links.c``)."""
+"""The numbers of samples at both ends of a lane, in C if possible (``links.c``, ``receiving.c``)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 try:
     from bridge.hub.lane.links import Epoch, Link, Sender, flush, join
+    from bridge.hub.lane.receiving import Receiver, Track, read_lane
 except ImportError:  # there was no compiler, or the system has no lanes
     if not TYPE_CHECKING:
-        Link = flush = join = None
+        Link = flush = join = Receiver = read_lane = None
 
         class Epoch:
             """A number that changes with the graph."""
@@ -50,5 +51,13 @@ except ImportError:  # there was no compiler, or the system has no lanes
                 """Return whether none exists on zenoh."""
                 return self._quiet == (self._epoch.value, self.matches)
 
+        class Track:
+            """The number and source time of a publisher's last sample, and those that wait for earlier ones."""
 
-__all__ = ["Epoch", "Link", "Sender", "flush", "join"]
+            def __init__(self) -> None:
+                self.sequence = None
+                self.time_ns = 0
+                self.held = {}
+
+
+__all__ = ["Epoch", "Link", "Receiver", "Sender", "Track", "flush", "join", "read_lane"]

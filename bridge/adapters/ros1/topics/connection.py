@@ -11,7 +11,8 @@ from collections.abc import Callable
 
 from typing_extensions import override
 
-from bridge.adapters.ros1.connection_loop import ConnectionLoop, Stream, is_readable, receiver
+from bridge.adapters.ros1.compiled import Stream
+from bridge.adapters.ros1.connection_loop import ConnectionLoop, is_readable, receiver
 from bridge.adapters.ros1.topics.bus import TopicConnection
 from bridge.adapters.ros1_peers import DeadlineSocket, Ros1ProtocolError
 from bridge.routing.edge import Deliver

@@ -9,18 +9,13 @@ import struct
 import threading
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from typing_extensions import override
 
+from bridge.adapters.ros1.compiled import Socket
 from bridge.adapters.ros1.connection_loop import receive_now, send_now
 from bridge.adapters.ros1.topics.bus import TopicConnection
-
-try:
-    from bridge.adapters.ros1.topics.outputs import Outputs, Socket
-except ImportError:  # there was no compiler, or the system lacks such sockets
-    if not TYPE_CHECKING:
-        Outputs = Socket = None
 
 _log = logging.getLogger(__name__)
 

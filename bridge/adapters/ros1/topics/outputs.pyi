@@ -1,3 +1,4 @@
+import builtins
 from collections.abc import Callable
 
 class Socket:
@@ -13,7 +14,7 @@ class Socket:
     def __init__(
         self, descriptor: int, locked: tuple[Callable[[], bool], ...], resume: Callable[[], None], /
     ) -> None: ...
-    def take(self) -> bytes: ...
+    def take(self) -> builtins.bytes: ...
 
 class Outputs:
     open: bool

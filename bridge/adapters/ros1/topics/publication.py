@@ -12,10 +12,11 @@ from collections.abc import Callable
 from threading import Lock
 from typing import Any
 
+from bridge.adapters.ros1.compiled import Outputs
 from bridge.adapters.ros1.connection_loop import ConnectionLoop
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, encode
 from bridge.adapters.ros1.topics.commands import CommandConnection
-from bridge.adapters.ros1.topics.outlet import Outputs, SubscriberConnection
+from bridge.adapters.ros1.topics.outlet import SubscriberConnection
 from bridge.adapters.ros1_peers import DeadlineSocket
 from bridge.concurrency import DelayedCalls
 from bridge.messages.transcode.conversion import SideType
