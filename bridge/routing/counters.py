@@ -87,6 +87,9 @@ class Counters:
 
     def add_latency(self, nanoseconds: int) -> None:
         """Add a latency: the time since a message's source timestamp, or the duration of a call."""
+        if self.exit is not None:
+            self.exit.add_latency(nanoseconds)
+            return
         self._latencies.append(nanoseconds)
         self._buckets[bisect_left(LATENCY_BOUNDS, nanoseconds)] += 1
         if nanoseconds > 0:  # the clocks of two machines differ
@@ -132,14 +135,13 @@ class Counters:
     def as_dict(self) -> dict[str, Any]:
         """Return the counters for the status document.
 
-        ``latency_ms`` covers the last 512 messages of each path, in C and in Python. ``latency`` covers all messages:
-        the count in each bucket of `LATENCY_BOUNDS`, and the sum. ``carry`` has counts and sum of the times that
-        messages to the hub spend in the bridge, in buckets of `CARRY_BOUNDS`.
+        ``latency_ms`` covers the last 512 messages. ``latency`` covers all messages: the count in each bucket of
+        `LATENCY_BOUNDS`, and the sum. ``carry`` has counts and sum of the times that messages to the hub spend in the
+        bridge, in buckets of `CARRY_BOUNDS`.
         """
         latencies, buckets, waited = list(self._latencies.copy()), self._buckets, self._waited
         if (way := self.exit) is not None:
-            latencies, waited = latencies + way.latencies, waited + way.waited
-            buckets = [own + others for own, others in zip(buckets, way.buckets, strict=True)]
+            latencies, buckets, waited = way.latencies, way.buckets, way.waited
         late = sorted(latencies)
         quantiles = {}
         passed, last, carrying, carried = self.bytes, self.last, self._carrying, self._carried

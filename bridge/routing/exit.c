@@ -45,18 +45,24 @@ static void release(PyObject *self)
     Py_DECREF(type);
 }
 
+static void add(Exit *way, int64_t latency)
+{
+    int bucket = 0;
+    while (bucket < way->bounds && way->bound[bucket] < latency) {
+        bucket++;
+    }
+    way->buckets[bucket]++;
+    way->latencies[way->measured++ % LATENCIES] = latency;
+    way->waited += latency > 0 ? latency : 0;
+}
+
 static void count(Exit *way, int64_t size, int64_t time_ns)
 {
     double now = monotonic();
-    int64_t latency = nanoseconds(CLOCK_REALTIME) - time_ns;
+    int64_t clock = nanoseconds(CLOCK_REALTIME);
+    int64_t latency = time_ns < 0 ? clock : clock - time_ns; /* no stamp is older than the clock's zero */
     if (now - 1e-9 * (double)latency >= way->since) {
-        int bucket = 0;
-        while (bucket < way->bounds && way->bound[bucket] < latency) {
-            bucket++;
-        }
-        way->buckets[bucket]++;
-        way->latencies[way->measured++ % LATENCIES] = latency;
-        way->waited += latency > 0 ? latency : 0;
+        add(way, latency);
     }
     way->messages++;
     way->bytes += size;
@@ -117,6 +123,16 @@ static PyObject *exit_allow(PyObject *self, PyObject *gids)
     PyObject *before = ((Exit *)self)->allowed;
     ((Exit *)self)->allowed = Py_NewRef(gids);
     Py_XDECREF(before);
+    Py_RETURN_NONE;
+}
+
+static PyObject *exit_add_latency(PyObject *self, PyObject *nanoseconds)
+{
+    long long latency = PyLong_AsLongLong(nanoseconds);
+    if (latency == -1 && PyErr_Occurred()) {
+        return NULL;
+    }
+    add((Exit *)self, latency);
     Py_RETURN_NONE;
 }
 
@@ -244,6 +260,7 @@ static PyGetSetDef exit_getters[] = {
 };
 static PyMethodDef exit_methods[] = {
     {"send_by", exit_send_by, METH_O, "Send by an object with an `output`, or leave all messages to Python (None)."},
+    {"add_latency", exit_add_latency, METH_O, "Count the latency in ns of a message that Python has sent."},
     {"allow", exit_allow, METH_O, "Set the GIDs of the publishers whose messages are plain."},
     {NULL, NULL, 0, NULL},
 };

@@ -352,9 +352,10 @@ class Ros1Edge(SideEdge):
         return [
             ConnectionStatus(
                 topic=topic, node=nodes.get(c.peer, c.peer), host=c.host, direction=directions[c.direction],
-                transport=c.transport, bytes=c.bytes, messages=c.messages, dropped=c.dropped,
+                transport=c.transport, bytes=size, messages=messages, dropped=c.dropped,
             )
             for topic, c in self._book.connections()
+            for size, messages in (c.counts(),)
         ]  # fmt: skip
 
     @override

@@ -200,7 +200,7 @@ _publish = _publish_by_ctypes if taking is None else taking.publish
 
 def new_writer(publisher: int, locked: Callable[[], bool]) -> writing.Writer | None:
     """Return what publishes through ``rcl_publisher_t *`` in C, while ``locked`` returns False; None: no compiler."""
-    return None if writing is None else writing.Writer(_PUBLISH, publisher, (locked,))
+    return None if writing is None else writing.Writer(_PUBLISH, publisher, LARGE, (locked,))
 
 
 def serialized(payload: bytes) -> Any:

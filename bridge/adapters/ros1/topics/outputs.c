@@ -23,7 +23,7 @@ typedef struct {
     PyObject *resume; /* called after a message was cut, or the connection has failed */
     PyObject *rest;   /* what is left of a message; NULL: nothing */
     int descriptor;
-    char free, failed;
+    char free, failed, due; /* due: `resume` has to be called */
     long long messages, bytes;
 } Socket;
 
@@ -136,31 +136,30 @@ static bool is_ready(PyObject *self)
 static bool send_message(PyObject *self, char *message, size_t size)
 {
     Outputs *outputs = (Outputs *)self;
-    PyObject *sockets = Py_NewRef(outputs->sockets), *resumed = NULL;
+    PyObject *sockets = Py_NewRef(outputs->sockets);
+    bool due = false;
     char *frame = message - PREFIX;
     for (int byte = 0; byte < PREFIX; byte++) {
         frame[byte] = (char)(size >> (8 * byte));
     }
     outputs->bytes += (long long)size;
     for (Py_ssize_t at = 0; at < PyTuple_Size(sockets); at++) {
-        PyObject *socket = PyTuple_GetItem(sockets, at);
-        if (write_frame((Socket *)socket, frame, size + PREFIX)) {
-            resumed = resumed == NULL ? PyList_New(0) : resumed;
-            if (resumed == NULL || PyList_Append(resumed, socket) < 0) {
-                PyErr_WriteUnraisable(self);
-            }
-        }
+        Socket *socket = (Socket *)PyTuple_GetItem(sockets, at);
+        socket->due = write_frame(socket, frame, size + PREFIX);
+        due = due || socket->due;
     }
-    for (Py_ssize_t at = 0; resumed != NULL && at < PyList_Size(resumed); at++) { /* last, because these run Python */
-        PyObject *resume = Py_XNewRef(((Socket *)PyList_GetItem(resumed, at))->resume);
+    /* Last, because these run Python. Until then no object may be created that the collector tracks: it would run too. */
+    for (Py_ssize_t at = 0; due && at < PyTuple_Size(sockets); at++) {
+        Socket *socket = (Socket *)PyTuple_GetItem(sockets, at);
+        PyObject *resume = socket->due ? Py_XNewRef(socket->resume) : NULL;
+        socket->due = 0;
         PyObject *done = resume == NULL ? NULL : PyObject_CallNoArgs(resume);
         if (PyErr_Occurred()) {
-            PyErr_WriteUnraisable(self);
+            PyErr_WriteUnraisable(resume);
         }
         Py_XDECREF(done);
         Py_XDECREF(resume);
     }
-    Py_XDECREF(resumed);
     Py_DECREF(sockets);
     return true;
 }

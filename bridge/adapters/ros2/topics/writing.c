@@ -23,6 +23,7 @@ typedef struct {
     PyObject *locked;      /* tuple of the call that returns whether the writer's lock is held */
     Publish publish;       /* rcl_publish_serialized_message */
     const void *publisher; /* rcl_publisher_t * */
+    Py_ssize_t large;      /* from this size on, Python publishes, without the interpreter's lock */
     long long written;
     char open;
 } Writer;
@@ -44,6 +45,9 @@ static bool is_ready(PyObject *self)
 static bool send_message(PyObject *self, char *message, size_t size)
 {
     Writer *writer = (Writer *)self;
+    if (size >= (size_t)writer->large) {
+        return false;
+    }
     Bytes bytes = {message, size, size, {NULL}};
     if (writer->publish(writer->publisher, &bytes, NULL) != 0) {
         return false; /* Python tries again, and raises the error */
@@ -63,7 +67,7 @@ static int writer_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names
     Writer *writer = (Writer *)self;
     unsigned long long publish, publisher;
     PyObject *locked;
-    if (!PyArg_ParseTuple(args, "KKO!", &publish, &publisher, &PyTuple_Type, &locked)) {
+    if (!PyArg_ParseTuple(args, "KKnO!", &publish, &publisher, &writer->large, &PyTuple_Type, &locked)) {
         return -1;
     }
     Py_XDECREF(writer->locked);
