@@ -14,7 +14,7 @@ from bridge.hub.endpoints.sinks import LatchedSink, PlainSink, PublisherOptions,
 from bridge.hub.endpoints.variants import Variants
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.graph.tokens import gid_of
-from bridge.hub.lane.numbering import Sender
+from bridge.hub.lane.numbering import MAX_TARGETS, Sender
 from bridge.hub.lane.outlet import Outlet
 from bridge.hub.lane.writer import LaneWriter
 from bridge.hub.wire.keys import ATTACHMENT, GID_SIZE, key_type, key_variant
@@ -185,11 +185,14 @@ class HubPublisher:
             self._set_direct()
 
     def _set_direct(self) -> None:
-        """Let routes send by the lanes of all readers, unless the messages are commands, or stored for late joiners."""
+        """Let routes send by the lanes of all readers.
+
+        Not if there are too many, or if the messages are commands, or stored for late joiners.
+        """
         links = [(outlet.link.fast, outlet.number) for outlet in self._outlets if not outlet.command]
         known = tuple((link, number) for link, number in links if link is not None)
-        self.sender.send_to(known)
-        plain = self._stored is None and not self._command and len(known) == len(self._outlets)
+        plain = self._stored is None and not self._command and len(known) == len(self._outlets) <= MAX_TARGETS
+        self.sender.send_to(known if plain else ())
         self.sender.direct = plain and bool(self._sinks)
 
     def follow_variants(self, variants: Variants) -> None:

@@ -51,4 +51,7 @@ except ImportError:  # there was no compiler, or the system has no lanes
                 return self._quiet == (self._epoch.value, self.matches)
 
 
-__all__ = ["Epoch", "Link", "Sender", "flush", "join"]
+MAX_TARGETS = 8
+"""Maximum number of links of a sender; as in ``links.c``."""
+
+__all__ = ["MAX_TARGETS", "Epoch", "Link", "Sender", "flush", "join"]
