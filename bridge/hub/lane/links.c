@@ -98,33 +98,44 @@ static char *begin(Link *link, uint32_t number, const char *attachment, size_t s
     return head + SAMPLE;
 }
 
+/* Sends the joined record; returns false if that fails, and the record remains. */
+static bool send_joined(Link *link)
+{
+    if (link->count > 0 && send(link->fd, link->joined, link->used, MSG_DONTWAIT | MSG_NOSIGNAL) < 0) {
+        link->ready = 0; /* so that no later message overtakes these */
+        return false;
+    }
+    link->count = 0;
+    link->used = 0;
+    return true;
+}
+
 /* Returns the joined record if it could not be sent, else NULL; also NULL with an exception. */
 static PyObject *flush_link(Link *link)
 {
-    if (link->count == 0) {
+    if (send_joined(link)) {
         return NULL;
     }
     size_t used = link->used;
     link->count = 0;
     link->used = 0;
-    if (send(link->fd, link->joined, used, MSG_DONTWAIT | MSG_NOSIGNAL) >= 0) {
-        return NULL;
-    }
-    link->ready = 0; /* so that no later message overtakes these */
     return PyBytes_FromStringAndSize(link->joined, (Py_ssize_t)used);
 }
 
-/* Sends the joined record, or has the owner queue it. */
+/* Sends the joined record, or has the owner flush the link once it has its lock. Until then the record remains, so that
+   another thread, which has the lock now, sends nothing before it. */
 static void flush_or_queue(Link *link)
 {
-    PyObject *record = flush_link(link), *unsent = Py_XNewRef(link->unsent);
-    PyObject *done = record == NULL || unsent == NULL ? NULL : PyObject_CallFunctionObjArgs(unsent, record, NULL);
+    if (send_joined(link)) {
+        return;
+    }
+    PyObject *unsent = Py_XNewRef(link->unsent);
+    PyObject *done = unsent == NULL ? NULL : PyObject_CallNoArgs(unsent);
     if (PyErr_Occurred()) {
         PyErr_WriteUnraisable((PyObject *)link);
     }
     Py_XDECREF(done);
     Py_XDECREF(unsent);
-    Py_XDECREF(record);
 }
 
 static bool is_due(Link *link)
@@ -299,7 +310,8 @@ static bool is_ready(PyObject *self)
     Sender *sender = (Sender *)self;
     bool ready = sender->direct && !sender->busy && is_quiet(sender);
     for (Py_ssize_t at = 0; at < sender->count; at++) {
-        ready = ready && sender->targets[at].link->ready;
+        const Link *link = sender->targets[at].link;
+        ready = ready && link->ready && link->count < MAX_JOINED;
     }
     return ready;
 }

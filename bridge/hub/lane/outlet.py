@@ -105,10 +105,11 @@ class ReaderLink:
             if not self._closed:
                 self._wait(outlet, LaneMessage(attachment, payload))
 
-    def _unsent(self, record: bytes) -> None:
-        """Queue the joined messages of a record that ``fast`` could not send."""
+    def _unsent(self) -> None:
+        """Send or queue the joined messages that ``fast`` could not send."""
         with self._lock:
-            self._queue_joined(record)
+            self._flush_joined()
+            self._ready()
 
     def _queue_joined(self, record: bytes | None) -> None:
         """Queue the messages of a record, unless it can be sent now; None: there is none."""

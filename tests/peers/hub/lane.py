@@ -51,7 +51,7 @@ class JoinedLane:
     def __init__(self) -> None:
         self._near, self._far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._far.setblocking(False)
-        self._link = Link(self._near.fileno(), lambda _record: None)
+        self._link = Link(self._near.fileno(), lambda: None)
 
     def put(self) -> None:
         """Send a message, or join it if the thread joins messages."""
@@ -103,7 +103,12 @@ class RecordedLane:
         self.near.setblocking(False)
         self.far.setblocking(False)
         self.unsent: list[bytes] = []
-        self.link = Link(self.near.fileno(), self.unsent.append)
+        self.link = Link(self.near.fileno(), self._unsent)
+
+    def _unsent(self) -> None:
+        record = self.link.flush()
+        if record is not None:
+            self.unsent.append(record)
 
     def received(self) -> list[bytes]:
         """Return the records that have arrived."""
