@@ -186,7 +186,10 @@ class HubPublisher:
             self._set_direct()
 
     def _set_direct(self) -> None:
-        """Let routes send by the lanes of all readers, unless the messages are commands, or stored for late joiners."""
+        """Let routes send by the lanes of all readers.
+
+        Not if there are too many, or if the messages are commands, or stored for late joiners.
+        """
         links = [(outlet.link.fast, outlet.number) for outlet in self._outlets if not outlet.command]
         known = tuple((link, number) for link, number in links if link is not None)
         plain = self._stored is None and not self._command and len(known) == len(self._outlets) <= MAX_LINKS

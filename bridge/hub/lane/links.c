@@ -120,7 +120,8 @@ static PyObject *flush_or_take(Link *link)
     return record;
 }
 
-/* Sends the joined record, or has the owner queue it. */
+/* Sends the joined record, or has the owner flush the link once it has its lock. Until then the record remains, so that
+   another thread, which has the lock now, sends nothing before it. */
 static void flush_or_queue(Link *link)
 {
     PyObject *unsent = flush_link(link) ? NULL : Py_XNewRef(link->unsent);

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 from collections import Counter
 from itertools import pairwise
+from typing import NamedTuple
 
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.lane.links import Link
-from bridge.hub.lane.wire import ROOM
-from bridge.hub.wire.keys import ATTACHMENT_SIZE
+from bridge.hub.lane.wire import DATA, ROOM, SAMPLE
+from bridge.hub.wire.keys import ATTACHMENT_SIZE, unpack_attachment
 from tests.peers.hub.endpoints import Subscriber
 from tests.support.wait import until
 
@@ -66,3 +68,65 @@ class JoinedLane:
         self._link.close()
         self._near.close()
         self._far.close()
+
+
+class LaneMessage(NamedTuple):
+    """A message in a record of a lane."""
+
+    key: int
+    number: int
+    time_ns: int
+    gid: bytes
+    payload: bytes
+
+
+def lane_messages(record: bytes) -> list[LaneMessage]:
+    """Return the messages of a ``DATA`` record, which must be whole."""
+    messages, at = [], 0
+    while at < len(record):
+        kind, key, size, number, time_ns, gid = SAMPLE.unpack_from(record, at)
+        assert kind == DATA
+        begin = at + SAMPLE.size
+        assert unpack_attachment(record[begin - ATTACHMENT_SIZE : begin]) == (number, time_ns, gid)
+        at = begin + size
+        assert at <= len(record), "the record ends within a message"
+        messages.append(LaneMessage(key, number, time_ns, gid, record[begin:at]))
+    return messages
+
+
+class RecordedLane:
+    """A link and its reader's socket; ``unsent`` has the records that the link could not send."""
+
+    def __init__(self, buffer: int = 100_000) -> None:
+        self.near, self.far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, buffer)
+        self.near.setblocking(False)
+        self.far.setblocking(False)
+        self.unsent: list[bytes] = []
+        self.link = Link(self.near.fileno(), self._unsent)
+
+    def _unsent(self) -> None:
+        record = self.link.flush()
+        if record is not None:
+            self.unsent.append(record)
+
+    def received(self) -> list[bytes]:
+        """Return the records that have arrived."""
+        records = []
+        with contextlib.suppress(BlockingIOError):
+            while record := self.far.recv(ROOM):
+                records.append(record)
+        return records
+
+    def records(self) -> list[list[LaneMessage]]:
+        """Return the messages that have arrived, grouped by record."""
+        return [lane_messages(record) for record in self.received()]
+
+    def messages(self) -> list[LaneMessage]:
+        """Return the messages that have arrived."""
+        return [message for record in self.records() for message in record]
+
+    def close(self) -> None:
+        self.link.close()
+        self.near.close()
+        self.far.close()
