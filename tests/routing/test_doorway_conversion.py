@@ -38,9 +38,9 @@ class Converting(RecordedLane):
         sender.send_to(((self.link, 1),))
         sender.rest(0, 0)
         sender.direct, lease.until = True, math.inf
-        self.doorway = Doorway(
-            lambda payload, *_: self.left.append(payload), lease, deque(), native_program(convert), limit, CARRY_BOUNDS
-        )
+        conditions = (lease, None, deque[object]())
+        program = native_program(convert)
+        self.doorway = Doorway(lambda payload, *_: self.left.append(payload), *conditions, program, limit, CARRY_BOUNDS)
         self.doorway.admit("a", sender)
 
     def result(self, payload: bytes) -> bytes | None:
@@ -217,4 +217,4 @@ def test_a_doorway_refuses_an_incomplete_program() -> None:
     assert program is not None
     for other in (program[:-1], (*program[:-1], "text")):
         with pytest.raises(TypeError):
-            Doorway(print, Deadline(), deque(), other, 10, ())  # type: ignore[arg-type]
+            Doorway(print, Deadline(), None, deque(), other, 10, ())  # type: ignore[arg-type]

@@ -376,9 +376,9 @@ static PyMemberDef sender_members[] = {
 static PyMethodDef sender_methods[] = {
     {"next", sender_next, METH_NOARGS, "Return the next number."},
     {"send_to", sender_send_to, METH_O, "Set the links, each with the number of the key."},
-    {"match", sender_match, METH_NOARGS, "Note that a subscriber may exist on zenoh."},
-    {"rest", sender_rest, METH_VARARGS, "Note that none existed in an epoch, after so many matches."},
-    {"is_quiet", sender_is_quiet, METH_NOARGS, "Return whether none exists on zenoh."},
+    {"match", sender_match, METH_NOARGS, "Count a match, after which zenoh may have a subscriber."},
+    {"rest", sender_rest, METH_VARARGS, "Store the epoch and the number of matches in which zenoh had no subscriber."},
+    {"is_quiet", sender_is_quiet, METH_NOARGS, "Return whether zenoh has no subscriber."},
     {NULL, NULL, 0, NULL},
 };
 static PyType_Slot sender_slots[] = {

@@ -1,4 +1,4 @@
-"""The numbers of samples at both ends of a lane, in C if possible (``links.c``, ``receiving.c``)."""
+"""Numbers the samples at both ends of a lane, in C if possible (``links.c``, ``receiving.c``)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ except ImportError:  # there was no compiler, or the system has no lanes
                 self.value = next(self._values)
 
         class Sender:
-            """A publisher's numbers, and whether a put would reach a subscriber on zenoh."""
+            """Numbers a publisher's samples, and stores whether zenoh has a subscriber."""
 
             def __init__(self, _gid: bytes, epoch: Epoch) -> None:
                 self._epoch, self._quiet = epoch, (-1, -1)
@@ -40,15 +40,15 @@ except ImportError:  # there was no compiler, or the system has no lanes
                 """Set the links."""
 
             def match(self) -> None:
-                """Note that a subscriber may exist on zenoh."""
+                """Count a match, after which zenoh may have a subscriber."""
                 self.matches += 1
 
             def rest(self, epoch: int, matches: int) -> None:
-                """Note that none existed in an epoch, after so many matches."""
+                """Store the epoch and the number of matches in which zenoh had no subscriber."""
                 self._quiet = (epoch, matches)
 
             def is_quiet(self) -> bool:
-                """Return whether none exists on zenoh."""
+                """Return whether zenoh has no subscriber."""
                 return self._quiet == (self._epoch.value, self.matches)
 
         class Track:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.hub.lane import joining, links, numbering, wire
+from bridge.hub.lane import joining, links, wire
 from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES
 from bridge.hub.wire.keys import ATTACHMENT_SIZE, GID_SIZE, pack_attachment
 from tests.peers.hub.lane import LaneMessage, RecordedLane, lane_messages
@@ -229,7 +229,7 @@ def test_constants_are_those_of_the_modules_in_python() -> None:
         "MAX_JOINED": joining.MAX_JOINED,
         "MAX_JOINED_BYTES": joining.MAX_JOINED_BYTES,
         "MAX_TOUCHED": MAX_TOUCHED,
-        "MAX_TARGETS": numbering.MAX_TARGETS,
+        "MAX_TARGETS": joining.MAX_LINKS,
     }
     assert {name: constants[name] for name in expected} == expected
     assert MAX_JOINED * (wire.SAMPLE.size + MAX_JOINED_BYTES) <= wire.ROOM, "readers receive at most ROOM bytes"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bridge.hub.lane import folder
-from bridge.hub.lane.numbering import MAX_TARGETS
+from bridge.hub.lane.joining import MAX_LINKS
 from bridge.hub.lane.wire import DATA, HEAD, MARK, ON, ROOM
 from bridge.hub.session import Hub
 from tests.peers.hub.endpoints import advertise
@@ -42,7 +42,7 @@ def expect(reader: socket.socket, *payloads: bytes) -> None:
     assert received == list(payloads)
 
 
-@pytest.mark.parametrize("count", [MAX_TARGETS, MAX_TARGETS + 1, MAX_TARGETS + 4])
+@pytest.mark.parametrize("count", [MAX_LINKS, MAX_LINKS + 1, MAX_LINKS + 4])
 def test_all_publishers_of_a_topic_reach_all_readers(writer: Hub, tmp_path: Path, count: int) -> None:
     first, second = advertise(writer, "/t"), advertise(writer, "/t")
     with contextlib.ExitStack() as stack:
@@ -60,10 +60,10 @@ def test_all_publishers_of_a_topic_reach_all_readers(writer: Hub, tmp_path: Path
 def test_a_publisher_uses_the_path_in_c_again_when_few_readers_remain(writer: Hub, tmp_path: Path) -> None:
     publishers = [advertise(writer, "/t"), advertise(writer, "/t")]
     with contextlib.ExitStack() as stack:
-        readers = [stack.enter_context(read(tmp_path, writer, publishers[0].key)) for _ in range(MAX_TARGETS + 3)]
+        readers = [stack.enter_context(read(tmp_path, writer, publishers[0].key)) for _ in range(MAX_LINKS + 3)]
         until(lambda: all(len(p._outlets) == len(readers) for p in publishers), "the publishers use all lanes")
         assert not any(publisher.sender.direct for publisher in publishers)
-        for reader in readers[MAX_TARGETS:]:
+        for reader in readers[MAX_LINKS:]:
             reader.close()
-        until(lambda: all(len(p._outlets) == MAX_TARGETS for p in publishers), "the publishers leave three lanes")
+        until(lambda: all(len(p._outlets) == MAX_LINKS for p in publishers), "the publishers leave three lanes")
         until(lambda: all(p.sender.direct for p in publishers), "both use the path in C")

@@ -10,9 +10,8 @@ from collections.abc import Iterator
 import pytest
 
 from bridge.hub.lane import links
-from bridge.hub.lane.joining import MAX_JOINED_BYTES, Joining
+from bridge.hub.lane.joining import MAX_JOINED_BYTES, MAX_LINKS, Joining
 from bridge.hub.lane.links import Epoch, Sender
-from bridge.hub.lane.numbering import MAX_TARGETS
 from bridge.hub.lane.outlet import Outlet, ReaderLink
 from bridge.hub.wire.keys import pack_attachment
 from bridge.routing.counters import CARRY_BOUNDS
@@ -40,7 +39,7 @@ class QueuedLane(RecordedLane):
         lease = Deadline()
         lease.until = math.inf
         self.by_python = 0
-        self.doorway = Doorway(self.put, lease, deque(), None, MAX_JOINED_BYTES, CARRY_BOUNDS)
+        self.doorway = Doorway(self.put, lease, None, deque(), None, MAX_JOINED_BYTES, CARRY_BOUNDS)
         self.doorway.admit("a", self.sender)
 
     def put(self, payload: bytes, _source: str, time_ns: int | None) -> None:
@@ -60,17 +59,15 @@ def queued() -> Iterator[QueuedLane]:
 
 
 def test_a_message_reaches_each_link_under_its_number() -> None:
-    lanes = [RecordedLane() for _ in range(MAX_TARGETS)]
+    lanes = [RecordedLane() for _ in range(MAX_LINKS)]
     sender, lease = Sender(GID, Epoch()), Deadline()
     sender.send_to(tuple((lane.link, 100 + at) for at, lane in enumerate(lanes)))
     sender.rest(0, 0)
     sender.direct, lease.until = True, math.inf
-    doorway = Doorway(lambda *_: pytest.fail("it is sent"), lease, deque(), None, 100, ())
+    doorway = Doorway(lambda *_: pytest.fail("it is sent"), lease, None, deque(), None, 100, ())
     doorway.admit("a", sender)
     doorway(b"x", "a", 7)
-    assert [lane.records() for lane in lanes] == [
-        [[LaneMessage(100 + at, 1, 7, GID, b"x")]] for at in range(MAX_TARGETS)
-    ]
+    assert [lane.records() for lane in lanes] == [[[LaneMessage(100 + at, 1, 7, GID, b"x")]] for at in range(MAX_LINKS)]
     assert (sender.sequence, sender.by_lane) == (1, 1)
     for lane in lanes:
         lane.close()
@@ -78,9 +75,9 @@ def test_a_message_reaches_each_link_under_its_number() -> None:
 
 def test_a_sender_has_a_maximum_number_of_links() -> None:
     sender, link = Sender(GID, Epoch()), links.Link(-1, print)
-    sender.send_to(((link, 1),) * MAX_TARGETS)
+    sender.send_to(((link, 1),) * MAX_LINKS)
     with pytest.raises(ValueError, match="too many links"):
-        sender.send_to(((link, 1),) * (MAX_TARGETS + 1))
+        sender.send_to(((link, 1),) * (MAX_LINKS + 1))
 
 
 def test_a_sender_refuses_what_is_not_a_link() -> None:
