@@ -32,7 +32,7 @@ typedef struct {
     char ready;
     int count;
     size_t used;
-    char joined[ROOM * (SAMPLE + MAX_JOINED_BYTES)];
+    char *joined; /* a record with room for ROOM messages */
 } Link;
 
 typedef struct {
@@ -163,7 +163,7 @@ static PyObject *link_join(PyObject *self, PyObject *args)
         PyErr_SetString(PyExc_ValueError, "a message on the lane is too large, or its attachment has another size");
         return NULL;
     }
-    if (link->count >= MAX_JOINED) {
+    if (link->joined == NULL || link->count >= MAX_JOINED) {
         PyErr_SetString(PyExc_ValueError, "the joined messages have to be flushed first");
         return NULL;
     }
@@ -193,6 +193,11 @@ static int link_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
     if (!PyArg_ParseTuple(args, "iO", &link->fd, &unsent)) {
         return -1;
     }
+    link->joined = link->joined != NULL ? link->joined : PyMem_Malloc(ROOM * (SAMPLE + MAX_JOINED_BYTES));
+    if (link->joined == NULL) {
+        PyErr_NoMemory();
+        return -1;
+    }
     Py_XDECREF(link->unsent);
     link->unsent = Py_NewRef(unsent);
     link->ready = 1;
@@ -216,6 +221,7 @@ static void link_dealloc(PyObject *self)
 {
     PyObject_GC_UnTrack(self);
     link_clear(self);
+    PyMem_Free(((Link *)self)->joined);
     release(self);
 }
 
