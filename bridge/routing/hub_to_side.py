@@ -114,7 +114,8 @@ class HubToSideRoute(TopicRoute):
     not subscribed to on the hub.
 
     The engine's loop calls `update` and replaces the sources; samples arrive on the receiving threads of zenoh and the
-    lane. All these threads publish only while they hold ``queue.publishing``; the backlogs have their own locks.
+    lane. All these threads publish only while they hold ``queue.publishing``, except that the exit (in C) publishes
+    while no thread holds it; the backlogs have their own locks.
 
     Attributes:
         origin: origin of the topic's first publisher, None for a native program on the hub.

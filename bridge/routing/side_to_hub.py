@@ -239,7 +239,7 @@ class SideToHubRoute(TopicRoute):
                 self.counters.dropped("standby")
 
     def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
-        """Handle a message from one of the side's publishers; the edge calls this method, on any thread."""
+        """Handle a message from one of the side's publishers; the edge or the doorway calls this, on any thread."""
         publisher = self._sources.get(source)
         since = time.monotonic()
         # pending first, because a release empties it while it holds the lock

@@ -45,7 +45,7 @@ class EndpointReader(ABC):
 
     @property
     def taken_from(self) -> int:
-        """The ``rcl_subscription_t *`` of a reader that gets its messages by `accept`; 0 if `drain` takes them."""
+        """The ``rcl_subscription_t *`` of a reader whose messages the queue takes; 0 if `drain` takes them."""
         return 0
 
     @property
