@@ -17,8 +17,8 @@ class TopicConnection(PolledConnection):
     Attributes:
         id: the connection's number within this process.
         peer: the node of a subscriber, or the XML-RPC address of a publisher.
-        bytes: number of bytes of messages so far, including their length fields.
-        messages: number of messages so far.
+        bytes: number of bytes of messages that Python has read or sent, including their length fields.
+        messages: number of these messages.
         dropped: number of messages that were not delivered.
         done: whether the connection has ended.
     """
@@ -36,7 +36,7 @@ class TopicConnection(PolledConnection):
         super().__init__(sock)
 
     def counts(self) -> tuple[int, int]:
-        """Return the numbers of bytes and messages so far."""
+        """Return the numbers of bytes and messages so far, including those in C."""
         return self.bytes, self.messages
 
     @property

@@ -33,7 +33,7 @@ class Publication:
     Attributes:
         users: number of publishers that share the publication.
         latches: number of these publishers that latch.
-        published: bytes of all published messages.
+        published: bytes of all messages that Python has published.
         lifespan: time in seconds after which a message is too old, for commands; None for other topics.
         outputs: sends small messages in C; None for commands, or without a compiler.
     """
